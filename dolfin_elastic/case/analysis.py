@@ -147,7 +147,9 @@ class AnalysisTables(ModelTables):
         from dolfin_elastic.solvers.statics.statics import Statics
 
         output = self.output
-        shown = output.every is not None or any(p.every != "last" for p in output.pictures)
+        shown = output.every is not None or any(
+            p.film or p.every != "last" for p in output.pictures
+        )
         return Statics(problem, self.statics, linear=self.solver, petsc=petsc, gradual=shown)
 
     def files(self) -> list[File]:

@@ -25,6 +25,7 @@ from dolfin_elastic.cli.pipes import guard_output
 from dolfin_elastic.cli.report import report
 from dolfin_elastic.cli.run import Trust, collect_garbage, log_to_screen, restart, run
 from dolfin_elastic.cli.tools.new import new
+from dolfin_elastic.cli.tools.plot import plot
 from dolfin_elastic.cli.tools.schema import schema
 from dolfin_elastic.cli.tools.verbs import Verbs
 from dolfin_elastic.cli.tools.verify import verify
@@ -53,6 +54,7 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
   mpirun -n 4 dolfin-elastic run beam.toml  the same on four cores
   dolfin-elastic restart beam_results       go on after it was stopped or killed
   dolfin-elastic report beam_results        a page about it that can be mailed
+  dolfin-elastic plot beam_results          pictures, films and curves of what it has left
   dolfin-elastic converge beam.toml --until "displacement of tip" 1%
                                             refine the mesh until it is known so well
   dolfin-elastic verify                     known results, computed on this installation
@@ -146,6 +148,7 @@ app.command()(look)
 app.command()(run)
 app.command()(converge)
 app.command()(restart)
+app.command()(plot)
 app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(material)
 app.command()(materials)
 app.command()(report)

@@ -11,7 +11,7 @@ import textwrap
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -21,11 +21,16 @@ from rich.table import Table
 from dolfin_elastic.cli.terminal import Screen
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, SolveError
+from dolfin_elastic.core.units import stress_unit
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.state import State
 
+_ORIGIN = 1e-12
+"""Coordinates below this are round-off [m]."""
 WIDTH = 100
+_LEAST = 0.05
+"""Share of a run that is to be done before the time left can be told."""
 FIRST_LINES = 20
 """Steps that get a line of their own in any case; later ones at most one a second."""
 
@@ -49,6 +54,9 @@ class ProgressDisplay(Protocol):
     def show(self, state: State) -> None:
         """Shows one state."""
 
+    def search(self, text: str) -> None:
+        """Shows a trial on the way to the next state, in place of the one before."""
+
     def close(self) -> None:
         """Ends the display."""
 
@@ -58,6 +66,9 @@ class NoProgress:
 
     def show(self, state: State) -> None:
         """Shows one state."""
+
+    def search(self, text: str) -> None:
+        """See `ProgressDisplay`."""
 
     def close(self) -> None:
         """Ends the display."""
@@ -70,10 +81,13 @@ class Estimate:
     """
 
     def __init__(self) -> None:
-        self._first: tuple[float, float] | None = None
+        self._known: list[tuple[float, float]] = []
 
     def left(self, done: float) -> str:
-        """The remaining time as text, see `time_left`.
+        """The remaining time as text, see `time_left`; empty where it may be twice as long.
+
+        That is before a twentieth is done, and where the second half of the time so far has gone
+        twice as fast or as slowly as all of it: the first steps may be hard ones.
 
         Args:
             done: Share of the run that is done.
@@ -81,9 +95,15 @@ class Estimate:
         seconds = timing.totals()
         setup = sum(seconds.get(name, 0.0) for name in ("mesh", "compile"))
         spent = seconds.get("total", 0.0) - setup
-        if self._first is None:
-            self._first = spent, done
-        return time_left(spent - self._first[0], done, self._first[1])
+        self._known.append((spent, done))
+        begin, before = self._known[0]
+        half = begin + (spent - begin) / 2
+        later = next((one for one in self._known[:-1] if one[0] >= half), self._known[-2:][0])
+        share, recent = done - before, done - later[1]
+        if share < _LEAST or recent <= 0 or spent <= later[0]:
+            return ""
+        faster = recent / (spent - later[0]) / (share / (spent - begin))
+        return time_left(spent - begin, done, before) if 1 / 2 <= faster <= 2 else ""
 
 
 class ProgressLines:
@@ -91,9 +111,17 @@ class ProgressLines:
 
     def __init__(self, motion: bool) -> None:
         self.motion, self._estimate, self._shown, self._count = motion, Estimate(), 0.0, 0
+        self._searching = False
+
+    def search(self, text: str) -> None:
+        """See `ProgressDisplay`; a file gets one line of a search."""
+        if not self._searching:
+            print(f"{text} ... (-v shows every trial)", flush=True)
+        self._searching = True
 
     def show(self, state: State) -> None:
         """Shows one state."""
+        self._searching = False
         now = time.monotonic()
         left = self._estimate.left(state.done)
         due = self._count < FIRST_LINES or now - self._shown > 1.0 or state.done >= 1.0
@@ -124,6 +152,10 @@ class ProgressBar:
         left = self._estimate.left(state.done)
         text = re.sub("  +", "  ", f"{step_text(state, motion=self.motion)}  {left}")
         self._progress.update(self._task, completed=state.done, description=text)
+
+    def search(self, text: str) -> None:
+        """See `ProgressDisplay`."""
+        self._progress.update(self._task, description=f"searching: {text}")
 
     def close(self) -> None:
         """Ends the display."""
@@ -169,15 +201,30 @@ def time_left(spent: float, done: float, before: float = 0.0) -> str:
 
 
 class LogHandler(logging.Handler):
-    """Prints log records of rank 0, warnings with the word in front."""
+    """Prints log records of rank 0, warnings with the word in front.
+
+    Trials on the way to a state are shown where the progress is, see `show_searches`.
+
+    Args:
+        rank: Of this process.
+        screen: Where to.
+    """
 
     def __init__(self, rank: int, screen: Console) -> None:
         super().__init__()
+        self._display: ProgressDisplay | None = None
         self.addFilter(lambda record: rank == 0 or hasattr(record, "every_rank"))
         self.screen = screen
 
+    def show_searches(self, display: ProgressDisplay) -> None:
+        """Shows trials by this display from now on, in place of a line for each."""
+        self._display = display
+
     def emit(self, record: logging.LogRecord) -> None:
         """Shows one record."""
+        if self._display is not None and getattr(record, "search", False):
+            self._display.search(record.getMessage())
+            return
         mark = "warning: " if record.levelno >= logging.WARNING else ""
         self.screen.print(f"{mark}{record.getMessage()}", soft_wrap=True)
 
@@ -248,6 +295,29 @@ def show_end(
     show_table(screen, table)
     # Not in the table: the line is longer than a column may be.
     screen.print(f" time: {_times(seconds)}", soft_wrap=True)
+
+
+def extreme_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Largest von Mises stress and smallest safety factor at the end of a motion, with places.
+
+    Args:
+        summary: Content of summary.json.
+    """
+    found, lines = summary.get("extremes", {}), []
+    if (stress := found.get("von_mises")) and stress["value"]:
+        factor, unit = stress_unit(stress["value"])
+        lines.append(
+            f"largest von Mises stress  {stress['value'] / factor:.3g} {unit} {_at(stress)}"
+        )
+    if safety := found.get("safety_factor"):
+        lines.append(f"smallest safety factor    {safety['value']:.3g} {_at(safety)}")
+    return lines
+
+
+def _at(extreme: Mapping[str, Any]) -> str:
+    place = ", ".join(f"{0.0 if abs(x) < _ORIGIN else x:.4g}" for x in extreme["place"])
+    part = f" in '{extreme['part']}'" if extreme["part"] else ""
+    return f"at ({place}) m{part}"
 
 
 def count(number: int, thing: str) -> str:

@@ -35,6 +35,10 @@ Trust = Annotated[
     typer.Option("--trust", help="Let a .geo script of your own run commands and write files."),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show only problems.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Show every trial of a step.")]
+Json = Annotated[
+    bool, typer.Option("--json", help="At the end print summary.json, before it only problems.")
+]
 
 
 def run(
@@ -47,6 +51,8 @@ def run(
     profile: Profile = False,
     trust: Trust = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
+    json: Json = False,
 ) -> None:
     """Compute a case file (TOML).
 
@@ -69,6 +75,8 @@ def run(
         profile: Show at the end where time and memory went.
         trust: Let the mesh's script do all that the user may.
         quiet: Show warnings and errors only.
+        verbose: Show every trial of a step.
+        json: Print the summary at the end, for scripts.
     """
     options, at_start = parse_arguments(petsc or [])
     start_petsc(at_start)
@@ -76,7 +84,7 @@ def run(
     from dolfin_elastic.case.run import run as run_case
     from dolfin_elastic.results.writers.summary import mark_stopped
 
-    comm = begin(quiet)
+    comm = begin(quiet or json, verbose=verbose)
     read = read_case(case, comm=comm, trust=trust)
     folder = output if output is not None else read.results_folder()
 
@@ -84,7 +92,8 @@ def run(
 
     stop = Stop(folder, lambda: mark_stopped(folder))
     states = run_case(read, output=folder, petsc=options, asked=stop.wants_checkpoint)
-    _compute(_DisplayedRun(read, folder, states, stop, quiet=quiet, profile=profile), comm)
+    shown = _Shown(quiet=quiet or json, verbose=verbose, json=json, profile=profile)
+    _compute(_DisplayedRun(read, folder, states, stop, shown), comm)
 
 
 def restart(
@@ -94,6 +103,8 @@ def restart(
     profile: Profile = False,
     trust: Trust = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
+    json: Json = False,
 ) -> None:
     """Go on with a run that was stopped or killed.
 
@@ -111,6 +122,8 @@ def restart(
         profile: Show at the end where time and memory went.
         trust: Let the mesh's script do all that the user may.
         quiet: Show warnings and errors only.
+        verbose: Show every trial of a step.
+        json: Print the summary at the end, for scripts.
     """
     options, at_start = parse_arguments(petsc or [])
     start_petsc(at_start)
@@ -118,24 +131,29 @@ def restart(
     from dolfin_elastic.case.run import restart as restart_case
     from dolfin_elastic.results.writers.summary import mark_stopped
 
-    comm = begin(quiet)
+    comm = begin(quiet or json, verbose=verbose)
     found = unfinished(folder, comm=comm, trust=trust)
     logging.getLogger("dolfin_elastic").info("%s", found.message())
 
     stop = Stop(folder, lambda: mark_stopped(folder))
     states = restart_case(found, petsc=options, asked=stop.wants_checkpoint)
-    displayed = _DisplayedRun(
-        found.case, folder, states, stop, quiet=quiet, profile=profile, since=found.step
-    )
+    shown = _Shown(quiet=quiet or json, verbose=verbose, json=json, profile=profile)
+    displayed = _DisplayedRun(found.case, folder, states, stop, shown, since=found.step)
     _compute(displayed, comm)
 
 
-def begin(quiet: bool) -> MPI.Comm:
-    """Shows log messages from now on, with `quiet` warnings only; all ranks."""
+def begin(quiet: bool, *, verbose: bool = False) -> MPI.Comm:
+    """Shows log messages from now on; all ranks.
+
+    Args:
+        quiet: Warnings only.
+        verbose: What is tried, too.
+    """
     from mpi4py import MPI
 
     collect_garbage()
-    log_to_screen(MPI.COMM_WORLD.rank, logging.WARNING if quiet else logging.INFO)
+    level = logging.WARNING if quiet else logging.DEBUG if verbose else logging.INFO
+    log_to_screen(MPI.COMM_WORLD.rank, level)
     return MPI.COMM_WORLD
 
 
@@ -143,6 +161,23 @@ def collect_garbage() -> None:
     """Looks for garbage from now on, but not among what importing has made; see `main`."""
     gc.freeze()
     gc.enable()
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """What the command line shows of a run.
+
+    Attributes:
+        quiet: Show problems only.
+        verbose: Show every trial of a step.
+        json: Print the summary at the end.
+        profile: Show time and memory per stage.
+    """
+
+    quiet: bool = False
+    verbose: bool = False
+    json: bool = False
+    profile: bool = False
 
 
 @dataclass
@@ -154,8 +189,7 @@ class _DisplayedRun:
         folder: Of the results.
         states: The generator that computes it.
         stop: Signals and files that stop it.
-        quiet: Show problems only.
-        profile: Show time and memory per stage.
+        shown: What is shown of it.
         since: Step from which it is restarted.
     """
 
@@ -163,26 +197,50 @@ class _DisplayedRun:
     folder: Path
     states: Generator[State | Mode, None, None]
     stop: Stop
-    quiet: bool
-    profile: bool
+    shown: _Shown
     since: int = 0
 
 
 def _compute(displayed: _DisplayedRun, comm: MPI.Comm) -> None:
     """Computes and shows a run; leaves with its exit code if that is not 0. Collective."""
-    visible = comm.rank == 0 and not displayed.quiet
-    code = _follow(displayed, comm, visible=visible)
-    if displayed.profile:
+    visible = comm.rank == 0 and not displayed.shown.quiet
+    try:
+        code = _follow(displayed, comm, visible=visible)
+    finally:
+        if displayed.shown.json and comm.rank == 0:
+            _print_summary(displayed.folder)
+    if displayed.shown.profile:
         _show_profile(comm)
     if visible:
         from dolfin_elastic.cli.console import show_files, show_restart
 
+        if displayed.case.dynamics is not None and code != INTERRUPTED:
+            _show_extremes(displayed.folder)
         if displayed.folder.is_dir():
             show_files(displayed.folder, displayed.case.listing(displayed.folder))
         if code == INTERRUPTED:
             show_restart(displayed.folder)
     if code:
         raise Exit(code)
+
+
+def _show_extremes(folder: Path) -> None:
+    """Prints where a motion has ended with the largest stress; statics logs it with its error."""
+    from json import loads
+
+    from dolfin_elastic.cli.console import extreme_lines
+
+    path = folder / "summary.json"
+    if path.is_file():
+        for line in extreme_lines(loads(path.read_text(encoding="utf-8"))):
+            print(f" {line}")
+
+
+def _print_summary(folder: Path) -> None:
+    """Prints the summary of a run, as it stands in the folder."""
+    path = folder / "summary.json"
+    if path.is_file():
+        print(path.read_text(encoding="utf-8"), end="", flush=True)
 
 
 def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
@@ -195,7 +253,7 @@ def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
     from dolfin_elastic.problem.state import Mode
 
     motion = displayed.case.dynamics is not None
-    progress = _progress_display(motion, visible)
+    progress = _progress_display(motion, visible, verbose=displayed.shown.verbose)
     state, newton, modes = None, 0, []
     try:
         with closing(displayed.states) as results:
@@ -224,28 +282,31 @@ def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
         )
     if state is None or not state.failure:
         return 0
-    if displayed.quiet:
+    if displayed.shown.quiet:
         logging.getLogger("dolfin_elastic").error("audit FAIL: %s", state.failure)
     return AUDIT_FAILED
 
 
-def _progress_display(motion: bool, visible: bool) -> ProgressDisplay:
-    """A bar on a terminal, lines in a file or pipe, nothing if not visible."""
+def _progress_display(motion: bool, visible: bool, *, verbose: bool) -> ProgressDisplay:
+    """A bar on a terminal, lines in a file or pipe, nothing if not visible.
+
+    Args:
+        motion: The run has a time.
+        visible: Anything is shown.
+        verbose: Trials have lines of their own.
+    """
     from dolfin_elastic.cli import console
 
     if not visible:
         return console.NoProgress()
-    screen = next(
-        (
-            handler.screen
-            for handler in logging.getLogger("dolfin_elastic").handlers
-            if isinstance(handler, console.LogHandler)
-        ),
-        None,
-    )
-    if screen is not None and screen.is_terminal and sys.stdout.isatty():
-        return console.ProgressBar(motion, screen)
-    return console.ProgressLines(motion)
+    handlers = logging.getLogger("dolfin_elastic").handlers
+    handler = next((one for one in handlers if isinstance(one, console.LogHandler)), None)
+    found: ProgressDisplay = console.ProgressLines(motion)
+    if handler is not None and handler.screen.is_terminal and sys.stdout.isatty():
+        found = console.ProgressBar(motion, handler.screen)
+    if handler is not None and not verbose:
+        handler.show_searches(found)
+    return found
 
 
 def _show_profile(comm: MPI.Comm) -> None:

@@ -6,23 +6,26 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.units import COMMON_UNITS
 from dolfin_elastic.results.fields import check_field_names
 from dolfin_elastic.results.pictures.pictures import (
     Appearance,
+    Film,
     ModePictureWriter,
     PictureWriter,
-    View,
     check_drawable,
     picture_files,
 )
+from dolfin_elastic.results.pictures.scene import View
+from dolfin_elastic.results.pictures.series import FILMS, Limits
 from dolfin_elastic.results.writer import Numbers, Steps, Writer
 from dolfin_elastic.results.writers.history import HistoryWriter
 from dolfin_elastic.results.writers.modes import ModesWriter
@@ -39,6 +42,8 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
 
+_MOST_FIELDS = 4
+_FPS, _GIF = 30.0, 50.0
 _MAX_LISTED = 4
 """Number of files up to which all are listed; of more the first and the last."""
 
@@ -71,6 +76,42 @@ class Output(Record):
     def listing(self, folder: Path) -> list[str]:
         """Its files in the results' folder, for the list at the end of a run. Not collective."""
         return [self.file] if (folder / self.file).is_file() else []
+
+
+def _is_film(file: str) -> bool:
+    return Path(file).suffix in FILMS
+
+
+def limits_of(ends: Sequence[float | str]) -> Limits:
+    """Ends of a colour bar from numbers, texts with units, or percentiles.
+
+    Raises:
+        InputError: They are none, or no range.
+    """
+    expected = 'for example [0, "200 MPa"], or percentiles ["2 %", "98 %"]'
+    share = all(isinstance(end, str) and end.strip().endswith("%") for end in ends)
+    try:
+        found = [float(str(e).strip(" %")) if share else _number_of(e) for e in ends]
+    except (InputError, ValueError):
+        raise InputError("this is no range of colours", expected=expected) from None
+    whole = len(found) == 2 and found[0] < found[1]
+    if not whole or (share and not 0 <= found[0] <= found[1] <= 100):
+        raise InputError("this is no range of colours", expected=expected)
+    return Limits((found[0], found[1]), share)
+
+
+def _number_of(value: float | str) -> float:
+    """A number in SI units."""
+    if not isinstance(value, str):
+        return float(value)
+    parts = value.split(maxsplit=1)
+    if len(parts) == 1:
+        return float(value)
+    known = (table[parts[1]] for table in COMMON_UNITS.values() if parts[1] in table)
+    factor = next(known, None)
+    if factor is None:
+        raise InputError(f"unknown unit '{parts[1]}'")
+    return float(parts[0]) * factor
 
 
 def _check_suffix(file: str, suffix: str) -> str:
@@ -237,26 +278,55 @@ class Summary(Output):
 
 
 class Picture(Output):
-    """A picture of the deformed body.
+    """A picture of the deformed body, or a film.
 
     Attributes:
-        file: The PNG file; where `every` is a number, the step's number is added to its name.
-        field: Name from `FIELDS` whose value colours the surface; of a vector or tensor its norm.
+        file: The PNG file; where `every` is a number, the step's number is added to its name.  Of a
+            film the .mp4 or .gif file.
+        field: Name from `FIELDS` whose value colours the surface, of a vector or tensor its norm;
+            or several names, which are seen side by side.
         view: Direction from which the body is seen.
         scale: Magnification of the displacement.
-        every: "last"; or n for the first state at or after each n-th step, and the last one.
+        every: "last"; or n for the first state at or after each n-th step, and the last one.  Of a
+            film "last" stands for as many states as it needs.
         title: Text above the body; by default the case's title.
+        range: Ends of the colours in the field's SI unit, or percentiles ["2 %", "98 %"]; by
+            default the smallest and largest value, of a series those of all its pictures.
+        mark: The largest value is marked, of safety factors the smallest.
+        obstacles: The rigid obstacles of contacts are drawn.
+        fps: Frames a second of a film.
+        speed: Time [s], in statics load, that passes in a second of a film; by default 1, in
+            statics 0.2.
     """
 
     file: str = "picture.png"
-    field: str = "von_mises"
+    field: str | list[str] = "von_mises"
     view: View = "isometric"
     scale: float = 1.0
     every: Literal["last"] | int = "last"
     title: str | None = None
+    range: list[float | str] | None = None
+    mark: bool = True
+    obstacles: bool = True
+    fps: float | None = Field(default=None, gt=0, le=240)
+    speed: float | None = Field(default=None, gt=0)
 
-    _check_file = field_validator("file")(lambda file: _check_suffix(file, ".png"))
-    _check_field = field_validator("field")(staticmethod(check_drawable))
+    @field_validator("file")
+    @classmethod
+    def _check_file(cls, file: str) -> str:
+        return _check_suffix(file, Path(file).suffix if _is_film(file) else ".png")
+
+    @field_validator("field")
+    @classmethod
+    def _check_field(cls, field: str | list[str]) -> str | list[str]:
+        names = [field] if isinstance(field, str) else field
+        if not 1 <= len(names) <= _MOST_FIELDS:
+            raise InputError(
+                f"{len(names)} fields", expected=f"one, or up to {_MOST_FIELDS} side by side"
+            )
+        for name in names:
+            check_drawable(name)
+        return field
 
     @field_validator("every")
     @classmethod
@@ -265,21 +335,61 @@ class Picture(Output):
             raise InputError(f"{every} is wrong", expected='"last", 1, 2, 3, ...')
         return every
 
+    @field_validator("range")
+    @classmethod
+    def _check_range(cls, ends: list[float | str] | None) -> list[float | str] | None:
+        if ends is not None:
+            limits_of(ends)
+        return ends
+
+    @model_validator(mode="after")
+    def _check_film(self) -> Self:
+        given = [key for key in ("fps", "speed") if getattr(self, key) is not None]
+        if given and not _is_film(self.file):
+            raise InputError(
+                f"'{self.file}' is no film", where=given[0], expected='file = "film.mp4", or ".gif"'
+            )
+        if self.file.endswith(".gif") and (self.fps or 0) > _GIF:
+            raise InputError(
+                f"viewers show at most {_GIF:g} frames a second of a .gif",
+                where="fps",
+                expected=f"at most {_GIF:g}, or an .mp4",
+            )
+        return self
+
+    @property
+    def film(self) -> bool:
+        """It is a film."""
+        return _is_film(self.file)
+
+    @property
+    def fields(self) -> list[str]:
+        """Names of the fields, which are seen side by side."""
+        return [self.field] if isinstance(self.field, str) else self.field
+
     def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> Writer:
         """See `Output.open`."""
         return PictureWriter(
             problem,
             folder / self.file,
-            field=self.field,
+            fields=self.fields,
             saved=saved,
             appearance=self.appearance,
             every=None if self.every == "last" else self.every,
+            film=Film(self.fps or _FPS, self.speed),
         )
 
     @property
     def appearance(self) -> Appearance:
         """How the pictures show the body."""
-        return Appearance(self.scale, self.view, self.title or "")
+        return Appearance(
+            self.scale,
+            self.view,
+            self.title or "",
+            limits=Limits() if self.range is None else limits_of(self.range),
+            marks=self.mark,
+            obstacles=self.obstacles,
+        )
 
     def listing(self, folder: Path) -> list[str]:
         """See `Output.listing`; of many pictures the first, the last and their number."""

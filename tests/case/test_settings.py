@@ -65,7 +65,6 @@ MOTION: list[tuple[dict[str, Any], str]] = [
     (EULER | {"max_iterations": 9}, "max_iterations: the scheme 'symplectic-euler' solves no"),
     (EULER | {"rayleigh": [1, 0]}, "rayleigh: the scheme 'symplectic-euler' has no rayleigh"),
     (EULER | {"times": [0.5]}, "times: the scheme 'symplectic-euler' meets no times exactly"),
-    (EULER | {"every": "10 ms"}, "every: the scheme 'symplectic-euler' counts steps; a whole"),
     (EULER | {"dt": "1 ms", "safety": 0.5}, r"safety: all steps are dt = 0.001 s, .* one of them"),
     ({"times": [0.5, 1.5]}, r"times\[1\]: 1.5 s lies beyond the end; at most dynamics.end = 1 s"),
     ({"dt": 2.0}, "dt: 2 s is longer than the motion; at most dynamics.end = 1 s"),

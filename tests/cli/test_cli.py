@@ -185,12 +185,12 @@ def test_only_own_files_are_listed(folder: Path) -> None:
     )
     results = folder / "case_results"
     (results / "failed_state_data").mkdir(parents=True)
-    old = ("picture_0007.png", "failed_state.xdmf", "failed_state_data/000000.h5")
+    old = ("picture_000007.png", "failed_state.xdmf", "failed_state_data/000000.h5")
     for name in (*old, "notes.txt"):
         (results / name).touch()
     code, out, err = cli("run", "case.toml", folder=folder)
     assert code == 0, err
-    pictures = "picture_0000.png, picture_0001.png, picture_0002.png"
+    pictures = "picture_000000.png, picture_000001.png, picture_000002.png"
     assert out.endswith(
         f"results in case_results: history.csv, {pictures}, results.xdmf, summary.json\n"
     )

@@ -9,10 +9,11 @@ import pytest
 
 from dolfin_elastic import LinearElastic
 from dolfin_elastic.cli import info
-from dolfin_elastic.cli.console import LogHandler, console
+from dolfin_elastic.cli.console import LogHandler, ProgressLines, console, extreme_lines
 from dolfin_elastic.cli.console_materials import report_table
 from dolfin_elastic.material_point.checks import Finding
 from dolfin_elastic.material_point.report import MaterialReport
+from dolfin_elastic.problem.state import State
 
 
 def test_only_warnings_have_the_word_in_front(capfd):
@@ -25,6 +26,35 @@ def test_only_warnings_have_the_word_in_front(capfd):
                 record.every_rank = True
             handler.handle(record)
         assert capfd.readouterr().err == shown
+
+
+def test_a_search_is_one_line(capfd):
+    """In a file the first trial of a step; without a display for them, as with -v, all of them."""
+    record = logging.LogRecord("dolfin_elastic", logging.INFO, __file__, 1, "load 0.1", (), None)
+    record.search = True
+    handler, lines = LogHandler(0, console(stderr=True)), ProgressLines(motion=False)
+    handler.handle(record)
+    assert capfd.readouterr().err == "load 0.1\n"
+    handler.show_searches(lines)
+    for trials in (3, 2):
+        for _ in range(trials):
+            handler.handle(record)
+        lines.show(State(1, 0.1, None))  # type: ignore[arg-type]
+    out, err = capfd.readouterr()
+    assert err == ""
+    assert out.count("load 0.1 ... (-v shows every trial)\n") == 2 == out.count("load 0.1")
+
+
+def test_largest_values_of_a_motion():
+    """With place and part; nothing is said of a body without stress, or before the end."""
+    stress = {"value": 1.84e8, "place": [0.016, -1e-18], "part": "steel"}
+    safety = {"value": 1.36, "place": [0.016, 0.0], "part": ""}
+    assert extreme_lines({"extremes": {"von_mises": stress, "safety_factor": safety}}) == [
+        "largest von Mises stress  184 MPa at (0.016, 0) m in 'steel'",
+        "smallest safety factor    1.36 at (0.016, 0) m",
+    ]
+    assert extreme_lines({"extremes": {"von_mises": {**stress, "value": 0.0}}}) == []
+    assert extreme_lines({"extremes": {}}) == []
 
 
 LIBRARIES = {"openblas": "/a/libopenblas.so.0", "mkl": "/b/libmkl_rt.so.2", "slow": "/c/libblas.so"}

@@ -101,3 +101,25 @@ def test_a_restart_judges_by_its_own_steps(monkeypatch):
         clock[0] = 102.0
         shown.append(estimate.left(0.6))
     assert shown == ["", "  0:08 left"]
+
+
+def test_no_time_is_told_that_may_be_twice_as_long(monkeypatch):
+    """A first step that is hard, 14 s for 0.04 %, as the duck's; then 20 % in 9 s each."""
+    clock = [0.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: clock[0])
+    with timing.timed():
+        estimate = Estimate()
+        shown = [estimate.left(0.0)]
+        for seconds, done in ((14.0, 0.0004), (9.0, 0.2), (9.0, 0.4), (9.0, 0.6), (9.0, 0.8)):
+            clock[0] += seconds
+            shown.append(estimate.left(done))
+    assert shown[:3] == ["", "", ""]
+    left = [60.0 * int(t.split(":")[0]) + int(t.split(":")[1][:2]) for t in shown[3:]]
+    for told, really in zip(left, (27.0, 18.0, 9.0), strict=True):
+        assert really / 2 <= told <= 2 * really
+
+
+def test_explicit_states_at_times():
+    """The first state at or after each 0.1 s, and the end; steps of 0.03 s meet none of them."""
+    motion = Dynamics(square(), scheme="central-differences", end=0.35, dt=0.03, every="100 ms")
+    assert [round(state.t, 12) for state in motion.steps()] == [0.0, 0.12, 0.21, 0.3, 0.35]

@@ -43,6 +43,8 @@ POINTS = {
     "solvers/dynamics/implicit/test_schemes.py",
     "test_docs.py",
     "test_install.py",
+    "results/finished/test_plot.py",
+    "results/pictures/test_series.py",
     "test_layout.py",
     "test_tutorials.py",
     "verification/test_manufactured.py",

@@ -243,7 +243,11 @@ def _check_components(case: Case, body: Body) -> None:
 
 def _check_fields(case: Case) -> None:
     fields = [(f"output.fields[{i}]", name) for i, name in enumerate(case.output.fields or ())]
-    fields += [(f"output.pictures[{i}].field", p.field) for i, p in enumerate(case.output.pictures)]
+    fields += [
+        (f"output.pictures[{i}].field", name)
+        for i, p in enumerate(case.output.pictures)
+        for name in p.fields
+    ]
     fields += [
         (f"output.probes.{key_text(key)}.fields", name)
         for key, probe in case.output.probes.items()
@@ -283,9 +287,15 @@ def _check_fields(case: Case) -> None:
 
 def _check_mode_pictures(case: Case) -> None:
     for i, picture in enumerate(case.output.pictures):
-        if "field" in picture.model_fields_set and picture.field != "displacement":
+        if picture.film:
             raise CaseError(
-                f"a mode has no '{picture.field}': it has no size of its own",
+                "a film shows a motion or a growing load, not modes",
+                where=f"output.pictures[{i}].file",
+                expected="a picture: each mode has one, and an animation for ParaView",
+            )
+        if "field" in picture.model_fields_set and picture.fields != ["displacement"]:
+            raise CaseError(
+                f"a mode has no '{picture.fields[0]}': it has no size of its own",
                 where=f"output.pictures[{i}].field",
                 expected="leave it out; modes are coloured by their displacement",
             )

@@ -62,7 +62,7 @@ def draw_scene(scene: Scene, file: Path) -> None:
         )
         renderer = Renderer(_PROGRAM)
         try:
-            renderer.draw(data, drawn)
+            renderer.draw([data], drawn)
         finally:
             renderer.close()
         with writing(file):

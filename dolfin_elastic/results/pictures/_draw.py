@@ -1,4 +1,6 @@
-"""Draws pictures: reads lines "surface.npz<tab>picture.png" and writes "drawn" after each.
+"""Draws pictures: reads lines "a.npz<tab>...<tab>picture.png" and writes "drawn" after each.
+
+Several files are drawn side by side.
 
 A program of its own, started by `renderer.py`; it imports nothing of this package, hence no MPI.
 """
@@ -7,28 +9,25 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 import pyvista as pv
+from matplotlib import colormaps
+from matplotlib.colors import ListedColormap
+from PIL import Image
 from vtkmodules.vtkRenderingCore import vtkActor2D, vtkPolyDataMapper2D
 
 _INK, _GHOST = "#303840", "#8a939c"
 _NAMED = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#bbbbbb", "#ee8866")
 _MOST_NAMES, _LONGEST_NAME = 16, 16
 _SIZE = (1500, 1100)
-_DIRECTIONS = {
-    "isometric": (1.0, -1.25, 0.85),
-    "x": (1, 0, 0),
-    "y": (0, 1, 0),
-    "z": (0, 0, 1),
-    "-x": (-1, 0, 0),
-    "-y": (0, -1, 0),
-    "-z": (0, 0, -1),
-}
+_TURBO = (0.12, 0.9)
+"""Part of the colour map: its ends are nearly black."""
+_OBSTACLE, _NO_VALUE = "#aab4be", "#c8c8c8"
 _SHARP = 35.0
 _VISIBLE = 2e-3
 _SHORT = 0.6
@@ -93,6 +92,8 @@ def _add_body(plot: pv.Plotter, data: Arrays) -> pv.DataSetMapper:
         show_scalar_bar=False,
     )
     _add_lines(plot, _edges(reference, deformed.points), _INK, 3.5)
+    if not flat:
+        plot.add_silhouette(deformed, color=_INK, line_width=3.0, decimate=None)
     moved = np.abs(deformed.points - reference.points).max()
     if moved > _VISIBLE * reference.length:
         _add_outline(plot, reference)
@@ -108,10 +109,25 @@ def _add_outline(plot: pv.Plotter, reference: pv.PolyData) -> None:
         plot.add_silhouette(reference, color=_GHOST, line_width=2.5, decimate=None)
 
 
+def colour_map(*, warm_first: bool = False) -> ListedColormap:
+    """Blue, green, yellow, red, none of them dark, so that edges and shades are seen on all.
+
+    Args:
+        warm_first: Small values are red.
+    """
+    shades = colormaps["turbo"](np.linspace(*_TURBO, 256))
+    return ListedColormap(shades[::-1] if warm_first else shades)
+
+
 def _by_value(data: Arrays) -> dict[str, object]:
     ticks = data["ticks"]
-    colours = "viridis_r" if bool(data["reversed"]) else "viridis"
-    return {"scalars": "value", "cmap": colours, "clim": [ticks[0], ticks[-1]]}
+    colours = colour_map(warm_first=bool(data["reversed"]))
+    return {
+        "scalars": "value",
+        "cmap": colours,
+        "clim": [ticks[0], ticks[-1]],
+        "nan_color": _NO_VALUE,
+    }
 
 
 def _by_name(mesh: pv.PolyData, numbers: npt.NDArray[np.int64]) -> dict[str, object]:
@@ -201,51 +217,85 @@ def _add_square(plot: pv.Plotter, corner: tuple[float, float], colour: str) -> N
 
 
 def _aim(plot: pv.Plotter, data: Arrays) -> None:
-    direction = np.array(_DIRECTIONS[str(data["view"])], dtype=float)
-    up = (0, 1, 0) if abs(direction[2]) == np.linalg.norm(direction) else (0, 0, 1)
-    plot.view_vector(direction, viewup=up)
+    """Centres what is to be seen and scales it to the room left of the colour bar."""
+    axes = np.stack([data["right"], data["up"], data["back"]])
+    low, high = data["window"]
+    centre = (low + high) / 2 @ axes
+    depth = float(np.linalg.norm(high - low)) or 1.0
+    plot.camera.focal_point = centre
+    plot.camera.position = centre + 2 * depth * data["back"]
+    plot.camera.up = data["up"]
     plot.enable_parallel_projection()
-    _fill(plot, data)
-    plot.camera.SetWindowCenter(_SHIFT, 0.0)
-
-
-def _fill(plot: pv.Plotter, data: Arrays) -> None:
-    """Centres the visible body and scales it to the room left of the colour bar."""
-    ahead = np.array(plot.camera.direction)
-    right = np.cross(ahead, plot.camera.up)
-    right /= np.linalg.norm(right)
-    axes = np.stack([right, np.cross(right, ahead)])
-    points = np.vstack([data["points"], data["points"] + float(data["scale"]) * data["u"]])
-    seen = points @ axes.T
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    centre = np.array(plot.camera.focal_point)
-    offset = ((low + high) / 2 - axes @ centre) @ axes
-    plot.camera.focal_point = centre + offset
-    plot.camera.position = np.array(plot.camera.position) + offset
     aspect = np.array([_SIZE[0] / _SIZE[1], 1.0])
-    plot.camera.parallel_scale = float(((high - low) / 2 / aspect / _ROOM).max())
+    plot.camera.parallel_scale = float(((high - low)[:2] / 2 / aspect / _ROOM).max()) or 1.0
+    plot.camera.SetWindowCenter(_SHIFT, 0.0)
     plot.reset_camera_clipping_range()
 
 
-def draw(plot: pv.Plotter, source: str, target: str) -> None:
+def _add_obstacles(plot: pv.Plotter, data: Arrays) -> None:
+    """Rigid obstacles, in grey that lets the body be seen."""
+    if "obstacle_points" not in data or not len(data["obstacle_points"]):
+        return
+    faces = np.insert(data["obstacle_triangles"], 0, 3, axis=1)
+    mesh = pv.PolyData(data["obstacle_points"], faces.ravel())
+    if bool(data["plane"]):
+        _add_lines(plot, mesh.extract_feature_edges(boundary_edges=True), _GHOST, 4.0)
+        return
+    # Seen from behind, as a plate from above, an obstacle would hide the body: edges only.
+    plot.add_mesh(mesh, color=_OBSTACLE, opacity=0.5, culling="back", show_scalar_bar=False)
+    _add_lines(plot, mesh.extract_feature_edges(_SHARP, boundary_edges=True), _GHOST, 2.0)
+
+
+def _add_mark(plot: pv.Plotter, data: Arrays) -> None:
+    """A point at the largest value, and the value beside it."""
+    if "mark" not in data:
+        return
+    # In front of all, where a parallel projection shows it at the same place.
+    depth = float(np.linalg.norm(data["window"][1] - data["window"][0]))
+    for size, colour, ahead in ((20, "white", 0.9), (13, _INK, 0.95)):
+        place = pv.PolyData((data["mark"] + ahead * depth * data["back"])[None].astype(float))
+        plot.add_mesh(
+            place, color=colour, point_size=size, render_points_as_spheres=True, lighting=False
+        )
+    plot.add_point_labels(
+        place,
+        ["  " + _plain(str(data["mark_text"]))],
+        font_size=24,
+        bold=False,
+        text_color=_INK,
+        show_points=False,
+        always_visible=True,
+        shape=None,
+    )
+
+
+def draw(plot: pv.Plotter, sources: Sequence[str], target: str) -> None:
     """Draws one picture.
 
     Args:
         plot: The window.
-        source: File of arrays, as `pictures.Painter` writes it.
+        sources: Files of arrays, as `pictures.Painter` writes them, drawn side by side.
         target: The PNG file.
     """
+    panels = [_panel(plot, source) for source in sources]
+    Image.fromarray(np.hstack(panels)).save(target)
+
+
+def _panel(plot: pv.Plotter, source: str) -> npt.NDArray[np.uint8]:
     with np.load(source) as file:
         data = dict(file)
     plot.suppress_rendering = True  # until the scene is complete
     plot.clear()
     plot.enable_lightkit()
+    _aim(plot, data)  # before the silhouette, which depends on the camera
     mapper = _add_body(plot, data)
+    _add_obstacles(plot, data)
+    _add_mark(plot, data)
     _add_text(plot, data, mapper)
     _aim(plot, data)
     plot.suppress_rendering = False
     plot.render()
-    plot.screenshot(target)
+    return np.asarray(plot.screenshot(return_img=True))
 
 
 def plotter() -> pv.Plotter:
@@ -263,7 +313,8 @@ def main() -> None:
     os.dup2(2, 1)
     plot = plotter()
     for line in sys.stdin:
-        draw(plot, *line.rstrip("\n").split("\t"))
+        *sources, target = line.rstrip("\n").split("\t")
+        draw(plot, sources, target)
         with suppress(BrokenPipeError):
             print("drawn", file=answers, flush=True)
     plot.close()

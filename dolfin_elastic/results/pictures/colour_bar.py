@@ -11,10 +11,11 @@ from dolfin_elastic.core.types import AnyArray
 
 INTERVALS = 5
 """Number of intervals between ticks at the most."""
+_APART = 0.06
 EQUAL = 1e-9
 """Relative difference below which values count as equal."""
 _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"))
-_PREFIXED = ("Pa", "J/m^3", "m", "N", "m/s", "m/s^2")
+_PREFIXED = ("Pa", "J/m^3", "m", "N", "m/s", "m/s^2", "J", "N m", "s")
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,9 @@ class ColourBar:
     form: str
 
 
-def make_colour_bar(values: AnyArray, unit: str, noise: float = 0.0) -> ColourBar:
+def make_colour_bar(
+    values: AnyArray, unit: str, noise: float = 0.0, *, exact: bool = False
+) -> ColourBar:
     """The colour bar of some values.
 
     Round-off gets no colours: values that are zero but for round-off are shown between 0 and
@@ -44,24 +47,17 @@ def make_colour_bar(values: AnyArray, unit: str, noise: float = 0.0) -> ColourBa
         values: In SI units; those that are not finite are left out.
         unit: SI unit.
         noise: Differences below this are round-off.
+        exact: The bar ends at the smallest and the largest value, not at round numbers.
     """
     low, high = _range(values[np.isfinite(values)], noise)
-    factor, unit = _prefix(max(abs(low), abs(high)), unit)
+    factor, unit = prefixed(max(abs(low), abs(high)), unit)
     ticks = round_ticks(low / factor, high / factor)
+    if exact:
+        first, last = float(f"{low / factor:.4g}"), float(f"{high / factor:.4g}")
+        apart = _APART * (last - first)  # labels must not touch
+        inside = (t for t in ticks if first + apart < t < last - apart)
+        return ColourBar((first, *inside, last), factor, unit, "%.4g")
     return ColourBar(ticks, factor, unit, _form(ticks))
-
-
-def upper_end(factors: AnyArray) -> float:
-    """Safety factor above which a picture shows all of them alike.
-
-    The colour of the smallest one, and of those twice as large, must be told apart: five times the
-    smallest, at least 2, lest the limit 1 be at an end of the bar.
-
-    Args:
-        factors: Positive; those that are not finite are left out.
-    """
-    found = factors[np.isfinite(factors)]
-    return max(2.0, 5.0 * float(found.min())) if len(found) else 2.0
 
 
 def _range(values: AnyArray, noise: float) -> tuple[float, float]:
@@ -76,8 +72,13 @@ def _range(values: AnyArray, noise: float) -> tuple[float, float]:
     return min(low, 0.0), max(high, 0.0)
 
 
-def _prefix(largest: float, unit: str) -> tuple[float, str]:
-    """Factor and prefixed unit in which the largest value is between 1 and 1000."""
+def prefixed(largest: float, unit: str) -> tuple[float, str]:
+    """Factor and prefixed unit in which the largest value is between 1 and 1000.
+
+    Args:
+        largest: Absolute value [SI].
+        unit: SI unit.
+    """
     if unit not in _PREFIXED or not largest:
         return 1.0, unit
     # With a tolerance, so that 1000 kPa less round-off are 1 MPa.

@@ -9,13 +9,11 @@ from __future__ import annotations
 import logging
 import math
 import re
-import tempfile
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from textwrap import fill
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import fem
@@ -24,14 +22,17 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import InputError, OutputError, nearest
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import extent, span
 from dolfin_elastic.problem.material_regions import shear_modulus
-from dolfin_elastic.problem.state import Mode, State
+from dolfin_elastic.problem.state import Mode, State, plain
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import make_folder, writing
-from dolfin_elastic.results.pictures.colour_bar import make_colour_bar, upper_end
 from dolfin_elastic.results.pictures.drawn_field import DrawnField, with_ghosts
+from dolfin_elastic.results.pictures.obstacles import obstacle_triangles
 from dolfin_elastic.results.pictures.renderer import RENDERER
+from dolfin_elastic.results.pictures.scene import Scene, View, label_of, window
+from dolfin_elastic.results.pictures.series import FILMS, Limits, Series
 from dolfin_elastic.results.pictures.surface import Surface, gather_surface
 from dolfin_elastic.results.writer import LastState, Numbers, StepInterval
 
@@ -40,29 +41,12 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("dolfin_elastic")
 
-View = Literal["isometric", "x", "y", "z", "-x", "-y", "-z"]
-
+_STATICS = 0.2
+"""Share of the load that a second of a film shows, if the user does not say."""
 _SLEEP = 0.02
 """Seconds between two looks for the end of the drawing."""
-_LINE = 20
-"""Letters in a line above the colour bar; longer ones would not fit."""
-_SMALL_MATTER = ("safety_factor",)
-"""Fields whose small values matter: drawn in bright colours, large ones all alike."""
 _CATEGORIES = ("material", "region")
 """Fields of numbers that stand for names: drawn in distinct colours with a legend."""
-_LABELS = {
-    "von_mises": "von Mises stress",
-    "von_mises_nodal": "von Mises stress",
-    "von_mises_cell": "von Mises stress",
-    "cauchy_stress": "Cauchy stress",
-    "cauchy_stress_cell": "Cauchy stress",
-    "pressure_cell": "pressure",
-    "error": "estimated error of the stress",
-    "first_piola": "first Piola stress",
-    "green_strain": "Green strain",
-    "jacobian": "det F",
-    "young_modulus": "Young's modulus",
-}
 
 
 @dataclass(frozen=True)
@@ -73,11 +57,35 @@ class Appearance:
         scale: Magnification of the displacement.
         view: Axis along which the body is seen; plane bodies are always seen from the front.
         title: Text above the body, before load or time.
+        limits: Ends of the colours.
+        marks: The largest value is marked, of safety factors the smallest.
+        obstacles: The rigid obstacles of contacts are drawn, too.
     """
 
     scale: float = 1.0
     view: View = "isometric"
     title: str = ""
+    limits: Limits = field(default_factory=Limits)
+    marks: bool = True
+    obstacles: bool = True
+
+
+@dataclass(frozen=True)
+class Film:
+    """How states become a film.
+
+    Attributes:
+        fps: Frames a second.
+        speed: Time [s], in statics load, that passes in a second of the film; None: 1, in statics
+            0.2.
+    """
+
+    fps: float = 30.0
+    speed: float | None = None
+
+    def speed_of(self, state: State) -> float:
+        """The speed for a run with such states."""
+        return self.speed or (_STATICS if state.v is None else 1.0)
 
 
 def check_drawable(name: str) -> str:
@@ -122,7 +130,7 @@ def picture(
         InputError: The field cannot be shown.
         OutputError: The picture cannot be drawn or written.
     """
-    painter = Painter(problem, field)
+    painter = Painter(problem, (field,))
     try:
         painter.paint(state, Path(file), Appearance(scale, view, title))
     finally:
@@ -130,18 +138,21 @@ def picture(
 
 
 class PictureWriter:
-    """Draws pictures during a run, or of its last step.  All of it is collective.
+    """Draws pictures during a run, or of its last step, or a film.  All of it is collective.
 
-    A new run removes the pictures of an earlier one with the same names.
+    A new run removes the pictures of an earlier one with the same names.  Pictures of a series are
+    drawn again at the end, where later states need a wider range of colours or more room.
 
     Args:
         problem: The problem that is solved.
-        path: The PNG file.
+        path: The PNG file, or a film.
         every: Steps between drawn states, see `StepInterval`; the last state is always drawn.  The
-            step's number is added to the file's name.  None: only the last state, without number.
-        field: See `picture`.
+            step's number is added to the file's name.  None: only the last state, without number;
+            of a film as many as it needs.
+        fields: See `picture`; several are seen side by side.
         saved: Its restart state: pictures of later steps are removed.
         appearance: Of all pictures.
+        film: Of a film.
     """
 
     def __init__(
@@ -150,19 +161,27 @@ class PictureWriter:
         path: Path,
         *,
         every: int | None = None,
-        field: str = "von_mises",
+        fields: Sequence[str] = ("von_mises",),
         saved: Numbers | None = None,
         appearance: Appearance = Appearance(),
+        film: Film = Film(),
     ) -> None:
         self.path, self._appearance = path, appearance
+        self._film = film if path.suffix in FILMS else None
         self._every = (
             None if every is None else StepInterval(every, -1 if saved is None else saved["taken"])
         )
         self._last_drawn = -1 if saved is None else int(saved["drawn"])
+        self._times: dict[int, float] = {
+            int(step): t for step, t in (saved or {}).get("times", {}).items()
+        }
         self._last_state = LastState()
         with stage("output"):
+            alone = every is None and self._film is None
+            folder = None if alone else path.with_name(f".{path.stem}_frames")
+            self._series = Series(appearance.limits, marks=appearance.marks, folder=folder)
             on_root(problem.body.comm, self._clear)
-            self._painter = Painter(problem, field)
+            self._painter = Painter(problem, fields)
 
     def _clear(self) -> None:
         make_folder(self.path.parent)
@@ -170,37 +189,61 @@ class PictureWriter:
             for file in picture_files(self.path):
                 if file == self.path or _number(self.path, file) > self._last_drawn:
                     file.unlink()
+            self._series.forget_after(self._last_drawn)
 
     def restart_state(self) -> Numbers:
         """See `Writer`."""
         return {
             "drawn": self._last_drawn,
             "taken": -1 if self._every is None else self._every.taken,
+            "times": {str(step): t for step, t in self._times.items()},
         }
 
     def write(self, state: State) -> None:
         """Draws the state if it is due; else copies it, for it may be the last one."""
         with stage("output"):
-            if self._every is None or not self._every.takes(state.step):
-                self._last_state.copy(state)
-            else:
+            if self._due(state):
                 self._last_state.forget()
                 self._paint(state)
+            else:
+                self._last_state.copy(state)
+
+    def _due(self, state: State) -> bool:
+        if self._film is None or self._every is not None:
+            return self._every is not None and self._every.takes(state.step)
+        # Half a frame: of states that come more often most would not be seen.
+        t = plain(state.t) / self._film.speed_of(state)
+        return not self._times or t - max(self._times.values()) >= 0.5 / self._film.fps
 
     def _paint(self, state: State) -> None:
-        name = f"{self.path.stem}_{state.step:04d}{self.path.suffix}"
+        name = f"{self.path.stem}_{state.step:06d}{self.path.suffix}"
         file = self.path if self._every is None else self.path.with_name(name)
-        self._painter.paint_or_warn(state, file, self._appearance)
+        if self._film is None:
+            self._painter.paint_or_warn(state, file, self._appearance, self._series)
+        else:
+            self._painter.keep(state, self._appearance, self._series)
+            self._times[state.step] = plain(state.t) / self._film.speed_of(state)
         self._last_drawn = state.step
 
     def close(self, status: str = "completed", error: object = None) -> None:
         """See `Writer`; draws the last converged step, if it has not been drawn."""
         try:
-            if self._last_state.state:
-                with stage("output"):
+            with stage("output"):
+                if self._last_state.state:
                     self._paint(self._last_state.state)
+                self._painter.or_warn(self._finish)
         finally:
+            self._series.close(keep=status == "stopped")
             self._painter.close()
+
+    def _finish(self) -> None:
+        if self._film is None:
+            self._series.redraw()
+        elif self._times:
+            numbers = [n for n in self._series.numbers() if n in self._times]
+            begin = min(self._times.values())
+            times = [self._times[n] - begin for n in numbers]
+            self._series.film(self.path, times, numbers, self._film.fps)
 
 
 class ModePictureWriter:
@@ -226,7 +269,7 @@ class ModePictureWriter:
         self._size = amplitude * max(extent(problem.body))
         with stage("output"):
             on_root(problem.body.comm, self._clear)
-            self._painter = Painter(problem, "displacement")
+            self._painter = Painter(problem, ("displacement",))
 
     def _clear(self) -> None:
         make_folder(self.path.parent)
@@ -280,28 +323,31 @@ def _number(path: Path, file: Path) -> int:
 
 
 class Painter:
-    """Draws states coloured by one field; compiles once.  All of it is collective but `close`.
+    """Draws states coloured by fields; compiles once.  All of it is collective but `close`.
 
     Args:
         problem: The problem that is solved.
-        field: Name from `FIELDS`.
+        fields: Names from `FIELDS`, seen side by side.
 
     Raises:
-        InputError: A picture cannot show the field.
+        InputError: A picture cannot show a field.
     """
 
-    def __init__(self, problem: Problem, field: str) -> None:
-        self.problem, self.comm, self.field = problem, problem.body.comm, check_drawable(field)
-        self.dim = problem.body.dim
+    def __init__(self, problem: Problem, fields: Sequence[str]) -> None:
+        self.problem, self.comm, self.dim = problem, problem.body.comm, problem.body.dim
         self._failed = False
-        self._noise = _round_off(problem, FIELDS[field].unit)
-        self._drawn = DrawnField(problem, field)
+        names = [check_drawable(name) for name in fields]
+        self._noise = {name: _round_off(problem, FIELDS[name].unit) for name in names}
+        self._drawn = [DrawnField(problem, name) for name in names]
+        RENDERER.hold(self)
 
     def close(self) -> None:
         """Ends the drawing: the renderer stops when nobody else needs it. Not collective."""
         RENDERER.release(self)
 
-    def paint_or_warn(self, state: State, file: Path, appearance: Appearance) -> None:
+    def paint_or_warn(
+        self, state: State, file: Path, appearance: Appearance, series: Series | None = None
+    ) -> None:
         """Draws a state, or warns once if that cannot be done: results do not depend on pictures.
 
         Collective.
@@ -310,9 +356,15 @@ class Painter:
             state: See `paint`.
             file: The same.
             appearance: The same.
+            series: The same.
         """
+        panels = self.panels(state, appearance)
+        self.or_warn(lambda: self._paint(state.step, panels, file, appearance, series))
+
+    def or_warn(self, action: Callable[[], None]) -> None:
+        """Draws on rank 0, or warns once if that cannot be done. Collective."""
         try:
-            self.paint(state, file, appearance)
+            _on_root_alone(self.comm, action)
         except OutputError as error:
             log.log(
                 logging.DEBUG if self._failed else logging.WARNING, "%s; the run goes on", error
@@ -330,69 +382,103 @@ class Painter:
         Raises:
             OutputError: The picture cannot be drawn or written.
         """
-        grid = self._drawn.grid
+        panels = self.panels(state, appearance)
+        _on_root_alone(self.comm, lambda: self._paint(0, panels, file, appearance, None))
+
+    def keep(self, state: State, appearance: Appearance, series: Series) -> None:
+        """Keeps what a frame of a film shows, or warns once. Collective.
+
+        Args:
+            state: What is shown.
+            appearance: How it is shown.
+            series: Where it is kept.
+        """
+        panels = self.panels(state, appearance)
+        self.or_warn(lambda: series.add(state.step, panels))
+
+    def _paint(
+        self,
+        number: int,
+        panels: Sequence[Scene],
+        file: Path,
+        appearance: Appearance,
+        series: Series | None,
+    ) -> None:
+        whole = series or Series(appearance.limits, marks=appearance.marks)
+        whole.add(number, panels)
+        try:
+            whole.draw(number, panels, file)
+        finally:
+            if series is None:
+                whole.close()
+
+    def panels(self, state: State, appearance: Appearance) -> list[Scene]:
+        """What a picture shows of each field: arrays on rank 0, nothing on the others. Collective.
+
+        Args:
+            state: What is shown.
+            appearance: How it is shown.
+        """
+        every = [self._panel(drawn, state, appearance) for drawn in self._drawn]
+        return [panel for panel in every if panel is not None]
+
+    def _panel(self, drawn: DrawnField, state: State, appearance: Appearance) -> Scene | None:
+        grid = drawn.grid
         u = state.u.x.array.reshape(-1, self.dim)
         fields, of_cells = {"u": np.pad(u, ((0, 0), (0, 3 - self.dim)))}, None
-        if self.field in _CATEGORIES:
+        if drawn.name in _CATEGORIES:
             cells = grid.mesh.topology.index_map(grid.mesh.topology.dim)
-            of_cells = with_ghosts(cells, self._drawn.values(state))[:, 0].astype(np.int64)
+            of_cells = with_ghosts(cells, drawn.values(state))[:, 0].astype(np.int64)
         else:
-            fields["value"] = self._drawn.at_nodes(state)
-        linear = ("value",) if self._drawn.linear else ()
+            fields["value"] = drawn.at_nodes(state)
+        linear = ("value",) if drawn.linear else ()
         surface = gather_surface(grid, fields, of_cells, linear=linear)
-        if surface is not None and "value" in fields:
-            surface.values["value"] = self._drawn.shown(surface.values["value"])
-        settings = {
+        if surface is None:
+            return None
+        view = "z" if self.dim == 2 else appearance.view
+        moved = surface.points + appearance.scale * surface.values["u"]
+        return {
+            "points": surface.points,
+            "triangles": surface.triangles,
+            "u": surface.values["u"],
             "scale": appearance.scale,
-            "view": "z" if self.dim == 2 else appearance.view,
+            "view": view,
+            "window": window(np.vstack([surface.points, moved]), view),
             "title": _headline(state, appearance),
             "plane": self.dim == 2,
+            **self._values(drawn, surface),
+            **(self._obstacles(moved) if appearance.obstacles else {}),
         }
-        _on_root_alone(self.comm, lambda: self._draw(surface, file, settings))
 
-    def _draw(self, surface: Surface | None, file: Path, settings: Mapping[str, Any]) -> None:
-        assert surface is not None
-        with writing(file), tempfile.TemporaryDirectory() as scratch:
-            data, drawn = Path(scratch) / "surface.npz", Path(scratch) / "picture.png"
-            np.savez(
-                data,
-                points=surface.points,
-                triangles=surface.triangles,
-                u=surface.values["u"],
-                **self._colour_data(surface),
-                **settings,
-            )
-            RENDERER.draw(self, data, drawn)
-            draft = file.with_name(f".{file.name}.part")
-            draft.write_bytes(drawn.read_bytes())
-            draft.replace(file)
-
-    def _colour_data(self, surface: Surface) -> dict[str, Any]:
-        """Input of the drawing: values with ticks and label of the colour bar, or with names."""
-        field, label = FIELDS[self.field], _LABELS.get(self.field, self.field.replace("_", " "))
+    def _values(self, drawn: DrawnField, surface: Surface) -> Scene:
+        """Values with what the colour bar needs of their field, or names."""
         if surface.of_cells is not None:
-            first, names = self._names()
-            return {"value": surface.of_cells - first, "names": names, "label": label}
-        values = surface.values["value"][:, 0]
-        small = self.field in _SMALL_MATTER
-        shown = np.minimum(values, upper_end(values)) if small else values
-        found = make_colour_bar(shown, field.unit, self._noise)
-        unit = f"[{found.unit}]" if found.unit else ""
-        if field.shape == "tensor":
-            unit = f"norm of the tensor\n{unit}"
-        if small and values.max() > found.ticks[-1]:
-            unit = f"{found.ticks[-1]:g} and more alike"
+            first, names = self._names(drawn.name)
+            return {
+                "value": surface.of_cells - first,
+                "names": names,
+                "label": label_of(drawn.name),
+            }
+        field = FIELDS[drawn.name]
         return {
-            "value": values / found.factor,
-            "ticks": found.ticks,
-            "reversed": small,
-            "form": found.form,
-            "label": f"{fill(label, _LINE)}\n{unit}".strip(),
+            "value": drawn.shown(surface.values["value"])[:, 0],
+            "field": drawn.name,
+            "unit": field.unit,
+            "noise": self._noise[drawn.name],
+            "tensor": field.shape == "tensor",
         }
 
-    def _names(self) -> tuple[int, list[str]]:
+    def _obstacles(self, moved: FloatArray) -> Scene:
+        pairs = [
+            (pair.contact.obstacle, np.asarray(pair.shift.value))
+            for pair in self.problem.contact_pairs
+        ]
+        found = obstacle_triangles(pairs, moved.min(axis=0), moved.max(axis=0), self.dim)
+        return {"obstacle_points": found[0], "obstacle_triangles": found[1]}
+
+    def _names(self, field: str) -> tuple[int, list[str]]:
         """Number of the first name of a field of names, and all names."""
-        if self.field == "material":
+        if field == "material":
             return 0, [part.name for part in self.problem.regions]
         return -1, ["no region", *sorted(self.problem.body.regions)]
 
@@ -404,7 +490,7 @@ def _headline(state: State, appearance: Appearance) -> str:
     if math.isnan(state.load_factor):  # a mode, which the title names
         place = ""
     scale = appearance.scale
-    larger = "" if scale == 1.0 else f"displacements \u00d7 {scale:g}"
+    larger = "" if math.isnan(state.load_factor) else f"deformation \u00d7 {scale:g}"
     return "   |   ".join(filter(None, (appearance.title, place, larger)))
 
 

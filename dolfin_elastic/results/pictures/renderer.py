@@ -8,11 +8,13 @@ client has gone.
 from __future__ import annotations
 
 import atexit
+import logging
 import os
 import select
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from shutil import which
@@ -21,6 +23,10 @@ from typing import IO, cast
 from dolfin_elastic.core.errors import OutputError
 
 _PROGRAM = Path(__file__).with_name("_draw.py")
+log = logging.getLogger("dolfin_elastic")
+
+_START = 30
+"""Seconds that the display may take to start."""
 _TIMEOUT = 300
 """Seconds that one picture may take."""
 
@@ -45,11 +51,11 @@ class Renderer:
             start_new_session=True,  # Ctrl-C is for the run, which wants its last picture
         )
 
-    def draw(self, data: Path, drawn: Path) -> None:
+    def draw(self, data: Sequence[Path], drawn: Path) -> None:
         """Draws one picture.
 
         Args:
-            data: File with a surface, see `_draw.py`.
+            data: Files with surfaces, see `_draw.py`; several are drawn side by side.
             drawn: The PNG file.
 
         Raises:
@@ -59,7 +65,7 @@ class Renderer:
         assert into is not None
         assert back is not None
         try:
-            into.write(f"{data}\t{drawn}\n")
+            into.write("\t".join(map(str, (*data, drawn))) + "\n")
             into.flush()
         except BrokenPipeError:
             raise self._fault() from None
@@ -94,7 +100,7 @@ class SharedRenderer:
         self._renderer: Renderer | None = None
         self._users: set[int] = set()
 
-    def draw(self, user: object, data: Path, drawn: Path) -> None:
+    def draw(self, user: object, data: Sequence[Path], drawn: Path) -> None:
         """Draws one picture; the renderer runs until all its users have called `release`.
 
         Args:
@@ -114,6 +120,10 @@ class SharedRenderer:
             self._end()
             raise
 
+    def hold(self, user: object) -> None:
+        """Takes a user who will draw: the renderer does not end before its `release`."""
+        self._users.add(id(user))
+
     def release(self, user: object) -> None:
         """Takes back a user, who has drawn its last picture."""
         self._users.discard(id(user))
@@ -132,17 +142,38 @@ def _close_quietly(stream: IO[str]) -> None:
 
 
 def _display() -> tuple[subprocess.Popen[bytes] | None, dict[str, str]]:
-    """A virtual display, for windows would appear on a real one, and the child's environment."""
+    """A virtual display, for windows would appear on a real one, and the child's environment.
+
+    None is needed where VTK draws into memory: version 9.4 chooses EGL or OSMesa itself.
+    """
     # With an MPI rank's variables the child might try to join the run.
     mine = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMIX_", "PMI_"))}
+    if window := _window_in_memory():
+        log.debug("pictures are drawn by VTK's %s, without a display", window)
+        mine.pop("DISPLAY", None)
+        return None, {**mine, "VTK_DEFAULT_OPENGL_WINDOW": window}
     if not which("Xvfb"):
+        log.debug("pictures are drawn on the display %s", mine.get("DISPLAY", "that is not there"))
         return None, mine
     server, number = _start_xvfb()
+    log.debug("pictures are drawn on a virtual display, Xvfb :%d", number)
     return server, {**mine, "DISPLAY": f":{number}"}
 
 
+def _window_in_memory() -> str:
+    """The class with which VTK draws without a display; empty where it has none."""
+    from vtkmodules.vtkCommonCore import vtkVersion
+
+    version = vtkVersion.GetVTKMajorVersion(), vtkVersion.GetVTKMinorVersion()
+    return "vtkOSOpenGLRenderWindow" if version >= (9, 4) else ""
+
+
 def _start_xvfb() -> tuple[subprocess.Popen[bytes], int]:
-    """Starts a server, which chooses a free display number."""
+    """Starts a server, which chooses a free display number.
+
+    Raises:
+        OutputError: It ends, or has no display after half a minute.
+    """
     read, write = os.pipe()
     size = ["-screen", "0", "1600x1200x24"]
     server = subprocess.Popen(
@@ -154,10 +185,13 @@ def _start_xvfb() -> tuple[subprocess.Popen[bytes], int]:
     )
     os.close(write)
     with os.fdopen(read) as answer:
-        number = answer.readline().strip()
+        ready = select.select([answer], [], [], _START)[0]
+        number = answer.readline().strip() if ready else ""
     if not number:
+        server.kill()
         server.wait()
-        raise OutputError("cannot draw a picture: Xvfb did not start")
+        why = "has ended" if ready else f"has no display after {_START} s"
+        raise OutputError(f"cannot draw a picture: Xvfb {why}")
     return server, int(number)
 
 

@@ -120,7 +120,6 @@ class Dynamics:
             return Implicit(problem, velocity, s, self.linear, self.petsc)
         for name in self.petsc:
             log.warning("PETSc option '-%s' was not used: '%s' solves no equations", name, s.scheme)
-        assert isinstance(s.every, int)
         return Explicit(
             problem, velocity, s.row.scheme, end=s.end, dt=s.dt, safety=s.safety, every=s.every
         )

@@ -284,8 +284,6 @@ def _unused_by_explicit(s: DynamicsSettings, scheme: str, leave: str) -> Iterato
     yield UnusedKeys(["rtol", "atol", "max_iterations"], f"{scheme} solves no equations", leave)
     yield UnusedKeys(["rayleigh"], f"{scheme} has no rayleigh damping", leave)
     yield UnusedKeys(["times"], f"{scheme} meets no times exactly", leave)
-    if not isinstance(s.every, int):
-        yield UnusedKeys(["every"], f"{scheme} counts steps", "a whole number")
     if s.dt is not None:
         yield UnusedKeys(
             ["safety"],

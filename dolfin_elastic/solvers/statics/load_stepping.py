@@ -265,7 +265,8 @@ class LoadStepping:
                     self._jumped_to = goal, self._newton.unknowns()
                 inverted = not result.converged and (result.rejected > 0 or "NAN" in result.reason)
                 if sizes.failed(step.t, goal, inverted=inverted):
-                    log.info("load factor %.6g: %s; a smaller step", goal, in_words(refusal))
+                    text = "load factor %.6g: %s; a smaller step"
+                    log.info(text, goal, in_words(refusal), extra={"search": True})
                     self._retry.undo(step.start)
                     continue
                 goal, result = self._leave_path(step, result, refusal)
@@ -369,12 +370,12 @@ class LoadStepping:
                 raise self._failure(step.t, goal, result.refused(refusal), step.start, failed)
             result = found
         self._jumps += refusal == ANOTHER
-        what = "the body buckles" if refusal == UNSTABLE else "the body has snapped"
+        what = "buckles or tips over" if refusal == UNSTABLE else "has snapped through"
         log.warning(
-            "no stable equilibrium is near beyond load factor %.6g: %s to another one; "
+            "the body %s at load %.4g %%: no stable equilibrium is near, it flows to the next one; "
             'statics.method = "arc-length" shows the path between',
-            step.t,
             what,
+            100 * step.t,
         )
         return goal, result
 

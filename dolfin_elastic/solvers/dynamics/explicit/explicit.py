@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from math import ceil
+from math import ceil, floor
 
 import numpy as np
 from dolfinx import fem
@@ -28,6 +28,9 @@ STEPS_A_LOOK = 20
 STATES = 200
 """About as many states are yielded if no other number is asked for."""
 
+_MET = 1e-9
+"""Share of a time interval by which a state may come before its end."""
+
 
 class Explicit:
     """An explicit motion of one problem. Collective.
@@ -39,7 +42,8 @@ class Explicit:
         end: When the motion ends [s].
         dt: Time step [s]; None for the stable step times `safety`.
         safety: Share of the stable step.
-        every: Steps from one yielded state to the next; 0: about `STATES` in all.
+        every: Steps from one yielded state to the next, or time [s]: the first state at or after
+            each multiple; 0: about `STATES` in all.
 
     Attributes:
         scheme: Takes the steps.
@@ -60,7 +64,7 @@ class Explicit:
         end: float,
         dt: float | None,
         safety: float,
-        every: int = 0,
+        every: int | float = 0,
     ) -> None:
         self.problem, self.v, self.end = problem, v, end
         self.assembler = Assembler(problem)
@@ -113,19 +117,32 @@ class Explicit:
     def _march(self) -> Iterator[State]:
         self._last.save(self.restart_state())
         while not self._ended:
+            before = self.scheme.t
             try:
                 self.step()
                 if self.scheme.steps % STEPS_A_LOOK == 0:
                     raise_if_agreed(self.assembler.comm)
             except StabilityError as error:  # raised on all ranks
                 raise Replay(self, self._monitor, self._last).unstable_step(error) from None
-            if self.scheme.steps % self.every == 0 or self._ended:
+            if self._due(before) or self._ended:
                 self.scheme.synchronise()
                 state = self._checked_state()
                 if self._drifts(state):
                     self.size.check_before(self.scheme.steps)
                 self._last.save(self.restart_state())
                 yield replace(state, failure=self._monitor.failure)
+
+    def _due(self, before: float) -> bool:
+        """Whether the state is one to be yielded.
+
+        Args:
+            before: Time before the step [s].
+        """
+        if isinstance(self.every, int):
+            return self.scheme.steps % self.every == 0
+        # With a tolerance, so that sums of steps do not come too late by round-off.
+        count, was = (floor(t / self.every + _MET) for t in (self.scheme.t, before))
+        return count > was
 
     @property
     def _ended(self) -> bool:
@@ -224,7 +241,7 @@ class Explicit:
         """See `Restartable`. Collective."""
         saved.fill(self._fields())
         numbers = saved.numbers
-        self.every = int(numbers["every"])
+        self.every = numbers["every"]
         self._monitor.restore(numbers["lookout"])
         self.size.restore(numbers)
         self.scheme.resume(float(numbers["t"]), int(numbers["step"]))

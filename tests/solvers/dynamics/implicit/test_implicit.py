@@ -697,7 +697,6 @@ def test_petsc_options_of_what_the_case_says(option, key):
         ({"rayleigh": {"stifness": 1.0}}, "stiffness"),
         ({"times": [2.0]}, r"times\[0\]: 2 s lies beyond the end"),
         ({"every": 0}, "every"),
-        ({"scheme": "symplectic-euler", "every": "1 ms"}, "counts steps"),
         ({"scheme": "symplectic-euler", "rayleigh": [1, 0]}, "has no rayleigh"),
         ({"scheme": "newmarc"}, "newmark"),
         ({"scheme": "alpha2", "adaptive": True}, "adaptive: PETSc's 'alpha2' judges"),

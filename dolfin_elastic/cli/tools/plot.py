@@ -1,0 +1,313 @@
+"""`plot`: pictures, films and curves of a finished run, without computing it again."""
+# ruff: noqa: D301
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from dolfin_elastic.core.errors import InputError, nearest
+
+if TYPE_CHECKING:
+    from dolfin_elastic.core.types import FloatArray
+    from dolfin_elastic.results.finished.curves import Curves
+    from dolfin_elastic.results.finished.draw import Clip, Look
+    from dolfin_elastic.results.finished.run import FinishedRun
+    from dolfin_elastic.results.pictures.series import Limits
+
+_FILMS = (".mp4", ".gif")
+_VIEWS = ("isometric", "x", "y", "z", "-x", "-y", "-z")
+
+
+def plot(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", hidden=True)],
+    *,
+    field: Annotated[
+        list[str] | None, typer.Option("--field", "-f", help="Field; again: side by side.")
+    ] = None,
+    step: Annotated[int, typer.Option("--step", help="0 the first, -1 the last.")] = -1,
+    view: Annotated[str, typer.Option("--view", help="isometric, x, y, z, -x, -y or -z.")] = (
+        "isometric"
+    ),
+    scale: Annotated[float, typer.Option("--scale", help="Magnification of displacements.")] = 1.0,
+    ends: Annotated[
+        str | None, typer.Option("--range", help="Ends of the colours: 0:2e8, 2%:98%.")
+    ] = None,
+    clip: Annotated[
+        list[str] | None, typer.Option("--clip", help="Cut away x>0.01; x=0.01: the side in front.")
+    ] = None,
+    line: Annotated[
+        str | None, typer.Option("--line", help="Field along x0,y0,z0:x1,y1,z1.")
+    ] = None,
+    circle: Annotated[
+        str | None, typer.Option("--circle", help="Field around x,y,z:radius:axis.")
+    ] = None,
+    curve: Annotated[
+        str | None, typer.Option("--curve", help="Columns of history.csv: x:y, or x:y,z.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE", help="png, mp4, gif, csv, svg.")
+    ] = None,
+    fps: Annotated[float, typer.Option("--fps", help="Frames a second of a film.")] = 30.0,
+    speed: Annotated[
+        float | None, typer.Option("--speed", help="Time [s] in a second of a film.")
+    ] = None,
+    plain: Annotated[bool, typer.Option("--plain", help="No mark, no obstacles.")] = False,
+    listing: Annotated[bool, typer.Option("--list", help="Say what there is to plot.")] = False,
+) -> None:
+    """Draw a finished run: pictures, films, curves.
+
+    \b
+      dolfin-elastic plot beam_results --list
+      dolfin-elastic plot beam_results --field von_mises --clip y=0.005
+      dolfin-elastic plot beam_results --field von_mises --field displacement --output both.png
+      dolfin-elastic plot beam_results --output film.mp4 --fps 60 --speed 0.1
+      dolfin-elastic plot beam_results --curve tip_x:reaction_left_x
+      dolfin-elastic plot beam_results --line 0,0,0:0.1,0,0 --field von_mises --output line.csv
+
+    Places are those of the undeformed body in metres.  Curves are drawn, and written as CSV beside
+    the picture.
+
+    \f
+    Args:
+        folder: Of the results.
+        field: Names of fields.
+        step: Which step is drawn.
+        view: Direction from which the body is seen.
+        scale: Magnification of the displacement.
+        ends: Ends of the colours.
+        clip: Planes that take away a part.
+        line: Both ends of a line.
+        circle: Centre, radius and axis of a circle.
+        curve: Columns of the history.
+        output: The file that is written.
+        fps: Frames a second of a film.
+        speed: Time that passes in a second of a film.
+        plain: Leave marks and obstacles out.
+        listing: List fields, steps and columns, draw nothing.
+
+    Raises:
+        InputError: Something of it is not there, or cannot be read.
+    """
+    from mpi4py import MPI
+
+    from dolfin_elastic.core.parallel import on_root
+    from dolfin_elastic.results.finished.run import FinishedRun
+
+    def work() -> None:
+        run = FinishedRun(folder)
+        given = [n for n, v in (("line", line), ("circle", circle), ("curve", curve)) if v]
+        if listing:
+            _show(run)
+        elif len(given) > 1:
+            raise InputError(f"--{given[0]} and --{given[1]} are given together", expected="one")
+        elif given:
+            if curve is not None:
+                found = _history(run, curve)
+            else:
+                found = _along(run, field, step, line=line, circle=circle)
+            _write_curves(found, output or folder / f"plot_{given[0]}.png")
+        else:
+            _check_view(view)
+            look = _look(field, view, scale, ends, clip, plain, run, step)
+            _draw(run, look, step, output, fps, speed)
+
+    on_root(MPI.COMM_WORLD, work)
+
+
+def _draw(
+    run: FinishedRun,
+    look: Look,
+    step: int,
+    output: Path | None,
+    fps: float,
+    speed: float | None,
+) -> None:
+    from dolfin_elastic.results.finished.draw import draw, film
+
+    file = output or run.folder / f"plot_{'_'.join(look.fields)}.png"
+    if file.suffix in _FILMS:
+        if fps <= 0 or (speed is not None and speed <= 0):
+            raise InputError("it must be above 0", where="--fps, --speed")
+        film(run, look, file, fps=fps, speed=speed or (1.0 if run.moving else 0.2))
+    elif file.suffix == ".png":
+        draw(run, look, file, step)
+    else:
+        raise InputError(
+            f"'{file.name}' is neither picture nor film",
+            where="--output",
+            expected="a name that ends in .png, .mp4 or .gif",
+        )
+    print(f"{file} written")
+
+
+def _look(
+    field: list[str] | None,
+    view: str,
+    scale: float,
+    ends: str | None,
+    clip: list[str] | None,
+    plain: bool,
+    run: FinishedRun,
+    step: int,
+) -> Look:
+    from dolfin_elastic.results.finished.draw import Look
+    from dolfin_elastic.results.pictures.series import Limits
+
+    return Look(
+        _fields(run, field, step),
+        view,
+        scale,
+        limits=Limits() if ends is None else _limits(ends),
+        marks=not plain,
+        obstacles=not plain,
+        clips=[_clip(text) for text in clip or ()],
+    )
+
+
+def _check_view(view: str) -> None:
+    if view not in _VIEWS:
+        raise InputError(
+            f"there is no view '{view}'", where="--view", expected=nearest(view, _VIEWS)
+        )
+
+
+def _limits(text: str) -> Limits:
+    from dolfin_elastic.results.outputs import limits_of
+
+    parts = [part.strip() for part in text.split(":")]
+    try:
+        return limits_of([part if "%" in part else float(part) for part in parts])
+    except (InputError, ValueError):
+        raise InputError(
+            f"'{text}' is no range", where="--range", expected="for example 0:2e8, or 2%:98%"
+        ) from None
+
+
+def _fields(run: FinishedRun, given: Sequence[str] | None, step: int) -> list[str]:
+    """The fields that are asked for; else the von Mises stress, or the first there is."""
+    if given:
+        return list(given)
+    known = run.fields(step)
+    if not known:
+        raise InputError("the step holds no fields", where=str(run.folder))
+    return ["von_mises" if "von_mises" in known else known[0]]
+
+
+def _clip(text: str) -> Clip:
+    from dolfin_elastic.results.finished.draw import Clip
+
+    for sign in ("=", ">", "<"):
+        axis, found, number = text.partition(sign)
+        if found and axis.strip() in ("x", "y", "z"):
+            try:
+                above = {"=": None, ">": True, "<": False}[sign]
+                return Clip("xyz".index(axis.strip()), float(number), above)
+            except ValueError:
+                break
+    raise InputError(
+        f"'{text}' is no plane", where="--clip", expected="for example x=0.01, or x<0.01 [m]"
+    )
+
+
+def _numbers(text: str, where: str, expected: str) -> list[float]:
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) not in (2, 3):
+        raise InputError(f"'{text}' is no place", where=where, expected=expected)
+    return [*found, 0.0][:3]
+
+
+def _along(
+    run: FinishedRun,
+    field: list[str] | None,
+    step: int,
+    *,
+    line: str | None,
+    circle: str | None,
+) -> Curves:
+    from dolfin_elastic.results.finished import curves
+
+    if line is not None:
+        expected = "for example 0,0,0:0.1,0,0 [m]"
+        parts = line.split(":")
+        if len(parts) != 2:
+            raise InputError(f"'{line}' is no line", where="--line", expected=expected)
+        points, over = curves.line(*(_numbers(part, "--line", expected) for part in parts))
+        axis = curves.Axis("distance", over, "m")
+    else:
+        assert circle is not None
+        points, over = _circle(circle)
+        axis = curves.Axis("angle", over, "rad")
+    return curves.along(run, _fields(run, field, step), points, axis, step)
+
+
+def _circle(text: str) -> tuple[FloatArray, FloatArray]:
+    from dolfin_elastic.results.finished import curves
+
+    expected = "for example 0,0,0:0.005:z [m], the axis x, y, z or a vector"
+    parts = [*text.split(":"), "z"][:3]
+    try:
+        centre, radius = _numbers(parts[0], "--circle", expected), float(parts[1])
+    except (ValueError, IndexError):
+        raise InputError(f"'{text}' is no circle", where="--circle", expected=expected) from None
+    if parts[2] in ("x", "y", "z"):
+        normal = [float(name == parts[2]) for name in "xyz"]
+    else:
+        normal = _numbers(parts[2], "--circle", expected)
+    if radius <= 0 or not any(normal):
+        raise InputError(f"'{text}' is no circle", where="--circle", expected=expected)
+    return curves.circle(centre, radius, normal)
+
+
+def _history(run: FinishedRun, text: str) -> Curves:
+    from dolfin_elastic.results.finished.curves import history_curves
+
+    over, found, names = text.partition(":")
+    if not run.history:
+        raise InputError("it holds no history.csv", where=str(run.folder))
+    if not found or not names:
+        over, names = "t", text
+    return history_curves(run, over, names.split(","))
+
+
+def _write_curves(curves: Curves, file: Path) -> None:
+    from dolfin_elastic.results.finished.curves import draw_curves, write_csv
+
+    if file.suffix not in (".png", ".svg", ".pdf", ".csv"):
+        raise InputError(
+            f"'{file.name}' is no picture of a curve",
+            where="--output",
+            expected="a name that ends in .png, .svg, .pdf, or .csv for the table alone",
+        )
+    table = file.with_suffix(".csv")
+    write_csv(curves, table)
+    if file.suffix != ".csv":
+        draw_curves(curves, file)
+        print(f"{file} written, the numbers in {table}")
+    else:
+        print(f"{file} written")
+
+
+def _show(run: FinishedRun) -> None:
+    """Prints what there is to plot."""
+    from textwrap import fill
+
+    what = "times [s]" if run.moving else "load parameters"
+    rows = {
+        "fields": ", ".join(run.fields()) if run.frames else "none",
+        f"steps ({len(run.steps)})": _few([f"{t:g}" for t in run.steps]) + f"  {what}",
+        "columns": ", ".join(f"{n} [{u}]" if u else n for n, u in run.units.items()) or "none",
+    }
+    for name, text in rows.items():
+        print(fill(text, 98, initial_indent=f"{name:<12} ", subsequent_indent=13 * " "))
+
+
+def _few(texts: Sequence[str]) -> str:
+    shown = texts if len(texts) <= 10 else [*texts[:4], "...", *texts[-2:]]
+    return ", ".join(shown)

@@ -1,0 +1,251 @@
+"""Pictures and films of a finished run, as it draws them itself."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
+from dolfin_elastic.model.contact import Contact
+from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.finished.run import FinishedRun
+from dolfin_elastic.results.pictures.obstacles import obstacle_triangles
+from dolfin_elastic.results.pictures.scene import DIRECTIONS, Scene, label_of, window
+from dolfin_elastic.results.pictures.series import Limits, Series
+
+if TYPE_CHECKING:
+    import pyvista
+
+_ASIDE = 1e-6
+"""Distance of a section from where it is asked for, over the body's length."""
+_SUBDIVISION = 2
+"""Halvings of the faces of quadratic cells."""
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A plane that takes away what lies beyond it.
+
+    Attributes:
+        axis: Number of the axis.
+        at: Coordinate of the plane in the undeformed body [m].
+        above: What is above it goes, or what is below; None: what is nearer to the camera.
+    """
+
+    axis: int
+    at: float
+    above: bool | None = None
+
+    def takes_above(self, view: str) -> bool:
+        """Whether what is above it goes.
+
+        Args:
+            view: See `scene.View`.
+        """
+        return DIRECTIONS[view][self.axis] >= 0 if self.above is None else self.above
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a finished run is drawn.
+
+    Attributes:
+        fields: Names of what is in its fields, seen side by side.
+        view: See `scene.View`.
+        scale: Magnification of the displacement.
+        title: Text above the body; None: the case's title.
+        limits: Ends of the colours.
+        marks: The largest value is marked.
+        obstacles: The rigid obstacles are drawn.
+        clips: Planes that take away a part.
+    """
+
+    fields: Sequence[str]
+    view: str = "isometric"
+    scale: float = 1.0
+    title: str | None = None
+    limits: Limits = field(default_factory=Limits)
+    marks: bool = True
+    obstacles: bool = True
+    clips: Sequence[Clip] = ()
+
+
+def check_field(run: FinishedRun, name: str, step: int = -1) -> str:
+    """Checks that a step holds a field, and returns its name.
+
+    Args:
+        run: The finished run.
+        name: Of the field.
+        step: See `FinishedRun.frame`.
+
+    Raises:
+        InputError: It does not.
+    """
+    known = run.fields(step)
+    if name not in known:
+        more = f"; compute with [output] fields = [..., '{name}']" if name in FIELDS else ""
+        raise InputError(
+            f"there is no field '{name}'",
+            where=str(run.folder),
+            expected=(f"known: {', '.join(known)}" if more else nearest(name, known)) + more,
+        )
+    return name
+
+
+def draw(run: FinishedRun, look: Look, file: Path, step: int = -1) -> None:
+    """Draws one step.
+
+    Args:
+        run: The finished run.
+        look: How it is drawn.
+        file: The PNG file.
+        step: See `FinishedRun.frame`.
+
+    Raises:
+        InputError: There is no such step or field, or nothing is left by the clip planes.
+        OutputError: It cannot be drawn or written.
+    """
+    panels = _panels(run, look, step)
+    series = Series(look.limits, marks=look.marks)
+    try:
+        series.add(0, panels)
+        series.draw(0, panels, file)
+    finally:
+        series.close()
+
+
+def film(run: FinishedRun, look: Look, file: Path, *, fps: float, speed: float) -> None:
+    """Joins all steps to a film in even time.
+
+    Args:
+        run: The finished run.
+        look: How it is drawn.
+        file: The .mp4 or .gif file.
+        fps: Frames a second.
+        speed: Time [s], in statics load, that passes in a second of the film.
+
+    Raises:
+        InputError: See `draw`.
+        OutputError: See `draw`.
+    """
+    with tempfile.TemporaryDirectory() as scratch:
+        series = Series(look.limits, marks=look.marks, folder=Path(scratch) / "frames")
+        try:
+            for step in range(len(run.steps)):
+                series.add(step, _panels(run, look, step))
+            times = [(t - run.steps[0]) / speed for t in run.steps]
+            series.film(file, times, range(len(run.steps)), fps)
+        finally:
+            series.close()
+
+
+def _panels(run: FinishedRun, look: Look, step: int) -> list[Scene]:
+    for name in look.fields:
+        check_field(run, name, step)
+    whole = run.grid(step)
+    return [_panel(run, look, step, whole, name) for name in look.fields]
+
+
+def _panel(
+    run: FinishedRun, look: Look, step: int, whole: pyvista.UnstructuredGrid, name: str
+) -> Scene:
+    frame = run.frame(step)
+    grid = whole.copy(deep=False)
+    if frame.arrays[name].centre == "cell":
+        grid = grid.cell_data_to_point_data(pass_cell_data=True)
+    surface = _clipped(grid, look)
+    points = np.asarray(surface.points, dtype=float)
+    u = np.zeros_like(points)
+    if "displacement" in surface.point_data:
+        u = np.asarray(surface.point_data["displacement"], dtype=float)
+    view = "z" if run.dim == 2 else look.view
+    moved = points + look.scale * u
+    return {
+        "points": points,
+        "triangles": surface.faces.reshape(-1, 4)[:, 1:].astype(np.int64),
+        "u": u,
+        "scale": look.scale,
+        "view": view,
+        "window": window(np.vstack([points, moved]), view),
+        "title": _headline(run, look, frame.t),
+        "plane": run.dim == 2,
+        **_values(run, surface, name),
+        **(_obstacles(run, moved, frame.t) if look.obstacles else {}),
+    }
+
+
+def _clipped(grid: pyvista.UnstructuredGrid, look: Look) -> pyvista.PolyData:
+    """The surface of what the clip planes leave, of triangles."""
+    parts = [grid.extract_surface(nonlinear_subdivision=_SUBDIVISION).triangulate()]
+    planes = []
+    for clip in look.clips:
+        # Nodes that lie in the plane would give sections without an area.
+        place = clip.at + _ASIDE * grid.length
+        normal, origin = np.eye(3)[clip.axis], place * np.eye(3)[clip.axis]
+        planes.append({"normal": normal, "origin": origin, "invert": clip.takes_above(look.view)})
+        parts.append(grid.slice(normal, origin).triangulate())
+    for i, plane in enumerate(planes):
+        for j, part in enumerate(parts):
+            if j != i + 1 and part.n_cells:
+                parts[j] = part.clip(**plane).extract_surface().triangulate()
+    first, *others = [part for part in parts if part.n_cells] or [None]
+    if first is None:
+        raise InputError("nothing of the body is left", where="--clip")
+    return first.append_polydata(*others) if others else first
+
+
+def _values(run: FinishedRun, surface: pyvista.PolyData, name: str) -> Scene:
+    field = FIELDS.get(name)
+    if name == "material" and run.case.get("materials"):
+        numbers = np.asarray(surface.cell_data[name]).astype(np.int64)
+        return {"value": numbers, "names": list(run.case["materials"]), "label": label_of(name)}
+    return {
+        "value": shown(surface.point_data, name),
+        "field": name,
+        "unit": field.unit if field else "",
+        "noise": 0.0,
+        "tensor": bool(field and field.shape == "tensor"),
+    }
+
+
+def shown(data: Mapping[str, FloatArray], name: str) -> FloatArray:
+    """The value that is shown at points, shape (n,): of vectors and tensors the norm.
+
+    The von Mises stress follows from the interpolated Cauchy stress, where the run has written
+    that: between tension and compression it falls to zero.
+
+    Args:
+        data: Name of a field to its values at the points.
+        name: Of the field.
+    """
+    if name == "von_mises" and "cauchy_stress" in data:
+        stress = np.asarray(data["cauchy_stress"], dtype=float).reshape(-1, 3, 3)
+        mean = np.trace(stress, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
+        return np.asarray(np.sqrt(1.5 * np.sum((stress - mean) ** 2, axis=(1, 2))))
+    values = np.asarray(data[name], dtype=float)
+    return values if values.ndim == 1 else np.asarray(np.linalg.norm(values, axis=1))
+
+
+def _headline(run: FinishedRun, look: Look, t: float) -> str:
+    title = look.title if look.title is not None else str(run.case.get("title", ""))
+    place = f"t = {t:.4g} s" if run.moving else f"load {100 * t:.4g} %"
+    scale = f"deformation \u00d7 {look.scale:g}"
+    return "   |   ".join(filter(None, (title, place, scale)))
+
+
+def _obstacles(run: FinishedRun, moved: FloatArray, t: float) -> Scene:
+    default = CONSTANT if run.moving else PROPORTIONAL
+    pairs = []
+    for row in run.case.get("contact", []):
+        contact = Contact(**row)
+        shift = np.array(contact.displacement_at(t, default, run.dim))
+        pairs.append((contact.obstacle, shift))
+    found = obstacle_triangles(pairs, moved.min(axis=0), moved.max(axis=0), run.dim)
+    return {"obstacle_points": found[0], "obstacle_triangles": found[1]}

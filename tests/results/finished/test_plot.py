@@ -1,0 +1,160 @@
+"""Pictures and curves of a finished run; only what needs no display is computed here."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.processes import cli
+from helpers.states import displacement, make_problem, make_state
+from PIL import Image
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.results.finished.curves import (
+    Axis,
+    along,
+    circle,
+    draw_curves,
+    history_curves,
+    line,
+    write_csv,
+)
+from dolfin_elastic.results.finished.draw import Clip, Look, draw
+from dolfin_elastic.results.finished.run import FinishedRun
+from dolfin_elastic.results.outputs import History, Summary, Xdmf
+from dolfin_elastic.results.pictures import renderer
+
+
+@pytest.fixture
+def run(folder: Path) -> FinishedRun:
+    """Two steps of a body with quadratic displacements, beside a plane."""
+    problem = make_problem(3, 2, cells=2)
+    contact = [{"on": "right", "plane": {"axis": "-x", "at": 2.5}, "motion": [-0.1, 0, 0]}]
+    case = {"title": "A beam", "contact": contact}
+    outputs = (Xdmf(fields=("displacement", "von_mises", "rank")), History(), Summary(case=case))
+    writers = [output.open(problem, folder / "beam") for output in outputs]
+    for step in (1, 2):
+        state = make_state(problem, step, step / 2, numbers={"tip_x": 0.25 * step}, done=step / 2)
+        for writer in writers:
+            writer.write(state)
+    for writer in writers:
+        writer.close()
+    return FinishedRun(folder / "beam")
+
+
+def check_displacement(run: FinishedRun, points: FloatArray, over: Axis) -> None:
+    found = along(run, ["displacement", "rank"], points, over)
+    assert [c.name for c in found.curves] == [*(f"displacement_{a}" for a in "xyz"), "rank"]
+    expected = displacement(points.T)
+    for i in range(3):
+        # VTK finds places in quadratic cells by Newton's method, to 1e-4 of their size (0.5 m).
+        assert np.abs(found.curves[i].values - expected[i]).max() < 5e-5
+
+
+def test_a_field_along_a_line_and_a_circle(run: FinishedRun) -> None:
+    """A quadratic field is met inside quadratic cells, on faces and on the surface."""
+    points, distance = line([0, 0.1, 0.2], [2, 0.9, 0.7])
+    assert distance[-1] == pytest.approx(np.sqrt(4 + 0.64 + 0.25))
+    check_displacement(run, points, Axis("distance", distance, "m"))
+    points, angle = circle([1, 0.5, 0.5], 0.3, [0, 0, 2])
+    np.testing.assert_allclose(np.linalg.norm(points - [1, 0.5, 0.5], axis=1), 0.3)
+    np.testing.assert_allclose(points[:, 2], 0.5)
+    np.testing.assert_allclose(points[50], [1, 0.8, 0.5])  # a quarter, counter-clockwise
+    check_displacement(run, points, Axis("angle", angle, "rad"))
+
+
+def test_points_outside(run: FinishedRun) -> None:
+    """They have no value; a line that misses the body is refused with the body's size."""
+    points, distance = line([1, 0.5, 0.5], [3, 0.5, 0.5])
+    over = Axis("distance", distance, "m")
+    values = along(run, ["von_mises"], points, over).curves[0].values
+    assert np.isfinite(values[distance <= 1]).all()
+    assert np.isnan(values[distance > 1.01]).all()
+    with pytest.raises(InputError, match=r"--line: all its points lie outside.*x from 0 to 2"):
+        along(run, ["von_mises"], points + np.array([5.0, 0, 0]), over)
+
+
+def test_curves_of_the_history_as_table(run: FinishedRun, folder: Path) -> None:
+    """Names with SI units, numbers as they are; and a picture."""
+    found = history_curves(run, "t", ["tip_x", "max_displacement"])
+    write_csv(found, folder / "a.csv")
+    with (folder / "a.csv").open() as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == ["load parameter", "tip_x [m]", "max_displacement [m]"]
+    assert [float(row[1]) for row in rows[1:]] == [0.25, 0.5]
+    draw_curves(found, folder / "a.png")
+    assert len(set(Image.open(folder / "a.png").convert("RGB").getdata())) > 10
+    with pytest.raises(InputError, match=r"has no column 'tip_xx'; did you mean 'tip_x'"):
+        history_curves(run, "t", ["tip_xx"])
+
+
+def test_what_a_picture_is_told(
+    run: FinishedRun, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The surface that clip planes leave, with its section; the obstacle where it has moved to."""
+    told: list[dict[str, Any]] = []
+
+    def drawing(user: object, data: Sequence[Path], file: Path) -> None:
+        with np.load(data[0]) as found:
+            told.append(dict(found))
+        file.touch()
+
+    monkeypatch.setattr(renderer.RENDERER, "draw", drawing)
+    for clips in ((), (Clip(0, 0.7),), (Clip(0, 0.7), Clip(2, 0.6, above=False))):
+        draw(run, Look(["displacement"], clips=clips), folder / "a.png")
+    areas = [area(one) for one in told]
+    # Of the box 2 x 1 x 1, what is left of 0.7 x 1 x 1, and of 0.7 x 1 x 0.4.
+    np.testing.assert_allclose(areas, [10.0, 4.8, 2 * (0.7 + 0.28 + 0.4)], rtol=1e-5)
+    points, values = told[1]["points"], told[1]["value"]
+    inside = np.linalg.norm(displacement(points.T), axis=0)
+    # Faces are straight between the points of divided faces and sections.
+    assert np.abs(values - 1e3 * inside).max() < 10
+    np.testing.assert_allclose(told[0]["obstacle_points"][:, 0], 2.4)
+    assert str(told[0]["title"]) == "A beam   |   load 100 %   |   deformation \u00d7 1"
+    with pytest.raises(InputError, match="--clip: nothing of the body is left"):
+        draw(run, Look(["displacement"], clips=[Clip(0, -1.0)]), folder / "a.png")
+
+
+def area(one: dict[str, Any]) -> float:
+    corners = one["points"][one["triangles"]]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return float(np.linalg.norm(across, axis=1).sum() / 2)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--field", "von_mise"], "there is no field 'von_mise'; did you mean 'von_mises'?"),
+        (["--field", "velocity"], "there is no field 'velocity'; known: displacement"),
+        (["--step", "7"], "there is no step 7; 0 to 1, or -1 for the last"),
+        (["--curve", "t:tip_y"], "history.csv has no column 'tip_y'; did you mean 'tip_x'?"),
+        (["--clip", "w=1"], "--clip: 'w=1' is no plane; for example x=0.01"),
+        (["--line", "0,0"], "--line: '0,0' is no line; for example 0,0,0:0.1,0,0"),
+        (["--circle", "0,0,0"], "--circle: '0,0,0' is no circle; for example"),
+        (["--view", "top"], "--view: there is no view 'top'"),
+        (["--range", "2:1"], "--range: '2:1' is no range"),
+        (["-o", "a.jpg"], "--output: 'a.jpg' is neither picture nor film"),
+    ],
+)
+def test_what_cannot_be_plotted(run: FinishedRun, words: list[str], message: str) -> None:
+    """One message with the nearest name, exit code 2."""
+    code, out, err = cli("plot", "beam", *words, folder=run.folder.parent)
+    assert (code, out) == (2, "")
+    assert message in err
+
+
+@pytest.mark.long
+def test_a_curve_from_the_command_line(run: FinishedRun) -> None:
+    """What there is, a curve and its table, from a second rank nothing."""
+    code, out, err = cli("plot", "beam", "--list", folder=run.folder.parent)
+    assert (code, err) == (0, "")
+    assert "displacement, von_mises, rank" in out and "tip_x [m]" in out
+    what = ["--curve", "tip_x:max_displacement", "-o", "a.png"]
+    code, out, err = cli("plot", "beam", *what, folder=run.folder.parent, ranks=2)
+    assert (code, out, err) == (0, "a.png written, the numbers in a.csv\n", "")
