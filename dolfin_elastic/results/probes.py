@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import TYPE_CHECKING, Annotated, Self, cast, get_args
 
 import basix
 import numpy as np
@@ -23,6 +23,7 @@ from dolfin_elastic.mesh.selectors import MeshLength, metres
 from dolfin_elastic.problem.loads.edges_points import points_of
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel
+from dolfin_elastic.results.derived.part_numbers import PartNumbers, Statistic, columns_of
 from dolfin_elastic.results.fields import FIELDS, component_names
 from dolfin_elastic.results.recovery.points import StressAtPoints, is_recovered
 from dolfin_elastic.results.surface_means import (
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
 _WHERE = "output.probes"
+STATISTICS: tuple[str, ...] = get_args(Statistic)
+"""What `values` of a probe may ask for."""
 
 
 class ProbePoint(Record):
@@ -49,13 +52,17 @@ class ProbePoint(Record):
         at: The point's coordinates, bare numbers in the mesh's unit.
         on: Name of a surface, edge or point in place of coordinates.
         surface: The same for a surface.
-        fields: Names from `FIELDS`: displacement, velocity, acceleration and those of cells.
+        fields: Names from `FIELDS`: displacement, velocity, acceleration and those of cells; with
+            `values` all of them.
+        values: Of a surface or region: which numbers of the fields are asked for; by default the
+            mean over a surface.
     """
 
     at: Annotated[list[MeshLength], Key(min_length=2, max_length=3)] | None = None
     on: str | None = None
     surface: str | None = None
     fields: tuple[str, ...] = ("displacement",)
+    values: tuple[str, ...] = ()
 
     @model_validator(mode="before")
     @classmethod
@@ -66,7 +73,19 @@ class ProbePoint(Record):
     @field_validator("fields")
     @classmethod
     def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        return check_readable(names)
+        return names if all(name in FIELDS for name in names) else check_readable(names)
+
+    @field_validator("values")
+    @classmethod
+    def _statistics(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for index, name in enumerate(names):
+            if name not in STATISTICS:
+                raise InputError(
+                    f"unknown value '{name}'",
+                    where=f"[{index}]",
+                    expected=nearest(name, STATISTICS),
+                )
+        return names
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -74,7 +93,29 @@ class ProbePoint(Record):
         if len(given) != 1:
             what = f"{given[0]} and {given[1]} are given together" if given else "no place is given"
             raise InputError(what, expected="at = [x, y, z], or on with the name of a part")
+        if self.values and self.at is not None:
+            raise InputError(
+                "a point has one value of each field",
+                where="values",
+                expected="on = the name of a surface or region, or no `values`",
+            )
+        if not self.values:
+            try:
+                check_readable(self.fields)
+            except InputError as error:
+                raise within("fields", error) from None
         return self
+
+    def counted(self, kind: str) -> tuple[Statistic, ...]:
+        """What `PartNumbers` finds of the part; nothing where a plain mean is asked for.
+
+        Args:
+            kind: Of the part.
+        """
+        if self.values:
+            return cast("tuple[Statistic, ...]", tuple(dict.fromkeys(self.values)))
+        derived = any(FIELDS[name].of_tensor is not None for name in self.fields)
+        return ("mean",) if kind == "region" or (kind == "surface" and derived) else ()
 
     @property
     def part(self) -> str | None:
@@ -110,12 +151,22 @@ def check_places(probes: Mapping[str, ProbePoint], body: Body, scale: float) -> 
     for name, probe in probes.items():
         if probe.surface is not None:
             check_surface(body, probe.surface, f"{name}.surface")
-        elif probe.on is not None and _kind(body, probe.on, f"{name}.on") == "surface":
-            check_surface(body, probe.on, f"{name}.on")
+        elif probe.on is not None:
+            kind = _kind(body, probe.on, f"{name}.on")
+            if kind == "surface":
+                check_surface(body, probe.on, f"{name}.on")
+            if probe.values and kind not in ("surface", "region"):
+                raise MeshError(
+                    f"'{probe.on}' is of the kind {kind}",
+                    where=f"{name}.values",
+                    expected="values are those of a surface or region",
+                )
 
 
 def _kind(body: Body, name: str, where: str = "") -> str:
-    """Whether a name is that of a surface, edge or point, in this order."""
+    """Whether a name is that of a surface, edge, point or region, in this order."""
+    if set(body.kinds(name)) == {"region"}:
+        return "region"
     try:
         return body.common_kind([name])
     except MeshError as error:
@@ -187,6 +238,8 @@ class Probe:
         surfaces: Name to a surface and the fields whose means over it are evaluated.
         samples: Name to those of the points of which the weighted mean is evaluated.
         reactions: Name to the part whose nodal reactions are summed up.
+        counted: Name to the numbers of a surface or region.
+        plain: Names of those that are means, called as the field alone.
 
     Raises:
         InputError: A field cannot be evaluated at a point.
@@ -201,6 +254,8 @@ class Probe:
         surfaces: Mapping[str, tuple[str, Sequence[str]]] | None = None,
         samples: Mapping[str, _Samples] | None = None,
         reactions: Mapping[str, str] | None = None,
+        counted: Mapping[str, PartNumbers] | None = None,
+        plain: Collection[str] = (),
     ) -> None:
         self.problem, self.dim = problem, problem.body.dim
         of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
@@ -209,7 +264,7 @@ class Probe:
         held: dict[str, str | Sequence[float]] = dict(reactions or {})
         held |= {n: points[n] for n, row in wanted.items() if REACTION in row}
         self._reactions = ReactionSums(problem, held) if held else None
-        self._samples = samples or {}
+        self._samples, self._counted, self._plain = samples or {}, counted or {}, plain
         self.places = locate(problem.body, points, _materials(problem))
         names = dict.fromkeys(n for row in self.fields.values() for n in row if n not in NODAL)
         of_cells = tuple(name for name in names if not FIELDS[name].recovered)
@@ -235,8 +290,18 @@ class Probe:
         """
         places, body = _points(probes, scale), problem.body
         named = {n: p for n, p in probes.items() if p.part is not None}
-        parts = {n: (str(p.part), _interpolated(p.fields)) for n, p in named.items()}
+        whole = {n: _kind(body, str(p.part)) for n, p in named.items()}
+        asked = {n: statistics for n, p in named.items() if (statistics := p.counted(whole[n]))}
+        counted = {
+            n: PartNumbers(
+                problem, whole[n], str(named[n].part), _interpolated(named[n].fields), statistics
+            )
+            for n, statistics in asked.items()
+        }
+        plain = [n for n in counted if not named[n].values]
         held = {n: str(p.part) for n, p in named.items() if REACTION in p.fields}
+        named = {n: p for n, p in named.items() if n not in counted}
+        parts = {n: (str(p.part), _interpolated(p.fields)) for n, p in named.items()}
         kinds = {n: _kind(body, on) for n, (on, _) in parts.items()}
         surfaces = {n: part for n, part in parts.items() if kinds[n] == "surface"}
         samples = {
@@ -247,7 +312,7 @@ class Probe:
         points = {**places, **{k: list(x) for s in samples.values() for k, x in s.points.items()}}
         fields = {n: probes[n].fields for n in places}
         fields |= {k: parts[n][1] for n, s in samples.items() for k in s.points}
-        return cls(problem, points, fields, surfaces, samples, held)
+        return cls(problem, points, fields, surfaces, samples, held, counted, plain)
 
     def __call__(self, state: State) -> dict[str, FloatArray]:
         """Column stem "POINT_FIELD" to the field's components in SI units, the same on every rank.
@@ -303,11 +368,15 @@ class Probe:
 
     def numbers(self, state: State) -> dict[str, float]:
         """Column of the history to value, "POINT_x" ... of the displacement, else "POINT_FIELD"."""
-        return {
+        found = {
             column: float(value)
             for name, components in self(state).items()
             for column, value in zip(_columns(name, len(components)), components, strict=True)
         }
+        with stage("output"):
+            for name, part in self._counted.items():
+                found |= columns_of(name, part(state), plain=name in self._plain)
+        return found
 
     def add_to(self, state: State) -> State:
         """A copy of the state whose numbers contain those of the probes.

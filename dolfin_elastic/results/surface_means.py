@@ -73,6 +73,12 @@ class SurfaceMean:
 
     def __init__(self, problem: Problem, surface: str, fields: Sequence[str]) -> None:
         check_surface(problem.body, surface)
+        if derived := [name for name in fields if name in FIELDS and FIELDS[name].of_tensor]:
+            raise InputError(
+                f"'{derived[0]}' has no form to integrate",
+                where="output.probes",
+                expected="PartNumbers, which evaluates it at quadrature points",
+            )
         self.problem, self.fields = problem, tuple(fields)
         mesh = problem.body.mesh
         self._w = fem.Function(problem.W)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 _EXACT = {
     "max_displacement": "m",
     "external_work": "J",
@@ -23,6 +25,10 @@ _BEGINNINGS = {
 _WITHOUT = ("step", "load_factor", "newton", "krylov", "balance_force", "balance_moment")
 _WITHOUT_UNIT = (*_WITHOUT, "min_jacobian", "max_jacobian")
 _AXES, _TURNS = ("x", "y", "z"), ("rx", "ry", "rz")
+
+
+_NUMBER = re.compile(r"(_length)?_(max|min|mean|area_integral|volume_integral)(_[xyz]{1,2})?$")
+"""What follows the field in columns of numbers over a surface or region."""
 
 
 def column_unit(column: str, *, moving: bool) -> str:
@@ -51,6 +57,10 @@ def _field_unit(column: str) -> str | None:
     """Unit of the longest name of a field that a column ends in, but for components."""
     from dolfin_elastic.results.fields import FIELDS
 
+    if (number := _NUMBER.search(column)) is not None:
+        unit = _field_unit(column[: number.start()] + (number.group(3) or ""))
+        over = {"area_integral": "m^2", "volume_integral": "m^3"}.get(number.group(2), "")
+        return None if unit is None else f"{unit} {over}".strip()
     name, _, last = column.rpartition("_")
     vector, tensor = last in _AXES, len(last) == 2 and set(last) <= set(_AXES)
     text = name if vector or tensor else column
