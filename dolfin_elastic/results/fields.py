@@ -20,7 +20,7 @@ from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.model import kinematics
 from dolfin_elastic.model.materials.fibres import direction
-from dolfin_elastic.model.materials.law import Law, ModifiedLaw
+from dolfin_elastic.model.materials.law import Law, ModifiedLaw, once
 from dolfin_elastic.results.derived import spectral
 
 SHAPES = {"scalar": 1, "vector": 3, "tensor": 9}
@@ -135,6 +135,7 @@ class Field:
         return self.formula(law, F)
 
 
+@once
 def cauchy_stress(law: Law, F: Expr) -> Expr:
     """Cauchy stress [Pa], 3x3; of a linear law its only stress.
 
