@@ -585,9 +585,10 @@ _VERDICTS = {
 def audit_of(run: FinishedRun) -> Checked:
     """What the run has checked of itself, and what it cannot."""
     summary = run.summary
-    audit = summary.get("audit") or {}
+    # The state before the first step passes every check, and says nothing.
+    audit = (summary.get("audit") or {}) if summary.get("steps") else {}
     verdict, kind = _VERDICTS.get(str(audit.get("verdict")), ("Nothing was audited", "warn"))
-    known = (summary.get("error") or {}).get("energy_norm")
+    known = (summary.get("error") or {}).get("energy_norm") if audit else None
     error = Value(float(known), percent(known)) if isinstance(known, int | float) else None
     return Checked(
         verdict,

@@ -170,6 +170,7 @@ def check_words(page: Page, summary: dict[str, Any], kind: str) -> None:
         assert summary["status"] == "failed"
         assert summary["reason"] in page.text
         assert "the state that failed" in page.text
+        assert "Nothing was audited" in page.text  # that the body at rest passes says nothing
     if kind == "statics":
         assert "‘left’ (fixed: no displacement)" in page.text
         assert "(0, 0, −100) N" in page.text  # 100 Pa on an area of 1 m^2
