@@ -68,8 +68,9 @@ def mathml(node: nodes.Node, kind: str) -> str:
 def setup(app: Sphinx) -> None:
     """Formulae, and the names that tests give to blocks of TOML."""
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_displaymath, None))
-    for name in ("part", "edges", "material", "periodic", "contact", "tie"):
-        app.add_lexer(f"toml-{name}", TOMLLexer)
+    text = "".join(page.read_text(encoding="utf-8") for page in HERE.glob("**/*.md"))
+    for name in set(re.findall(r"^```(toml-\w+)$", text, re.MULTILINE)):
+        app.add_lexer(name, TOMLLexer)
 
 
 html_math_renderer = "mathml"
