@@ -89,6 +89,18 @@ def make_index_map(
         return cpp.common.IndexMap(comm, count, ghosts, owners, 1)
 
 
+def space_like(V: fem.FunctionSpace, dofmap: cpp.fem.DofMap) -> Any:
+    """The C++ space with the mesh and element of another; 0.10 takes no shape of values.
+
+    Args:
+        V: The other space.
+        dofmap: Its own map.
+    """
+    other = V._cpp_object
+    shape = [other.value_shape] if hasattr(other, "value_shape") else []
+    return type(other)(other.mesh, other.element, dofmap, *shape)
+
+
 def norm_without_value() -> int:
     """PETSc's reason that the norm of a residual is no number: 3.25 calls it by another name."""
     reason = PETSc.SNES.ConvergedReason

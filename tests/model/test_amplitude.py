@@ -121,7 +121,7 @@ def test_each_component_has_its_own_amplitude():
     x = np.zeros((1, 3))
     moves = ["t^2", 2.0, "2"]
     support = Support(on="top", displacement=moves)
-    assert [support.at(i, x, 0.5, RAMP).item() for i in range(3)] == [0.25, 1.0, 1.0]
+    assert [np.squeeze(support.at(i, x, 0.5, RAMP)) for i in range(3)] == [0.25, 1.0, 1.0]
     turned = Rotation(on="top", point=[0, 0, 0], axis=[0, 0, 1], angle=0.0, displacement=moves)
     assert [float(turned.at(i, x, 0.5, RAMP)[0]) for i in range(3)] == [0.25, 1.0, 1.0]
     plate = Rigid(on="top", displacement=moves, rotation=[0, "t", 1.0])

@@ -16,7 +16,7 @@ from dolfinx import cpp, fem, la
 from dolfinx.graph import adjacencylist
 from mpi4py import MPI
 
-from dolfin_elastic.core.compat import make_index_map
+from dolfin_elastic.core.compat import make_index_map, space_like
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.body import Body, connected_components, span
@@ -281,6 +281,5 @@ def _space(
     cells = adjacencylist(np.ascontiguousarray(new[dofmap.list], dtype=np.int32))
     cells = getattr(cells, "_cpp_object", cells)
     merged = cpp.fem.DofMap(dofmap.dof_layout, index_map, dofmap.index_map_bs, cells, dofmap.bs)
-    plain_space = V._cpp_object
-    made = type(plain_space)(plain_space.mesh, plain_space.element, merged, plain_space.value_shape)
+    made = space_like(V, merged)
     return fem.FunctionSpace(V.mesh, V.ufl_element(), made)
