@@ -21,6 +21,7 @@ BROUGHT = {
     "pydantic_core": "pydantic",
     "click": "typer",
     "markupsafe": "jinja2",
+    "PIL": "matplotlib",
     "vtkmodules": "pyvista",
 }
 """Modules that come with another package and are of its version."""
