@@ -330,7 +330,8 @@ MISTAKES = {
     "selector empty": (
         '{plane = "z", at = "min"}',
         "{}",
-        "surfaces.foot: say where: plane and at, box, sphere, cylinder, normal, of, or all",
+        "surfaces.foot: say where: plane and at, box, sphere, cylinder, normal, of, or all"
+        "; of a CAD file also faces, kind, cone, or torus",
     ),
     "selector str": (
         '{plane = "z", at = "min"}',

@@ -206,10 +206,11 @@ class PartNumbers:
         if piece.kernel is not None and len(piece.cells):
             table[..., piece.kernel.columns] = self._of_side(piece.kernel(piece.cells), piece.side)
         parts = np.split(table, np.cumsum(widths)[:-1], axis=2) if widths else []
-        return {
-            name: FIELDS[name].finished(part.reshape(-1, part.shape[2])).reshape(*shape, -1)
-            for name, part in zip(self._inside, parts, strict=True)
-        }
+        found = {}
+        for name, part in zip(self._inside, parts, strict=True):
+            rows = FIELDS[name].finished(part.reshape(shape[0] * shape[1], part.shape[2]))
+            found[name] = rows.reshape(*shape, rows.shape[1])
+        return found
 
     def _at_points(
         self,
