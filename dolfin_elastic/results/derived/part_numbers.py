@@ -6,8 +6,9 @@ the quadrature points inside the cells; of stresses that is closer to equilibriu
 ones.  Other fields of nodes are interpolated by the shape functions, those of cells are constant.
 
 Extremes of fields of nodes, recovered stresses too, are sought among the nodes of the part, those
-of fields of cells among the quadrature points.  Of a vector it is that of its length, and that of
-each of its components.
+of fields of cells among the quadrature points, as are those of stresses over a region of a body of
+several materials, whose nodes show the larger stress of two.  Of a vector it is that of its length,
+and that of each of its components.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 
 Statistic = Literal["max", "min", "mean", "integral"]
 """What is asked for of a field over a part."""
+_TRIPLES = ("principal_stresses", "principal_stretches")
+"""Fields of three numbers that are no vector: they have no length."""
 _WHERE = "output.probes"
 
 
@@ -246,7 +249,9 @@ class PartNumbers:
             own[-1] += piece.weights.sum()
         sums = np.asarray(total(comm, own))
         everywhere = np.concatenate([table.reshape(-1, width) for table in values])
-        among = everywhere if nodal is None else nodal[self._nodes]
+        # At a node between two materials stands the stress of the one where it is larger.
+        several = self.kind == "region" and name in self._inside and len(self._pieces) > 1
+        among = everywhere if nodal is None or several else nodal[self._nodes]
         size = self._plane(name, width)
         found: dict[str, FloatArray] = {}
         over = "area" if self.kind == "surface" else "volume"
@@ -258,7 +263,7 @@ class PartNumbers:
             else:
                 sign = 1.0 if statistic == "max" else -1.0
                 found[f"{name}_{statistic}"] = _largest(comm, sign * among[:, :size]) * sign
-                if width == 3:
+                if width == 3 and name not in _TRIPLES:
                     lengths = np.linalg.norm(among, axis=1, keepdims=True)
                     found[f"{name}_length_{statistic}"] = _largest(comm, sign * lengths) * sign
         return found

@@ -64,8 +64,9 @@ class MshWriter(SeriesWriter):
     def _write_mesh(self) -> None:
         grid, (nodes, cells) = self._evaluate.grid, self._numbers
         regions = self.problem.regions
+        names = [part.name.replace('"', "'") for part in regions]
         groups = "".join(
-            f'{grid.mesh.topology.dim} {k + 1} "{part.name}"\n' for k, part in enumerate(regions)
+            f'{grid.mesh.topology.dim} {k + 1} "{name}"\n' for k, name in enumerate(names)
         )
         head = (
             "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"

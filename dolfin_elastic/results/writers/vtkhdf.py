@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
+from dolfin_elastic.core.errors import OutputError
 from dolfin_elastic.core.types import IntArray
 from dolfin_elastic.problem.state import State, plain
 from dolfin_elastic.results.fields import FIELDS
@@ -121,9 +122,12 @@ class VtkhdfWriter(Hdf5Series):
 
         draft = self.path.with_name(f".{self.path.name}.part")
         with writing(self.path):
-            with h5py.File(draft, "w") as file:
-                file[_FRAMES] = [entry.encode() for entry in frames]
-                self._fill(file.create_group(_ROOT), [json.loads(entry) for entry in frames])
+            try:
+                with h5py.File(draft, "w") as file:
+                    file[_FRAMES] = [entry.encode() for entry in frames]
+                    self._fill(file.create_group(_ROOT), [json.loads(entry) for entry in frames])
+            except RuntimeError as error:  # what h5py raises where closing fails
+                raise OutputError(f"cannot write {self.path}: {error}") from error
             sync(draft)
             draft.replace(self.path)
 

@@ -21,7 +21,6 @@ from functools import cached_property
 
 import numpy as np
 
-from dolfin_elastic.core.errors import OutputError
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.problem.state import State, plain
@@ -56,10 +55,10 @@ class VtuWriter(IndexedSeries):
     def _add(self, state: State, rows: Mapping[str, Rows]) -> str:
         name = f"{len(self._frames):06d}"
         points, cells = self._arrays(rows)
-        error = None
+        error: Exception | None = None
         try:
             self._write_piece(f"{name}_{self.comm.rank}.vtu", points, cells)
-        except OutputError as caught:
+        except Exception as caught:  # raised on all ranks just below
             error = caught
         agree(self.comm, error)
         pieces = [f"{name}_{rank}.vtu" for rank in range(self.comm.size)]

@@ -36,6 +36,10 @@ CURVATURE_TOLERANCE = 1e-2
 """Relative residual of the solve that looks for negative curvature: the weakest modes have more
 than this share of the right-hand side, and weigh most in the preconditioned norm."""
 
+OLD_CURVATURE_TOLERANCE = 1e-3
+"""The same with a preconditioner of an earlier tangent, in whose norm the weakest modes of this one
+weigh less."""
+
 CURVATURE_ITERATIONS = 200
 """Of that solve: ten serve for a preconditioner of this tangent, more where it is an old one."""
 
@@ -159,9 +163,10 @@ def _is_positive_definite(newton: Newton) -> bool | None:
     b = assembler.create_vector()
     b.array_w[assembler.displacement_dofs] = start_vector(assembler)
     assembler.remove_constrained(b)
+    rtol = OLD_CURVATURE_TOLERANCE if newton.linear.kept else CURVATURE_TOLERANCE
     with stage("stability"):
         if split is not None:
-            reason = split.solve_softer(b, CURVATURE_TOLERANCE, CURVATURE_ITERATIONS)
+            reason = split.solve_softer(b, rtol, CURVATURE_ITERATIONS)
         else:
             x = b.duplicate()
             # Newton's solver may be GMRES by now; its preconditioner, as old as it may be, serves.
@@ -169,7 +174,7 @@ def _is_positive_definite(newton: Newton) -> bool | None:
             gradients.setType("cg")
             gradients.setPC(newton.ksp.getPC())
             gradients.setOperators(*newton.ksp.getOperators())
-            gradients.setTolerances(rtol=CURVATURE_TOLERANCE, max_it=CURVATURE_ITERATIONS)
+            gradients.setTolerances(rtol=rtol, max_it=CURVATURE_ITERATIONS)
             gradients.solve(b, x)
             reason = gradients.getConvergedReason()
             gradients.destroy()

@@ -81,6 +81,11 @@ class LinearSolver:
         """The displacement and the pressure apart, where they are preconditioned so."""
         return self._parts if isinstance(self._parts, PressureSplit) else None
 
+    @property
+    def kept(self) -> bool:
+        """The preconditioner is of an earlier tangent than the last one."""
+        return self._age is not None and self._age.kept
+
     def factorise_each_tangent(self) -> None:
         """Makes a direct solver factorise each tangent, for quadratic convergence."""
         if self.direct:
@@ -158,7 +163,9 @@ class LinearSolver:
             False if there is nothing left to fall back to.
         """
         kept = self._age is not None and self._age.kept and not self._each
-        if kept and "LINEAR_SOLVE" in reason and "INDEFINITE" not in reason:
+        # An old preconditioner may have become indefinite; only a tangent that is so is no matter
+        # of age.
+        if kept and "LINEAR_SOLVE" in reason and "INDEFINITE_MAT" not in reason:
             log.info("the iterative solver failed (%s): set up anew from here on", in_words(reason))
             self._each = True
             self.refresh()

@@ -48,7 +48,7 @@ class Newton:
         defaults: More PETSc options, such as the line search; `users`, the user's, win.
         users: PETSc options of the user.
         snes: A SNES made elsewhere (by TS); its functions are then set elsewhere too, and whoever
-            sets them calls `begin`, `take_tangent` and `finish`.
+            sets them calls `begin`, `take_tangent`, then `linear.take`, and `finish`.
         inertia: In motion: it counts for what the residual is measured against, and for its
             round-off.
         scalars: Scalar unknowns beside the fields.

@@ -57,6 +57,20 @@ def test_a_linear_displacement_over_a_face_and_a_region(degree):
         np.testing.assert_allclose(found[f"jacobian_{over}_integral"], size * J, **close)
 
 
+def test_a_soft_material_has_its_own_extremes():
+    """Beside one that is a thousand times as stiff: its nodes there show the other's stress."""
+    body = soft_and_hard(box_body(size=(2, 1, 1.5), cells=(4, 2, 2)), at=1.0)
+    stiff = NeoHookean(mu=8e4, lmbda=1.2e5)
+    state = state_of(problem := Problem(body, {"soft": LAW, "hard": stiff}, degree=1))
+    largest = {
+        part: PartNumbers(problem, "region", part, ("von_mises",), ("max", "min"))(state)
+        for part in ("soft", "hard")
+    }
+    soft, hard = largest["soft"], largest["hard"]
+    np.testing.assert_allclose(hard["von_mises_max"], 1000 * soft["von_mises_max"], rtol=1e-9)
+    np.testing.assert_allclose(soft["von_mises_max"], soft["von_mises_min"], rtol=1e-9)
+
+
 def test_a_quadratic_displacement_is_integrated_exactly():
     """u_x = x^2 over the region 1 < x < 2 and the face y = 0: 7/3 times the cross section."""
     body = soft_and_hard(box_body(size=(2, 1, 1.5), cells=(4, 2, 2)), at=1.0)
