@@ -125,7 +125,9 @@ def _pick(body: Body, space: BoundingBox, kind: str, selector: Selector) -> Inde
             on = chosen_faces(body.faces, selector, space.scale)
             assert body.faces is not None  # see `chosen_faces`
             facets = body.faces.facets_of(on)
-            parts = np.intersect1d(parts, facets) if selector.of else facets
+            # Faces between joined bodies only by their numbers: they have no outward normal.
+            numbered = selector.faces is not None and selector.normal is None
+            parts = facets if numbered and not selector.of else np.intersect1d(parts, facets)
         tests = _surface_criteria(mesh, parts, selector, space)
         size = mesh.topology.index_map(mesh.topology.dim - 1).size_local
     else:

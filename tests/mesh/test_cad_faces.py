@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.cad import angle, round_things, write
+from helpers.cad import angle, round_things, stack, write
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import InputError, MeshError
@@ -15,6 +15,7 @@ from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.mesh import Body, Cylinder, Selector, name_parts, read_body
 from dolfin_elastic.mesh.generate import box_body
 from dolfin_elastic.mesh.geometry.curved import facet_areas
+from dolfin_elastic.mesh.geometry.simplices import boundary_facets, facet_corners
 from dolfin_elastic.mesh.refine.refinement import refine_body
 
 COMM = MPI.COMM_WORLD
@@ -97,6 +98,28 @@ def test_each_facet_has_its_face(angle: Body) -> None:
 def test_surfaces_by_kind(angle: Body, keys, exact) -> None:
     body = name_parts(angle, surfaces={"s": Selector(**keys)}, scale=MM)
     assert area(body, "s") == pytest.approx(exact, rel=1e-3)
+
+
+def test_faces_between_joined_bodies_have_numbers_only(folder: Path) -> None:
+    """A block of 4 x 4 on one of 12 x 4: what faces down is the foot alone, on any ranks."""
+    write(folder / "stack.step", stack)
+    body = read_body(folder / "stack.step", size=2)
+    assert body.faces is not None
+    between = body.faces.numbers_of(body.faces.facets)[
+        np.isclose(facet_corners(body.mesh, body.faces.facets)[:, :, 2], 3 * MM).all(axis=1)
+        & np.isin(body.faces.facets, boundary_facets(body.mesh), invert=True)
+    ]
+    (number,) = set(COMM.allreduce([int(n) for n in between]))
+    wanted = {
+        "down": Selector(kind="plane", normal=(0, 0, -1)),
+        "up": Selector(kind="plane", normal=(0, 0, 1)),
+        "planes": Selector(kind="plane"),
+        "between": Selector(faces=(number,)),
+    }
+    body = name_parts(body, surfaces=wanted, scale=MM)
+    areas = {name: area(body, name) for name in wanted}
+    exact = {"down": 48.0, "up": 48.0, "planes": 96.0 + 2 * 16 * 3 + 16 * 2, "between": 16.0}
+    assert areas == pytest.approx(exact, rel=1e-9)
 
 
 def test_refined_bodies_keep_names_and_faces(angle: Body) -> None:
