@@ -277,7 +277,7 @@ class PartNumbers:
 def _largest(comm: MPI.Comm, rows: FloatArray) -> FloatArray:
     """Largest value of each column on all ranks; nan where no row has one. Collective."""
     known = np.where(np.isnan(rows), -np.inf, rows)
-    found = np.asarray(comm.allreduce(known.max(axis=0, initial=-np.inf), op=MPI.MAX))
+    found = np.max(comm.allgather(known.max(axis=0, initial=-np.inf)), axis=0)
     return np.where(np.isinf(found), np.nan, found)
 
 
