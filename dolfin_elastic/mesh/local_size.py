@@ -169,9 +169,10 @@ class CadSizes:
         unit = faces.unit.metres
         chosen = chosen_faces(faces, selector, unit) if selector.by_face else set(faces.faces)
         if selector.of is not None:
-            chosen &= self._faces(selector.of, faces)
-        every = np.array([x for face in faces.faces.values() for x in face.samples])[:, : faces.dim]
-        space = BoundingBox(every.min(axis=0), every.max(axis=0), unit)
+            chosen &= self._searched(name, selector.of, faces)
+        every = _samples(faces)[:, : faces.dim]
+        low, high = every.min(axis=0, initial=np.inf), every.max(axis=0, initial=-np.inf)
+        space = BoundingBox(low, high, unit)
         chosen = {n for n in chosen if _fits(faces.faces[n], selector, space)}
         if not chosen:
             raise MeshError(
@@ -181,6 +182,24 @@ class CadSizes:
                 expected="give its faces in [surfaces], or a sphere or box here",
             )
         return chosen
+
+    def _searched(self, name: str, of: str, faces: CadFaces) -> set[int]:
+        """Faces of the part in which a surface is searched: the file's, or one that stands before.
+
+        Raises:
+            MeshError: There is none.
+        """
+        every = list((self.surfaces or {}).items())
+        before = dict(every[: [key for key, _ in every].index(name)])
+        found = CadSizes(surfaces=before)._faces(of, faces)
+        if not found:
+            advice = nearest(of, {*before, *_names(faces.faces.values())})
+            raise MeshError(
+                f"the surface '{name}' is of '{of}', but no surface of that name stands before it",
+                where="on",
+                expected="; ".join(filter(None, (advice, faces.alike(of)))),
+            )
+        return found
 
 
 NO_SIZES = CadSizes()
@@ -208,8 +227,8 @@ def _check_count(place: LocalField, size: float, faces: CadFaces, model: float, 
         amount = float(np.prod((high - low)[:d]))
     else:
         return
-    every = np.array([x for face in faces.faces.values() for x in face.samples]) / model
-    amount = min(amount, float(np.prod(np.ptp(every, axis=0)[:d])))
+    if len(every := _samples(faces) / model):
+        amount = min(amount, float(np.prod(np.ptp(every, axis=0)[:d])))
     count = amount / size**d * (8 if d == 3 else 2)
     if count > MOST_CELLS:
         raise MeshError(
@@ -219,6 +238,11 @@ def _check_count(place: LocalField, size: float, faces: CadFaces, model: float, 
         )
 
 
+def _samples(faces: CadFaces) -> FloatArray:
+    """Samples of all faces, shape (n, 3)."""
+    return np.array([x for face in faces.faces.values() for x in face.samples]).reshape(-1, 3)
+
+
 def _names(faces: Iterable[CadFace]) -> set[str]:
     return {name for face in faces for name in face.names}
 
@@ -226,12 +250,15 @@ def _names(faces: Iterable[CadFace]) -> set[str]:
 def _fits(face: CadFace, selector: Selector, space: BoundingBox) -> bool:
     """Whether a whole face lies where a selector says, as far as its samples tell."""
     dim = len(space.low)
-    x = np.array(face.samples)[:, :dim]
-    if not fulfilled(place_criteria(selector, space, x[:, None]), len(x)).all():
+    x = np.array(face.samples).reshape(-1, 3)[:, :dim]
+    tests = place_criteria(selector, space, x[:, None])
+    if not len(x):  # nobody knows where it lies
+        return not tests and selector.normal is None
+    if not fulfilled(tests, len(x)).all():
         return False
     if selector.normal is None:
         return True
-    n: FloatArray = np.array(face.normals)[:, :dim]
+    n: FloatArray = np.array(face.normals).reshape(-1, 3)[:, :dim]
     n = n[np.linalg.norm(n, axis=1) > 0.5]
     wanted = np.array(selector.normal[:dim])
     cosine = n @ (wanted / np.linalg.norm(wanted))

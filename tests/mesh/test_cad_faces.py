@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.bodies import drawing
 from helpers.cad import angle, round_things, stack, write
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.mesh import Body, Cylinder, Selector, name_parts, read_body
+from dolfin_elastic.mesh.formats.cad import faces
 from dolfin_elastic.mesh.generate import box_body
 from dolfin_elastic.mesh.geometry.curved import facet_areas
 from dolfin_elastic.mesh.geometry.simplices import boundary_facets, facet_corners
@@ -167,3 +169,32 @@ def test_messages(angle: Body) -> None:
         name_parts(angle, regions={"r": Selector(cylinder=Cylinder(radius=1))})
     with pytest.raises(InputError, match=r"kind: .*did you mean 'fillet'"):
         Selector(kind="filet")  # type: ignore[arg-type]
+
+
+def test_faces_that_cannot_be_described_are_there_all_the_same(monkeypatch) -> None:
+    """A shaft of two halves, of which Gmsh gives no samples, or of which something fails."""
+
+    def described() -> list[dict[str, Any]] | None:
+        if COMM.rank:
+            return None
+        with drawing() as gmsh:
+            occ = gmsh.model.occ
+            gmsh.option.setNumber("Geometry.OCCUnionUnify", 0)
+            halves = [(3, occ.addCylinder(0, 0, 0, 0, 0, 3, 2, angle=np.pi)) for _ in range(2)]
+            occ.rotate(halves[1:], 0, 0, 0, 0, 0, 1, np.pi)
+            occ.fuse(halves[:1], halves[1:])
+            occ.synchronize()
+            return faces.describe_faces(gmsh, 3)
+
+    def fails(*_: object) -> None:
+        raise ZeroDivisionError
+
+    def nothing(*_: object) -> tuple[Any, ...]:
+        return np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2)), np.empty((0, 2, 3)), 0.0
+
+    for change, kind in ((("_sampled", nothing), "cylinder"), (("_measured", fails), "surface")):
+        with monkeypatch.context() as changed:
+            changed.setattr(faces, *change)
+            found = [f for f in described() or [] if abs(f["area"] - 6 * np.pi) < 1e-9]
+        if COMM.rank == 0:
+            assert [(f["kind"], f["form"], f["radius"]) for f in found] == [(kind, "", None)] * 2

@@ -11,10 +11,13 @@ from helpers.cad import angle, write
 from mpi4py import MPI
 
 from dolfin_elastic import Case
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import largest, smallest, total
-from dolfin_elastic.mesh import Body, mesh_statistics
+from dolfin_elastic.mesh import Body, Selector, Sphere, mesh_statistics
+from dolfin_elastic.mesh.faces import CadFaces
+from dolfin_elastic.mesh.formats.cad.faces import CadFace
 from dolfin_elastic.mesh.geometry.simplices import cell_corners
+from dolfin_elastic.mesh.local_size import CadSizes, LocalSize
 
 COMM = MPI.COMM_WORLD
 MM = 1e-3
@@ -167,6 +170,25 @@ def test_messages_of_cad_files(folder: Path) -> None:
     half = {"fillet": {"box": [[0, 0, 0], [9, 3, 9]]}}
     with pytest.raises(InputError, match=r"refine\[0\]\.on: .* is no whole face of the CAD file"):
         body_of(folder, mesh, surfaces=half)
+    for name in ("fillet", "later"):
+        own = {"fillet": {"of": name, "plane": "z", "at": "min"}, "later": {"kind": "plane"}}
+        with pytest.raises(InputError, match=rf"\.on: .* is of '{name}', but no surface of th"):
+            body_of(folder, mesh, surfaces=own)
+
+
+def test_faces_without_samples_are_those_of_their_numbers() -> None:
+    """Nobody knows where they lie: a place does not pick them."""
+    face = CadFace(1, "surface", "", None, (), None, None, None, (), (), (), ())
+    faces, size = CadFaces({1: face}, 3), LocalSize(on="s", size=0.1)
+    for one, found in (({"faces": (1,)}, True), ({"plane": "z", "at": "min"}, False)):
+        sizes_ = CadSizes([size], {"s": [Selector(**one)]})
+        if found:
+            assert sizes_.for_gmsh(faces, {}, 1.0) == [{"faces": [1], "size": 0.1}]
+        else:
+            with pytest.raises(MeshError, match="no whole face of the CAD file"):
+                sizes_.for_gmsh(faces, {}, 1.0)
+    ball = LocalSize(sphere=Sphere(center=(0, 0, 0), radius=1), size=0.1)
+    assert len(CadSizes([ball]).for_gmsh(faces, {}, 1.0)) == 1
 
 
 @pytest.mark.long

@@ -117,26 +117,37 @@ def describe_faces(gmsh: ModuleType, dim: int) -> list[dict[str, object]]:
         dim: Of the body, 2 or 3.
 
     Returns:
-        The fields of `CadFace`.
+        The fields of `CadFace`; of what Gmsh cannot tell the kind is "surface", the form empty, and
+        the numbers are absent.
     """
     known = set(gmsh.model.occ.getEntities(dim - 1))
     shapes = {}
     for entity in gmsh.model.getEntities(dim - 1):
         if len(gmsh.model.getAdjacencies(*entity)[0]):  # of a body
-            shapes[entity[1]] = _Shape.of(gmsh, entity, exact=entity in known or dim == 2)
+            exact = entity in known or dim == 2
+            # What a face is must not keep a body from being meshed.
+            shapes[entity[1]] = _Shape("surface", np.empty((0, 3)), np.empty((0, 3)))
+            with suppress(Exception):
+                shapes[entity[1]] = _Shape.of(gmsh, entity, exact=exact)
     found = []
     for tag, shape in shapes.items():
         entity = (dim - 1, tag)
-        exact = entity in known
+        form, area, centroid = "", None, list[float]()
+        with suppress(Exception):  # as above
+            form = _form(gmsh, tag, shapes) if dim == 3 else shape.whole
+        with suppress(Exception):
+            if entity in known:
+                area = float(gmsh.model.occ.getMass(*entity))
+                centroid = list(gmsh.model.occ.getCenterOfMass(*entity))
         groups = gmsh.model.getPhysicalGroupsForEntity(*entity)
         names = [gmsh.model.getPhysicalName(dim - 1, int(group)) for group in groups]
         found.append(
             {
                 "number": tag,
                 "kind": shape.kind,
-                "form": _form(gmsh, tag, shapes) if dim == 3 else shape.whole,
-                "area": gmsh.model.occ.getMass(*entity) if exact else None,
-                "centroid": list(gmsh.model.occ.getCenterOfMass(*entity)) if exact else [],
+                "form": form,
+                "area": area,
+                "centroid": centroid,
                 "radius": shape.radius,
                 "major": shape.major,
                 "angle": shape.angle,
@@ -376,7 +387,7 @@ def _oriented(axis: FloatArray) -> FloatArray:
 def _form(gmsh: ModuleType, tag: int, shapes: Mapping[int, _Shape]) -> str:
     """Whether a face is a hole, a shaft, a fillet or a round: see `CadFace`."""
     shape = shapes[tag]
-    if shape.whole or shape.kind not in ("cylinder", "sphere", "torus"):
+    if shape.whole or shape.radius is None:  # of planes, cones, and what is not known
         return shape.whole
     smooth = _smooth_neighbours(gmsh, tag, shapes)
     if any(_continues(shape, shapes[other]) for other in smooth):
@@ -391,8 +402,8 @@ def _continues(one: _Shape, other: _Shape) -> bool:
     """Whether two faces lie on the same cylinder."""
     if not one.kind == other.kind == "cylinder" or one.concave != other.concave:
         return False
-    assert one.radius is not None
-    assert other.radius is not None
+    if one.radius is None or other.radius is None:
+        return False
     near = _SAME * one.radius
     return (
         abs(one.radius - other.radius) < near
