@@ -204,10 +204,12 @@ class _DisplayedRun:
 def _compute(displayed: _DisplayedRun, comm: MPI.Comm) -> None:
     """Computes and shows a run; leaves with its exit code if that is not 0. Collective."""
     visible = comm.rank == 0 and not displayed.shown.quiet
+    before = _written(displayed.folder)
     try:
         code = _follow(displayed, comm, visible=visible)
     finally:
-        if displayed.shown.json and comm.rank == 0:
+        # A run that was refused leaves the summary of an earlier one as it is.
+        if displayed.shown.json and comm.rank == 0 and _written(displayed.folder) != before:
             _print_summary(displayed.folder)
     if displayed.shown.profile:
         _show_profile(comm)
@@ -234,6 +236,15 @@ def _show_extremes(folder: Path) -> None:
     if path.is_file():
         for line in extreme_lines(loads(path.read_text(encoding="utf-8"))):
             print(f" {line}")
+
+
+def _written(folder: Path) -> tuple[int, int] | None:
+    """What changes whenever a summary is written; None where there is none."""
+    try:
+        found = (folder / "summary.json").stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns
 
 
 def _print_summary(folder: Path) -> None:

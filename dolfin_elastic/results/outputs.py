@@ -105,7 +105,7 @@ def _number_of(value: float | str) -> float:
     if not isinstance(value, str):
         return float(value)
     parts = value.split(maxsplit=1)
-    if len(parts) == 1:
+    if len(parts) < 2:
         return float(value)
     known = (table[parts[1]] for table in COMMON_UNITS.values() if parts[1] in table)
     factor = next(known, None)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 _FILMS = (".mp4", ".gif")
 _VIEWS = ("isometric", "x", "y", "z", "-x", "-y", "-z")
+_NUMBERS = ("history.csv", "modes.csv", "results.csv", "converge.csv", "converge.png")
+"""Files of a run with the suffixes of what is written here; its pictures are named in the case."""
 
 
 def plot(
@@ -97,6 +100,9 @@ def plot(
     from dolfin_elastic.core.parallel import on_root
     from dolfin_elastic.results.finished.run import FinishedRun
 
+    # Its import starts PETSc, which all ranks do together.
+    limits = None if ends is None else _limits(ends)
+
     def work() -> None:
         run = FinishedRun(folder)
         given = [n for n, v in (("line", line), ("circle", circle), ("curve", curve)) if v]
@@ -109,10 +115,11 @@ def plot(
                 found = _history(run, curve)
             else:
                 found = _along(run, field, step, line=line, circle=circle)
-            _write_curves(found, output or folder / f"plot_{given[0]}.png")
+            file = output or folder / f"plot_{given[0]}.png"
+            _write_curves(run, found, file, f"--{given[0]}")
         else:
             _check_view(view)
-            look = _look(field, view, scale, ends, clip, plain, run, step)
+            look = _look(field, view, scale, limits, clip, plain, run, step)
             _draw(run, look, step, output, fps, speed)
 
     on_root(MPI.COMM_WORLD, work)
@@ -129,6 +136,7 @@ def _draw(
     from dolfin_elastic.results.finished.draw import draw, film
 
     file = output or run.folder / f"plot_{'_'.join(look.fields)}.png"
+    _check_apart(run, file)
     if file.suffix in _FILMS:
         if fps <= 0 or (speed is not None and speed <= 0):
             raise InputError("it must be above 0", where="--fps, --speed")
@@ -148,7 +156,7 @@ def _look(
     field: list[str] | None,
     view: str,
     scale: float,
-    ends: str | None,
+    limits: Limits | None,
     clip: list[str] | None,
     plain: bool,
     run: FinishedRun,
@@ -161,7 +169,7 @@ def _look(
         _fields(run, field, step),
         view,
         scale,
-        limits=Limits() if ends is None else _limits(ends),
+        limits=limits or Limits(),
         marks=not plain,
         obstacles=not plain,
         clips=[_clip(text) for text in clip or ()],
@@ -178,12 +186,13 @@ def _check_view(view: str) -> None:
 def _limits(text: str) -> Limits:
     from dolfin_elastic.results.outputs import limits_of
 
-    parts = [part.strip() for part in text.split(":")]
     try:
-        return limits_of([part if "%" in part else float(part) for part in parts])
-    except (InputError, ValueError):
+        return limits_of([part.strip() for part in text.split(":")])
+    except InputError:
         raise InputError(
-            f"'{text}' is no range", where="--range", expected="for example 0:2e8, or 2%:98%"
+            f"'{text}' is no range",
+            where="--range",
+            expected="for example 0:2e8, '0:200 MPa' or 2%:98%",
         ) from None
 
 
@@ -276,7 +285,23 @@ def _history(run: FinishedRun, text: str) -> Curves:
     return history_curves(run, over, names.split(","))
 
 
-def _write_curves(curves: Curves, file: Path) -> None:
+def _check_apart(run: FinishedRun, *files: Path) -> None:
+    """Refuses to write over files of the run itself."""
+    rows = (run.case.get("output") or {}).get("pictures") or []
+    pictures = [Path(str(row.get("file", "picture.png"))) for row in rows]
+    series = [rf"{re.escape(p.stem)}(_\d{{4,}})?{re.escape(p.suffix)}" for p in pictures]
+    for file in files:
+        if file.parent.resolve() == run.folder.resolve() and (
+            file.name in _NUMBERS or any(re.fullmatch(one, file.name) for one in series)
+        ):
+            raise InputError(
+                f"{file} is a file of the run, which this would overwrite",
+                where="--output",
+                expected="another name",
+            )
+
+
+def _write_curves(run: FinishedRun, curves: Curves, file: Path, option: str) -> None:
     from dolfin_elastic.results.finished.curves import draw_curves, write_csv
 
     if file.suffix not in (".png", ".svg", ".pdf", ".csv"):
@@ -285,7 +310,15 @@ def _write_curves(curves: Curves, file: Path) -> None:
             where="--output",
             expected="a name that ends in .png, .svg, .pdf, or .csv for the table alone",
         )
+    units = {curve.unit or "1" for curve in curves.curves}
+    if len(units) > 2 and file.suffix != ".csv":
+        raise InputError(
+            f"the curves have {len(units)} units: {', '.join(sorted(units))}",
+            where=option,
+            expected="at most two in a picture; a table (--output NAME.csv) holds any number",
+        )
     table = file.with_suffix(".csv")
+    _check_apart(run, table, file)
     write_csv(curves, table)
     if file.suffix != ".csv":
         draw_curves(curves, file)

@@ -217,17 +217,19 @@ def draw_curves(curves: Curves, file: Path) -> None:
             color=f"C{i}",
             marker="o" if few else None,
             markersize=4,
-            label=label_of(curve.name),
+            label=_plain(label_of(curve.name)),
         )
         same = [c.name for c in curves.curves if c.unit == curve.unit]
         place.set_ylabel(_label(same[0] if len(same) == 1 else "", prefix))
     if len(curves.curves) > 1:
         axes.legend(handles=handles)
     axes.grid(alpha=0.3)
-    axes.set_title(curves.title, fontsize=11)
+    axes.set_title(_plain(curves.title), fontsize=11)
+    draft = file.with_name(f".{file.stem}.part{file.suffix}")
     with writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(file)
+        figure.savefig(draft)
+        draft.replace(file)
 
 
 def _scaled(curves: Sequence[Axis]) -> tuple[list[FloatArray], float, str]:
@@ -238,4 +240,10 @@ def _scaled(curves: Sequence[Axis]) -> tuple[list[FloatArray], float, str]:
 
 
 def _label(name: str, unit: str) -> str:
-    return f"{label_of(name)} [{unit}]".strip() if unit else label_of(name)
+    text = _plain(label_of(name))
+    return f"{text} [{unit}]".strip() if unit else text
+
+
+def _plain(text: str) -> str:
+    """A text in which matplotlib finds no formula."""
+    return text.replace("$", r"\$")

@@ -22,9 +22,13 @@ _BEGINNINGS = {
     "pressure_": "Pa",
     "volume_": "m^3",
 }
+_VECTORS = ("reaction_", "momentum_", "angular_momentum_", "moment_")
 _WITHOUT = ("step", "load_factor", "newton", "krylov", "balance_force", "balance_moment")
 _WITHOUT_UNIT = (*_WITHOUT, "min_jacobian", "max_jacobian")
 _AXES, _TURNS = ("x", "y", "z"), ("rx", "ry", "rz")
+_SHIFTS = ("ux", "uy", "uz")
+_STRESS = re.compile(r"P[1-3]{2}")
+"""Of a periodic cell."""
 
 
 _NUMBER = re.compile(r"(_length)?_(max|min|mean|area_integral|volume_integral)(_[xyz]{1,2})?$")
@@ -46,11 +50,17 @@ def column_unit(column: str, *, moving: bool) -> str:
         return exact[column]
     if column.endswith("_energy"):
         return "J"
+    if _STRESS.fullmatch(column):
+        return "Pa"
+    last = column.rpartition("_")[2]
+    begin = next((unit for begin, unit in _BEGINNINGS.items() if column.startswith(begin)), None)
+    # A support may be called as a field is.
+    if begin is not None and column.startswith(_VECTORS) and last in _AXES:
+        return begin
     if (unit := _field_unit(column)) is not None:
         return unit
-    last = column.rpartition("_")[2]
-    by_end = "m" if last in _AXES else "rad" if last in _TURNS else ""
-    return next((unit for begin, unit in _BEGINNINGS.items() if column.startswith(begin)), by_end)
+    by_end = "m" if last in (*_AXES, *_SHIFTS) else "rad" if last in _TURNS else ""
+    return by_end if begin is None else begin
 
 
 def _field_unit(column: str) -> str | None:

@@ -149,7 +149,9 @@ class Series:
         Raises:
             OutputError: It cannot be drawn or written.
         """
-        with tempfile.TemporaryDirectory() as scratch:
+        if not len(times):
+            raise OutputError(f"cannot make {file}: no state of it is left to be drawn")
+        with writing(file), tempfile.TemporaryDirectory() as scratch:
             chosen = frames_at(times, fps)
             drawn: dict[int, Path] = {}
             for frame, index in enumerate(chosen):
@@ -210,14 +212,20 @@ def encode(frames: Path, file: Path, fps: float) -> None:
     command = [program, "-v", "error", "-y", "-framerate", f"{fps:g}", "-i", str(frames)]
     with writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
-        done = subprocess.run(
-            [*command, *kinds[file.suffix], str(draft.absolute())],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=_TIMEOUT,
-            check=False,
-        )
+        try:
+            done = subprocess.run(
+                [*command, *kinds[file.suffix], str(draft.absolute())],
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                timeout=_TIMEOUT,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            draft.unlink(missing_ok=True)
+            raise OutputError(
+                f"cannot make a film: ffmpeg has not ended within {_TIMEOUT} s"
+            ) from None
         if done.returncode:
             text = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
             raise OutputError(f"cannot make a film: ffmpeg: {text}")

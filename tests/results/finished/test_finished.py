@@ -124,6 +124,11 @@ def check_damaged(beam: Path) -> None:
         ("angular_momentum_z", "kg m^2/s"),
         ("pressure_chamber", "Pa"),
         ("external_work", "J"),
+        ("P11", "Pa"),
+        ("F11", ""),
+        ("lid_ux", "m"),
+        ("reaction_end_velocity_x", "N"),
+        ("reaction_zone_von_mises", "Pa"),
     ],
 )
 def test_units_of_columns(column: str, unit: str) -> None:

@@ -13,10 +13,12 @@ from helpers.processes import cli
 from helpers.states import displacement, make_problem, make_state
 from PIL import Image
 
+from dolfin_elastic.cli.tools.plot import _limits, plot
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.finished.curves import (
     Axis,
+    Curves,
     along,
     circle,
     draw_curves,
@@ -39,7 +41,9 @@ def run(folder: Path) -> FinishedRun:
     outputs = (Xdmf(fields=("displacement", "von_mises", "rank")), History(), Summary(case=case))
     writers = [output.open(problem, folder / "beam") for output in outputs]
     for step in (1, 2):
-        state = make_state(problem, step, step / 2, numbers={"tip_x": 0.25 * step}, done=step / 2)
+        state = make_state(
+            problem, step, step / 2, numbers={"tip_x": 0.25 * step, "P11": 1e6}, done=step / 2
+        )
         for writer in writers:
             writer.write(state)
     for writer in writers:
@@ -91,6 +95,45 @@ def test_curves_of_the_history_as_table(run: FinishedRun, folder: Path) -> None:
     assert len(set(Image.open(folder / "a.png").convert("RGB").getdata())) > 10
     with pytest.raises(InputError, match=r"has no column 'tip_xx'; did you mean 'tip_x'"):
         history_curves(run, "t", ["tip_xx"])
+
+
+@pytest.mark.parametrize("name", ["history.png", "history.csv"])
+def test_numbers_of_the_run_are_never_overwritten(run: FinishedRun, name: str) -> None:
+    """Neither by a table nor by the table beside a picture."""
+    before = (run.folder / "history.csv").read_bytes()
+    with pytest.raises(InputError, match=r"--output: .*history\.csv is a file of the run"):
+        plot(run.folder, curve="tip_x", output=run.folder / name)
+    assert (run.folder / "history.csv").read_bytes() == before
+    assert not (run.folder / "history.png").exists()
+
+
+def test_at_most_two_units_in_a_picture(run: FinishedRun) -> None:
+    """A third axis would lie on the second one; a table has room for all."""
+    names = "t:tip_x,load_factor,P11"
+    with pytest.raises(InputError, match="--curve: the curves have 3 units: 1, Pa, m"):
+        plot(run.folder, curve=names, output=run.folder / "a.png")
+    plot(run.folder, curve=names, output=run.folder / "a.csv")
+    assert (run.folder / "a.csv").read_text().startswith("load parameter,tip_x [m],load_factor,")
+
+
+def test_names_with_dollars_are_no_formulas(folder: Path) -> None:
+    """Two dollars begin and end a formula of matplotlib, which raises where it is none."""
+    x = np.array([0.0, 1.0])
+    curves = Curves(Axis("a$\\x$", x), [Axis("b$_$", x)], r"beam $\frac$")
+    draw_curves(curves, folder / "a.svg")
+    assert [path.name for path in folder.iterdir()] == ["a.svg"]
+
+
+def test_ranges_as_those_of_pictures() -> None:
+    """Units and percentiles, as the guide says."""
+    found = [_limits(text) for text in ("0:2e8", "0:200 MPa", "2%:98 %")]
+    assert [(one.ends, one.share) for one in found] == [
+        ((0.0, 2e8), False),
+        ((0.0, 2e8), False),
+        ((2.0, 98.0), True),
+    ]
+    with pytest.raises(InputError, match="--range: ':' is no range"):
+        _limits(":")
 
 
 def test_what_a_picture_is_told(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -173,6 +174,30 @@ def test_without_ffmpeg_or_with_a_fault(folder: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(series.shutil, "which", lambda name: None)
     with pytest.raises(OutputError, match="cannot make a film: ffmpeg is not installed"):
         encode(folder / "%03d.png", folder / "a.mp4", 30)
+
+
+def test_films_that_cannot_be_made_are_output_errors(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run warns of those, and of nothing else: its summary is closed all the same."""
+    monkeypatch.setattr(series.shutil, "which", lambda name: "sleep")
+
+    def late(command: Sequence[str], **settings: Any) -> None:
+        raise subprocess.TimeoutExpired(command, settings["timeout"])
+
+    monkeypatch.setattr(series.subprocess, "run", late)
+    with pytest.raises(OutputError, match="ffmpeg has not ended within 600 s"):
+        encode(folder / "%03d.png", folder / "a.mp4", 30)
+    film = Series(Limits(), marks=False, folder=folder / "frames").film
+    with pytest.raises(OutputError, match="no state of it is left"):
+        film(folder / "a.mp4", [], [], 30)
+
+    def full(**settings: Any) -> None:
+        raise OSError(errno.ENOSPC, "no room")
+
+    monkeypatch.setattr(series.tempfile, "TemporaryDirectory", full)
+    with pytest.raises(OutputError, match="make room"):
+        film(folder / "a.mp4", [0.0], [0], 30)
 
 
 @pytest.mark.parametrize(
