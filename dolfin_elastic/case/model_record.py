@@ -14,7 +14,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body, extent
-from dolfin_elastic.mesh.geometry.curved import facet_areas
+from dolfin_elastic.mesh.geometry.curved import cell_volumes, facet_areas
 from dolfin_elastic.mesh.geometry.simplices import (
     edge_nodes,
     facet_corners,
@@ -48,6 +48,7 @@ def model_record(
             "source": Path(body.source).name,
             "dim": body.dim,
             "extent": list(extent(body)),
+            "volume": _volume(body),
             "information": list(body.information),
             "fields": sorted(body.fields),
         },
@@ -56,6 +57,12 @@ def model_record(
         "warnings": list(notes),
         "petsc": dict(petsc),
     }
+
+
+def _volume(body: Body) -> float:
+    """Volume [m^3], in a plane the area [m^2], also of curved cells. Collective."""
+    own = cell_volumes(body.mesh)[body.owned_cells()]
+    return float(total(body.comm, float(np.sum(own))))
 
 
 def _part(body: Body, name: str) -> dict[str, object]:

@@ -19,6 +19,8 @@ from dolfin_elastic.report.words import (
     label,
     load_words,
     names,
+    part_kind,
+    part_names,
     support_words,
 )
 from dolfin_elastic.results.finished.run import FinishedRun
@@ -208,7 +210,7 @@ def supports_of(run: FinishedRun) -> list[Acting]:
     for k, row in enumerate(_rows(run.case, "support")):
         force = reactions.get(label(row))
         text = vector(force, "N", most) if force else ""
-        words, area = support_words(row), _area(run, row)
+        words, area = support_words(row, part_kind(row, run.summary)), _area(run, row)
         found.append(Acting(_where(row), f"support {k}", words, area, text))
     for row in _rows(run.case, "contact"):
         force = reactions.get(label(row))
@@ -275,11 +277,22 @@ class Balance:
 
 
 def balance_of(run: FinishedRun) -> Balance | None:
-    """Loads against reactions; None where there are neither, or no step was reached."""
+    """Loads against reactions; None where there are neither, or no step was reached.
+
+    The forces of ties act inside the body.  Round the axis of a body of revolution radial forces
+    balance by themselves: only the axial ones are compared.
+    """
     if not run.summary.get("steps"):
         return None
     summary, rows = run.summary, []
-    reactions = {k: v for k, v in (summary.get("reactions") or {}).items() if isinstance(v, list)}
+    inside = {
+        str(row.get("name") or f"tie_{'+'.join(part_names(row))}") for row in _rows(run.case, "tie")
+    }
+    reactions = {
+        k: v
+        for k, v in (summary.get("reactions") or {}).items()
+        if isinstance(v, list) and k not in inside
+    }
     sums = [s for s in model(run).get("loads") or [] if s.get("force") is not None]
     own = [s for s in sums if s.get("load") != "all loads"]
     whole = next((s["force"] for s in sums if s.get("load") == "all loads"), None)
@@ -290,14 +303,20 @@ def balance_of(run: FinishedRun) -> Balance | None:
         (abs(x) for row in (*reactions.values(), *(s["force"] for s in own)) for x in row),
         default=0.0,
     )
+    ended = summary.get("status") == "completed"
     if whole is not None:
-        rows.append(("all loads, on the undeformed body", vector(whole, "N", most)))
+        when = "" if ended else " at their full values"
+        rows.append((f"all loads{when}, on the undeformed body", vector(whole, "N", most)))
     if total is not None:
         rows.append(("all reactions", vector(total, "N", most)))
     audit = summary.get("audit") or {}
-    if whole is not None and total is not None and len(whole) == len(total) and not run.moving:
+    at_rest = ended and not run.moving
+    if at_rest and whole is not None and total is not None and len(whole) == len(total):
         left = [a + b for a, b in zip(whole, total, strict=True)]
-        rows.append(("loads and reactions together", vector(left, "N", most)))
+        title = "loads and reactions together"
+        if str((run.case.get("mesh") or {}).get("geometry")) == "axisymmetric":
+            left, title = left[1:], f"{title}, along the axis"
+        rows.append((title, vector(left, "N", most)))
     if not rows:
         return None
     return Balance(

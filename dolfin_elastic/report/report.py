@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import logging
 import shlex
 from collections.abc import Iterator, Mapping
@@ -266,7 +267,10 @@ def _mesh(
         "mean": contents.Value(float(quality.mean()), number(float(quality.mean()))),
         "poor": counted(int(np.count_nonzero(quality < 0.05)), "element"),
     }
-    found["volume"] = size(float(volumes.sum()), 2 if plane else 3)
+    # Of older runs that of straight cells.
+    volume = noted.get("volume")
+    whole = float(volume if isinstance(volume, int | float) else volumes.sum())
+    found["volume"] = size(whole, 2 if plane else 3)
     return found
 
 
@@ -298,19 +302,35 @@ def _case_text(case: Table) -> str:
     mesh = dict(case.get("mesh") or {})
     if "file" in mesh:  # where it lay is nobody's business
         mesh["file"] = Path(str(mesh["file"])).name
-    text = toml_text({**case, "mesh": mesh})
+    output = dict(case.get("output") or {})
+    if "folder" in output:
+        output["folder"] = Path(str(output["folder"])).name
+    text = toml_text({**case, "mesh": mesh, **({"output": output} if output else {})})
     return text if len(text) <= _CASE else f"{text[:_CASE]}\n# ... {len(text) - _CASE} letters more"
 
 
 def _command(run: FinishedRun) -> str:
     file = contents.model(run).get("file") or "case.toml"
-    ranks = run.summary.get("ranks") or 1
+    ranks = run.summary.get("ranks")
+    words = ["dolfin-elastic", "run", str(file)]
+    if (goal := _goal(run.folder)) is not None:
+        words[1:] = ["converge", str(file), "--until", *goal]
+    if isinstance(ranks, int) and ranks > 1:
+        words = ["mpirun", "-n", str(ranks), *words]
     options = contents.model(run).get("petsc") or {}
-    text = f"dolfin-elastic run {shlex.quote(str(file))}"
-    if options:
-        given = (f"-{k}" if v in (None, "", True) else f"-{k} {v}" for k, v in options.items())
-        text += f" -- {' '.join(given)}"
-    return text if ranks == 1 else f"mpirun -n {ranks} {text}"
+    words += ["--"] * bool(options)
+    for key, value in options.items():
+        words += [f"-{key}"] if value in (None, "", True) else [f"-{key}", str(value)]
+    return shlex.join(words)
+
+
+def _goal(folder: Path) -> list[str] | None:
+    """Quantity and tolerance of `converge`; None of a single run."""
+    try:
+        found = json.loads((folder / "converge.json").read_text(encoding="utf-8"))
+        return [str(found["quantity"]), f"{100 * float(found['tolerance']):g}%"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def _checksums(folder: Path) -> Iterator[tuple[str, str, str]]:

@@ -36,6 +36,10 @@ FIELDS = {
     "safety_factor": ("safety factor", ""),
 }
 """Fields that are drawn where a run has written them: title and SI unit."""
+_SMALL_MATTERS = ("safety_factor",)
+"""Fields of which the smallest value is marked."""
+_LAST, _UNKNOWN = 65534, 65535
+"""16 bit numbers of the last colour, and of nodes without a value."""
 
 
 @dataclass(frozen=True)
@@ -291,7 +295,12 @@ def packed(scene: Scene, colours: AnyArray, palette: Mapping[str, str]) -> dict[
         "edges": _text(scene.edges.astype("<u4")),
         "colours": _text(colours),
         "fields": [
-            {key: getattr(shown, key) for key in ("name", "title", "low", "high", "factor", "unit")}
+            {
+                **{key: getattr(shown, key) for key in ("name", "title", "factor", "unit")},
+                "low": shown.low,
+                "high": shown.high,
+                "least": shown.name in _SMALL_MATTERS,
+            }
             for shown in scene.fields
         ],
         "frames": [_frame(view, scene.fields) for view in scene.views],
@@ -311,8 +320,8 @@ def _frame(view: View, fields: Sequence[Shown]) -> dict[str, object]:
 
 def _shares(values: FloatArray, shown: Shown) -> AnyArray:
     room = (shown.high - shown.low) or 1.0
-    shares = np.nan_to_num(np.clip((values - shown.low) / room, 0.0, 1.0))
-    return np.asarray(np.rint(65535 * shares).astype("<u2"))
+    shares = _LAST * np.clip((values - shown.low) / room, 0.0, 1.0)
+    return np.asarray(np.where(np.isnan(shares), _UNKNOWN, np.rint(shares)).astype("<u2"))
 
 
 def _glyph(marks: Marks, colour: str) -> dict[str, object]:

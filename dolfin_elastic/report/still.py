@@ -112,6 +112,7 @@ def _colours(scene: Scene, x: FloatArray, toward: FloatArray, shown: Shown | Non
     shares = np.clip((values - shown.low) / ((shown.high - shown.low) or 1.0), 0, 1)
     table = colour_table()[:, :3] / 255
     picked = table[np.rint(255 * np.nan_to_num(shares)).astype(int)]
+    picked[np.isnan(values)] = _GREY  # the field has no value there
     return np.asarray(np.clip(bright[:, None] * picked, 0, 1))
 
 

@@ -14,6 +14,14 @@ from dolfin_elastic.report.quantity import listed, number, quantity, scaled_unit
 
 Table = Mapping[str, Any]
 _KNOWN = {"kind", "on", "name"}
+_PLACES = dict.fromkeys(("point", "at", "center", "radius"), "m")
+"""SI units of the keys of obstacles."""
+_REST = {
+    **_PLACES,
+    **dict.fromkeys(("start", "end", "motion", "displacement"), "m"),
+    **dict.fromkeys(("tolerance", "gap_tolerance"), "m"),
+}
+"""SI units of keys of supports, loads and contacts that are told after their kind."""
 
 
 # --- values ---
@@ -80,14 +88,22 @@ def label(table: Table) -> str:
 def _rest(table: Table, *known: str) -> str:
     """What else is given."""
     others = {k: v for k, v in table.items() if k not in _KNOWN and k not in known}
-    return "".join(f"; {key.replace('_', ' ')} {value_text(v)}" for key, v in others.items())
+    return "".join(
+        f"; {key.replace('_', ' ')} {value_text(v, _REST.get(key, ''))}"
+        for key, v in others.items()
+    )
 
 
 # --- supports ---
 
 
-def support_words(table: Table) -> str:
-    """How a support holds the body, without its place."""
+def support_words(table: Table, part: str = "surface") -> str:
+    """How a support holds the body, without its place.
+
+    Args:
+        table: Of the support.
+        part: What it acts on: "surface", "edge" or "point".
+    """
     kind = str(table.get("kind", "displacement"))
     moved = table.get("displacement")
     if kind == "displacement":
@@ -106,7 +122,7 @@ def support_words(table: Table) -> str:
         return text + _rest(table, "angle", "axis", "point", "displacement")
     if kind == "rigid":
         return _rigid(table)
-    return _resisting(table, kind) if kind in ("spring", "dashpot") else kind + _rest(table)
+    return _resisting(table, kind, part) if kind in ("spring", "dashpot") else kind + _rest(table)
 
 
 def _rigid(table: Table) -> str:
@@ -116,8 +132,8 @@ def _rigid(table: Table) -> str:
     return text + _rest(table, *units)
 
 
-def _resisting(table: Table, kind: str) -> str:
-    per = "m" if table.get("total") else "m^3"
+def _resisting(table: Table, kind: str, part: str) -> str:
+    per = "m" if table.get("total") else {"edge": "m^2", "point": "m"}.get(part, "m^3")
     unit = f"N/{per}" if kind == "spring" else f"N s/{per}"
     keys = ("stiffness", "viscosity", "normal", "tangential")
     given = [f"{key} {value_text(table[key], unit)}" for key in keys if key in table]
@@ -175,6 +191,10 @@ def load_words(table: Table) -> str:
         return f"a closed cavity with {', '.join(given)}" + _rest(table, *keys)
     if kind in _LOADS:
         text, unit = _LOADS[kind]
+        if kind == "gravity" and not table.get("value"):
+            return text.format("9.81 m/s^2 against the last axis") + _rest(table, "value")
+        if kind == "line-force" and table.get("total"):
+            return text.format(value_text(table.get("value", 0), "N")) + _rest(table, "value")
         return text.format(value_text(table.get("value", 0), unit)) + _rest(table, "value")
     return kind + _rest(table)
 
@@ -183,11 +203,16 @@ def contact_words(table: Table) -> str:
     """What a surface may touch."""
     shape = next((key for key in ("plane", "sphere", "cylinder") if key in table), "obstacle")
     given = table.get(shape)
-    what = f" ({value_text(given)})" if isinstance(given, Mapping) else ""
+    what = ""
+    if isinstance(given, Mapping):
+        told = (f"{key} {value_text(v, _PLACES.get(key, ''))}" for key, v in given.items())
+        what = f" ({', '.join(told)})"
     text = f"may touch a rigid {shape}{what}"
     if "with" in table or "other" in table:
         text = f"may touch ‘{table.get('with', table.get('other'))}’"
-    return text + _rest(table, shape, "with", "other")
+    if "stiffness" in table:
+        text += f"; stiffness {value_text(table['stiffness'], 'Pa/m')}"
+    return text + _rest(table, shape, "with", "other", "stiffness")
 
 
 # --- the analysis ---
@@ -216,7 +241,7 @@ def what_was_computed(case: Table, summary: Table, *, dim: int | None) -> list[s
     kind = analysis_of(case)
     return [
         _body_sentence(case, dim),
-        *_support_sentences(case, kind),
+        *_support_sentences(case, summary, kind),
         _TASKS[kind](case, summary),
         _mesh_sentence(case, summary, dim),
     ]
@@ -234,10 +259,28 @@ def _body_sentence(case: Table, dim: int | None) -> str:
     return f"An elastic body{shape}{made}."
 
 
-def _support_sentences(case: Table, kind: str) -> list[str]:
+def part_kind(table: Table, summary: Table) -> str:
+    """What a support acts on: "surface", "edge" or "point".
+
+    Args:
+        table: Of the support.
+        summary: Of the run, which has noted its parts.
+    """
+    parts = (summary.get("model") or {}).get("parts") or {}
+    kinds = [str((parts.get(name) or {}).get("kind", "surface")) for name in part_names(table)]
+    return kinds[0] if kinds else "surface"
+
+
+def _support_sentences(case: Table, summary: Table, kind: str) -> list[str]:
     supports, loads = case.get("support", []), case.get("load", [])
-    held = [f"{names(row)} ({support_words(row).partition(';')[0]})" for row in supports[:6]]
-    found = [f"It is held at {listed(held)}." if held else "It is held nowhere."]
+    held = [
+        f"{names(row)} ({support_words(row, part_kind(row, summary)).partition(';')[0]})"
+        for row in supports[:6]
+    ]
+    nowhere = "It is held nowhere."
+    if case.get("periodic"):
+        nowhere = "It is a periodic cell: its faces are held by those opposite."
+    found = [f"It is held at {listed(held)}." if held else nowhere]
     if len(supports) > 6:
         found[0] = f"It is held by {len(supports)} supports."
     if kind == "modal" and not (case["modal"] or {}).get("preload"):

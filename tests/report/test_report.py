@@ -22,10 +22,12 @@ from dolfin_elastic.cli.report import _write
 from dolfin_elastic.core.errors import InputError, OutputError, SolveError
 from dolfin_elastic.report import pdf
 from dolfin_elastic.report.charts import Axis, Line, line_chart
+from dolfin_elastic.report.contents import balance_of
 from dolfin_elastic.report.page import json_text
-from dolfin_elastic.report.report import LARGEST, write_report
+from dolfin_elastic.report.report import LARGEST, _command, write_report
 from dolfin_elastic.report.scene import MOST_TRIANGLES, Scene, View, chosen_frames, packed
-from dolfin_elastic.report.words import load_words, support_words
+from dolfin_elastic.report.still import _colours
+from dolfin_elastic.report.words import contact_words, load_words, support_words
 from dolfin_elastic.results.finished.run import FinishedRun
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror='alert(2)'>&amp;\"`"
@@ -283,8 +285,76 @@ def test_scene_keeps_its_numbers() -> None:
     assert back == pytest.approx(u, abs=1e-4 / 32767)
     (shown,) = scene.fields
     assert (shown.low, shown.high, shown.unit) == (0.0, 3e6, "MPa")
-    shares = np.frombuffer(base64.b64decode(frame["values"]["von_mises"]), "<u2") / 65535
-    assert shares == pytest.approx([1 / 3, 1, 0], abs=1e-4)
+    raw = np.frombuffer(base64.b64decode(frame["values"]["von_mises"]), "<u2")
+    assert raw[:2] / 65534 == pytest.approx([1 / 3, 1], abs=1e-5)
+    assert raw[2] == 65535  # no value
+
+
+def test_nodes_without_a_value_are_no_zeros() -> None:
+    """A material without an allowable stress has no safety factor, and is grey."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    values = {"safety_factor": np.array([np.nan, 2.0, 5.0, 1.0])}
+    view = View("end", np.zeros((4, 3)), values)
+    triangles = np.array([[0, 1, 2], [1, 3, 2]])
+    scene = Scene(points, triangles, triangles[:, :2], (view,), plane=True)
+    data: Any = packed(scene, np.zeros((256, 4), dtype=np.uint8), {})
+    assert data["fields"][0]["least"]
+    raw = np.frombuffer(base64.b64decode(data["frames"][0]["values"]["safety_factor"]), "<u2")
+    assert raw[0] == 65535
+    assert raw[1:] / 65534 == pytest.approx([0.4, 1.0, 0.2], abs=1e-4)
+    colours = _colours(scene, points, np.array([0.0, 0, 1]), scene.fields[0])
+    assert np.ptp(colours[0]) < 0.1 < np.ptp(colours[1])
+
+
+BALANCED: dict[str, dict[str, Any]] = {
+    "solid": {},
+    "failed": {"status": "failed"},
+    "ring": {"mesh": {"geometry": "axisymmetric"}},
+    "tied": {"tie": [{"on": "a", "to": "b"}]},
+}
+
+
+@pytest.mark.parametrize("kind", BALANCED)
+def test_loads_against_reactions(kind: str, tmp_path: Path) -> None:
+    """What need not balance is not shown as if it should."""
+    given = BALANCED[kind]
+    summary = {
+        "status": given.get("status", "completed"),
+        "steps": 2,
+        "case": {"load": [{"on": "top"}], **given},
+        "model": {"loads": [{"load": "load[0] (traction)", "force": [5.0, -3.0]}]},
+        "reactions": {"left": [0.0 if kind == "ring" else -5.0, 3.0]},
+    }
+    if kind == "tied":
+        summary["reactions"] |= {"tie_a": [7.0, 7.0]}
+    (tmp_path / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    found = balance_of(FinishedRun(tmp_path))
+    assert found is not None
+    rows = dict(found.rows)
+    if kind == "failed":
+        assert list(rows) == [
+            "all loads at their full values, on the undeformed body",
+            "all reactions",
+        ]
+    elif kind == "ring":
+        assert rows["loads and reactions together, along the axis"] == "(0) N"
+    else:
+        assert rows["loads and reactions together"] == "(0, 0) N"
+
+
+def test_the_command_can_be_typed(tmp_path: Path) -> None:
+    """Names with blanks, options with values, and what `converge` was asked for."""
+    model = {"file": "my case.toml", "petsc": {"log_view": ":a b.txt", "ksp_view": None}}
+    summary = {"ranks": "2; rm x", "model": model}
+    (tmp_path / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    text = "dolfin-elastic run 'my case.toml' -- -log_view ':a b.txt' -ksp_view"
+    assert _command(FinishedRun(tmp_path)) == text
+    goal = {"quantity": "von_mises on fillet", "tolerance": 0.03}
+    (tmp_path / "converge.json").write_text(json.dumps(goal), encoding="utf-8")
+    (tmp_path / "summary.json").write_text(json.dumps({"ranks": 2}), encoding="utf-8")
+    assert _command(FinishedRun(tmp_path)) == (
+        "mpirun -n 2 dolfin-elastic converge case.toml --until 'von_mises on fillet' 3%"
+    )
 
 
 def test_words() -> None:
@@ -301,6 +371,19 @@ def test_words() -> None:
     )
     assert load_words({"on": "a", "kind": "pressure", "value": 2e5, "curve": "ramp"}) == (
         "pressure of 200 kPa, which follows the deformed surface; curve ramp"
+    )
+    assert load_words({"kind": "gravity"}) == (
+        "weight, with the acceleration of gravity 9.81 m/s^2 against the last axis"
+    )
+    spring = {"on": "a", "kind": "spring", "stiffness": [0, 0, 5]}
+    assert support_words(spring, "edge") == "on springs: stiffness (0, 0, 5) N/m^2"
+    assert support_words(spring, "point") == "on springs: stiffness (0, 0, 5) N/m"
+    edge = {"kind": "line-force", "on": "a", "value": [0, 0, 5]}
+    assert load_words(edge) == "force of (0, 0, 5) N/m along a line"
+    assert load_words({**edge, "total": True}).startswith("force of (0, 0, 5) N along a line")
+    ball = {"on": "a", "sphere": {"center": [0, 0, 0.5], "radius": 0.02}, "motion": [0, 0, -0.1]}
+    assert contact_words(ball) == (
+        "may touch a rigid sphere (center (0, 0, 500) mm, radius 20 mm); motion (0, 0, −100) mm"
     )
 
 

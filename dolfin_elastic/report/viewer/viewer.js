@@ -21,13 +21,16 @@ function bytes(text) {
 const VERTEX = `
   attribute vec3 u;
   attribute float value;
+  attribute float known;
   uniform float scale;
   varying float shade;
+  varying float sure;
   varying vec3 place;
   void main() {
     vec4 p = modelViewMatrix * vec4(position + scale * u, 1.0);
     place = p.xyz;
     shade = value;
+    sure = known;
     gl_Position = projectionMatrix * p;
   }`;
 const FRAGMENT = `
@@ -35,11 +38,13 @@ const FRAGMENT = `
   uniform float plain;
   uniform vec3 grey;
   varying float shade;
+  varying float sure;
   varying vec3 place;
   void main() {
     vec3 n = normalize(cross(dFdx(place), dFdy(place)));
     float light = 0.7 + 0.3 * abs(dot(n, normalize(vec3(0.25, 0.35, 1.0))));
-    vec3 c = mix(texture2D(colours, vec2(shade * 255.0 / 256.0 + 0.5 / 256.0, 0.5)).rgb, grey, plain);
+    vec3 c = mix(texture2D(colours, vec2(shade * 255.0 / 256.0 + 0.5 / 256.0, 0.5)).rgb, grey,
+                 sure < 0.999 ? 1.0 : plain);
     gl_FragColor = vec4(light * c, 1.0);
   }`;
 
@@ -61,10 +66,12 @@ function start() {
   const position = new BufferAttribute(points, 3);
   const moved = new BufferAttribute(new Float32Array(3 * n), 3);
   const value = new BufferAttribute(new Float32Array(n), 1);
+  const known = new BufferAttribute(new Float32Array(n), 1);  // 0: the field has no value there
   for (const g of [geometry, lines, grid]) {
     g.setAttribute("position", position);
     g.setAttribute("u", moved);
     g.setAttribute("value", value);
+    g.setAttribute("known", known);
   }
   geometry.setIndex(new BufferAttribute(index, 1));
   lines.setIndex(new BufferAttribute(edges, 1));
@@ -149,7 +156,7 @@ function start() {
         cache.set(key, Float32Array.from(raw, (x) => (x / 32767) * f.largest));
       } else {
         const raw = new Uint16Array(bytes(f.values[name]));
-        cache.set(key, Float32Array.from(raw, (x) => x / 65535));
+        cache.set(key, Float32Array.from(raw, (x) => (x === 65535 ? NaN : x / 65534)));
       }
     }
     return cache.get(key);
@@ -171,16 +178,22 @@ function start() {
     $("legend").hidden = !field;
     top.visible = false;
     if (field) {
-      value.array.set(numbers("s", state.frame, field.name));
-      value.needsUpdate = true;
+      const shares = numbers("s", state.frame, field.name);
+      let most = -1;
+      for (let i = 0; i < n; i++) {
+        const sure = !Number.isNaN(shares[i]);
+        known.array[i] = sure ? 1 : 0;
+        value.array[i] = sure ? shares[i] : 0;
+        if (sure && (most < 0 || (field.least ? shares[i] < shares[most] : shares[i] > shares[most]))) most = i;
+      }
+      value.needsUpdate = known.needsUpdate = true;
       $("low").textContent = `${digits(field.low / field.factor)} ${field.unit}`;
       $("high").textContent = `${digits(field.high / field.factor)} ${field.unit}`;
-      let most = 0;
-      for (let i = 1; i < n; i++) if (value.array[i] > value.array[most]) most = i;
-      top.visible = $("marks").checked && field.high > field.low;
+      top.visible = most >= 0 && $("marks").checked && field.high > field.low;
       top.userData.vertex = most;
-      const peak = field.low + value.array[most] * (field.high - field.low);
-      $("peak").textContent = `largest here ${digits(peak / field.factor)} ${field.unit}`;
+      const share = most < 0 ? 0 : value.array[most], peak = field.low + share * (field.high - field.low);
+      const words = field.least ? (share === 1 ? "everywhere at least" : "smallest here") : "largest here";
+      $("peak").textContent = most < 0 ? "" : `${words} ${digits(peak / field.factor)} ${field.unit}`;
     }
     if ($("frame")) $("step").textContent = frame.label;
     draw();
