@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -127,7 +128,7 @@ def chosen_faces(found: CadFaces | None, selector: Selector, scale: float) -> se
 
 _Test = tuple[str, Callable[[CadFace], bool], Callable[[CadFace], float]]
 """Key, whether a face fits, and how far it is from fitting."""
-_FAR = 1e6
+_FAR = math.inf
 """How far a face of another kind is from fitting."""
 
 
@@ -175,25 +176,25 @@ def _shape_test(
     selector: Selector,
     scale: float,
 ) -> _Test:
+    near = None if selector.tolerance is None else metres(selector.tolerance, scale)
+    allowed = {
+        key: _SAME * value if near is None or key == "angle" else near
+        for key, value in numbers.items()
+    }
+
     def off(face: CadFace) -> float:
-        """Largest relative difference of the numbers."""
+        """Largest difference of the numbers, over what is allowed."""
         own = {key: getattr(face, key) for key in numbers}
         if face.kind != kind or None in own.values():
             return _FAR
-        away = [abs(own[key] - value) / value for key, value in numbers.items()]
-        if axis and abs(float(np.dot(axis, face.axis))) < np.cos(_ALONG):
-            away.append(1.0)
+        away = [abs(own[key] - value) / allowed[key] for key, value in numbers.items()]
+        # A wrong axis counts as a radius that is off by itself.
+        if axis and not (face.axis and abs(float(np.dot(axis, face.axis))) >= np.cos(_ALONG)):
+            away.append(1.0 / _SAME)
         return max(away, default=0.0)
 
-    def fits(face: CadFace) -> bool:
-        away = off(face)
-        if selector.tolerance is not None and axis == () and "radius" in numbers and away < _FAR:
-            assert face.radius is not None
-            return abs(face.radius - numbers["radius"]) <= metres(selector.tolerance, scale)
-        return away <= _SAME
-
     key = f"{kind}.{next(iter(numbers))}" if numbers else kind
-    return key, fits, off
+    return key, lambda face: off(face) <= 1.0, off
 
 
 def _ranges(numbers: Iterable[int]) -> str:

@@ -14,7 +14,9 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.mesh import Body, Cylinder, Selector, name_parts, read_body
+from dolfin_elastic.mesh.faces import CadFaces, chosen_faces
 from dolfin_elastic.mesh.formats.cad import faces
+from dolfin_elastic.mesh.formats.cad.faces import CadFace
 from dolfin_elastic.mesh.generate import box_body
 from dolfin_elastic.mesh.geometry.curved import facet_areas
 from dolfin_elastic.mesh.geometry.simplices import boundary_facets, facet_corners
@@ -59,6 +61,40 @@ def test_kinds_radii_and_forms(folder: Path, angle: Body) -> None:
     exact = {"sphere": 16 * np.pi, "torus": 12 * np.pi**2, "cylinder": 4 * np.pi}
     found = {f.kind: f.area / MM**2 for f in body.faces.faces.values() if f.area}
     assert {kind: found[kind] for kind in exact} == pytest.approx(exact, rel=1e-9)
+
+
+def test_tolerance_holds_for_all_lengths_of_a_face() -> None:
+    """Of a torus of radii 1 and 3 mm, and of a shaft of 2 mm along y; angles have none."""
+
+    def face(number: int, kind: str, **numbers: Any) -> CadFace:
+        known = {"radius": None, "major": None, "angle": None, "axis": (0.0, 1.0, 0.0), **numbers}
+        return CadFace(
+            number, kind, "", area=None, centroid=(), samples=(), normals=(), names=(), **known
+        )
+
+    there = CadFaces(
+        {
+            1: face(1, "torus", radius=1 * MM, major=3 * MM),
+            2: face(2, "cylinder", radius=2 * MM),
+            3: face(3, "cone", angle=30.0),
+        },
+        3,
+    )
+
+    def chosen(**keys: Any) -> set[int]:
+        try:
+            return chosen_faces(there, Selector(tolerance=0.2, **keys), MM)
+        except MeshError:
+            return set()
+
+    assert chosen(torus={"radius": 1.1, "major": 3.1}) == {1}
+    assert chosen(torus={"major": 3.1}) == {1}
+    assert chosen(torus={"radius": 1.1, "major": 3.3}) == set()
+    assert chosen(cylinder={"radius": 2.1, "axis": "y"}) == {2}
+    assert chosen(cylinder={"radius": 2.1, "axis": "z"}) == set()
+    assert chosen(cylinder={"radius": 2.3, "axis": "y"}) == set()
+    assert chosen(cone={"angle": 30}) == {3}
+    assert chosen(cone={"angle": 30.1}) == set()
 
 
 def test_kinds_by_curvature(folder: Path) -> None:
