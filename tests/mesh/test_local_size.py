@@ -135,6 +135,20 @@ def test_finished_meshes_are_divided_there(folder: Path, place) -> None:
     assert any(text.startswith("refined to 1 mm at ") for text in body.information)
 
 
+@pytest.mark.parametrize("center", [[0, 0, 0], [3.1, 1.7, 2.3]], ids=["corner", "inside"])
+def test_places_much_smaller_than_a_cell(folder: Path, center) -> None:
+    """Of six cells those at the place are divided: no refusal, whether it holds a vertex or not."""
+    mesh = {"box": {"size": [8, 8, 8], "cells": [1, 1, 1]}, "unit": "mm"}
+    refine = [{"sphere": {"center": center, "radius": 0.05}, "size": 0.03}]
+    body = body_of(folder, {**mesh, "refine": refine})
+    least, _, most = sizes(body, center, 0, 0.04)
+    assert 0.03 / 4 < least <= most <= 0.03
+    assert body.num_cells < 20_000
+    outside = [{"sphere": {"center": [9, 9, 9], "radius": 0.05}, "size": 0.03}]
+    with pytest.raises(InputError, match=r"refine\[0\]: there is no cell in the sphere"):
+        body_of(folder, {**mesh, "refine": outside})
+
+
 @pytest.mark.parametrize(
     ("refine", "message"),
     [

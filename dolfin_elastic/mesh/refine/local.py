@@ -53,17 +53,17 @@ def refined_locally(body: Body, sizes: Sequence[LocalSize]) -> Body:
     for index, one in enumerate(sizes):
         where = f"mesh.refine[{index}]"
         size = metres(one.size, body.unit.metres)
-        inside = _inside(body, one, where)
-        if not total(body.comm, int(np.count_nonzero(inside))):
-            raise MeshError(f"there is no cell in {one.place()}", where=where)
-        ratio = np.maximum(_edges(body)[inside] / size, 1.0) ** body.dim
-        more = total(body.comm, float(ratio.sum() - np.count_nonzero(inside)))
-        _check_count(body, body.num_cells + more, f"{where}.size")
+        _check_count(body, body.num_cells + _more(body, one, size, where), f"{where}.size")
         information.append(one.words(body.unit))
         while True:
-            marked = np.flatnonzero(_inside(body, one, where) & (_edges(body) > size))
-            if not total(body.comm, len(marked)):
+            inside = _inside(body, one, where)
+            if not total(body.comm, int(np.count_nonzero(inside))):
+                raise MeshError(f"there is no cell in {one.place()}", where=where)
+            marked = np.flatnonzero(inside & (_lengths(body).mean(axis=1) > size))
+            count = total(body.comm, len(marked))
+            if not count:
                 break
+            _check_count(body, body.num_cells + count * (2.0**body.dim - 1.0), f"{where}.size")
             body = _finer(body, marked.astype(np.int32))
     text = f"refined to {', '.join(information)}: {before} cells before"
     return replace(body, information=(*body.information, text))
@@ -85,12 +85,31 @@ def _check_count(body: Body, cells: float, where: str) -> None:
         )
 
 
-def _edges(body: Body) -> FloatArray:
-    """Mean length of the edges of each owned cell [m]."""
+def _more(body: Body, one: LocalSize, size: float, where: str) -> float:
+    """About how many cells more there will be, rather too few than too many. Collective.
+
+    Cells of a region are divided as a whole, those at a surface along it.  A sphere or box may be
+    much smaller than a cell; a cell of edge h fills about h^3/8 (h^2/2) of it.
+    """
+    d, unit, inside = body.dim, body.unit.metres, _inside(body, one, where)
+    along = any(spelling(body, name) not in body.regions for name in one.parts)
+    ratio = np.maximum(_lengths(body)[inside].mean(axis=1) / size, 1.0) ** (d - 1 if along else d)
+    more = total(body.comm, float(ratio.sum() - len(ratio)))
+    if one.sphere is not None:
+        volume = (4.2 if d == 3 else 3.2) * metres(one.sphere.radius, unit) ** d
+    elif one.box is not None:
+        low, high = (_point(body, corner, f"{where}.box") for corner in one.box)
+        volume = float(np.prod(np.abs(high - low)))
+    else:
+        return more
+    return min(more, volume / size**d * (8 if d == 3 else 2))
+
+
+def _lengths(body: Body) -> FloatArray:
+    """Lengths of the edges of each owned cell [m], shape (cells, edges)."""
     corners = cell_corners(body.mesh, body.owned_cells())
     pairs = [(i, j) for i in range(body.dim + 1) for j in range(i)]
-    every = [np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i, j in pairs]
-    return np.asarray(np.mean(every, axis=0))
+    return np.stack([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i, j in pairs], 1)
 
 
 def _inside(body: Body, one: LocalSize, where: str) -> BoolArray:
@@ -99,18 +118,36 @@ def _inside(body: Body, one: LocalSize, where: str) -> BoolArray:
     found = np.zeros(len(cells), dtype=bool)
     for name in one.parts:
         found |= _of_part(body, name, f"{where}.on")
-    corners, unit = cell_corners(body.mesh, cells), body.unit.metres
+    if one.parts:
+        return found
+    corners = cell_corners(body.mesh, cells)
+    found = _distance(body, one, corners, where).min(axis=1, initial=np.inf) <= 0.0
+    if not total(body.comm, int(np.count_nonzero(found))):
+        # The place may lie between the vertices of a cell: these are the cells that may hold it.
+        away = _distance(body, one, corners.mean(axis=1), where)
+        found = away <= _lengths(body).max(axis=1, initial=0.0)
+    return found
+
+
+def _distance(body: Body, one: LocalSize, x: FloatArray, where: str) -> FloatArray:
+    """Distances of points from a sphere or box, 0 within it [m].
+
+    Args:
+        body: The body.
+        one: With the sphere or box.
+        x: Points, shape (..., d).
+        where: Key, for messages.
+    """
     if one.sphere is not None:
         assert one.sphere.center is not None
         center = _point(body, one.sphere.center, f"{where}.sphere.center")
-        radius = metres(one.sphere.radius, unit)
-        found |= np.linalg.norm(corners - center, axis=2).min(axis=1, initial=np.inf) <= radius
-    if one.box is not None:
-        a, b = (_point(body, corner, f"{where}.box") for corner in one.box)
-        low, high = np.minimum(a, b), np.maximum(a, b)
-        outside = np.maximum(np.maximum(low - corners, corners - high).max(axis=2), 0.0)
-        found |= outside.min(axis=1, initial=np.inf) <= 0.0
-    return found
+        radius = metres(one.sphere.radius, body.unit.metres)
+        return np.maximum(np.linalg.norm(x - center, axis=-1) - radius, 0.0)
+    assert one.box is not None
+    a, b = (_point(body, corner, f"{where}.box") for corner in one.box)
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    outside = np.maximum(np.maximum(low - x, x - high), 0.0)
+    return np.asarray(np.linalg.norm(outside, axis=-1))
 
 
 def _point(body: Body, values: Sequence[float | str], where: str) -> FloatArray:
