@@ -269,6 +269,17 @@ def test_the_process_knows_nothing_of_mpi(monkeypatch) -> None:
     assert not Path(f"/proc/{gmsh.pid}").exists()
 
 
+def test_errors_are_those_of_the_question() -> None:
+    """What failed before, and was borne, is not told again."""
+    with gmsh_process(Path("a.geo"), {Path("a.geo"): BOX.encode()}, Permission()) as (gmsh, _):
+        gmsh.ask("load")
+        for number in (77, 99):
+            with pytest.raises(MeshError) as error:
+                gmsh.ask("ask", name="getType", arguments=[2, number])
+            assert str(number) in str(error.value)
+    assert "77" not in str(error.value)
+
+
 def test_the_start_is_quick() -> None:
     """0.21 s on a machine with nothing else to do; the best of three, lest another job decide."""
     times = []

@@ -113,6 +113,7 @@ def test_kinds_by_curvature(folder: Path) -> None:
 def test_each_facet_has_its_face(angle: Body) -> None:
     """The faces divide the boundary; curved cells have their areas to 1e-3."""
     assert angle.faces is not None
+    assert not any(face.samples or face.normals for face in angle.faces.faces.values())
     for number, face in angle.faces.faces.items():
         body = name_parts(angle, surfaces={"s": Selector(faces=(number,))})
         assert face.area is not None

@@ -45,7 +45,7 @@ class CadFace:
         major: Distance of that tube from its axis [m].
         angle: Between axis and surface of a cone [degrees].
         axis: Unit vector along a cylinder, cone or torus; empty of others.
-        samples: Points of the face [m], shape (n, 3).
+        samples: Points of the face [m], shape (n, 3); none once there is a mesh.
         normals: Outward unit normals there, or NaN.
         names: In the file.
     """

@@ -79,7 +79,8 @@ def mesh_cad(
         found.blocks,
         [*found.notes, *shapes["notes"], *notes, *notes_of(permission)],
         [*shapes["information"], *information, *local.information(known)],
-        faces=faces,
+        # Samples tell where faces are before there is a mesh; after that they are a burden.
+        faces=[replace(face, samples=(), normals=()) for face in faces],
     )
 
 

@@ -112,6 +112,9 @@ class _Worker:
             MeshError: Gmsh cannot do it.
         """
         name = self._path.name
+        # Errors of earlier questions, which did no harm there, are no reason for this one's.
+        self._gmsh.logger.stop()
+        self._gmsh.logger.start()
         try:
             return self._tasks[question["do"]](**question["with"])
         except UnicodeDecodeError:
