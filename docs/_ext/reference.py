@@ -180,7 +180,7 @@ def commands() -> str:
 
 # --- messages ---
 
-CODES = {"SolveError": 3, "OutputError": 4}
+CODES = {"SolveError": 3, "ConvergenceError": 3, "StabilityError": 3, "OutputError": 4}
 """Exit codes of errors that are not 2."""
 
 
@@ -206,10 +206,13 @@ def messages() -> str:
 def message(node: ast.Call) -> tuple[str, str, int] | None:
     """Text, advice and exit code of what makes an error; None of other calls."""
     name = node.func.id if isinstance(node.func, ast.Name) else ""
-    if not re.fullmatch(r"(Input|Mesh|Unit|Case|Solve|Output|Restart|Formula)Error", name):
+    kinds = "Input|Mesh|Unit|Case|Solve|Convergence|Stability|Output|Restart|Formula"
+    if not re.fullmatch(rf"({kinds})Error", name):
         return None
     what = text_of(node.args[0]) if node.args else ""
-    advice = next((text_of(one.value) for one in node.keywords if one.arg == "expected"), "")
+    advice = next(
+        (text_of(one.value) for one in node.keywords if one.arg in ("expected", "advice")), ""
+    )
     return (what, advice, CODES.get(name, 2)) if re.search(r"\w{3}", what) else None
 
 

@@ -274,8 +274,18 @@ def portable(case: Case) -> dict[str, Any]:
 
 
 def written_tables(case: Case) -> dict[str, Any]:
-    """As `portable`; empty of a case with Python functions, which no file holds. Not collective."""
+    """As `portable`, for results that may be given away: without the folders of this machine.
+
+    Not collective.
+
+    Returns:
+        The tables; empty of a case with Python functions, which no file holds.
+    """
     tables = portable(case)
+    if case.mesh.file is not None:
+        tables["mesh"]["file"] = Path(case.mesh.file).name
+    if case.output.folder is not None and Path(case.output.folder).is_absolute():
+        tables["output"]["folder"] = Path(case.output.folder).name
     try:
         toml_text(tables)
     except TypeError:

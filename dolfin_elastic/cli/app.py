@@ -67,6 +67,7 @@ Exit codes:
        is still going in that folder; nothing was written
   3    no solution was found; the results so far are complete
   4    results cannot be written
+  5    the run came to its end, but its audit fails: not to be relied on
   6    `converge` has not reached its goal; the results so far are complete
   130  interrupted; the results so far are complete, and `restart` goes on
 """

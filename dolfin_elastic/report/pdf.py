@@ -36,7 +36,7 @@ def print_pdf(page: Path, pdf: Path) -> Path:
     with tempfile.TemporaryDirectory(
         prefix="dolfin-elastic-", ignore_cleanup_errors=True
     ) as profile:
-        draft = Path(profile) / "report.pdf"
+        printed, draft = Path(profile) / "report.pdf", pdf.with_name(f".{pdf.name}.part")
         command = [
             browser,
             "--headless=new",
@@ -46,7 +46,7 @@ def print_pdf(page: Path, pdf: Path) -> Path:
             "--host-resolver-rules=MAP * ~NOTFOUND",  # the page loads nothing; nor does the browser
             f"--user-data-dir={profile}",
             "--no-pdf-header-footer",
-            f"--print-to-pdf={draft}",
+            f"--print-to-pdf={printed}",
             *(["--no-sandbox"] if os.geteuid() == 0 else []),  # it has none for root
             page.resolve().as_uri(),
         ]
@@ -54,11 +54,12 @@ def print_pdf(page: Path, pdf: Path) -> Path:
             done = subprocess.run(command, capture_output=True, timeout=_SECONDS, check=False)
         except (OSError, subprocess.TimeoutExpired) as error:
             raise OutputError(f"no PDF: {browser} has failed: {error}") from None
-        if done.returncode or not draft.is_file():
+        if done.returncode or not printed.is_file():
             last = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
             raise OutputError(f"no PDF: {browser} has failed: {' '.join(last)}")
         try:
-            shutil.copyfile(draft, pdf)
+            shutil.copyfile(printed, draft)
+            draft.replace(pdf)
         except OSError as error:
             raise OutputError(f"cannot write {pdf}: {error.strerror}") from None
     return pdf

@@ -51,7 +51,7 @@ from dolfin_elastic import (
     restart,
     run,
 )
-from dolfin_elastic.case.restart import portable
+from dolfin_elastic.case.restart import portable, written_tables
 from dolfin_elastic.core.errors import RestartError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.problem.state import State, StateCopy
@@ -606,3 +606,8 @@ def test_the_copy_of_a_case_stands_alone(folder: Path) -> None:
     assert copy.mesh.file == str(folder.resolve() / "body.msh")
     assert copy.load[0].curve.at(0.25) == copy.contact[0].curve.at(0.25) == 1.0
     assert portable(copy) == portable(first)
+    tables["output"] = {**tables.get("output", {}), "folder": "/some/where/out"}
+    given_away = written_tables(Case.from_dict(tables, folder))
+    assert given_away["mesh"]["file"] == "body.msh"
+    assert given_away["output"]["folder"] == "out"
+    assert str(folder.resolve()) not in repr(given_away)

@@ -69,6 +69,10 @@ def test_help_is_quick_and_teaches(tmp_path: Path) -> None:
     assert (code, err) == (0, "")
     assert "mpirun -n 4 dolfin-elastic run beam.toml" in out
     assert "Exit codes:" in out
+    assert [int(line.split()[0]) for line in out.splitlines() if re.match(r" +\d+  +\w", line)] == [
+        *range(7),
+        130,
+    ]
     modules = ("numpy", "mpi4py", "dolfinx", "pint", "matplotlib", "pydantic", "ufl")
     probe = (
         f"import sys, dolfin_elastic.cli.app; sys.exit(any(m in sys.modules for m in {modules}))"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,8 @@ from jsonschema import Draft7Validator
 from mpi4py import MPI
 
 from dolfin_elastic.cli.tools.new import TEMPLATES, Kind
+from dolfin_elastic.cli.tools.verify import _write, verify
+from dolfin_elastic.core.errors import CaseError, OutputError
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts processes of its own")
 
@@ -116,6 +119,15 @@ def test_verify_compares_ranks(tmp_path: Path) -> None:
     assert code == 1
     assert re.search(r"DIFFERS\n(.*\n)*\d+ of \d+ numbers differ by more than 0\n$", out)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["tube.toml"]
+
+
+def test_verify_without_mpirun_or_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One message each: the table is a result, which cannot be written."""
+    with pytest.raises(OutputError, match=r"cannot write .*table\.json"):
+        _write(tmp_path / "nowhere" / "table.json", [])
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with pytest.raises(CaseError, match="--ranks: there is no mpirun on the PATH"):
+        verify(ranks="1,2")
 
 
 def test_verify_refuses(tmp_path: Path) -> None:

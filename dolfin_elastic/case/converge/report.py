@@ -79,15 +79,22 @@ def _draw(progress: Progress, path: Path) -> None:
         left.axhline(limit, ls="--", color=_LIMIT, label=f"extrapolated: {limit:.4g}")
         band = progress.tolerance * abs(limit)
         left.axhspan(limit - band, limit + band, color=_LIMIT, alpha=0.12, lw=0)
-    left.set(xscale="log", xlabel="unknowns", title=progress.head)
+    left.set(xscale="log", xlabel="unknowns", title=_plain(progress.head))
     errors = [100 * level.error for level in progress.levels]
     energy = [100 * level.energy_error for level in progress.levels]
-    right.loglog(N, errors, "o-", color=_INK, label=str(progress.quantity))
+    right.loglog(N, errors, "o-", color=_INK, label=_plain(str(progress.quantity)))
     right.loglog(N, energy, "s:", color=_ENERGY, label="in the energy norm")
     right.axhline(100 * progress.tolerance, ls="--", color=_LIMIT, label="wanted")
     right.set(xlabel="unknowns", title="estimated error [%]")
     for axis in (left, right):
         axis.grid(color="#dde1e5")
         axis.legend(fontsize=8)
+    draft = path.with_name(f".{path.stem}.part{path.suffix}")
     with writing(path):
-        figure.savefig(path, dpi=130)
+        figure.savefig(draft, dpi=130)
+        draft.replace(path)
+
+
+def _plain(text: str) -> str:
+    """A text in which matplotlib finds no formula."""
+    return text.replace("$", r"\$")

@@ -56,8 +56,10 @@ def new(
                 where=str(file),
                 expected="choose another name, or --force to overwrite it",
             )
+        draft = file.with_name(f".{file.name}.part")
         try:
-            file.write_text(template(kind, str(file)), encoding="utf-8")
+            draft.write_text(template(kind, str(file)), encoding="utf-8")
+            draft.replace(file)
         except OSError as error:
             raise CaseError(f"cannot be written: {error.strerror}", where=str(file)) from None
     print(f"{file} written; compute it with: dolfin-elastic run {file}")

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json as json_text
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -63,10 +64,18 @@ def verify(
 
     Raises:
         UsageError: Ranks are asked for within mpirun.
+        CaseError: There is no mpirun.
+        OutputError: The table cannot be written.
     """
     counts = _counts(ranks or ("1,2" if case else ""))
     if counts and "OMPI_COMM_WORLD_SIZE" in os.environ:
         raise UsageError("--ranks and --case start mpirun themselves: leave mpirun out.")
+    if max(counts, default=1) > 1 and shutil.which("mpirun") is None:
+        raise CaseError(
+            "there is no mpirun on the PATH",
+            where="--ranks",
+            expected="that of the MPI which mpi4py is built with (Debian: openmpi-bin)",
+        )
     if case is not None:
         raise Exit(_compare(case, counts, tolerance, json))
     rows = []
@@ -78,8 +87,8 @@ def verify(
             _show(row)
     if launched_rank() == 0:
         _end(rows)
-        if json is not None:
-            _write(json, rows)
+    if json is not None:
+        _write(json, rows)
     raise Exit(0 if all(row["passed"] for row in rows) else FAILED)
 
 
@@ -150,11 +159,14 @@ def _end(rows: Sequence[dict[str, Any]]) -> None:
 
 
 def _write(file: Path, table: object) -> None:
+    """Writes a table as JSON. Collective."""
+    from mpi4py import MPI
+
+    from dolfin_elastic.core.parallel import on_root
+    from dolfin_elastic.results.files import replace_text
+
     text = json_text.dumps(table, indent=1, ensure_ascii=False) + "\n"
-    try:
-        file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CaseError(f"cannot be written: {error.strerror}", where=str(file)) from None
+    on_root(MPI.COMM_WORLD, lambda: replace_text(file, text))
 
 
 def _compare(case: Path, counts: Sequence[int], tolerance: float, json: Path | None) -> int:

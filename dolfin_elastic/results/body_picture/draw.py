@@ -65,5 +65,7 @@ def draw_scene(scene: Scene, file: Path) -> None:
             renderer.draw([data], drawn)
         finally:
             renderer.close()
+        draft = file.with_name(f".{file.name}.part")
         with writing(file):
-            file.write_bytes(drawn.read_bytes())
+            draft.write_bytes(drawn.read_bytes())
+            draft.replace(file)

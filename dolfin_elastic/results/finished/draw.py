@@ -18,7 +18,7 @@ from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.pictures.obstacles import obstacle_triangles
 from dolfin_elastic.results.pictures.scene import DIRECTIONS, Scene, label_of, window
-from dolfin_elastic.results.pictures.series import Limits, Series
+from dolfin_elastic.results.pictures.series import Limits, Series, film_times
 
 if TYPE_CHECKING:
     import pyvista
@@ -135,13 +135,13 @@ def film(run: FinishedRun, look: Look, file: Path, *, fps: float, speed: float) 
         InputError: See `draw`.
         OutputError: See `draw`.
     """
+    run.frame()  # there must be one
     with tempfile.TemporaryDirectory() as scratch:
         series = Series(look.limits, marks=look.marks, folder=Path(scratch) / "frames")
         try:
             for step in range(len(run.steps)):
                 series.add(step, _panels(run, look, step))
-            times = [(t - run.steps[0]) / speed for t in run.steps]
-            series.film(file, times, range(len(run.steps)), fps)
+            series.film(file, film_times(run.steps, speed), range(len(run.steps)), fps)
         finally:
             series.close()
 

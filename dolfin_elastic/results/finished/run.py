@@ -33,8 +33,8 @@ class FinishedRun:
     Attributes:
         folder: As given.
         summary: `summary.json`.
-        case: The tables of the case as it was computed, with the curves of CSV files in it and an
-            absolute path of the mesh; empty of a case with Python functions.
+        case: The tables of the case as it was computed, with the curves of CSV files in it and of
+            the mesh's file the name alone; empty of a case with Python functions.
         frames: The steps that `results.xdmf` holds; none where only modes were computed.
         history: Column of `history.csv` to its numbers, shape (rows,), SI units; an empty cell is
             nan, columns of words are left out; empty where only modes were computed.

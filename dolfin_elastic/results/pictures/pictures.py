@@ -32,7 +32,7 @@ from dolfin_elastic.results.pictures.drawn_field import DrawnField, with_ghosts
 from dolfin_elastic.results.pictures.obstacles import obstacle_triangles
 from dolfin_elastic.results.pictures.renderer import RENDERER
 from dolfin_elastic.results.pictures.scene import Scene, View, label_of, window
-from dolfin_elastic.results.pictures.series import FILMS, Limits, Series
+from dolfin_elastic.results.pictures.series import FILMS, Limits, Series, film_times
 from dolfin_elastic.results.pictures.surface import Surface, gather_surface
 from dolfin_elastic.results.writer import LastState, Numbers, StepInterval
 
@@ -213,7 +213,7 @@ class PictureWriter:
             return self._every is not None and self._every.takes(state.step)
         # Half a frame: of states that come more often most would not be seen.
         t = plain(state.t) / self._film.speed_of(state)
-        return not self._times or t - max(self._times.values()) >= 0.5 / self._film.fps
+        return not self._times or abs(t - [*self._times.values()][-1]) >= 0.5 / self._film.fps
 
     def _paint(self, state: State) -> None:
         name = f"{self.path.stem}_{state.step:06d}{self.path.suffix}"
@@ -241,8 +241,7 @@ class PictureWriter:
             self._series.redraw()
         elif self._times:
             numbers = [n for n in self._series.numbers() if n in self._times]
-            begin = min(self._times.values())
-            times = [self._times[n] - begin for n in numbers]
+            times = film_times([self._times[n] for n in numbers], 1.0)
             self._series.film(self.path, times, numbers, self._film.fps)
 
 

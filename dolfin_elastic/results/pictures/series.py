@@ -173,6 +173,19 @@ class Series:
             shutil.rmtree(self._folder, ignore_errors=True)
 
 
+def film_times(states: Sequence[float], speed: float) -> list[float]:
+    """Time of each state in a film [s], the first one 0.
+
+    Along a path whose load falls the film goes on, too.
+
+    Args:
+        states: Their times [s], in statics load parameters.
+        speed: What of these passes in a second of the film.
+    """
+    steps = np.abs(np.diff(np.array(states, dtype=float))) / speed
+    return [0.0, *(float(t) for t in np.cumsum(steps))]
+
+
 def frames_at(times: Sequence[float], fps: float) -> list[int]:
     """Index of the scene that each frame of a film shows: the one whose time is nearest.
 

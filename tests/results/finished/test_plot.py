@@ -26,7 +26,7 @@ from dolfin_elastic.results.finished.curves import (
     line,
     write_csv,
 )
-from dolfin_elastic.results.finished.draw import Clip, Look, draw
+from dolfin_elastic.results.finished.draw import Clip, Look, draw, film
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.outputs import History, Summary, Xdmf
 from dolfin_elastic.results.pictures import renderer
@@ -122,6 +122,13 @@ def test_names_with_dollars_are_no_formulas(folder: Path) -> None:
     curves = Curves(Axis("a$\\x$", x), [Axis("b$_$", x)], r"beam $\frac$")
     draw_curves(curves, folder / "a.svg")
     assert [path.name for path in folder.iterdir()] == ["a.svg"]
+
+
+def test_no_film_of_modes_alone(folder: Path) -> None:
+    """They have no steps."""
+    (folder / "summary.json").write_text("{}")
+    with pytest.raises(InputError, match="it holds no fields of steps"):
+        film(FinishedRun(folder), Look(["displacement"]), folder / "a.mp4", fps=30, speed=1)
 
 
 def test_ranges_as_those_of_pictures() -> None:

@@ -23,7 +23,7 @@ from dolfin_elastic.results.outputs import Picture, limits_of
 from dolfin_elastic.results.pictures import renderer, series
 from dolfin_elastic.results.pictures.obstacles import obstacle_triangles
 from dolfin_elastic.results.pictures.scene import window
-from dolfin_elastic.results.pictures.series import Limits, Series, encode, frames_at
+from dolfin_elastic.results.pictures.series import Limits, Series, encode, film_times, frames_at
 
 
 def scene_of(values: Sequence[float], shift: float = 0.0) -> dict[str, Any]:
@@ -125,6 +125,7 @@ def test_frames_at_uneven_states() -> None:
     """Each frame shows the state that is nearest in time: steps of 0.1 s and of 0.4 s at 10 fps."""
     assert frames_at([0.0, 0.1, 0.2, 0.6, 1.0], 10) == [0, 1, 2, 2, 2, 3, 3, 3, 3, 4, 4]
     assert frames_at([3.0], 10) == [0]
+    assert film_times([0.1, 0.6, 0.4], 0.5) == pytest.approx([0.0, 1.0, 1.4])  # a load that falls
 
 
 def probe(file: Path) -> dict[str, Any]:
