@@ -18,8 +18,10 @@ from helpers.processes import PROGRAM, cli, ranks_of, started
 from mpi4py import MPI
 
 from dolfin_elastic import __version__
+from dolfin_elastic.cli.run import _written
 from dolfin_elastic.core.errors import CaseError
 from dolfin_elastic.core.petsc_options import parse_arguments
+from dolfin_elastic.results.files import replace_text
 
 pytestmark = pytest.mark.skipif(
     MPI.COMM_WORLD.size > 1, reason="starts mpirun itself, which cannot be nested"
@@ -206,6 +208,17 @@ def test_only_own_files_are_listed(folder: Path) -> None:
         "summary.json",
         "notes.txt",
     }
+
+
+def test_a_summary_of_another_run_is_told_from_ones_own(tmp_path: Path) -> None:
+    """`--json` prints what this run has written, also where the text is the same."""
+    found = [_written(tmp_path)]
+    for _ in range(2):
+        replace_text(tmp_path / "summary.json", "{}")
+        found.append(_written(tmp_path))
+    assert found[0] is None
+    assert len(set(found)) == 3
+    assert _written(tmp_path) == found[-1]
 
 
 def test_quiet_and_folder(folder: Path) -> None:
