@@ -134,6 +134,7 @@ def test_a_case_with_a_fault_is_shown_all_the_same(folder: Path, wrong, note) ->
     assert any(re.search(note, one) for one in found.notes)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not shutil.which("Xvfb"), reason="pictures need Xvfb")
 def test_picture_of_a_case(folder: Path) -> None:
     """Two views side by side; supports green, loads red and the obstacle's violet are in both."""

@@ -211,6 +211,7 @@ def test_a_solver_goes_on(name: str, folder: Path) -> None:
         assert len(limits[-1]) == 2
 
 
+@pytest.mark.long
 @ALONE
 def test_a_solver_goes_on_after_failures(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Steps were made smaller, and an equilibrium beyond the snap, found early, is come back to."""

@@ -167,6 +167,7 @@ def test_small_strains_of_a_neo_hookean_typed_by_hand():
     assert values["nu"] == pytest.approx(NU, rel=1e-12)
 
 
+@pytest.mark.long
 def test_infinite_moduli_are_tried_as_large_ones():
     law = SplitEnergy(lambda I1bar, mu: mu / 2 * (I1bar - 3), mu=1e6, K=1e6, volumetric="log")
     endless = law.model_copy(update={"K": float("inf")})

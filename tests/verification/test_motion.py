@@ -58,6 +58,7 @@ def test_the_flag_at_rest(mu, published, comm, folder):
     assert found[0] == pytest.approx(published[0], rel=4e-3)  # goes with the square of u_y
 
 
+@pytest.mark.long
 def test_the_flag_swings():
     """CSM3 at 0.25, 0.5 and 1 s [mm], within 0.3 % of the amplitude, by steps of 10 ms.
 

@@ -124,6 +124,7 @@ def check_files(folder: Path, progress: Progress) -> None:
     assert on_root(WORLD, lambda: (folder / "converge.png").stat().st_size) > 10_000
 
 
+@pytest.mark.long
 def test_reentrant_corner(tmp_path: Path) -> None:
     """The stress at the corner of an L grows like h^-0.456 and is given up, with the reason.
 

@@ -88,6 +88,7 @@ def test_energy_stress_and_tangent(name):
     compare(law_of(name), states, 1e-8)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("serial_only")
 def test_fibres_that_bear_compression_are_smooth():
     law = law_of("holzapfel-gasser-ogden", slack=False, fibre2=None)

@@ -617,6 +617,7 @@ def test_too_few_iterations():
     assert "max_iterations" in found.advice
 
 
+@pytest.mark.long
 def test_motion():
     """A support that goes through the body within two steps: cells invert, whatever the step.
 

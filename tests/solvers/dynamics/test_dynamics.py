@@ -330,6 +330,7 @@ def test_motion_needs_a_density():
         _ = [*Dynamics(problem, end=1.0, dt=0.1).steps()]
 
 
+@pytest.mark.long
 def test_adaptive_steps_with_moving_supports():
     """Tightened tolerance, the same motion; prescribed places are met although steps vary."""
     body = rectangle_body(size=(1.0, 0.5), cells=(4, 2))
