@@ -205,7 +205,11 @@ def test_a_solver_goes_on(name: str, folder: Path) -> None:
         found = newest_checkpoint(WORLD, folder / str(step))
         assert found is not None
         again = list(Statics(make(), **keys).steps(found))
-        check_same([row(state) for state in again], known[step + 1 :])
+        # A preconditioner that is kept across load steps is set up anew by a restart: each of the
+        # two is balanced to 1e-8.
+        iterative = name == "iterative"
+        near, but = (1e-8, ["krylov"]) if iterative else (NEAR, [])
+        check_same([row(state) for state in again], known[step + 1 :], near, but)
         assert [state.limit_points for state in again] == pytest.approx(limits[step + 1 :])
     if name == "arc-length":
         assert len(limits[-1]) == 2
