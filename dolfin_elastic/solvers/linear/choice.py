@@ -1,9 +1,10 @@
 """Which KSP and PC solve the linear systems, and why.
 
 Small systems are factorised (MUMPS).  Large ones are solved by conjugate gradients, or by GMRES
-when the tangent is not symmetric, with multigrid that knows the rigid-body modes: algebraic
-(GAMG) for linear elements; for quadratic ones a first coarsening from quadratic to linear
-elements (PCMG), then the same.  A pressure is split off (PCFIELDSPLIT).
+when the tangent is not symmetric, with multigrid that knows the rigid-body modes: smoothed
+aggregation for linear elements; for quadratic ones a first coarsening from quadratic to linear
+elements, then the same.  It is our own, see `hierarchy`; with options of PETSc's multigrid, PCMG
+and GAMG do the same.  A pressure is split off (PCFIELDSPLIT).
 """
 
 from __future__ import annotations
@@ -45,6 +46,9 @@ GAMG: dict[str, PetscValue] = {
     "mg_levels_ksp_max_it": 1,
     "mg_levels_pc_type": "pbjacobi",
 }
+
+BLOCKS: dict[str, PetscValue] = {"pc_type": "python"}
+"""Multigrid in blocks, see `hierarchy.Multigrid`, which is set up by no option."""
 
 P_MULTIGRID: dict[str, PetscValue] = {
     "pc_type": "mg",
@@ -123,15 +127,17 @@ def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) 
         kind = "Cholesky-like LDL^T" if symmetric else "LU"
         return Choice(True, factorising(symmetric), f"direct solver (MUMPS, {kind}): {size}")
     krylov = "CG" if symmetric and not mixed else "GMRES"
-    grid = (
-        "GAMG with rigid-body modes"
-        if problem.degree == 1
-        else "multigrid from quadratic to linear elements, then GAMG with rigid-body modes"
-    )
+    grid = grids(problem.degree)
     if mixed:
         grid = f"pressure by its mass matrix, displacement by {grid}"
     options = _iterative(problem, symmetric and not mixed)
     return Choice(False, options, f"iterative solver ({krylov}, {grid}): {size}")
+
+
+def grids(degree: int) -> str:
+    """The levels of multigrid in words."""
+    above = "multigrid from quadratic to linear elements, then" if degree > 1 else "multigrid"
+    return f"{above} by aggregates with rigid-body modes"
 
 
 def factorising(symmetric: bool) -> dict[str, PetscValue]:
@@ -160,12 +166,26 @@ def _iterative(problem: Problem, symmetric: bool) -> dict[str, PetscValue]:
     }
     if not symmetric:
         krylov |= GMRES
-    inner = multigrid(problem.degree)
     if problem.unknowns.auxiliary_fields:
-        return krylov | SCHUR | {f"fieldsplit_u_{name}": value for name, value in inner.items()}
-    return krylov | inner
+        return krylov | SCHUR | {f"fieldsplit_u_{name}": value for name, value in BLOCKS.items()}
+    return krylov | BLOCKS
 
 
-def multigrid(degree: int) -> dict[str, PetscValue]:
-    """Options of the preconditioner of a displacement of degree 1 or 2."""
-    return GAMG if degree == 1 else P_MULTIGRID
+def petsc_multigrid(options: PetscOptions, users: PetscOptions, degree: int) -> PetscOptions:
+    """PETSc's multigrid in place of ours, where options of the user shape it.
+
+    Args:
+        options: PETSc's, among which ours may be.
+        users: Those of the user, without prefix.
+        degree: Of the displacement.
+
+    Returns:
+        Options to be changed; none where the user gives no options of levels.
+    """
+    [*ours] = (name for name, value in options.items() if value == BLOCKS["pc_type"])
+    prefix = ours[0].removesuffix("pc_type") if ours else ""
+    shaping = tuple(prefix + name for name in ("pc_gamg_", "pc_mg_", "mg_levels_", "mg_coarse_"))
+    if not ours or not any(name.startswith(shaping) for name in users):
+        return {}
+    theirs = GAMG if degree == 1 else P_MULTIGRID
+    return {prefix + name: value for name, value in theirs.items()}

@@ -10,7 +10,8 @@ from petsc4py import PETSc
 
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.age import Age
-from dolfin_elastic.solvers.linear.choice import GMRES, LAST_DIRECT, factorising
+from dolfin_elastic.solvers.linear.choice import GMRES, LAST_DIRECT, factorising, petsc_multigrid
+from dolfin_elastic.solvers.linear.hierarchy import Multigrid
 from dolfin_elastic.solvers.linear.multigrid import PMultigrid, rigid_body_modes
 from dolfin_elastic.solvers.linear.schur import PressureSplit
 from dolfin_elastic.solvers.messages import in_words
@@ -41,11 +42,12 @@ class LinearSolver:
         self, assembler: Assembler, options: Options, ksp: PETSc.KSP, snes: PETSc.SNES
     ) -> None:
         self._assembler, self._options, self.ksp, self._snes = assembler, options, ksp, snes
-        self._parts: PMultigrid | PressureSplit | None = None
+        self._parts: Multigrid | PMultigrid | PressureSplit | None = None
         self._prepared, self.direct, self.left_gradients = False, False, False
         self._age: Age | None = None
         self._rtol = 0.0  # of the last solve; 0 where there was none
         self._each = False  # the preconditioner is set up for each tangent
+        options.update(petsc_multigrid(options.all, options.users, assembler.problem.degree))
 
     def set_up(self) -> None:
         """Reads the options in force and attaches multigrid and near null space. Collective."""
@@ -57,6 +59,8 @@ class LinearSolver:
         problem, pc = self._assembler.problem, self.ksp.getPC()
         if pc.getType() == "fieldsplit" and problem.mixed:
             self._parts = PressureSplit(self._assembler, pc)
+        elif pc.getType() == "python":
+            self._parts = Multigrid(problem, pc)
         elif pc.getType() == "mg" and problem.degree > 1 and not problem.unknowns.auxiliary_fields:
             self._parts = PMultigrid(problem, pc)
         elif not self.direct:
@@ -142,12 +146,13 @@ class LinearSolver:
         self._prepared, self._rtol = False, 0.0
         if self._age is not None:
             self._age.forget()
-        if self._parts is not None:
+        if isinstance(self._parts, PMultigrid | PressureSplit):
             # A reset of the whole PC would lose interpolation and splits.
             self._parts.refresh()
-        else:
+            return
+        if self._parts is None:
             self._set_modes()
-            self.ksp.getPC().reset()
+        self.ksp.getPC().reset()
 
     def fall_back(self, reason: str) -> bool:
         """Goes to a more robust linear solver. Collective.

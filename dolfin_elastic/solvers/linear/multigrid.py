@@ -9,7 +9,8 @@ Comput. Phys. 188 (2003) 593.
 from __future__ import annotations
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic.core.compat import interpolation_matrix
@@ -244,13 +245,33 @@ def _from_entries(
         square: It has as many columns as rows.
     """
     (size, _), (width, _) = like.getSizes()
-    by_row = np.argsort(rows, kind="stable")
-    start = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=size))])
     bs = like.getBlockSizes()
+    sizes = ((size, None), (size if square else width, None))
+    return aij(like.comm, sizes, (bs[0], bs[0] if square else bs[1]), (rows, columns, values))
+
+
+def aij(
+    comm: MPI.Comm | PETSc.Comm,
+    sizes: tuple[tuple[int, None], tuple[int, None]],
+    bs: tuple[int, int],
+    entries: tuple[IndexArray | IntArray, IndexArray | IntArray, FloatArray],
+) -> PETSc.Mat:
+    """An AIJ matrix of given entries. Collective.
+
+    Args:
+        comm: The ranks.
+        sizes: Owned rows and columns, as PETSc takes them.
+        bs: Sizes of blocks of rows and columns.
+        entries: Rows, counted from this rank's first, global columns, and values; none is there
+            twice.
+    """
+    rows, columns, values = entries
+    by_row = np.argsort(rows, kind="stable")
+    start = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=sizes[0][0]))])
     matrix = PETSc.Mat().createAIJ(
-        ((size, None), (size if square else width, None)),
-        bsize=(bs[0], bs[0] if square else bs[1]),
-        comm=like.comm,
+        sizes,
+        bsize=bs,
+        comm=comm,
         csr=(
             start.astype(PETSc.IntType),
             columns[by_row].astype(PETSc.IntType),
@@ -261,6 +282,26 @@ def _from_entries(
     return matrix
 
 
+def mode_values(V: fem.FunctionSpace, u: FloatArray | None = None) -> FloatArray:
+    """Translations and rotations at owned nodes of a vector space, of shape (nodes, dim, modes).
+
+    Args:
+        V: Blocked vector space of 2 or 3 components.
+        u: Local displacement array [m]: rotations are taken about the current places X + u,
+            without which multigrid loses half its speed after a rotation by 60 degrees.
+    """
+    dim, size = V.dofmap.index_map_bs, V.dofmap.index_map.size_local
+    x = V.tabulate_dof_coordinates()[:size, :dim].copy()
+    if u is not None:
+        x += u[: dim * size].reshape(-1, dim)
+    planes = [(0, 1)] if dim == 2 else [(0, 1), (1, 2), (2, 0)]
+    modes = np.zeros((size, dim, dim + len(planes)))
+    modes[:, range(dim), range(dim)] = 1.0
+    for k, (i, j) in enumerate(planes, start=dim):
+        modes[:, i, k], modes[:, j, k] = -x[:, j], x[:, i]
+    return modes
+
+
 def rigid_body_modes(
     V: fem.FunctionSpace, u: FloatArray | None = None, order: IndexArray | None = None
 ) -> PETSc.NullSpace:
@@ -269,33 +310,42 @@ def rigid_body_modes(
     Collective.  The caller destroys it.
 
     Args:
-        V: Blocked vector space of 2 or 3 components.
-        u: Local displacement array [m]: rotations are taken about the current places X + u,
-            without which GAMG loses half its speed after a rotation by 60 degrees.
+        V: See `mode_values`.
+        u: See `mode_values`.
         order: Owned entry of V behind each entry of the modes; None: they are the same.
     """
-    dim, index_map = V.dofmap.index_map_bs, V.dofmap.index_map
-    size = index_map.size_local
-    x = V.tabulate_dof_coordinates()[:size, :dim].copy()
-    if u is not None:
-        x += u[: dim * size].reshape(-1, dim)
-    planes = [(0, 1)] if dim == 2 else [(0, 1), (1, 2), (2, 0)]
-    modes = [la.vector(index_map, bs=dim) for _ in range(dim + len(planes))]
-    for k, mode in enumerate(modes):
-        rows = mode.array[: dim * size].reshape(-1, dim)
-        if k < dim:
-            rows[:, k] = 1.0
-        else:
-            i, j = planes[k - dim]
-            rows[:, i], rows[:, j] = -x[:, j], x[:, i]
-    la.orthonormalize(modes)
-    comm = V.mesh.comm
-    vectors = []
-    for mode in modes:
-        own = mode.array[: dim * size]
-        vector = PETSc.Vec().createMPI((dim * size, None), bsize=dim, comm=comm)
-        vector.array_w[:] = own if order is None else own[order]
-        vectors.append(vector)
+    values = mode_values(V, u)
+    return near_null_space(V.mesh.comm, values if order is None else reordered(values, order))
+
+
+def reordered(modes: FloatArray, order: IndexArray) -> FloatArray:
+    """Modes with their components in another order.
+
+    Args:
+        modes: Of shape (nodes, components, modes).
+        order: The component behind each one of the result.
+    """
+    return modes.reshape(-1, modes.shape[2])[order].reshape(modes.shape)
+
+
+def near_null_space(comm: MPI.Comm, modes: FloatArray) -> PETSc.NullSpace:
+    """Modes, made orthonormal, as a near null space. Collective.
+
+    The caller destroys it.
+
+    Args:
+        comm: The ranks.
+        modes: At owned nodes, of shape (nodes, components, modes).
+    """
+    nodes, dim, count = modes.shape
+    vectors = [
+        PETSc.Vec().createMPI((nodes * dim, None), bsize=dim, comm=comm) for _ in range(count)
+    ]
+    for k, vector in enumerate(vectors):
+        vector.array_w[:] = modes[:, :, k].reshape(-1)
+        for other in vectors[:k]:
+            vector.axpy(-vector.dot(other), other)
+        vector.normalize()
     space = PETSc.NullSpace().create(vectors=vectors, comm=comm)
     for vector in vectors:
         vector.destroy()

@@ -21,6 +21,7 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.weak_form import UNUSED
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
+from dolfin_elastic.solvers.linear.hierarchy import Multigrid
 from dolfin_elastic.solvers.linear.multigrid import PMultigrid, renew, rigid_body_modes
 
 SOFTER = 4.0
@@ -61,9 +62,14 @@ class PressureSplit:
             K = self._ksp.getOperators()[1]
             K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             K.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
-        self._multigrid: PMultigrid | None = None
+        self._multigrid: Multigrid | PMultigrid | None = None
         inner = self._ksp.getPC()
-        if inner.getType() == "mg" and self._problem.degree > 1:
+        if inner.getType() == "python" and self._u.getBlockSize() == 1:
+            inner.setType("gamg")  # multigrid in blocks needs the rows of a node together
+            self._set_modes()
+        elif inner.getType() == "python":
+            self._multigrid = Multigrid(self._problem, inner, self._order)
+        elif inner.getType() == "mg" and self._problem.degree > 1:
             self._multigrid = PMultigrid(self._problem, inner, self._order)
         else:
             self._set_modes()
@@ -83,11 +89,12 @@ class PressureSplit:
 
     def refresh(self) -> None:
         """Rebuilds multigrid, with the rigid-body modes of the current places."""
-        if self._multigrid is not None:
+        if isinstance(self._multigrid, PMultigrid):
             self._multigrid.refresh()
-        else:
+            return
+        if self._multigrid is None:
             self._set_modes()
-            renew(self._ksp)
+        renew(self._ksp)
 
     def solve_softer(self, b: PETSc.Vec, rtol: float, most: int) -> int:
         """Solves with the tangent of `SofterVolume` by conjugate gradients. Collective.

@@ -7,17 +7,20 @@ They are in the library that petsc4py itself has loaded:
 | PetscOptionsUsed | the report of options that nothing asked for |
 | SNESSetLagPreconditioner | preconditioners that others than SNES set up |
 | MatMPIAIJGetSeqAIJ, MatSeqAIJGetArray, MatSeqAIJRestoreArray | assembly without MatSetValues |
+| MatSeqAIJGetCSRAndMemType | entries of a matrix without a copy |
 | TSGetAdapt, TSAdaptCandidatesClear, TSAdaptCandidateAdd, TSAdaptChoose | the next time step |
 """
 
 from __future__ import annotations
 
 import ctypes
+from dataclasses import dataclass
 from functools import lru_cache
 
+import numpy as np
 from petsc4py import PETSc
 
-from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
 
 
 @lru_cache(maxsize=1)
@@ -55,6 +58,77 @@ def leave_preconditioner(snes: PETSc.SNES) -> None:
     """
     integer = ctypes.c_int if PETSc.IntType().itemsize == 4 else ctypes.c_int64
     _check(_library().SNESSetLagPreconditioner(ctypes.c_void_p(snes.handle), integer(-1)))
+
+
+@dataclass(frozen=True)
+class Compressed:
+    """A matrix on one rank by compressed rows, as PETSc stores it: valid while that matrix is.
+
+    Attributes:
+        start: Where each row begins, and the last one ends.
+        columns: Of each entry.
+        values: The entries.
+    """
+
+    start: IntArray
+    columns: IndexArray
+    values: FloatArray
+
+
+def parts_of_aij(matrix: PETSc.Mat) -> tuple[Compressed, Compressed, IntArray]:
+    """The entries of an AIJ matrix in columns that this rank owns, and those in others. Collective.
+
+    Args:
+        matrix: Assembled.
+
+    Returns:
+        Both, by columns counted from the first of each, and the global columns of the others.
+    """
+    rows = matrix.getLocalSize()[0]
+    if matrix.getType() == "seqaij":
+        none = np.empty(0)
+        empty = Compressed(np.zeros(rows + 1, np.int64), none.astype(np.int32), none)
+        return _compressed(matrix.handle, rows), empty, none.astype(np.int64)
+    own, others, numbers = ctypes.c_void_p(), ctypes.c_void_p(), ctypes.c_void_p()
+    _check(
+        _library().MatMPIAIJGetSeqAIJ(
+            ctypes.c_void_p(matrix.handle),
+            *(ctypes.byref(pointer) for pointer in (own, others, numbers)),
+        )
+    )
+    assert own.value is not None
+    assert others.value is not None
+    far = _compressed(others.value, rows)
+    count = int(far.columns.max(initial=-1)) + 1
+    columns = _view(numbers, count, PETSc.IntType).astype(np.int64)
+    return _compressed(own.value, rows), far, columns
+
+
+def _compressed(handle: int, rows: int) -> Compressed:
+    start, columns, values = (ctypes.c_void_p() for _ in range(3))
+    _check(
+        _library().MatSeqAIJGetCSRAndMemType(
+            ctypes.c_void_p(handle),
+            *(ctypes.byref(pointer) for pointer in (start, columns, values)),
+            None,
+        )
+    )
+    begins = _view(start, rows + 1, PETSc.IntType).astype(np.int64)
+    entries = int(begins[-1])
+    return Compressed(
+        begins,
+        _view(columns, entries, PETSc.IntType).astype(np.int32, copy=False),
+        _view(values, entries, np.float64),
+    )
+
+
+def _view(pointer: ctypes.c_void_p, count: int, kind: type) -> AnyArray:
+    """An array in memory of PETSc."""
+    if not count:
+        return np.empty(0, dtype=kind)
+    kinds = {4: ctypes.c_int32, 8: ctypes.c_int64}
+    c_type = ctypes.c_double if kind is np.float64 else kinds[np.dtype(kind).itemsize]
+    return np.ctypeslib.as_array(ctypes.cast(pointer, ctypes.POINTER(c_type)), (count,))
 
 
 def overwrite_aij(matrix: PETSc.Mat, own: FloatArray, others: FloatArray) -> None:

@@ -53,7 +53,9 @@ class FileMonitors:
         fault = on_root(comm, lambda: _why_not_written(file))
         if fault:
             raise InputError(
-                f"the file {file} cannot be written: {fault}", where=f"PETSc option -{name}"
+                f"the file {file} cannot be written: {fault}",
+                where=f"PETSc option -{name}",
+                expected="a folder you may write to",
             )
         viewer = PETSc.Viewer().createASCII(file, mode=PETSc.Viewer.Mode.WRITE, comm=comm)
         self._viewers.append(viewer)

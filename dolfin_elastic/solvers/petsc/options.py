@@ -26,6 +26,10 @@ class Options:
         defaults: Option to value; True and None stand for options without a value.
         users: The same, from the user, with or without the prefix; they win.
 
+    Attributes:
+        users: As given, without prefix.
+        all: What is in force.
+
     Raises:
         InputError: A key of the case stands for one of the user's.
     """
@@ -33,7 +37,7 @@ class Options:
     def __init__(self, defaults: PetscOptions, users: PetscOptions) -> None:
         self.users = {name.lstrip("-").removeprefix(PREFIX): value for name, value in users.items()}
         refuse_case_keys(self.users, "solver.petsc")
-        self._all = {**defaults, **self.users}
+        self.all = {**defaults, **self.users}
         self._reported = False
         self._uses: list[dict[str, PetscValue]] = []
         self._used: set[str] = set()
@@ -49,7 +53,7 @@ class Options:
             more: Further options for this once; the user's win.
         """
         database = PETSc.Options()
-        merged = {**self._all, **more, **self.users}
+        merged = {**self.all, **more, **self.users}
         for name, value in merged.items():
             database[PREFIX + name] = _text(value)
         self._uses.append(merged)
@@ -73,7 +77,7 @@ class Options:
         Returns:
             The option and its value; nothing where the user has not given it.
         """
-        self._all.pop(name, None)
+        self.all.pop(name, None)
         return {name: self.users.pop(name)} if name in self.users else {}
 
     def update(self, defaults: PetscOptions) -> None:
@@ -82,7 +86,7 @@ class Options:
         Args:
             defaults: Option, without prefix, to value.
         """
-        self._all = {**self._all, **defaults, **self.users}
+        self.all = {**self.all, **defaults, **self.users}
 
     @contextmanager
     def input_errors(self) -> Iterator[None]:

@@ -1,0 +1,729 @@
+"""The C code of multigrid in blocks: products of matrices, aggregates, and the cycle.
+
+Sizes of blocks are macros: DIM components of a node's displacement and MODES rigid-body modes of an
+aggregate.  Matrices are as in `block_rows.BlockRows`; in the cycle their blocks have single
+precision, which halves what is read from memory, and vectors double.
+"""
+
+from __future__ import annotations
+
+DECLARATIONS = """
+int64_t count_blocks(int64_t n, int64_t R, const int64_t* start, const int32_t* columns,
+        const int64_t* far_start, const int32_t* far_columns, const int32_t* node,
+        const int32_t* far_node, int32_t* mark, int64_t* block_start);
+int64_t fill_blocks(int64_t n, int64_t R, int64_t C, const int64_t* start, const int32_t* columns,
+        const double* values, const int64_t* far_start, const int32_t* far_columns,
+        const double* far_values, const int32_t* node, const int32_t* far_node,
+        const int8_t* component, const int8_t* far_component, int64_t* place,
+        const int64_t* block_start, int32_t* block_columns, double* blocks);
+int64_t invert_diagonal(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
+        const double* blocks, double* inverse);
+int64_t connections(int64_t n, int64_t R, const int64_t* start, const int32_t* columns,
+        const double* blocks, double* diagonal, float* strong, const double* threshold);
+int64_t aggregate(int64_t n, const int64_t* start, const int32_t* columns, const float* strong,
+        int32_t* member);
+int64_t hold_fixed(int64_t n, int64_t R, int64_t C, const int64_t* start, const int32_t* columns,
+        const double* blocks, double* modes);
+int64_t orthonormalise(int64_t n, int64_t R, int64_t C, int64_t aggregates, const int32_t* member,
+        double* modes, double* factors, double* work);
+int64_t count_smoothed(int64_t n, const int64_t* start, const int32_t* columns,
+        const float* strong, const int32_t* member, int32_t* mark, int64_t* p_start);
+int64_t fill_smoothed(int64_t R, int64_t C, int64_t n, const int64_t* start,
+        const int32_t* columns, const double* blocks, const float* strong, const double* inverse,
+        const double* modes, const double* turned, const double* tentative, const int32_t* member,
+        const double* omega, int64_t* place, const int64_t* p_start, int32_t* p_columns,
+        double* p_blocks);
+int64_t product_pattern(int64_t n, const int64_t* a_start, const int32_t* a_columns,
+        const int64_t* b_start, const int32_t* b_columns, int32_t* mark, int64_t* start,
+        int32_t* columns, int64_t fill);
+int64_t galerkin(int64_t R, int64_t C, int64_t n, const int64_t* start, const int32_t* columns,
+        const double* blocks, const int64_t* p_start, const int32_t* p_columns,
+        const double* p_blocks, const int64_t* c_start, const int32_t* c_columns, double* coarse,
+        int32_t* place, int32_t* list, double* w);
+int64_t in_single_precision(int64_t count, int64_t R, int64_t C, const double* blocks,
+        float* out);
+int64_t into_single_precision(int64_t count, int64_t R, int64_t C, double* blocks);
+int64_t smooth(int64_t R, int64_t n, const int64_t* start, const int32_t* columns, const float* a,
+        const float* inverse, const double* x, const double* b, double* y);
+int64_t smooth_first(int64_t R, int64_t n, const float* inverse, const double* b, double* y);
+int64_t restrict_residual(int64_t R, int64_t C, int64_t n, const int64_t* start,
+        const int32_t* columns, const float* a, const double* x, const double* b,
+        const int64_t* p_start, const int32_t* p_columns, const float* p, double* coarse);
+int64_t prolong(int64_t R, int64_t C, int64_t n, const int64_t* p_start, const int32_t* p_columns,
+        const float* p, const double* e, double* x);
+"""
+
+SOURCE = r"""
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#define INLINE static inline __attribute__((always_inline))
+
+typedef float float4 __attribute__((vector_size(16), aligned(4)));
+typedef double double4 __attribute__((vector_size(32), aligned(8)));
+
+/* Sizes of blocks are constants of the inlined functions. */
+#define DISPATCH(R, C, f, ...)                                                                     \
+  do                                                                                               \
+  {                                                                                                \
+    if (R == DIM && C == DIM)                                                                      \
+      f(DIM, DIM, __VA_ARGS__);                                                                    \
+    else if (R == DIM && C == MODES)                                                               \
+      f(DIM, MODES, __VA_ARGS__);                                                                  \
+    else if (R == MODES && C == MODES)                                                             \
+      f(MODES, MODES, __VA_ARGS__);                                                                \
+    else                                                                                           \
+      return -1;                                                                                   \
+  } while (0)
+
+/* Blocks of each node's rows.  Of own and of other columns `node` is that of each column. */
+int64_t count_blocks(int64_t n, int64_t R, const int64_t* start, const int32_t* columns,
+                     const int64_t* far_start, const int32_t* far_columns, const int32_t* node,
+                     const int32_t* far_node, int32_t* mark, int64_t* block_start)
+{
+  block_start[0] = 0;
+  for (int64_t i = 0; i < n; i++)
+  {
+    int64_t count = 0;
+    for (int64_t e = start[i * R]; e < start[(i + 1) * R]; e++)
+      if (mark[node[columns[e]]] != i)
+      {
+        mark[node[columns[e]]] = (int32_t)i;
+        count++;
+      }
+    for (int64_t e = far_start[i * R]; e < far_start[(i + 1) * R]; e++)
+      if (mark[far_node[far_columns[e]]] != i)
+      {
+        mark[far_node[far_columns[e]]] = (int32_t)i;
+        count++;
+      }
+    block_start[i + 1] = block_start[i] + count;
+  }
+  return 0;
+}
+
+INLINE int64_t put(int64_t r, int64_t R, int64_t C, int64_t first, int64_t last,
+                   const int32_t* columns, const double* values, const int32_t* node,
+                   const int8_t* component, int64_t* place, int64_t begin, int64_t next,
+                   int32_t* block_columns, double* blocks)
+{
+  for (int64_t e = first; e < last; e++)
+  {
+    const int32_t j = node[columns[e]];
+    int64_t k = place[j];
+    if (k < begin || k >= next || block_columns[k] != j)
+    {
+      k = place[j] = next++;
+      block_columns[k] = j;
+      memset(blocks + k * R * C, 0, sizeof(double) * R * C);
+    }
+    blocks[(k * R + r) * C + component[columns[e]]] += values[e];
+  }
+  return next;
+}
+
+/* The same blocks.  Of own and of other columns `component` is the one of each column. */
+int64_t fill_blocks(int64_t n, int64_t R, int64_t C, const int64_t* start, const int32_t* columns,
+                    const double* values, const int64_t* far_start, const int32_t* far_columns,
+                    const double* far_values, const int32_t* node, const int32_t* far_node,
+                    const int8_t* component, const int8_t* far_component, int64_t* place,
+                    const int64_t* block_start, int32_t* block_columns, double* blocks)
+{
+  for (int64_t i = 0; i < n; i++)
+  {
+    int64_t next = block_start[i];
+    for (int64_t r = 0; r < R; r++)
+    {
+      const int64_t row = i * R + r;
+      next = put(r, R, C, start[row], start[row + 1], columns, values, node, component, place,
+                 block_start[i], next, block_columns, blocks);
+      next = put(r, R, C, far_start[row], far_start[row + 1], far_columns, far_values, far_node,
+                 far_component, place, block_start[i], next, block_columns, blocks);
+    }
+  }
+  return 0;
+}
+
+/* Inverse blocks of the diagonal; a direction without stiffness is left alone. */
+INLINE void invert_diagonal_(const int R, const int C, int64_t n, const int64_t* start,
+                             const int32_t* columns, const double* blocks, double* inverse)
+{
+  (void)C;
+  for (int64_t i = 0; i < n; i++)
+  {
+    double a[R][R], *b = inverse + i * R * R;
+    memset(a, 0, sizeof(a));
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+      if (columns[k] == i)
+        memcpy(a, blocks + k * R * R, sizeof(a));
+    double largest = 0.0;
+    for (int r = 0; r < R; r++)
+      largest = fmax(largest, fabs(a[r][r]));
+    for (int r = 0; r < R; r++)
+      for (int c = 0; c < R; c++)
+        b[r * R + c] = r == c;
+    for (int p = 0; p < R; p++)
+    {
+      if (!(fabs(a[p][p]) > 1e-13 * largest))
+      {
+        for (int c = 0; c < R; c++)
+        {
+          a[p][c] = p == c;
+          b[p * R + c] = 0.0;
+        }
+        for (int r = 0; r < R; r++)
+          if (r != p)
+            a[r][p] = 0.0;
+        continue;
+      }
+      const double f = 1.0 / a[p][p];
+      for (int c = 0; c < R; c++)
+      {
+        a[p][c] *= f;
+        b[p * R + c] *= f;
+      }
+      for (int r = 0; r < R; r++)
+      {
+        if (r == p)
+          continue;
+        const double g = a[r][p];
+        for (int c = 0; c < R; c++)
+        {
+          a[r][c] -= g * a[p][c];
+          b[r * R + c] -= g * b[p * R + c];
+        }
+      }
+    }
+  }
+}
+int64_t invert_diagonal(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
+                        const double* blocks, double* inverse)
+{
+  DISPATCH(R, R, invert_diagonal_, n, start, columns, blocks, inverse);
+  return 0;
+}
+
+
+static inline double square(int64_t size, const double* block)
+{
+  double sum = 0.0;
+  for (int64_t k = 0; k < size; k++)
+    sum += block[k] * block[k];
+  return sum;
+}
+
+/* strong[k] = |A_ij|^2 / (|A_ii| |A_jj|) where that is above threshold^2, else minus that; 0 on the
+   diagonal.  The diagonal of nodes of other ranks is taken to be that of node i. */
+int64_t connections(int64_t n, int64_t R, const int64_t* start, const int32_t* columns,
+                    const double* blocks, double* diagonal, float* strong,
+                    const double* threshold)
+{
+  for (int64_t i = 0; i < n; i++)
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+      if (columns[k] == i)
+        diagonal[i] = sqrt(square(R * R, blocks + k * R * R));
+  for (int64_t i = 0; i < n; i++)
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+    {
+      const int32_t j = columns[k];
+      const double s = square(R * R, blocks + k * R * R);
+      const double size = diagonal[i] * diagonal[j < n ? j : i];
+      const int weak = !(s > threshold[0] * threshold[0] * size);
+      strong[k] = j == i ? 0.0f : (float)(weak ? -s / size : s / size);
+    }
+  return 0;
+}
+
+/* Aggregates of strongly connected owned nodes: Vanek, Mandel & Brezina (1996), Algorithm 2.
+   Nodes without any connection get -1. Returns the number of aggregates. */
+int64_t aggregate(int64_t n, const int64_t* start, const int32_t* columns, const float* strong,
+                  int32_t* member)
+{
+  int32_t count = 0;
+  const int32_t FREE = -2;
+  for (int64_t i = 0; i < n; i++)
+  {
+    int alone = 1;
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+      alone = alone && strong[k] == 0.0f;
+    member[i] = alone ? -1 : FREE;
+  }
+  for (int64_t i = 0; i < n; i++)
+  {
+    int all = member[i] == FREE;
+    for (int64_t k = start[i]; all && k < start[i + 1]; k++)
+      if (strong[k] > 0.0f && columns[k] < n && member[columns[k]] >= 0)
+        all = 0;
+    if (!all)
+      continue;
+    member[i] = count;
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+      if (strong[k] > 0.0f && columns[k] < n)
+        member[columns[k]] = count;
+    count++;
+  }
+  /* The rest joins the neighbour of the strongest connection, strong or weak; marked by
+     -3 - aggregate. */
+  for (int64_t i = 0; i < n; i++)
+  {
+    if (member[i] != FREE)
+      continue;
+    float best = 0.0f;
+    int32_t found = -1;
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+      if (fabsf(strong[k]) > best && columns[k] < n && member[columns[k]] >= 0)
+      {
+        best = fabsf(strong[k]);
+        found = member[columns[k]];
+      }
+    if (found >= 0)
+      member[i] = -3 - found;
+  }
+  for (int64_t i = 0; i < n; i++)
+    if (member[i] <= -3)
+      member[i] = -3 - member[i];
+  for (int64_t i = 0; i < n; i++)
+  {
+    if (member[i] != FREE)
+      continue;
+    member[i] = count;
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+      if (strong[k] > 0.0f && columns[k] < n && member[columns[k]] == FREE)
+        member[columns[k]] = count;
+    count++;
+  }
+  return count;
+}
+
+/* Modes move no prescribed component: one whose row has no entry but on the diagonal. */
+int64_t hold_fixed(int64_t n, int64_t R, int64_t C, const int64_t* start, const int32_t* columns,
+                   const double* blocks, double* modes)
+{
+  for (int64_t i = 0; i < n; i++)
+    for (int64_t r = 0; r < R; r++)
+    {
+      int fixed = 1;
+      for (int64_t k = start[i]; fixed && k < start[i + 1]; k++)
+        for (int64_t c = 0; c < R; c++)
+          if ((columns[k] != i || c != r) && blocks[(k * R + r) * R + c] != 0.0)
+            fixed = 0;
+      if (fixed)
+        memset(modes + (i * R + r) * C, 0, sizeof(double) * C);
+    }
+  return 0;
+}
+
+/* Orthonormal modes of each aggregate: modes (n, R, C) become the tentative interpolation, factors
+   (aggregates, C, C) the modes of the coarse level. */
+int64_t orthonormalise(int64_t n, int64_t R, int64_t C, int64_t aggregates, const int32_t* member,
+                       double* modes, double* factors, double* work)
+{
+  memset(factors, 0, sizeof(double) * aggregates * C * C);
+  double* before = work;            /* (aggregates) squares */
+  double* dot = work + aggregates;  /* (aggregates) */
+  for (int64_t c = 0; c < C; c++)
+  {
+    memset(before, 0, sizeof(double) * aggregates);
+    for (int64_t i = 0; i < n; i++)
+      if (member[i] >= 0)
+        for (int64_t r = 0; r < R; r++)
+        {
+          const double x = modes[(i * R + r) * C + c];
+          before[member[i]] += x * x;
+        }
+    for (int repeat = 0; repeat < 2; repeat++)
+      for (int64_t p = 0; p < c; p++)
+      {
+        memset(dot, 0, sizeof(double) * aggregates);
+        for (int64_t i = 0; i < n; i++)
+          if (member[i] >= 0)
+            for (int64_t r = 0; r < R; r++)
+              dot[member[i]] += modes[(i * R + r) * C + p] * modes[(i * R + r) * C + c];
+        for (int64_t i = 0; i < n; i++)
+          if (member[i] >= 0)
+            for (int64_t r = 0; r < R; r++)
+              modes[(i * R + r) * C + c] -= dot[member[i]] * modes[(i * R + r) * C + p];
+        for (int64_t g = 0; g < aggregates; g++)
+          factors[(g * C + p) * C + c] += dot[g];
+      }
+    memset(dot, 0, sizeof(double) * aggregates);
+    for (int64_t i = 0; i < n; i++)
+      if (member[i] >= 0)
+        for (int64_t r = 0; r < R; r++)
+        {
+          const double x = modes[(i * R + r) * C + c];
+          dot[member[i]] += x * x;
+        }
+    for (int64_t g = 0; g < aggregates; g++)
+    {
+      /* dependent on the modes before it: no column */
+      const int none = !(dot[g] > 1e-12 * before[g]);
+      factors[(g * C + c) * C + c] = none ? 0.0 : sqrt(dot[g]);
+      dot[g] = none ? 0.0 : 1.0 / sqrt(dot[g]);
+    }
+    for (int64_t i = 0; i < n; i++)
+      if (member[i] >= 0)
+        for (int64_t r = 0; r < R; r++)
+          modes[(i * R + r) * C + c] *= dot[member[i]];
+  }
+  return 0;
+}
+
+/* Smoothed interpolation, P = (1 - omega D^-1 A) P0: Vanek, Mandel & Brezina (1996).  A node of
+   a weak connection counts as if it moved with the aggregate of node i, as a rigid body: its modes
+   times `turned`, the inverse factors of that aggregate.  So P stays sparse, and rigid motions are
+   still interpolated. */
+int64_t count_smoothed(int64_t n, const int64_t* start, const int32_t* columns,
+                       const float* strong, const int32_t* member, int32_t* mark,
+                       int64_t* p_start)
+{
+  p_start[0] = 0;
+  for (int64_t i = 0; i < n; i++)
+  {
+    int64_t count = 0;
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+    {
+      const int32_t g = member[strong[k] > 0.0f ? columns[k] : i];
+      if (member[i] >= 0 && g >= 0 && mark[g] != i)
+      {
+        mark[g] = i;
+        count++;
+      }
+    }
+    p_start[i + 1] = p_start[i] + count;
+  }
+  return 0;
+}
+
+INLINE void fill_smoothed_(const int R, const int C, int64_t n, const int64_t* start,
+                           const int32_t* columns, const double* blocks, const float* strong,
+                           const double* inverse, const double* modes, const double* turned,
+                           const double* tentative, const int32_t* member, double omega,
+                           int64_t* place, const int64_t* p_start, int32_t* p_columns,
+                           double* p_blocks)
+{
+  for (int64_t i = 0; i < n; i++)
+  {
+    if (member[i] < 0)
+      continue;
+    int64_t next = p_start[i];
+    double sum[R * C], scaled[R * R];
+    for (int r = 0; r < R * R; r++)
+      scaled[r] = -omega * inverse[i * R * R + r];
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+    {
+      const int32_t j = strong[k] > 0.0f ? columns[k] : (int32_t)i, g = member[j];
+      if (g < 0)
+        continue;
+      int64_t e = place[g];
+      if (e < p_start[i] || e >= next || p_columns[e] != g)
+      {
+        e = place[g] = next++;
+        p_columns[e] = g;
+        memset(p_blocks + e * R * C, 0, sizeof(double) * R * C);
+      }
+      const double *a = blocks + k * R * R, *t = tentative + (int64_t)j * R * C;
+      double rigid[R * C];
+      if (j != columns[k])
+      {
+        const double *m = modes + (int64_t)columns[k] * R * C, *f = turned + (int64_t)g * C * C;
+        for (int r = 0; r < R * C; r++)
+          rigid[r] = 0.0;
+        for (int r = 0; r < R; r++)
+          for (int q = 0; q < C; q++)
+            for (int c = q; c < C; c++)
+              rigid[r * C + c] += m[r * C + q] * f[q * C + c];
+        t = rigid;
+      }
+      double* p = p_blocks + e * R * C;
+      for (int r = 0; r < R; r++)
+        for (int q = 0; q < R; q++)
+          for (int c = 0; c < C; c++)
+            p[r * C + c] += a[r * R + q] * t[q * C + c];
+    }
+    for (int64_t e = p_start[i]; e < next; e++)
+    {
+      double* p = p_blocks + e * R * C;
+      memcpy(sum, p, sizeof(sum));
+      for (int r = 0; r < R; r++)
+        for (int c = 0; c < C; c++)
+        {
+          double s = 0.0;
+          for (int q = 0; q < R; q++)
+            s += scaled[r * R + q] * sum[q * C + c];
+          p[r * C + c] = s + (p_columns[e] == member[i] ? tentative[(i * R + r) * C + c] : 0.0);
+        }
+    }
+  }
+}
+int64_t fill_smoothed(int64_t R, int64_t C, int64_t n, const int64_t* start, const int32_t* columns,
+                      const double* blocks, const float* strong, const double* inverse,
+                      const double* modes, const double* turned, const double* tentative,
+                      const int32_t* member, const double* omega, int64_t* place,
+                      const int64_t* p_start, int32_t* p_columns, double* p_blocks)
+{
+  DISPATCH(R, C, fill_smoothed_, n, start, columns, blocks, strong, inverse, modes, turned,
+           tentative, member, omega[0], place, p_start, p_columns, p_blocks);
+  return 0;
+}
+
+/* Columns of a product A B, row by row; they are counted, or written where `fill` says so. */
+int64_t product_pattern(int64_t n, const int64_t* a_start, const int32_t* a_columns,
+                        const int64_t* b_start, const int32_t* b_columns, int32_t* mark,
+                        int64_t* start, int32_t* columns, int64_t fill)
+{
+  start[0] = 0;
+  for (int64_t i = 0; i < n; i++)
+  {
+    int64_t next = start[i];
+    for (int64_t k = a_start[i]; k < a_start[i + 1]; k++)
+      for (int64_t l = b_start[a_columns[k]]; l < b_start[a_columns[k] + 1]; l++)
+        if (mark[b_columns[l]] != i)
+        {
+          mark[b_columns[l]] = (int32_t)i;
+          if (fill)
+            columns[next] = b_columns[l];
+          next++;
+        }
+    start[i + 1] = next;
+  }
+  return 0;
+}
+
+/* P^T A P, row by row of A: a row of A P first, then its part of each coarse row. */
+INLINE void galerkin_(const int R, const int C, int64_t n, const int64_t* start,
+                      const int32_t* columns, const double* blocks, const int64_t* p_start,
+                      const int32_t* p_columns, const double* p_blocks, const int64_t* c_start,
+                      const int32_t* c_columns, double* coarse, int32_t* place, int32_t* list,
+                      double* w)
+{
+  for (int64_t i = 0; i < n; i++)
+  {
+    int count = 0;
+    if (p_start[i] == p_start[i + 1])
+      continue;
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+    {
+      const double* a = blocks + k * R * R;
+      for (int64_t l = p_start[columns[k]]; l < p_start[columns[k] + 1]; l++)
+      {
+        const int32_t g = p_columns[l];
+        if (place[g] < 0)
+        {
+          place[g] = count;
+          list[count] = g;
+          memset(w + (int64_t)count * R * C, 0, sizeof(double) * R * C);
+          count++;
+        }
+        double* s = w + (int64_t)place[g] * R * C;
+        const double* p = p_blocks + l * R * C;
+        for (int r = 0; r < R; r++)
+          for (int q = 0; q < R; q++)
+            for (int c = 0; c < C; c++)
+              s[r * C + c] += a[r * R + q] * p[q * C + c];
+      }
+    }
+    for (int64_t l = p_start[i]; l < p_start[i + 1]; l++)
+    {
+      const int32_t g = p_columns[l];
+      const double* p = p_blocks + l * R * C;
+      for (int s = 0; s < count; s++)
+      {
+        int64_t low = c_start[g], high = c_start[g + 1];
+        const int32_t column = list[s];
+        while (high - low > 1)
+        {
+          const int64_t middle = (low + high) / 2;
+          if (c_columns[middle] <= column)
+            low = middle;
+          else
+            high = middle;
+        }
+        double* out = coarse + low * C * C;
+        const double* v = w + (int64_t)s * R * C;
+        for (int a = 0; a < C; a++)
+          for (int r = 0; r < R; r++)
+            for (int b = 0; b < C; b++)
+              out[a * C + b] += p[r * C + a] * v[r * C + b];
+      }
+    }
+    for (int s = 0; s < count; s++)
+      place[list[s]] = -1;
+  }
+}
+int64_t galerkin(int64_t R, int64_t C, int64_t n, const int64_t* start, const int32_t* columns,
+                 const double* blocks, const int64_t* p_start, const int32_t* p_columns,
+                 const double* p_blocks, const int64_t* c_start, const int32_t* c_columns,
+                 double* coarse, int32_t* place, int32_t* list, double* w)
+{
+  DISPATCH(R, C, galerkin_, n, start, columns, blocks, p_start, p_columns, p_blocks, c_start,
+           c_columns, coarse, place, list, w);
+  return 0;
+}
+
+/* Blocks of single precision, column by column. */
+int64_t in_single_precision(int64_t count, int64_t R, int64_t C, const double* blocks, float* out)
+{
+  for (int64_t k = 0; k < count; k++)
+    for (int64_t c = 0; c < C; c++)
+      for (int64_t r = 0; r < R; r++)
+        out[(k * C + c) * R + r] = (float)blocks[(k * R + r) * C + c];
+  return 0;
+}
+
+/* The same in the first half of the memory of the blocks. */
+int64_t into_single_precision(int64_t count, int64_t R, int64_t C, double* blocks)
+{
+  double a[MODES * MODES];
+  float out[MODES * MODES];
+  if (R > MODES || C > MODES)
+    return -1;
+  for (int64_t k = 0; k < count; k++)
+  {
+    memcpy(a, blocks + k * R * C, R * C * sizeof(double));
+    for (int64_t c = 0; c < C; c++)
+      for (int64_t r = 0; r < R; r++)
+        out[c * R + r] = (float)a[r * C + c];
+    memcpy((char*)blocks + k * R * C * sizeof(float), out, R * C * sizeof(float));
+  }
+  return 0;
+}
+
+/* y += sum of the blocks of a row times x.  Columns of three entries are read as four: behind the
+   last block one more entry is there. */
+INLINE void row_times(const int R, const int C, int64_t first, int64_t last,
+                      const int32_t* columns, const float* a, const double* x, double* y)
+{
+  if (R == 3)
+  {
+    double4 s[C];
+    for (int c = 0; c < C; c++)
+      s[c] = (double4){0.0, 0.0, 0.0, 0.0};
+    for (int64_t k = first; k < last; k++)
+    {
+      const double* v = x + (int64_t)C * columns[k];
+      for (int c = 0; c < C; c++)
+        s[c] += __builtin_convertvector(*(const float4*)(a + (k * C + c) * 3), double4) * v[c];
+    }
+    for (int c = 1; c < C; c++)
+      s[0] += s[c];
+    for (int r = 0; r < 3; r++)
+      y[r] += s[0][r];
+  }
+  else
+  {
+    double s[R];
+    for (int r = 0; r < R; r++)
+      s[r] = 0.0;
+    for (int64_t k = first; k < last; k++)
+    {
+      const double* v = x + (int64_t)C * columns[k];
+      for (int c = 0; c < C; c++)
+        for (int r = 0; r < R; r++)
+          s[r] += (double)a[(k * C + c) * R + r] * v[c];
+    }
+    for (int r = 0; r < R; r++)
+      y[r] += s[r];
+  }
+}
+
+/* y = x + S (b - A x) */
+INLINE void smooth_(const int R, const int C, int64_t n, const int64_t* start,
+                    const int32_t* columns, const float* a, const float* inverse, const double* x,
+                    const double* b, double* y)
+{
+  for (int64_t i = 0; i < n; i++)
+  {
+    double r[R], z[R];
+    for (int k = 0; k < R; k++)
+      r[k] = z[k] = 0.0;
+    row_times(R, C, start[i], start[i + 1], columns, a, x, r);
+    for (int k = 0; k < R; k++)
+      r[k] = b[i * R + k] - r[k];
+    for (int c = 0; c < R; c++)
+      for (int k = 0; k < R; k++)
+        z[k] += inverse[(i * R + c) * R + k] * r[c];
+    for (int k = 0; k < R; k++)
+      y[i * R + k] = x[i * R + k] + z[k];
+  }
+}
+int64_t smooth(int64_t R, int64_t n, const int64_t* start, const int32_t* columns, const float* a,
+               const float* inverse, const double* x, const double* b, double* y)
+{
+  DISPATCH(R, R, smooth_, n, start, columns, a, inverse, x, b, y);
+  return 0;
+}
+
+/* y = S b */
+INLINE void first_(const int R, const int C, int64_t n, const float* inverse, const double* b,
+                   double* y)
+{
+  for (int64_t i = 0; i < n; i++)
+  {
+    double z[R];
+    for (int k = 0; k < R; k++)
+      z[k] = 0.0;
+    for (int c = 0; c < C; c++)
+      for (int k = 0; k < R; k++)
+        z[k] += inverse[(i * R + c) * R + k] * b[i * R + c];
+    for (int k = 0; k < R; k++)
+      y[i * R + k] = z[k];
+  }
+}
+int64_t smooth_first(int64_t R, int64_t n, const float* inverse, const double* b, double* y)
+{
+  DISPATCH(R, R, first_, n, inverse, b, y);
+  return 0;
+}
+
+/* coarse += P^T (b - A x) */
+INLINE void restrict_(const int R, const int C, int64_t n, const int64_t* start,
+                      const int32_t* columns, const float* a, const double* x, const double* b,
+                      const int64_t* p_start, const int32_t* p_columns, const float* p,
+                      double* coarse)
+{
+  for (int64_t i = 0; i < n; i++)
+  {
+    double r[4 > R ? 4 : R];
+    for (int k = 0; k < (4 > R ? 4 : R); k++)
+      r[k] = 0.0;
+    row_times(R, R, start[i], start[i + 1], columns, a, x, r);
+    for (int k = 0; k < R; k++)
+      r[k] = b[i * R + k] - r[k];
+    for (int64_t l = p_start[i]; l < p_start[i + 1]; l++)
+    {
+      double* out = coarse + (int64_t)C * p_columns[l];
+      for (int c = 0; c < C; c++)
+      {
+        double s = 0.0;
+        for (int k = 0; k < R; k++)
+          s += (double)p[(l * C + c) * R + k] * r[k];
+        out[c] += s;
+      }
+    }
+  }
+}
+int64_t restrict_residual(int64_t R, int64_t C, int64_t n, const int64_t* start,
+                          const int32_t* columns, const float* a, const double* x, const double* b,
+                          const int64_t* p_start, const int32_t* p_columns, const float* p,
+                          double* coarse)
+{
+  DISPATCH(R, C, restrict_, n, start, columns, a, x, b, p_start, p_columns, p, coarse);
+  return 0;
+}
+
+/* x += P e */
+INLINE void prolong_(const int R, const int C, int64_t n, const int64_t* p_start,
+                     const int32_t* p_columns, const float* p, const double* e, double* x)
+{
+  for (int64_t i = 0; i < n; i++)
+    row_times(R, C, p_start[i], p_start[i + 1], p_columns, p, e, x + i * R);
+}
+int64_t prolong(int64_t R, int64_t C, int64_t n, const int64_t* p_start, const int32_t* p_columns,
+                const float* p, const double* e, double* x)
+{
+  DISPATCH(R, C, prolong_, n, p_start, p_columns, p, e, x);
+  return 0;
+}
+"""

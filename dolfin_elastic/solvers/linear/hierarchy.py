@@ -1,0 +1,307 @@
+"""The multigrid cycle for displacements, as a preconditioner of PETSc.
+
+PETSc's GAMG spends most of its time in Galerkin products and in products with matrices, which know
+no blocks.  Here both are loops over blocks of known size, and the cycle reads single precision.
+
+A cycle is V(1, 1) with damped block Jacobi: Briggs, Henson & McCormick, A Multigrid Tutorial
+(2000).  It is symmetric and positive definite where the matrix is, as conjugate gradients need.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem
+from petsc4py import PETSc
+
+from dolfin_elastic.core.jit import CFunctions, compile_c
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.linear.aggregation import coarsen, galerkin
+from dolfin_elastic.solvers.linear.block_loops import DECLARATIONS, SOURCE
+from dolfin_elastic.solvers.linear.block_rows import BlockRows, from_petsc
+from dolfin_elastic.solvers.linear.multigrid import (
+    aij,
+    constrained_interpolation,
+    mode_values,
+    near_null_space,
+    reordered,
+)
+from dolfin_elastic.solvers.linear.smoother import Smoother, diagonal_of, in_single_precision
+
+THRESHOLD = 0.08
+"""Of a strong connection on the finest level; half of it on each coarser one (Vanek, Mandel &
+Brezina, 1996, section 5).  Cells stretched 20:1 take 34 iterations so, with a hundredth 260."""
+
+SMALL = 400
+"""Unknowns whose matrix is inverted."""
+
+SLOW = 0.7
+"""Ratio of nodes above which a coarsening is not worth it: as where each rank has few left."""
+
+
+class Level:
+    """One level of the cycle.
+
+    Args:
+        smoother: Of its matrix.
+        P: Interpolation from the next coarser level.
+        loops: Those of `block_loops`.
+    """
+
+    def __init__(self, smoother: Smoother, P: BlockRows, loops: CFunctions) -> None:
+        self.smoother, self._loops, self._coarse = smoother, loops, P.halo
+        self._P = (P.start, P.columns, in_single_precision(P.blocks, loops))
+        R, n = smoother.sizes
+        self._sizes, self._c = (R, P.C, n), np.zeros((P.halo.size, P.C))
+
+    def descend(self, b: FloatArray) -> FloatArray:
+        """Smooths from zero and restricts the residual. Collective.
+
+        Args:
+            b: Right-hand side, of owned nodes.
+
+        Returns:
+            The coarser level's, of owned nodes; valid until the next cycle.
+        """
+        self.smoother.from_zero(b)
+        self._c[:] = 0.0
+        arrays = (*self.smoother.matrix, self.smoother.x, b, *self._P, self._c)
+        self._loops.call("restrict_residual", *self._sizes, *arrays)
+        self._coarse.collect(self._c)
+        return self._c[: self._coarse.owned]
+
+    def ascend(self, b: FloatArray, correction: FloatArray) -> FloatArray:
+        """Adds the coarser level's solution and smooths. Collective.
+
+        Args:
+            b: Right-hand side, of owned nodes.
+            correction: Of owned coarse nodes.
+
+        Returns:
+            The solution, of owned nodes; valid until the next cycle.
+        """
+        self._c[: self._coarse.owned] = correction
+        self._coarse.fill(self._c)
+        self._loops.call("prolong", *self._sizes, *self._P, self._c, self.smoother.x)
+        return self.smoother.once_more(b)
+
+    def __str__(self) -> str:
+        return f"{self.smoother.halo.total} nodes x {self._sizes[0]}"
+
+    def destroy(self) -> None:
+        """Frees PETSc's objects. Collective."""
+        self.smoother.halo.destroy()
+
+
+class Inverse:
+    """The inverse of a small matrix, on all ranks. Collective to make."""
+
+    def __init__(self, A: BlockRows) -> None:
+        comm, size = A.halo.comm, A.halo.total
+        rows = A.halo.first + np.repeat(np.arange(A.rows), np.diff(A.start))
+        columns = A.halo.globally(A.columns)
+        nodes = np.zeros((size, A.R, size, A.R))
+        for r, c, blocks in comm.allgather((rows, columns, A.blocks)):
+            nodes[r, :, c, :] = blocks
+        matrix = nodes.reshape(size * A.R, -1)
+        diagonal = np.abs(np.diag(matrix))
+        without = np.flatnonzero(diagonal <= 1e-13 * diagonal.max(initial=0.0))
+        matrix[without, without] = 1.0
+        self._comm, self._halo = comm, A.halo
+        self._b = (np.zeros(size * A.R), comm.allgather(A.rows * A.R))
+        own = slice(A.halo.first * A.R, (A.halo.first + A.rows) * A.R)
+        self._rows = np.ascontiguousarray(_inverse(matrix)[own])
+
+    def solve(self, b: FloatArray) -> FloatArray:
+        """Solves for owned nodes. Collective."""
+        self._comm.Allgatherv(b, self._b)
+        return (self._rows @ self._b[0]).reshape(b.shape)
+
+    def destroy(self) -> None:
+        """Frees PETSc's objects. Collective."""
+        self._halo.destroy()
+
+
+class Rest:
+    """A matrix too large for an inverse, by PETSc's GAMG, which uses fewer ranks. Collective."""
+
+    def __init__(self, A: BlockRows, modes: FloatArray) -> None:
+        halo, R, within = A.halo, A.R, np.arange(A.R)
+        node, blocks = np.repeat(np.arange(A.rows), np.diff(A.start)), A.blocks.copy()
+        own = np.flatnonzero(node == A.columns)
+        at, without = np.nonzero(blocks[own[:, None], within, within] == 0.0)
+        blocks[own[at], without, without] = 1.0
+        rows = np.broadcast_to(node[:, None, None] * R + within[:, None], blocks.shape).reshape(-1)
+        columns = halo.globally(A.columns)[:, None, None] * R + within
+        columns = np.broadcast_to(columns, blocks.shape).reshape(-1)
+        self._halo, sizes = halo, ((A.rows * R, None),) * 2
+        self._matrix = aij(halo.comm, sizes, (R, R), (rows, columns, blocks.reshape(-1)))
+        self._x, self._b = self._matrix.createVecs()
+        near = near_null_space(halo.comm, modes)
+        self._matrix.setNearNullSpace(near)
+        self._ksp = PETSc.KSP().create(halo.comm)
+        self._ksp.setType("preonly")
+        self._ksp.getPC().setType("gamg")
+        self._ksp.setOperators(self._matrix)
+        near.destroy()
+
+    def solve(self, b: FloatArray) -> FloatArray:
+        """Solves for owned nodes, roughly. Collective."""
+        self._b.array_w[:] = b.reshape(-1)
+        self._ksp.solve(self._b, self._x)
+        return self._x.array_r.reshape(b.shape)
+
+    def destroy(self) -> None:
+        """Frees PETSc's objects. Collective."""
+        for thing in (self._ksp, self._matrix, self._x, self._b, self._halo):
+            thing.destroy()
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    if not np.isfinite(matrix).all():
+        return matrix  # whose numbers the solver is to see
+    try:
+        return np.asarray(np.linalg.inv(matrix))
+    except np.linalg.LinAlgError:  # as of a body that can move
+        return np.asarray(np.linalg.pinv(matrix))
+
+
+class Hierarchy:
+    """All levels. Collective to make.
+
+    Args:
+        A: Of the finest level, which loses its blocks.
+        linear: Interpolation from linear to quadratic elements, where A is of these.
+        modes: Rigid-body modes of the linear elements' nodes, of shape (nodes, dim, modes).
+        loops: Those of `block_loops`.
+
+    Attributes:
+        sane: There is no entry that is not a number.
+    """
+
+    def __init__(
+        self, A: BlockRows, linear: BlockRows | None, modes: FloatArray, loops: CFunctions
+    ) -> None:
+        self._levels: list[Level] = []
+        self._interpolations: list[BlockRows] = []
+        if linear is not None:
+            fine, A = A, galerkin(A, linear, loops)
+            self._levels.append(Level(Smoother(fine, loops), linear, loops))
+        threshold, stalled = THRESHOLD, False
+        while A.halo.total * A.R > SMALL and not stalled:
+            diagonal = diagonal_of(A, loops)
+            coarse = coarsen(A, modes, diagonal, threshold=threshold, loops=loops)
+            self._levels.append(Level(Smoother(A, loops, diagonal), coarse.P, loops))
+            coarse.P.take_blocks()  # the level has them in single precision
+            self._interpolations.append(coarse.P)
+            stalled = coarse.A.halo.total > SLOW * A.halo.total
+            A, modes, threshold = coarse.A, coarse.modes, threshold / 2
+        small = A.halo.total * A.R <= SMALL
+        self._last: Inverse | Rest = Inverse(A) if small else Rest(A, modes)
+        self.sane = all(np.isfinite(level.smoother.largest) for level in self._levels)
+
+    def cycle(self, b: FloatArray, k: int = 0) -> FloatArray:
+        """One V cycle. Collective.
+
+        Args:
+            b: Right-hand side of level k, of owned nodes.
+            k: Level; 0 is the finest.
+        """
+        if k == len(self._levels):
+            return self._last.solve(b)
+        level = self._levels[k]
+        return level.ascend(b, self.cycle(level.descend(b), k + 1))
+
+    def __str__(self) -> str:
+        return ", ".join(map(str, self._levels))
+
+    def destroy(self) -> None:
+        """Frees PETSc's objects. Collective."""
+        for thing in (*self._levels, *self._interpolations, self._last):
+            thing.destroy()
+
+
+class Multigrid:
+    """What PETSc calls as a PC of type "python". Collective to make.
+
+    `PC.reset` lets the next solve make the levels anew.  The PC is not kept here: it holds this
+    object, and neither would ever be freed.
+
+    Args:
+        problem: Whose displacement is preconditioned.
+        pc: Becomes of this type.
+        order: See `multigrid.PMultigrid`.
+    """
+
+    def __init__(self, problem: Problem, pc: PETSc.PC, order: IndexArray | None = None) -> None:
+        self._problem, self._order = problem, order
+        self._hierarchy: Hierarchy | None = None
+        self._space: fem.FunctionSpace | None = None
+        self._linear: BlockRows | None = None
+        dim = problem.body.dim
+        sizes = {"DIM": dim, "MODES": 3 * dim - 3}
+        self._loops = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
+        if problem.degree > 1:
+            self._space = problem.unknowns.linear_space()
+            interpolation = constrained_interpolation(problem, self._space, order)
+            self._linear = from_petsc(interpolation, dim, dim, self._loops)
+            interpolation.destroy()
+        pc.setType("python")
+        pc.setPythonContext(self)
+
+    def setUp(self, pc: PETSc.PC) -> None:
+        """Makes the levels, with the rigid-body modes of the current places. Collective."""
+        self.reset(pc)
+        dim = self._problem.body.dim
+        A = from_petsc(pc.getOperators()[1], dim, dim, self._loops)
+        self._hierarchy = Hierarchy(A, self._linear, self._modes(), self._loops)
+        if not self._hierarchy.sane:
+            pc.setFailedReason(PETSc.PC.FailedReason.SUBPC_ERROR)
+
+    def _modes(self) -> FloatArray:
+        """Rigid-body modes at the nodes of linear elements, about the current places."""
+        problem, space = self._problem, self._space
+        if space is None:
+            modes = mode_values(problem.unknowns.U, problem.unknowns.single_valued)
+            return modes if self._order is None else reordered(modes, self._order)
+        moved = None
+        if problem.cell is None:  # merged nodes of a periodic cell have several places
+            u = fem.Function(space)
+            u.interpolate(problem.u)
+            moved = u.x.array
+        return mode_values(space, moved)
+
+    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """One cycle. Collective.
+
+        Args:
+            pc: PETSc's.
+            x: Right-hand side.
+            y: The solution, which is written.
+        """
+        assert self._hierarchy is not None
+        b = x.array_r.reshape(-1, self._problem.body.dim)
+        y.array_w[:] = self._hierarchy.cycle(b).reshape(-1)
+
+    def view(self, pc: PETSc.PC, viewer: PETSc.Viewer) -> None:
+        """Names the levels. Collective.
+
+        Args:
+            pc: PETSc's.
+            viewer: Where to.
+        """
+        if self._hierarchy is not None:
+            viewer.printfASCII(f"  multigrid in blocks, V(1, 1): {self._hierarchy}\n")
+
+    def reset(self, pc: PETSc.PC | None) -> None:
+        """Frees the levels. Collective."""
+        if self._hierarchy is not None:
+            self._hierarchy.destroy()
+        self._hierarchy = None
+
+    def destroy(self, pc: PETSc.PC | None = None) -> None:
+        """Frees the levels. Collective."""
+        self.reset(pc)
+        if self._linear is not None:
+            self._linear.destroy()
+        self._linear = None
