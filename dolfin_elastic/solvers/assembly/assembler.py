@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 import ufl
@@ -13,18 +13,20 @@ from petsc4py import PETSc
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.timing import stage
-from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.body import Body, centre_of
+from dolfin_elastic.model.dimension import moment_of
+from dolfin_elastic.problem.problem import Problem, parts_held
+from dolfin_elastic.problem.state import Moment
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
-from dolfin_elastic.solvers.assembly.matrix import (
-    BilinearForm,
-    SplitForm,
-    TangentMatrix,
+from dolfin_elastic.solvers.assembly.matrix import BilinearForm, TangentMatrix
+from dolfin_elastic.solvers.assembly.tied import TiedMatrix
+from dolfin_elastic.solvers.assembly.two_stage.form import (
+    TwoStageForm,
     in_two_stages,
     tangent_of_surroundings,
 )
-from dolfin_elastic.solvers.assembly.tied import TiedMatrix
 
 
 class Reactions:
@@ -106,22 +108,13 @@ class Reactions:
         squares = sum(float(np.sum(np.square(force))) for force in forces)
         return float(np.sqrt(total(self._dofs.comm, squares)))
 
-    def by_support(self, forces: FloatArray) -> dict[str, FloatArray]:
-        """Resultant force of each support, spring and contact pair on the body, by label [N].
-
-        Args:
-            forces: Out-of-balance nodal forces, owned entries [N].
-        """
-        found = self._dofs.resultants(forces)
-        for label, form in self._restraints.items():
-            found[label] = found.get(label, 0.0) + self._resultant(form)
-        return found
-
-    def _resultant(self, form: fem.Form) -> FloatArray:
-        """Sum of the nodal forces of a virtual work [N]."""
-        dim = self._dofs.problem.body.dim
-        nodal = self.nodal(form)[self._dofs.displacement_dofs].reshape(-1, dim)
-        return np.asarray(self._dofs.comm.allreduce(nodal.sum(axis=0), op=MPI.SUM))
+    def by_label(self) -> dict[str, FloatArray]:
+        """Label of springs, dashpots and contact pairs to nodal forces, shape (nodes, dim) [N]."""
+        dofs, dim = self._dofs.displacement_dofs, self._dofs.problem.body.dim
+        return {
+            label: self.nodal(form)[dofs].reshape(-1, dim)
+            for label, form in self._restraints.items()
+        }
 
 
 class Tangent:
@@ -404,7 +397,7 @@ def _tangent(problem: Problem, extra: ufl.Form | None) -> BilinearForm:
     """The compiled tangent of a problem and what is added to it. Collective."""
     weak_form, more = problem.weak_form, ufl.Form([]) if extra is None else extra
     if in_two_stages(problem):
-        return SplitForm(problem, tangent_of_surroundings(problem) + more)
+        return TwoStageForm(problem, tangent_of_surroundings(problem) + more)
     return BilinearForm(compiled(problem, [weak_form.tangent + more])[0])
 
 
@@ -457,3 +450,123 @@ class StrainEnergy:
         if self._springs is None:
             return {}
         return {"springs": integral(self._problem, self._springs)}
+
+
+class SupportForces:
+    """Resultants of the nodal forces of each support, by label. Collective to make.
+
+    Nodal forces are virtual work, and a rigid rotation of the body is one of the displacements of
+    its elements: the sum of their moments is that of the tractions, without error of its own.  The
+    moments are taken where the stress is in balance, see `configuration_of_moments`, about the
+    middle of the undeformed surface, fixed in space: then they change with the forces only.
+
+    Args:
+        assembler: Of the problem that is solved.
+    """
+
+    def __init__(self, assembler: Assembler) -> None:
+        self._assembler, self._problem = assembler, assembler.problem
+        body, V = self._problem.body, self._problem.V
+        self._comm, self._dim = body.comm, body.dim
+        self._moves = configuration_of_moments(self._problem) != "reference"
+        size = V.dofmap.index_map.size_local
+        self._X = V.tabulate_dof_coordinates()[:size, : self._dim]
+        self._about: dict[str, FloatArray] = {}
+        if self._problem.geometry != "axisymmetric" and self._problem.cell is None:
+            self._about = {
+                label: _middle(body, list(dict.fromkeys(names)))
+                for label, names in parts_held(self._problem).items()
+            }
+
+    def __call__(
+        self, forces: FloatArray | None = None
+    ) -> tuple[dict[str, FloatArray], dict[str, Moment]]:
+        """Forces [N] and moments of the supports on the body, by label. Collective.
+
+        Those of ties are on their tied side.
+
+        Args:
+            forces: Out-of-balance nodal forces, owned entries [N]; by default the residual as it
+                was assembled last.
+        """
+        forces = self._assembler.residual.owned if forces is None else forces
+        restraints = self._assembler.reactions.by_label()
+        found = self._assembler.resultants(forces)
+        for label, nodal in restraints.items():
+            resultant = self._comm.allreduce(nodal.sum(axis=0), op=MPI.SUM)
+            found[label] = found.get(label, 0.0) + resultant
+        found |= self._assembler.residual.tie_forces
+        return found, self._moments(forces, restraints) if self._about else {}
+
+    def _moments(
+        self, forces: FloatArray, restraints: Mapping[str, FloatArray]
+    ) -> dict[str, Moment]:
+        x = self._X
+        if self._moves:
+            x = x + self._problem.u.x.array[: x.size].reshape(x.shape)
+        sums = {label: np.zeros(3 if self._dim == 3 else 1) for label in self._about}
+        for label, nodes, acting in self._acting(forces, restraints):
+            if label in sums:  # not what a user's own virtual work does
+                sums[label] += moment_of(x[nodes] - self._about[label], acting).sum(axis=0)
+        whole = total(self._comm, np.array(list(sums.values())))
+        return {
+            label: Moment(value, about)
+            for (label, about), value in zip(self._about.items(), whole, strict=True)
+        }
+
+    def _acting(
+        self, forces: FloatArray, restraints: Mapping[str, FloatArray]
+    ) -> Iterator[tuple[str, IndexArray, FloatArray]]:
+        """Label, owned nodes, and forces on them of this rank, shape (nodes, dim)."""
+        nodal = np.array(forces[self._assembler.displacement_dofs])
+        dirichlet, ties = self._problem.dirichlet, self._problem.ties
+        for label, dofs in dirichlet.reaction_dofs.items():
+            yield label, dofs // self._dim, self._along(dofs, nodal[dofs])
+        if (skew := dirichlet.skew) is not None:
+            out = nodal.reshape(-1, self._dim)[skew.nodes[: skew.count]]
+            for support, nodes, along in skew.reactions(out):
+                yield support.label, nodes, along
+        for label, rows in restraints.items():
+            nodes = np.flatnonzero(np.any(rows != 0.0, axis=1)).astype(np.int32)
+            yield label, nodes, rows[nodes]
+        if ties is not None:
+            nodal[ties.tied] = self._assembler.residual.tied_nodal
+            for label, dofs, passed in ties.passed_forces(nodal):
+                yield label, dofs // self._dim, self._along(dofs, passed)
+
+    def _along(self, dofs: IndexArray, values: FloatArray) -> FloatArray:
+        """Values of entries as vectors along their axes, shape (entries, dim)."""
+        found = np.zeros((len(dofs), self._dim))
+        found[np.arange(len(dofs)), dofs % self._dim] = values
+        return found
+
+
+def configuration_of_moments(problem: Problem) -> str:
+    """In which configuration moments balance: "reference", "current", or "none".
+
+    The stress P of a small-strain law is symmetric itself, that of all others is where it acts:
+    P F^T is symmetric (Bonet & Wood (2008), section 5.2).
+    """
+    linear = [part.law.linear for part in problem.regions]
+    if problem.geometry == "axisymmetric" or (any(linear) and not all(linear)):
+        return "none"
+    return "reference" if all(linear) else "current"
+
+
+def _middle(body: Body, names: list[str]) -> FloatArray:
+    """Centre of the parts of highest dimension among these [m]. Collective.
+
+    A set of nodes that facets do not cover counts as points.
+    """
+    uncovered = body.uncovered
+    kinds = {n: "point" if n in uncovered else body.common_kind([n]) for n in names}
+    kind = next(kind for kind in ("surface", "edge", "point") if kind in kinds.values())
+    highest = [name for name in names if kinds[name] == kind]
+    if kind == "surface":
+        return centre_of(body, highest)
+    from dolfin_elastic.problem.loads.edges_points import points_of  # rarely needed
+
+    points = points_of(body, kind, highest, 2)
+    rows = np.einsum("ep,epj->j", points.weights, points.X)
+    sums = total(body.comm, np.append(rows, points.weights.sum()))
+    return np.asarray(sums[:-1] / sums[-1])

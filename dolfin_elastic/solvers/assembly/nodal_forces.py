@@ -17,7 +17,7 @@ class Forces:
 
     A form's coefficients and constants are packed once.  What changes from step to step, the
     displacement and the velocity that dashpots see, is read into the packed arrays again; numbers
-    that change with time are taken over by `renew`.
+    and formulas that change with time are taken over by `renew`.
 
     Args:
         problem: Whose displacement; linear elements, no unknowns beside it.
@@ -38,11 +38,14 @@ class Forces:
         self._point_loads = problem.nodal_loads if points else None
         self._points = points
         self._packed = pack_coefficients(form._cpp_object)
-        self._reads = [
-            read
-            for field in (problem.u, problem.context.velocity)
-            for read in _reads(form, field, self._packed)
-        ]
+        formulas = problem.context.formulas
+        self._reads, self._timed = (
+            [read for field in fields for read in _reads(form, field, self._packed)]
+            for fields in (
+                (problem.u, problem.context.velocity),
+                () if formulas is None else formulas.moving,
+            )
+        )
         self._constants = pack_constants(form._cpp_object)
         self._at_points: FloatArray = np.empty(0)
         self.renew()
@@ -50,6 +53,8 @@ class Forces:
     def renew(self) -> None:
         """Takes over the numbers of the present time. Not collective."""
         self._constants = pack_constants(self._form._cpp_object)
+        for read in self._timed:
+            read.again()
         if self._point_loads is not None:
             self._at_points = self._points * self._point_loads.nodal()
 

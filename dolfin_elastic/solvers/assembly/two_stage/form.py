@@ -1,0 +1,242 @@
+"""The tangent in two stages.
+
+A form compiler writes the tangent of a law as one kernel, in which the derivative of the stress is
+contracted with each pair of shape functions.  In two stages FFCx compiles the `moduli` at the
+points of integration only, from the same UFL; `kernel` contracts them with shape functions and
+adds the result at places of the matrix that are found once.  Equal to round-off, and two to five
+times as fast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import basix
+import numpy as np
+import ufl
+from dolfinx import cpp, fem, la
+from numpy.typing import NDArray
+from ufl.algorithms import expand_derivatives
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.jit import compile_c, compile_expression, compile_forms
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.problem.material_regions import MaterialRegion
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.weak_form import UNUSED
+from dolfin_elastic.solvers.assembly.matrix import BilinearForm, Conditions
+from dolfin_elastic.solvers.assembly.two_stage.kernel import DECLARATIONS, SOURCE
+
+BLOCK = 262144
+"""Doubles of moduli that are evaluated at once: 2 MB stay in the cache of a core, and hide what a
+call costs in Python."""
+
+
+def in_two_stages(problem: Problem) -> bool:
+    """Whether `moduli` are all that the tangent of the internal forces needs. Collective.
+
+    So it is where F depends on the displacement's gradient only, and at most a pressure without
+    stabilisation is unknown beside it, with the components of a node numbered in a row.
+
+    Args:
+        problem: Any.
+    """
+    if problem.context.axisymmetric:
+        return False
+    if problem.W is problem.V:
+        return True
+    unknowns = problem.unknowns
+    alone = [field.name for field in unknowns.auxiliary_fields] == ["pressure"]
+    # Nodes of a periodic cell are merged.
+    if not alone or unknowns.stabilised or unknowns.U is not unknowns.V:
+        return False
+    entries = _entries(problem)
+    apart = entries[:, :1] + np.arange(problem.body.dim) != entries
+    return not total(problem.body.comm, int(apart.any()))
+
+
+def tangent_of_surroundings(problem: Problem) -> ufl.Form:
+    """The tangent without that of the internal forces: of loads, springs and contact.
+
+    It may be empty.
+
+    Args:
+        problem: Whose surroundings.
+    """
+    weak_form = problem.weak_form
+    work = sum(weak_form.restraint_works.values(), weak_form.external or ufl.Form([]))
+    return expand_derivatives(ufl.derivative(-work, problem.w, ufl.TrialFunction(problem.W)))
+
+
+def moduli(problem: Problem, region: MaterialRegion) -> Expr:
+    """What `kernel` contracts with shape functions, times the measure's weight.
+
+    dP/dF of shape (dim, dim, dim, dim) [Pa]; where a pressure is unknown, too, it is followed in a
+    row by dP/dp (dim, dim), dg/dF (dim, dim) unless the tangent is symmetric, and dg/dp, with the
+    pressure's equation g = 0.  The unknown of the pressure is a length, see `Unknowns`.
+
+    Args:
+        problem: That is `in_two_stages`.
+        region: One of its material regions.
+    """
+    found = _of_displacement(problem, region) if problem.W is problem.V else _mixed(problem, region)
+    weight = problem.weak_form.volume(region, problem.weak_form.rule(region)).weight
+    return found if weight is None else weight * found
+
+
+def _of_displacement(problem: Problem, region: MaterialRegion) -> Expr:
+    weak_form, n = problem.weak_form, range(problem.body.dim)
+    F = ufl.variable(weak_form.F(problem.w))
+    A = ufl.diff(weak_form.response(region, problem.w).stress(F), F)
+    return ufl.as_tensor([[[[A[i, J, k, L] for L in n] for k in n] for J in n] for i in n])
+
+
+def _mixed(problem: Problem, region: MaterialRegion) -> Expr:
+    weak_form, n = problem.weak_form, range(problem.body.dim)
+    scale = problem.unknowns.scale["pressure"]
+    F = ufl.variable(weak_form.F(problem.w))
+    p = ufl.variable(problem.unknowns.auxiliary("pressure", problem.w))
+    P = weak_form.response(region, problem.w, pressure=p).stress(F)
+    A = ufl.diff(P, F)
+    found = [A[i, J, k, L] for i in n for J in n for k in n for L in n]
+    if region.compliance is None:
+        rows = 1 if problem.symmetric else 2
+        found += [ufl.as_ufl(0.0)] * (rows * len(n) ** 2)
+        found.append(-(scale**2) * UNUSED / region.shear)
+    else:
+        gap = weak_form.gap(region, F, pressure=p)
+        G, H = ufl.diff(P, p), ufl.diff(gap, F)
+        couplings = [G] if problem.symmetric else [G, H]
+        found += [scale * X[i, J] for X in couplings for i in n for J in n]
+        found.append(scale**2 * ufl.diff(gap, p))
+    return ufl.as_vector(found)
+
+
+class TwoStageForm(BilinearForm):
+    """The tangent of a problem that is `in_two_stages`. Collective to make.
+
+    Args:
+        problem: Whose tangent.
+        rest: What it has beside that of the internal forces; may be empty.
+    """
+
+    def __init__(self, problem: Problem, rest: ufl.Form) -> None:
+        mesh, W = problem.body.mesh, problem.W
+        trial, test = ufl.TrialFunction(W), ufl.TestFunction(W)
+        every_cell = ufl.dx(domain=mesh, metadata={"quadrature_degree": 0})
+        forms = [ufl.inner(trial, test) * every_cell] + ([] if rest.empty() else [rest])
+        found = compile_forms(problem.body.comm, forms, problem.jit)
+        super().__init__(found[0])
+        self._rest = None if rest.empty() else found[1]
+        self._terms = [_Term(problem, region) for region in problem.regions]
+        self._nodes = _nodes(problem)
+        corners = np.ascontiguousarray(mesh.geometry.dofmap, dtype=np.int32)
+        self._elements = (corners, mesh.geometry.x, self._nodes)
+        self._dim, self._displacements = problem.body.dim, problem.V.dofmap.list.shape[1]
+        self._start: IntArray = np.empty(0, dtype=np.int64)
+        self._places: IntArray = np.empty(0, dtype=np.uint16)
+
+    def assemble(self, matrix: la.MatrixCSR, bcs: Conditions) -> None:
+        """See `BilinearForm.assemble`."""
+        if self._rest is None:
+            space = self.form.function_spaces[0]
+            conditions = [bc._cpp_object for bc in bcs]
+            cpp.fem.insert_diagonal(matrix._cpp_object, space, conditions, 1.0)
+        else:
+            fem.assemble_matrix(matrix, self._rest, list(bcs))
+        if not len(self._places):
+            self._find_places(matrix)
+        fixed = _marked(bcs, len(self._start) - 1)
+        places = (fixed, self._start, self._places, matrix.data)
+        for term in self._terms:
+            for cells, values in term.blocks(term.cells):
+                arrays = (*self._elements, values, *term.tables, *places)
+                term.code.call("add_tangent", len(cells), cells, *arrays)
+
+    def lift(self, out: FloatArray, bcs: Conditions, values: FloatArray, w: FloatArray) -> None:
+        """See `BilinearForm.lift`."""
+        if self._rest is not None:
+            fem.apply_lifting(out, [self._rest], [list(bcs)], [w], -1.0)
+        direction = np.where(_marked(bcs, len(w)), values - w, 0.0)
+        touched = self._touched(direction != 0.0)
+        for term in self._terms:
+            for cells, A in term.blocks(term.cells[touched[term.cells]]):
+                arrays = (*self._elements, A, *term.tables, direction, out)
+                term.code.call("add_product", len(cells), cells, *arrays)
+
+    def _touched(self, moved: BoolArray) -> BoolArray:
+        """Which cells have an unknown that moves."""
+        found: BoolArray = np.asarray(moved[self._nodes].any(axis=1))
+        for i in range(1, self._dim):
+            found |= moved[self._nodes[:, : self._displacements] + i].any(axis=1)
+        return found
+
+    def _find_places(self, matrix: la.MatrixCSR) -> None:
+        """First column of node b within the rows of node a, for each cell's pairs of nodes."""
+        cells, nodes = self._nodes.shape
+        self._start = matrix.indptr.astype(np.int64)
+        self._places = np.zeros((cells, nodes, nodes), dtype=np.uint16)
+        columns = np.ascontiguousarray(matrix.indices, dtype=np.int32)
+        for term in self._terms:
+            where = (self._nodes, self._start, columns, self._places)
+            missing = term.code.call("find_places", len(term.cells), term.cells, *where)
+            if missing >= 0:
+                raise RuntimeError(f"the matrix has no place for the tangent of cell {missing}")
+
+
+class _Term:
+    """Moduli of one region, compiled, and what the kernel needs to know of its elements."""
+
+    def __init__(self, problem: Problem, region: MaterialRegion) -> None:
+        mesh, dim, mixed = problem.body.mesh, problem.body.dim, problem.W is not problem.V
+        self.cells, self._mesh = region.cells.astype(np.int32), mesh
+        # At least what integrates the product of two pressures.
+        degree = max(2 if mixed else 0, problem.weak_form.rule(region))
+        points, weights = basix.make_quadrature(mesh.basix_cell(), degree)
+        values = moduli(problem, region)
+        self._moduli = compile_expression(problem.body.comm, values, points, problem.jit)
+        coordinates = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
+        corners = np.ascontiguousarray(coordinates.tabulate(1, points)[1:].transpose(1, 2, 0))
+        shape = problem.V.element.basix_element.tabulate(1, points)[1:, :, :, 0]
+        nodes = shape.shape[2]
+        padded = -(-nodes // 4) * 4  # whole vector registers
+        gradients = np.zeros((len(weights), dim, padded))
+        gradients[:, :, :nodes] = shape.transpose(1, 0, 2)
+        pressures = np.zeros((len(weights), 0))
+        if mixed:
+            tabulated = problem.W.sub(1).element.basix_element.tabulate(0, points)
+            pressures = np.ascontiguousarray(tabulated[0, :, :, 0])
+        self.tables = (gradients, pressures, corners, np.ascontiguousarray(weights))
+        sizes = {"DIM": dim, "ND": nodes, "NDP": padded, "NP": pressures.shape[1]}
+        sizes |= {"NG": corners.shape[1], "NQ": len(weights)}
+        sizes["SYMMETRIC"] = int(problem.symmetric)
+        self.code = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
+        self._block = max(1, BLOCK // (len(weights) * int(np.prod(values.ufl_shape))))
+
+    def blocks(self, cells: IndexArray) -> Iterator[tuple[IndexArray, FloatArray]]:
+        """Cells, some at a time, with their `moduli` at the points."""
+        for first in range(0, len(cells), self._block):
+            some = cells[first : first + self._block]
+            yield some, self._moduli.eval(self._mesh, some)
+
+
+def _marked(bcs: Conditions, size: int) -> NDArray[np.int8]:
+    """1 at entries that are prescribed, else 0."""
+    marks = np.zeros(size, dtype=np.int8)
+    for bc in bcs:
+        marks[bc.dof_indices()[0]] = 1
+    return marks
+
+
+def _entries(problem: Problem) -> IndexArray:
+    """Entries of all unknowns of each node of the displacement, of shape (nodes, dim)."""
+    entries = problem.unknowns.mixed_dofs(np.arange(len(problem.u.x.array), dtype=np.int32))
+    return entries.reshape(-1, problem.body.dim)
+
+
+def _nodes(problem: Problem) -> IndexArray:
+    """First unknown of each node of each cell: of the displacement, then of the pressure."""
+    moving = _entries(problem)[:, 0][problem.V.dofmap.list]
+    pressures = [] if problem.W is problem.V else [problem.W.sub(1).dofmap.list]
+    return np.ascontiguousarray(np.concatenate([moving, *pressures], axis=1), dtype=np.int32)
