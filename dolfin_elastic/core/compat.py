@@ -89,16 +89,18 @@ def make_index_map(
         return cpp.common.IndexMap(comm, count, ghosts, owners, 1)
 
 
-def space_like(V: fem.FunctionSpace, dofmap: cpp.fem.DofMap) -> Any:
+def space_like(V: fem.FunctionSpace, dofmap: cpp.fem.DofMap, mesh: Mesh | None = None) -> Any:
     """The C++ space with the mesh and element of another; 0.10 takes no shape of values.
 
     Args:
         V: The other space.
         dofmap: Its own map.
+        mesh: Its own mesh; None: the other's.
     """
     other = V._cpp_object
     shape = [other.value_shape] if hasattr(other, "value_shape") else []
-    return type(other)(other.mesh, other.element, dofmap, *shape)
+    on = other.mesh if mesh is None else mesh._cpp_object
+    return type(other)(on, other.element, dofmap, *shape)
 
 
 def norm_without_value() -> int:

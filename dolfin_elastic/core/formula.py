@@ -41,6 +41,7 @@ from dolfin_elastic.core.types import FloatArray, Scalar
 
 MAX_LENGTH = 1000
 MAX_DEPTH = 100
+_SHALLOW = f"at most {MAX_DEPTH} operations deep"
 
 Tree: TypeAlias = float | str | tuple[str, list[Any]]
 """A number, a name, or an operation with its arguments."""
@@ -126,7 +127,10 @@ class Formula:
         try:
             result = _walk(self._tree, values, symbolic)
         except (ArithmeticError, ValueError):  # UFL says ValueError for a division by zero
-            raise FormulaError(f"a part of '{self.text}' is not finite") from None
+            raise FormulaError(
+                f"a part of '{self.text}' is not finite",
+                expected="no division by zero, and no root or logarithm of a negative number",
+            ) from None
         return result if isinstance(result, Expr) else self._finite(float(result), values)
 
     def _finite(self, result: float, values: Mapping[str, Scalar]) -> float:
@@ -275,7 +279,7 @@ class _Reader:
             what = "a value is missing at the end" if tokens else "the formula is empty"
             raise self._fault(what, len(self.text))
         if opened:
-            raise self._fault("this parenthesis is never closed", opened[-1][0])
+            raise self._fault("this parenthesis is never closed", opened[-1][0], "add its )")
 
     def _follow(
         self, token: _Token, value_before: bool, call: bool, opened: list[tuple[int, bool]]
@@ -318,7 +322,7 @@ class _Reader:
         try:
             return ast.parse(source, mode="eval").body
         except (SyntaxError, RecursionError, MemoryError):
-            raise FormulaError("the formula is nested too deeply") from None
+            raise FormulaError("the formula is nested too deeply", expected=_SHALLOW) from None
 
     def _spelled(self, token: _Token) -> str:
         if token.kind == "number":
@@ -335,9 +339,7 @@ class _Reader:
             level = [child for node in level for child in ast.iter_child_nodes(node)]
             if not level:
                 return
-        raise FormulaError(
-            "the formula is nested too deeply", expected=f"at most {MAX_DEPTH} operations deep"
-        )
+        raise FormulaError("the formula is nested too deeply", expected=_SHALLOW)
 
     def _tree(self, node: ast.expr) -> Tree:
         match node:

@@ -13,6 +13,8 @@ from ufl.core.expr import Expr
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 """Coordinates, displacements, forces, values of fields."""
+SingleArray: TypeAlias = npt.NDArray[np.float32]
+"""Matrices of preconditioners."""
 IndexArray: TypeAlias = npt.NDArray[np.int32]
 """Local indices of DOLFINx: cells, facets, nodes, dofs."""
 IntArray: TypeAlias = npt.NDArray[np.int64]

@@ -220,7 +220,10 @@ def _scale(text: str, name: str, unit: str | None) -> tuple[float, float]:
     )
     # Round-off of a zero such as 273.15 K.
     if abs(two - 2 * one + zero) > 1e-9 * abs(one - zero):
-        raise UnitError(f"'{text}' is on a scale whose steps are not equal")
+        raise UnitError(
+            f"'{text}' is on a scale whose steps are not equal",
+            expected="a unit that is proportional to SI units",
+        )
     return zero, one - zero
 
 
@@ -249,7 +252,10 @@ def to_base(value: float | str) -> float:
 
 def _finite(number: float, written: object) -> float:
     if not math.isfinite(number):
-        raise UnitError(f"{written!r} is not a finite number")
+        raise UnitError(
+            f"{written!r} is not a finite number",
+            expected="a number up to 1e308, no nan and no inf",
+        )
     return number
 
 

@@ -165,7 +165,9 @@ def _table(rows: Sequence[Any]) -> Rows:
     table = tuple((to_si(t, "s"), to_si(value, "")) for t, value in rows)
     times = [t for t, _ in table]
     if any(later <= earlier for earlier, later in pairwise(times)):
-        raise InputError("the times of a curve's table must increase")
+        raise InputError(
+            "the times of a curve's table must increase", expected="a jump takes a short time"
+        )
     return table
 
 
@@ -176,7 +178,11 @@ def _from_keys(keys: Mapping[str, object]) -> Amplitude:
             raise InputError(f"unknown key '{key}'", expected=nearest(str(key), known))
     if "smooth" in keys:
         if not isinstance(keys["smooth"], list | tuple):
-            raise InputError("a curve's table needs pairs [t, value]", where="smooth")
+            raise InputError(
+                "a curve's table needs pairs [t, value]",
+                where="smooth",
+                expected="for example [[0, 0], [1, 1]]",
+            )
         return Amplitude(_table(keys["smooth"]), smooth=True)
     texts = {key: text for key, text in keys.items() if isinstance(text, str) and text}
     for key, value in keys.items():

@@ -85,7 +85,7 @@ class Plane(Obstacle):
         given = [getattr(self, key) is not None for key in ("point", "normal", "axis", "at")]
         if given not in ([True, True, False, False], [False, False, True, True]):
             raise InputError(
-                "a plane is not given in full, or twice",
+                "a plane needs point and normal, or axis and at",
                 expected='{point = [0, 0, 0], normal = [0, 0, 1]} or {axis = "z", at = 0}',
             )
         if self.normal is not None and not any(self.normal):
@@ -186,7 +186,8 @@ class CylinderObstacle(Obstacle):
         _check_length(self.point, dim, "point")
         if dim == 2 and self.axis != ("y" if axisymmetric else "z"):
             raise InputError(
-                f"this body is no cut through a cylinder along {self.axis}",
+                f"{'an axisymmetric' if axisymmetric else 'a plane'} body meets no cylinder along "
+                f"{self.axis}",
                 where="axis",
                 expected='"y"' if axisymmetric else '"z"',
             )
@@ -228,7 +229,7 @@ def _unit(vector: Sequence[float]) -> list[float]:
 def _check_length(vector: Sequence[float] | None, dim: int, where: str) -> None:
     if vector is not None and len(vector) != dim:
         raise InputError(
-            f"{len(vector)} components",
+            f"{len(vector)} components given",
             where=where,
             expected=f"the body is {dim}-dimensional, expected {dim}",
         )

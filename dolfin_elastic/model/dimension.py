@@ -1,13 +1,15 @@
-"""Plane strain, plane stress and axisymmetry: 3x3 deformation gradients and measures."""
+"""Plane strain, plane stress and axisymmetry: 3x3 deformation gradients, measures, moments."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
+import numpy as np
 import ufl
 from ufl.core.expr import Expr
 
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.kinematics import deformation_gradient, padded
 
 Geometry = Literal["plane-strain", "plane-stress", "axisymmetric"]
@@ -89,3 +91,15 @@ def gradient_variation(geometry: Geometry, v: Expr, x: Expr, stretch: Expr | Non
     if geometry == "axisymmetric":
         return padded(ufl.grad(v), v[0] / x[0])
     return padded(ufl.grad(v), 0.0 if stretch is None else stretch)
+
+
+def moment_of(arms: FloatArray, forces: FloatArray) -> FloatArray:
+    """Moments of forces [N m], shape (..., 3), in a plane (..., 1).
+
+    Args:
+        arms: From the point of reference to where they act [m], shape (..., dim).
+        forces: The forces [N], shape (..., dim).
+    """
+    if arms.shape[-1] == 2:
+        return np.asarray(arms[..., :1] * forces[..., 1:] - arms[..., 1:] * forces[..., :1])
+    return np.asarray(np.cross(arms, forces))

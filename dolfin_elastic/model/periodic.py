@@ -79,7 +79,7 @@ class Periodic(Record):
     def _check_stresses(self) -> None:
         if len(self.stress_components) != self.dim:
             raise InputError(
-                f"{len(self.stress_components)} rows",
+                f"{len(self.stress_components)} rows given",
                 where="stress",
                 expected=f"as many as gradient has: {self.dim}",
             )
@@ -178,7 +178,8 @@ def _component(written: object, unit: str, where: str) -> Component:
         raise error.at(where) from None
     if isinstance(value, Formula) and (extra := set(value.names) - {"t"}):
         raise InputError(
-            f"{', '.join(sorted(extra))} in a macroscopic quantity, which has no place",
+            f"a macroscopic quantity is the same at all places, not a formula in "
+            f"{', '.join(sorted(extra))}",
             where=where,
             expected="a formula in t",
         )

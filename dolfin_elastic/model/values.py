@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,10 +14,24 @@ from dolfin_elastic.core.units import LOAD_EXAMPLES, is_quantity, to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 
 COORDINATES = ("x", "y", "z", "t")
+PLACE = frozenset("xyz")
+"""Names of the coordinates in formulas."""
 FREE = "free"
 
 Component = float | Formula | None
 """A number in SI units, a formula in x, y, z [m] and t, or None for a free component."""
+
+
+class Parts(NamedTuple):
+    """Where the integral of a load or spring is taken.
+
+    Attributes:
+        kind: It is "region", "surface", "edge" or "point".
+        names: Of the parts; of regions none for the whole body.
+    """
+
+    kind: str
+    names: tuple[str, ...]
 
 
 def component(written: object, unit: str, *, may_be_free: bool = False) -> Component:

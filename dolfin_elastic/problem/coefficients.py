@@ -153,7 +153,8 @@ class CoefficientSampler:
             count = int(total(self.body.comm, int(np.count_nonzero(np.any(bad, axis=1)))))
             raise MeshError(
                 f"the field '{name}' of {self.body.source or 'the mesh'} has no finite value in "
-                f"{count} cells, near {worst[1]}"
+                f"{count} cells, near {worst[1]}",
+                expected="a field with a value wherever the material is",
             )
         return table
 

@@ -23,10 +23,12 @@ from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.geometry.curved import quadrature_rule
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.dimension import Geometry, WeightedMeasure, full_gradient
-from dolfin_elastic.model.values import Component, depends_on_time
+from dolfin_elastic.model.values import Component, Parts, depends_on_time
 from dolfin_elastic.problem.coefficients import CoefficientBinder
+from dolfin_elastic.problem.loads.at_points import FormulaValues, IntegralPoints, facet_sets
 from dolfin_elastic.problem.loads.edges_points import (
     HeldPart,
     PointIntegrals,
@@ -146,6 +148,28 @@ class Measures:
         """
         return self._lower[tuple(names)].measure(self._dx, degree)
 
+    def points(self, parts: Parts, degree: int) -> IntegralPoints:
+        """Points of integrals over parts.  Collective.
+
+        Args:
+            parts: Regions, none for the whole body; or the surfaces, edges or points of one load.
+            degree: Quadrature degree.
+        """
+        body, names = self._body, parts.names
+        if parts.kind in ("edge", "point"):
+            return self._lower[names].points(degree)
+        dim = body.dim
+        if parts.kind == "region":
+            own = [body.owned_cells(name) for name in names] or [body.owned_cells()]
+            cells = np.unique(np.concatenate(own)).astype(np.int32)
+            sets = quadrature_rule(dim, degree)[0][None]
+            return IntegralPoints(sets, cells, np.zeros(len(cells), dtype=np.int32))
+        facets = np.unique(np.concatenate([body.owned_facets(name) for name in names]))
+        _ = self._ds  # makes what finds cells beside facets
+        sides = integration_entities(body.mesh, facets).reshape(-1, 2)
+        sets = facet_sets(dim, quadrature_rule(dim - 1, degree)[0])
+        return IntegralPoints(sets, sides[:, 0], sides[:, 1])
+
     def contact_area(self, names: Sequence[str], rule: Mapping[str, object]) -> WeightedMeasure:
         """Area of surfaces in contact, with a quadrature rule as UFL's metadata.
 
@@ -177,6 +201,7 @@ class FormContext:
         velocity: Velocity [m/s] that dashpots see; solvers of motion set its values.
         t: Time [s] or load parameter (UFL constant).
         unknown_numbers: Numbers that are solved for, by label.
+        formulas: Values of formulas that are evaluated, not compiled; None without any.
         axisymmetric: The body is one of revolution about y.
         order: Degree of the displacement or of the mesh's curved cells, whichever is higher.
         weight_degree: Quadrature degree of forces per volume: 2 `order`, and as much as integrates
@@ -205,6 +230,7 @@ class FormContext:
         self.t = Constant(body.mesh, 0.0)
         self.unknown_numbers: dict[str, Constant] = {}
         self._amplitudes: list[tuple[Constant, Amplitude | None]] = []
+        self.formulas: FormulaValues | None = None
 
     def constant(self, value: float | Sequence[float] | Sequence[Sequence[float]]) -> Constant:
         """A UFL constant: a new value of it needs no new compilation."""
@@ -321,12 +347,15 @@ class FormContext:
             found.append(shared[timed])
         return found
 
-    def vector(self, values: tuple[Component, ...], curve: Amplitude | None) -> Expr:
-        """A vector at a point of the body, each component times its amplitude, in UFL.
+    def vector(
+        self, values: tuple[Component, ...], curve: Amplitude | None, parts: Parts | None = None
+    ) -> Expr:
+        """A vector at a point of the body, each component times its amplitude, in UFL. Collective.
 
         Args:
             values: The components.
             curve: What the user wrote: see `values.amplitude_of`.
+            parts: See `value`.
         """
         if len(values) != self.body.dim:
             raise InputError(
@@ -335,24 +364,37 @@ class FormContext:
         factors = self.factors(values, curve)
         if not any(isinstance(value, Formula) for value in values):
             return factors[0] * self.constant([float(value) for value in values])  # type: ignore[arg-type]
-        items = [self.value(value) for value in values]
-        if all(factor is factors[0] for factor in factors):
-            return factors[0] * ufl.as_vector(items)
-        return ufl.as_vector([f * item for f, item in zip(factors, items, strict=True)])
+        found = _formulas(self).make(values, parts, scalar=False)
+        items = [self.value(value) for value in values] if found is None else found
+        if any(factor is not factors[0] for factor in factors):
+            return ufl.as_vector([factor * items[i] for i, factor in enumerate(factors)])
+        return factors[0] * (ufl.as_vector(items) if found is None else found)
 
-    def scalar(self, value: Component, amplitude: Amplitude | None) -> Expr:
-        """A number or formula at a point of the body, times its amplitude.
+    def scalar(
+        self, value: Component, amplitude: Amplitude | None, parts: Parts | None = None
+    ) -> Expr:
+        """A number or formula at a point of the body, times its amplitude. Collective.
 
         Args:
             value: A number [SI] or a formula.
             amplitude: Its amplitude; None: as the solver decides.
+            parts: See `value`.
         """
-        return self.factor(amplitude) * self.value(value)
+        return self.factor(amplitude) * self.value(value, parts)
 
-    def value(self, value: Component) -> Expr:
-        """A number or a formula in x, y, z and t at a point of the body."""
+    def value(self, value: Component, parts: Parts | None = None) -> Expr:
+        """A number or a formula in x, y, z and t at a point of the body. Collective.
+
+        Args:
+            value: The number or formula.
+            parts: Where it is integrated: there formulas are evaluated.  None: anywhere, and
+                another formula in x, y and z is compiled anew.
+        """
         if not isinstance(value, Formula):
             return self.constant(float(value or 0.0))
+        found = _formulas(self).make((value,), parts, scalar=True)
+        if found is not None:
+            return found
         X = self.X
         z = X[2] if self.body.dim == 3 else self.constant(0.0)
         return value.ufl(x=X[0], y=X[1], z=z, t=self.t)
@@ -372,5 +414,19 @@ class FormContext:
             default: Amplitude where the user gave none.
         """
         self.t.value = t
+        if self.formulas is not None:
+            self.formulas.set_time(t)
         for factor, amplitude in self._amplitudes:
             factor.value = (amplitude or default).at(t)
+
+
+def _formulas(context: FormContext) -> FormulaValues:
+    """The context's values of formulas, which plain problems have not."""
+    if context.formulas is None:
+        degrees = {"region": context.weight_degree}
+
+        def points(parts: Parts) -> IntegralPoints:
+            return context.measures.points(parts, degrees.get(parts.kind, 2 * context.order))
+
+        context.formulas = FormulaValues(context.body.mesh, points, float(context.t.value))
+    return context.formulas

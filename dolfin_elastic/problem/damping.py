@@ -60,7 +60,7 @@ def check_damped(problem: Problem, stiffness: float) -> None:
     if not inside or not problem.unknowns.has("stretch"):
         return
     raise InputError(
-        "the stretch across a body in plane stress has no velocity: its material cannot be damped",
+        "the thickness stretch of plane stress has no velocity, so its material cannot be damped",
         where="dynamics.rayleigh" if stiffness else "materials",
         expected="plane strain, or rayleigh = [alpha, 0] and no viscosity",
     )

@@ -294,7 +294,7 @@ def checked_geometry(geometry: Geometry, thickness: float, body: Body) -> Geomet
         )
     if thickness != 1.0 and (body.dim == 3 or geometry == "axisymmetric"):
         raise InputError(
-            "such a body has no thickness", where="mesh.thickness", expected="leave it out"
+            "only a plane body has a thickness", where="mesh.thickness", expected="leave it out"
         )
     if not (np.isfinite(thickness) and thickness > 0):
         raise InputError(

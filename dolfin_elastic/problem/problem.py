@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.dimension import Geometry, weight
 from dolfin_elastic.model.loads import Cavity, ConcentratedLoad, Eigenstrain, Load
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.on_surfaces import OnSurfaces
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.supports.springs import Dashpot, ResistingSupport, Spring
@@ -276,6 +278,20 @@ class Problem:
             or any(self._follows(load) or depends_on_time(load.values) for load in self.loads)
         )
 
+    @property
+    def curves(self) -> list[Amplitude]:
+        """Amplitudes that loads, supports and obstacles have of their own."""
+        obstacles = (pair.contact for pair in self.contact_pairs)
+        found = [
+            getattr(thing, "curve", None) for thing in (*self.loads, *self.supports, *obstacles)
+        ]
+        return [curve for curve in found if isinstance(curve, Amplitude)]
+
+    @property
+    def corners(self) -> list[float]:
+        """Times at which an amplitude has a corner or turns around, sorted [s]."""
+        return sorted({t for curve in self.curves for t in curve.breakpoints})
+
     def set_time(self, t: float, *, default: Amplitude = CONSTANT) -> None:
         """Evaluates loads, prescribed displacements and obstacles at time t. Not collective.
 
@@ -312,6 +328,21 @@ class Problem:
     def stiffness(self) -> float:
         """Largest shear modulus of all materials at small strains [Pa]."""
         return max(shear_modulus(region.typical) for region in self.regions)
+
+
+def parts_held(problem: Problem) -> dict[str, list[str]]:
+    """Label of supports, springs, contacts and ties to the parts that they act on.
+
+    Args:
+        problem: Of which.
+    """
+    contacts = [pair.contact for pair in problem.contact_pairs]
+    ties = [] if problem.ties is None else problem.ties.given
+    found: dict[str, list[str]] = defaultdict(list)
+    every: list[OnSurfaces] = [*problem.supports, *contacts, *ties]
+    for holder in every:
+        found[holder.label] += holder.surfaces
+    return found
 
 
 def _surfaces_with_normals(

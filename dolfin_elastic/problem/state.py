@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
 from math import pi
 from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
 
+import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.model.dimension import moment_of
 
 
 def plain(t: float) -> float:
@@ -62,6 +64,28 @@ class Audit:
 
 
 @dataclass(frozen=True)
+class Moment:
+    """Moment of a support on the body.
+
+    Attributes:
+        value: The moment [N m], shape (3,), of a plane body about z, shape (1,).
+        about: The point [m], fixed in space, shape (dim,).
+    """
+
+    value: FloatArray
+    about: FloatArray
+
+    def about_point(self, point: Sequence[float] | FloatArray, force: FloatArray) -> FloatArray:
+        """The moment about another point [N m].
+
+        Args:
+            point: Coordinates [m], shape (dim,).
+            force: Resultant of the forces [N], shape (dim,).
+        """
+        return self.value + moment_of(self.about - np.asarray(point, dtype=np.float64), force)
+
+
+@dataclass(frozen=True)
 class State:
     """One converged step: plain data, the same on every rank but for the fields.
 
@@ -87,6 +111,8 @@ class State:
             work).
         reactions: Support's name to its force on the body [N], from the residual with inertia
             (virtual work); of "alpha2" at a time within the step.
+        moments: Support's name to its moment on the body, of the same forces, about the middle of
+            its surface; none of bodies of revolution and periodic cells.
         momenta: In motion "linear" [kg m/s] and "angular" [kg m^2/s] about the origin.
         max_displacement: Largest norm of u over the body's nodes [m].
         negative: In statics the number of negative eigenvalues of the tangent, 0 of a stable
@@ -115,6 +141,7 @@ class State:
     residuals: tuple[float, ...] = ()
     energies: Mapping[str, float] = field(default_factory=dict)
     reactions: Mapping[str, FloatArray] = field(default_factory=dict)
+    moments: Mapping[str, Moment] = field(default_factory=dict)
     momenta: Mapping[str, FloatArray] = field(default_factory=dict)
     max_displacement: float = 0.0
     negative: int | None = None

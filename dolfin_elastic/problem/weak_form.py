@@ -88,26 +88,26 @@ class WeakForm:
         """
         return self._context.measures.filled(region.marker if region else None, quadrature_degree)
 
-    def _internal_volume(self, region: MaterialRegion) -> WeightedMeasure:
-        return self.volume(region, self.rule(region))
-
     # --- internal forces ---
 
-    def response(self, region: MaterialRegion, w: Expr) -> Law | Mixed | GrownLaw:
+    def response(
+        self, region: MaterialRegion, w: Expr, *, pressure: Expr | None = None
+    ) -> Law | Mixed | GrownLaw:
         """The law of a region, with its growth and its pressure.
 
         Args:
             region: The material region.
             w: Function of all unknowns, from which the pressure is taken.
+            pressure: In place of that [Pa], to derive with respect to it.
         """
         # Of the present unknowns it is one object, so that the terms share its expressions.
-        present = w is self._unknowns.w
+        present = w is self._unknowns.w and pressure is None
         if present and region.name in self._responses:
             return self._responses[region.name]
         law: Law | Mixed = region.law
         if region.compliance is not None:
             assert isinstance(region.law, SplitLaw)
-            p = self._unknowns.auxiliary("pressure", w)
+            p = self._unknowns.auxiliary("pressure", w) if pressure is None else pressure
             law = Mixed(region.law, p, region.compliance, _keeps_volume(self._context, region))
         growth = self._eigenstrains.get(region.name)
         found = law if growth is None else GrownLaw(law, growth)
@@ -125,7 +125,7 @@ class WeakForm:
         dF = gradient_variation(context.geometry, unknowns.v, context.X, stretch)
         work = sum(
             ufl.inner(self.response(region, unknowns.w).stress(F), dF)
-            * self._internal_volume(region)
+            * self.volume(region, self.rule(region))
             for region in context.regions
         )
         if not unknowns.has("pressure"):
@@ -158,9 +158,19 @@ class WeakForm:
             F: Deformation gradient, 3x3.
             q: Virtual pressure [Pa]; see `Mixed.gap`.
         """
-        response = self.response(region, self._unknowns.w)
+        return q * self.gap(region, F) * self.volume(region, self.rule(region))
+
+    def gap(self, region: MaterialRegion, F: Expr, *, pressure: Expr | None = None) -> Expr:
+        """What the pressure's equation makes zero, see `Mixed.gap`.
+
+        Args:
+            region: A material region whose volumetric part a pressure carries.
+            F: Deformation gradient, 3x3.
+            pressure: See `response`.
+        """
+        response = self.response(region, self._unknowns.w, pressure=pressure)
         assert not isinstance(response, Law)
-        return q * response.gap(F) * self._internal_volume(region)
+        return response.gap(F)
 
     @property
     def has_energy(self) -> bool:
@@ -174,7 +184,8 @@ class WeakForm:
             return None
         F = self.F(self._unknowns.w)
         return sum(
-            self.response(region, self._unknowns.w).energy(F) * self._internal_volume(region)
+            self.response(region, self._unknowns.w).energy(F)
+            * self.volume(region, self.rule(region))
             for region in self._context.regions
         )
 

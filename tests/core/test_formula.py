@@ -91,7 +91,7 @@ def test_a_long_formula_is_shown_in_part(terms: int) -> None:
         ("x +", "a value is missing at the end\n    x +\n       ^"),
         ("x + * y", "a value is missing before '*'\n    x + * y\n        ^"),
         ("x // y", "a value is missing before '/'\n    x // y\n       ^"),
-        ("(x", "this parenthesis is never closed\n    (x\n    ^"),
+        ("(x", "this parenthesis is never closed; add its )\n    (x\n    ^"),
         ("x)", "this parenthesis was never opened\n    x)\n     ^"),
         ("sin()", "a value is missing before ')'\n    sin()\n        ^"),
         ("sin", "'sin' is a function; write sin(...)\n    sin\n    ^"),
@@ -128,7 +128,10 @@ def test_a_long_formula_is_shown_in_part(terms: int) -> None:
         ("9**9**9", "'9**9**9' is infinite"),
         ("(-8)^(1/3)", "'(-8)^(1/3)' is not a real number"),
         ("x" * 1001, "a formula of 1001 characters is too long; at most 1000"),
-        ("(" * 300 + "x" + ")" * 300, "the formula is nested too deeply"),
+        (
+            "(" * 300 + "x" + ")" * 300,
+            "the formula is nested too deeply; at most 100 operations deep",
+        ),
         ("+".join(["x"] * 400), "the formula is nested too deeply; at most 100 operations deep"),
         ("-" * 900 + "x", "the formula is nested too deeply; at most 100 operations deep"),
     ],
@@ -230,6 +233,10 @@ def test_numpy_and_ufl_agree(text: str, x: float, y: float) -> None:
         at_point = symbolic if isinstance(symbolic, float) else symbolic((x, y, 0.0))
     except (FormulaError, ArithmeticError, ValueError):
         return  # not finite on the way: Python's math raises where numpy gives nan
+    except TypeError as error:
+        if "complex" in str(error):  # a negative number to a broken power, compared by Python
+            return
+        raise
     if isinstance(at_point, complex) or abs(number) > 1e100:
         return
     assert at_point == pytest.approx(number, rel=1e-9, abs=1e-12)

@@ -304,8 +304,8 @@ def test_every_law_is_the_same_in_every_geometry(name, geometry):
         (0.0, 3, {"geometry": "plane-stress"}, "three-dimensional body is not 'plane-stress'"),
         (-0.5, 2, {"geometry": "axisymmetric"}, "points of the mesh have a negative radius"),
         (0.0, 2, {"thickness": 0.0}, "thickness"),
-        (0.0, 2, {"geometry": "axisymmetric", "thickness": 0.1}, "has no thickness"),
-        (0.0, 3, {"thickness": 0.1}, "has no thickness"),
+        (0.0, 2, {"geometry": "axisymmetric", "thickness": 0.1}, "only a plane body has"),
+        (0.0, 3, {"thickness": 0.1}, "only a plane body has"),
     ],
 )
 def test_refusals(origin, dim, how, message):

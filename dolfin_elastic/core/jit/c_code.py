@@ -55,7 +55,8 @@ class CFunctions:
         return cast("int", function(*converted))
 
     def _pointer(self, values: Array, kind: cffi.FFI.CType) -> cffi.FFI.CData:
-        wanted = kind.item.cname.removeprefix("const ").removesuffix("_t")
+        cname = kind.item.cname.removeprefix("const ").removesuffix("_t")
+        wanted = "float32" if cname == "float" else cname
         if values.dtype != np.dtype(wanted) or not values.flags.c_contiguous:
             raise TypeError(f"an array of {values.dtype} for {kind.cname}, or one with gaps")
         return self._ffi.cast(kind, self._ffi.from_buffer(values))

@@ -16,10 +16,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
-from dolfin_elastic.model.values import Component, components, depends_on_time
-
-PLACE = frozenset("xyz")
-"""Names of the coordinates in formulas."""
+from dolfin_elastic.model.values import Component, Parts, components, depends_on_time
 
 
 class LoadContext(Protocol):
@@ -65,12 +62,15 @@ class LoadContext(Protocol):
     def unknown(self, label: str) -> Expr:
         """A scalar unknown of the bordered system, such as the pressure of a cavity."""
 
-    def vector(self, values: tuple[Component, ...], curve: Amplitude | None) -> Expr:
+    def vector(
+        self, values: tuple[Component, ...], curve: Amplitude | None, parts: Parts | None = None
+    ) -> Expr:
         """A vector field, each component times its amplitude.
 
         Args:
             values: Components: numbers, or formulas in x, y, z and t.
             curve: Amplitude that the user has given, if any.
+            parts: See `value`.
         """
 
     def factor(self, amplitude: Amplitude | None) -> Expr:
@@ -84,15 +84,24 @@ class LoadContext(Protocol):
             curve: Amplitude that the user has given, if any.
         """
 
-    def value(self, value: Component) -> Expr:
-        """A scalar field: a number, or a formula in x, y, z and t."""
+    def value(self, value: Component, parts: Parts | None = None) -> Expr:
+        """A scalar field: a number, or a formula in x, y, z and t.
 
-    def scalar(self, value: Component, amplitude: Amplitude | None) -> Expr:
+        Args:
+            value: The number or formula.
+            parts: Where it is integrated, by `volumes`, `densities` or `areas` as they are: there
+                formulas are evaluated.  None: anywhere, and another formula is compiled anew.
+        """
+
+    def scalar(
+        self, value: Component, amplitude: Amplitude | None, parts: Parts | None = None
+    ) -> Expr:
         """A scalar field times an amplitude.
 
         Args:
             value: A number, or a formula in x, y, z and t.
             amplitude: The amplitude; None: the solver's default.
+            parts: See `value`.
         """
 
 
@@ -203,9 +212,15 @@ class Load(Record):
         timed = self.curve is None and depends_on_time(self.values)
         return CONSTANT if timed else self.curve
 
+    @property
+    def domain(self) -> Parts:
+        """Where its integral is taken."""
+        surfaces = "on" in type(self).model_fields and type(self).model_fields["on"].is_required()
+        return Parts("surface" if surfaces else "region", self.parts)
+
     def field(self, context: LoadContext) -> Expr:
-        """The load's vector as a UFL expression."""
-        return context.vector(self.values, self.curve)
+        """The load's vector as a UFL expression, for an integral over its parts."""
+        return context.vector(self.values, self.curve, self.domain)
 
     def intensity(self, points: LoadPoints) -> FloatArray | None:
         """Force per reference area or volume on the undeformed body, without its amplitude.

@@ -113,7 +113,9 @@ class Cavity(Load):
             return ()
         found = components(self.origin, "m", key="origin")
         if any(isinstance(item, Formula) for item in found):
-            raise InputError("a point does not move", where="origin", expected="numbers")
+            raise InputError(
+                "the origin of a cavity does not move", where="origin", expected="numbers"
+            )
         return found
 
     @property

@@ -13,9 +13,10 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.model.loads.base import PLACE, Load, LoadContext, LoadPoints, keyed
+from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints, keyed
 from dolfin_elastic.model.materials.fibres import Axis, axis_vector
 from dolfin_elastic.model.values import (
+    PLACE,
     Component,
     component,
     components,
@@ -75,7 +76,9 @@ class Traction(Load):
         if self.force is not None:
             area = context.area(self.parts)
             if not area.value > 0.0:
-                raise InputError("the surface has no area", where="on")
+                raise InputError(
+                    "the surface has no area", where="on", expected="a surface with facets"
+                )
             traction = traction / area
         return ufl.inner(traction, context.v) * context.areas(self.parts)
 
@@ -119,7 +122,7 @@ class Gravity(Load):
 
     def field(self, context: LoadContext) -> Expr:
         """The acceleration as a UFL expression."""
-        return context.vector(self.acceleration(len(context.v)), self.curve)
+        return context.vector(self.acceleration(len(context.v)), self.curve, self.domain)
 
     def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
@@ -131,9 +134,9 @@ class Gravity(Load):
         """See the class."""
         if context.axisymmetric and self.values and self.values[0] != 0.0:
             raise InputError(
-                "weight across the axis is none of a body of revolution",
+                "the weight of a body of revolution acts along its axis",
                 where="value[0]",
-                expected="0: it acts along the axis",
+                expected="0 across it",
             )
         g = self.field(context)
         return sum(rho * ufl.inner(g, context.v) * dx for rho, dx in context.densities(self.parts))
@@ -189,7 +192,7 @@ class Centrifugal(Load):
             if not all(isinstance(item, float) for item in found):
                 raise InputError("a formula cannot stand here", expected="expected numbers")
             if key == "axis" and found and not any(found):
-                raise InputError("an axis of no length", expected='for example "z" or [0, 0, 1]')
+                raise InputError("the axis has no length", expected='for example "z" or [0, 0, 1]')
         return [float(item) for item in found]  # type: ignore[arg-type]
 
     def virtual_work(self, context: LoadContext) -> ufl.Form:
@@ -221,7 +224,11 @@ class Centrifugal(Load):
         if len(c) != dim:
             raise InputError(f"{len(c)} components given, the body has {dim}", where="point")
         if context.axisymmetric and c[0]:
-            raise InputError("a body of revolution spins about y only", where="point")
+            raise InputError(
+                "a body of revolution spins about y only",
+                where="point",
+                expected="a point on the axis, [0, y]",
+            )
         return c
 
     def _axis(self, axisymmetric: bool) -> list[float]:
@@ -229,6 +236,8 @@ class Centrifugal(Load):
         given = self._numbers("axis") or ([0.0, 1.0, 0.0] if axisymmetric else [0.0, 0.0, 1.0])
         a = [*given, 0.0][:3]
         if axisymmetric and (a[0] or a[2]):
-            raise InputError("a body of revolution spins about y only", where="axis")
+            raise InputError(
+                "a body of revolution spins about y only", where="axis", expected='"y"'
+            )
         length = sum(item * item for item in a) ** 0.5
         return [item / length for item in a]

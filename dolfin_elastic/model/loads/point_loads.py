@@ -41,7 +41,11 @@ class ConcentratedLoad(Load):
     def _one_place(self) -> Self:
         given = [key for key in self.places if getattr(self, key) is not None]
         if self.on is not None and given:
-            raise InputError(f"on and {given[0]} are given together", where="on")
+            raise InputError(
+                f"on and {given[0]} are given together",
+                where="on",
+                expected="leave one of them out",
+            )
         if self.on is None:
             missing = [key for key in self.places if key not in given]
             if missing:
@@ -51,9 +55,15 @@ class ConcentratedLoad(Load):
                     expected=f"a place [m], or on with the name of {self.named}",
                 )
             if self.total:
-                raise InputError("total goes with on", where="total", expected="leave it out")
+                raise InputError(
+                    "total needs `on`, and a place is given", where="total", expected="leave it out"
+                )
         elif self.tolerance is not None:
-            raise InputError("it goes with a place", where="tolerance", expected="leave it out")
+            raise InputError(
+                "tolerance needs a place, and `on` is given",
+                where="tolerance",
+                expected="leave it out",
+            )
         return self
 
     def place(self, key: str) -> Point:

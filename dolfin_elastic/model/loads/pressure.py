@@ -12,8 +12,8 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.kinematics import cofactor
-from dolfin_elastic.model.loads.base import PLACE, Load, LoadContext, LoadPoints, keyed
-from dolfin_elastic.model.values import Component, component, number_at
+from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints, keyed
+from dolfin_elastic.model.values import PLACE, Component, component, number_at
 
 
 class Pressure(Load):
@@ -68,7 +68,7 @@ class Pressure(Load):
 
     def virtual_work(self, context: LoadContext) -> ufl.Form:
         """See the class."""
-        p = context.scalar(self.values[0], self.amplitude)
+        p = context.scalar(self.values[0], self.amplitude, self.domain)
         return (
             -p
             * ufl.inner(area_vector(context, context.linear), context.v)

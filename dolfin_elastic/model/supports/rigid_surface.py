@@ -67,7 +67,9 @@ class Rigid(Restraint):
         motion, action = self._parsed[moved], self._parsed[forced]
         if motion and action and len(motion) != len(action):
             raise InputError(
-                f"{len(action)} components, but {moved} has {len(motion)}", where=forced
+                f"{len(action)} components, but {moved} has {len(motion)}",
+                where=forced,
+                expected=f"{len(motion)} components",
             )
         for i, (value, applied) in enumerate(zip(motion, action, strict=False)):
             if value is not None and applied != 0.0:
@@ -82,7 +84,9 @@ class Rigid(Restraint):
         """The reference point [m]; empty: the centroid of the surface."""
         found = self._components("point", self.point, "m", free=False)
         if any(isinstance(item, Formula) for item in found):
-            raise InputError("a point of reference does not move", where="point")
+            raise InputError(
+                "a point of reference does not move", where="point", expected="numbers"
+            )
         return found
 
     @cached_property

@@ -22,7 +22,7 @@ from dolfin_elastic.model.supports.displacement import (
     Symmetry,
 )
 from dolfin_elastic.model.supports.rigid_surface import Rigid
-from dolfin_elastic.model.values import Component, component, components
+from dolfin_elastic.model.values import Component, Parts, component, components
 
 T = TypeVar("T")
 
@@ -69,16 +69,24 @@ class SupportContext(Protocol):
     def constant(self, value: float | Sequence[float]) -> Expr:
         """A number or vector whose value can change without a form being compiled again."""
 
-    def vector(self, values: tuple[Component, ...], curve: Amplitude | None) -> Expr:
+    def vector(
+        self, values: tuple[Component, ...], curve: Amplitude | None, parts: Parts | None = None
+    ) -> Expr:
         """A vector field, each component times its amplitude.
 
         Args:
             values: Components: numbers, or formulas in x, y, z and t.
             curve: Amplitude that the user has given, if any.
+            parts: See `value`.
         """
 
-    def value(self, value: Component) -> Expr:
-        """A scalar field: a number, or a formula in x, y, z."""
+    def value(self, value: Component, parts: Parts | None = None) -> Expr:
+        """A scalar field: a number, or a formula in x, y, z.
+
+        Args:
+            value: The number or formula.
+            parts: What `held` is integrated over: there formulas are evaluated, not compiled.
+        """
 
 
 class ResistingSupport(Restraint):
@@ -156,7 +164,9 @@ class ResistingSupport(Restraint):
                 if isinstance(value, Formula):
                     if self.total or "t" in value.names:
                         raise InputError(
-                            "a total is a number" if self.total else "it does not depend on t",
+                            "a total is a number, no formula"
+                            if self.total
+                            else "a coefficient does not depend on t",
                             where=key,
                             expected="a number" if self.total else "a formula in x, y, z",
                         )
@@ -179,12 +189,17 @@ class ResistingSupport(Restraint):
     def _values(self, context: SupportContext) -> list[Expr]:
         held = context.held(self.surfaces)
         self._check_kind(held.kind)
-        values = [context.value(c) for c in self._readings[held.kind]]
+        parts = Parts(held.kind, self.surfaces)
+        values = [context.value(c, parts) for c in self._readings[held.kind]]
         if not self.total:
             return values
         size = held.size()
         if not size.value > 0.0:
-            raise InputError("the surface has no area", where=f"support '{self.label}'.on")
+            raise InputError(
+                "the surface has no area",
+                where=f"support '{self.label}'.on",
+                expected="a surface with facets",
+            )
         return [value / size for value in values]
 
     def _check_kind(self, kind: str) -> None:
@@ -294,8 +309,9 @@ class Spring(ResistingSupport):
     def _stretch(self, context: SupportContext) -> Expr:
         if not self.base:
             return context.u
+        parts = Parts(context.held(self.surfaces).kind, self.surfaces)
         try:
-            return context.u - context.vector(self.base, self.curve)
+            return context.u - context.vector(self.base, self.curve, parts)
         except InputError as error:
             where = f"support '{self.label}'.displacement"
             raise InputError(error.what, where=where, expected=error.expected) from None

@@ -242,7 +242,9 @@ class DirichletConditions:
         if found is not None:
             where, at = f"support '{found[0]}'", f"({', '.join(f'{x:.6g}' for x in found[1])}) m"
         raise InputError(
-            f"the prescribed displacement is not finite at {at} at t = {self._t:g}", where=where
+            f"the prescribed displacement is not finite at {at} at t = {self._t:g}",
+            where=where,
+            expected="a formula that gives a number at every place and time",
         )
 
     def _bad(self) -> list[tuple[str, tuple[float, ...]]]:

@@ -168,7 +168,9 @@ class PrescribedComponents:
             )
         if any(motion.label == support.label for motion in self.rigid_motions):
             raise InputError(
-                "another rigid surface has this name", where=f"{where}.name", expected="its own"
+                "another rigid surface has this name",
+                where=f"{where}.name",
+                expected="a name of its own",
             )
         motion, nodes = RigidMotion(support, self._body), self._nodes(support)
         self.rigid_motions.append(motion)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from dolfinx import mesh as dmesh
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.body import Body, centre_of
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 
@@ -50,7 +48,7 @@ class RigidMotion:
                 where=f"support '{support.label}'.point",
             )
         point = np.array(support.centre, dtype=np.float64)
-        self.centre[: body.dim] = point if len(point) else middle(body, support.surfaces)
+        self.centre[: body.dim] = point if len(point) else centre_of(body, support.surfaces)
 
     def all_at(self, t: float, default: Amplitude) -> FloatArray:
         """All degrees of freedom at time t [m, rad].
@@ -145,24 +143,3 @@ def tangent(theta: FloatArray) -> FloatArray:
     second = 0.5 * np.sinc(a / (2 * np.pi)) ** 2
     third = 1 / 6 - a * a / 120 if a < SMALL else (a - np.sin(a)) / a**3
     return np.asarray(np.eye(3) + second * K + third * K @ K)
-
-
-def middle(body: Body, surfaces: tuple[str, ...]) -> FloatArray:
-    """Centre of a surface's facets, taken as flat, by their areas [m]. Collective.
-
-    Args:
-        body: The mesh and its names.
-        surfaces: Names of the surfaces, taken together.
-    """
-    mesh, dim = body.mesh, body.dim
-    facets = np.unique(np.concatenate([body.owned_facets(name) for name in surfaces]))
-    mesh.topology.create_connectivity(dim - 1, dim)
-    mesh.topology.create_connectivity(dim, dim - 1)
-    corners = np.empty((0, dim), dtype=np.int32)
-    if len(facets):  # DOLFINx 0.9 divides by their number
-        corners = dmesh.entities_to_geometry(mesh, dim - 1, facets.astype(np.int32))[:, :dim]
-    x = mesh.geometry.x[corners]
-    edges = x[:, 1:] - x[:, :1]
-    areas = np.linalg.norm(edges[:, 0] if dim == 2 else np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    sums = total(body.comm, np.append(areas @ x.mean(axis=1), areas.sum()))
-    return np.asarray(sums[:dim] / sums[-1])

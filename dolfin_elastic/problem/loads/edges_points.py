@@ -30,6 +30,7 @@ from dolfin_elastic.mesh.geometry.curved import (
 )
 from dolfin_elastic.mesh.geometry.simplices import cells_beside_edges, node_cells
 from dolfin_elastic.model.dimension import WeightedMeasure
+from dolfin_elastic.problem.loads.at_points import IntegralPoints
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,19 @@ class PointIntegrals:
             )
         )
 
+    def points(self, degree: int) -> IntegralPoints:
+        """Where all these integrals take their integrand.
+
+        Args:
+            degree: Quadrature degree along straight edges.
+        """
+        cells = list(self.cells.values())
+        return IntegralPoints(
+            np.array([self._points(k, degree)[0] for k in self._numbers.values()]),
+            np.concatenate(cells),
+            np.repeat(np.arange(len(cells), dtype=np.int32), [len(one) for one in cells]),
+        )
+
     def _factor(self, local: int, degree: int) -> Expr:
         """Length element of the edge, or 1, over that of the cell's volume."""
         volume = abs(ufl.JacobianDeterminant(self._mesh))
@@ -114,17 +128,20 @@ class PointIntegrals:
 
     def _rule(self, local: int, degree: int) -> dict[str, object]:
         """The points as UFL's metadata, in tuples, which have a signature."""
-        if self._edges:
-            points, weights, _ = edge_rule(self._mesh, degree)
-            places = points[local]
-        else:
-            places, weights = reference_nodes(self._mesh)[local][None], np.ones(1)
+        places, weights = self._points(local, degree)
         return {
             "quadrature_rule": "custom",
             "quadrature_degree": degree,
             "quadrature_points": _rows(places),
             "quadrature_weights": tuple(map(float, weights)),
         }
+
+    def _points(self, local: int, degree: int) -> tuple[FloatArray, FloatArray]:
+        """Points in the reference cell, shape (n, dim), and weights, shape (n,)."""
+        if not self._edges:
+            return reference_nodes(self._mesh)[local][None], np.ones(1)
+        points, weights, _ = edge_rule(self._mesh, degree)
+        return points[local], weights
 
 
 def _rows(points: FloatArray) -> tuple[tuple[float, ...], ...]:

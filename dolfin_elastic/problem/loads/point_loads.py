@@ -135,7 +135,9 @@ class NodalLoads:
             raise error.at("on") from None
         size = total(comm, float(points.weights.sum()))
         if not size > 0.0:
-            raise InputError("nothing of the mesh is there", where="on")
+            raise InputError(
+                "nothing of the mesh is there", where="on", expected="a name that has members"
+            )
         x = np.zeros((points.weights.size, 3))
         x[:, : self._dim] = points.X.reshape(-1, self._dim)
         local = points.local.reshape(-1, self._dim)

@@ -99,14 +99,16 @@ class PeriodicPairing:
             for i, points in enumerate(pair):
                 if not len(points.x):
                     raise InputError(
-                        f"the surface '{self.pairs[k][i]}' is empty", where=f"periodic.pairs[{k}]"
+                        f"the surface '{self.pairs[k][i]}' is empty",
+                        where=f"periodic.pairs[{k}]",
+                        expected="a surface with facets",
                     )
 
     def _check_count(self) -> None:
         dim = self.body.dim
         if len(self.pairs) != dim:
             raise InputError(
-                f"{len(self.pairs)} pairs of surfaces",
+                f"{len(self.pairs)} pairs of surfaces given",
                 where="periodic.pairs",
                 expected=f"{dim} pairs: a cell is repeated along each of its {dim} directions",
             )

@@ -10,7 +10,7 @@ section 3, for the boundary.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,6 +66,7 @@ class Ties:
         axisymmetric: The body is one of revolution about y.
 
     Attributes:
+        given: What is tied.
         dofs: Owners of the entries of the displacement.
         tied: Owned entries of the displacement that follow others, sorted.
         nodes: Local nodes, owned and ghost, with tied components, sorted.
@@ -90,7 +91,7 @@ class Ties:
         axisymmetric: bool = False,
     ) -> None:
         imap = V.dofmap.index_map
-        self.comm, self._dim = body.comm, int(V.dofmap.index_map_bs)
+        self.comm, self._dim, self.given = body.comm, int(V.dofmap.index_map_bs), tuple(ties)
         self._body, self._V, self._axisymmetric = body, V, axisymmetric
         self._nodes = Owners(body.comm, imap.local_range[0], imap.size_local)
         dim = self._dim
@@ -252,12 +253,22 @@ class Ties:
             out_of_balance: Nodal forces out of balance of bodies that are not tied, owned entries.
         """
         found: dict[str, FloatArray] = {}
-        for surface, passed in zip(self.surfaces, self._passed, strict=True):
-            shares = passed * out_of_balance[surface.dofs]
-            force = np.bincount(surface.dofs % self._dim, shares, minlength=self._dim)
+        for label, dofs, shares in self.passed_forces(out_of_balance):
+            force = np.bincount(dofs % self._dim, shares, minlength=self._dim)
             whole: FloatArray = total(self.comm, np.asarray(force, dtype=np.float64))
-            found[surface.label] = np.asarray(found.get(surface.label, 0.0) + whole)
+            found[label] = np.asarray(found.get(label, 0.0) + whole)
         return found
+
+    def passed_forces(
+        self, out_of_balance: FloatArray
+    ) -> Iterator[tuple[str, IndexArray, FloatArray]]:
+        """Label, owned tied entries and the forces on them by the other side [N], tie by tie.
+
+        Args:
+            out_of_balance: See `resultants`.
+        """
+        for surface, passed in zip(self.surfaces, self._passed, strict=True):
+            yield surface.label, surface.dofs, passed * out_of_balance[surface.dofs]
 
     def _passed_on(self, surface: TiedSurfaces) -> FloatArray:
         """Share of the force on each entry of a tie that goes to the other side. Collective.

@@ -356,7 +356,7 @@ def test_a_centrifugal_axis_with_a_name(name, row):
         ("gravity", {"on": []}, "on: no name is given; a region's name; left out, it is the"),
         ("centrifugal", {"value": "2 mm"}, "value: '2 mm' has the wrong unit"),
         ("centrifugal", {"value": "x"}, "value: a body spins with one speed"),
-        ("centrifugal", {"value": 1, "axis": [0, 0, 0]}, "axis: an axis of no length"),
+        ("centrifugal", {"value": 1, "axis": [0, 0, 0]}, "axis: the axis has no length"),
         ("centrifugal", {"value": 1, "point": [0, "x", 0]}, "point: a formula cannot"),
         ("point-force", {"value": [1, 0, 0]}, "at: this key is missing"),
         ("point-force", {"value": [1, 0, 0], "at": [0, "t", 0]}, "at: a formula cannot"),
@@ -394,7 +394,7 @@ def test_loads_that_do_not_fit_the_body(load, says):
 
 def test_weight_of_a_body_of_revolution_is_along_its_axis():
     weight = Gravity(value=[1, -9.81])
-    with pytest.raises(InputError, match=r"load\[0\].value\[0\]: weight across the axis"):
+    with pytest.raises(InputError, match=r"load\[0\].value\[0\]: the weight of a body of rev"):
         Problem(
             body(2),
             LinearElastic(E=E, nu=NU, density=RHO),

@@ -601,7 +601,7 @@ ROWS = [
     ),
     (
         {"kind": "spring", "on": "left", "normal": "x", "total": True},
-        r"support\[0\]\.normal: a total is a number",
+        r"support\[0\]\.normal: a total is a number, no formula",
     ),
 ]
 
@@ -729,7 +729,8 @@ def test_a_value_that_is_none_is_told_with_its_support_and_place(comm: MPI.Comm)
     with pytest.raises(InputError) as caught:
         _ = [*Statics(problem, steps=1).steps()]
     assert str(caught.value) == (
-        "support 'right': the prescribed displacement is not finite at (1, 0.666667) m at t = 1"
+        "support 'right': the prescribed displacement is not finite at (1, 0.666667) m at t = 1; "
+        "a formula that gives a number at every place and time"
     )
 
 

@@ -519,7 +519,7 @@ def test_shapes_that_are_none():
     assert "the obstacle has no shape; exactly one of plane, sphere, cylinder" in wrong()
     both = wrong(plane={"axis": "z", "at": 0}, sphere={"center": [0, 0, 0], "radius": 1})
     assert "plane and sphere are given" in both
-    assert "not given in full" in wrong(plane={"point": [0, 0, 0]})
+    assert "needs point and normal" in wrong(plane={"point": [0, 0, 0]})
     assert "a normal cannot be zero" in wrong(plane={"point": [0, 0], "normal": [0, 0]})
     assert "did you mean 'radius'?" in wrong(sphere={"center": [0, 0, 0], "radios": 1})
     assert "motion depends on t only" in wrong(plane={"axis": "z", "at": 0}, motion=[0, 0, "x*t"])
