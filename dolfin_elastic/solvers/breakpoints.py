@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.model.amplitude import PROPORTIONAL, Amplitude
+from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.model.values import depends_on_time
 from dolfin_elastic.problem.problem import Problem
 
@@ -40,30 +40,13 @@ def refuse_times_beyond(times: Sequence[float], end: float, key: str, unit: str 
             )
 
 
-def corners(problem: Problem) -> list[float]:
-    """Times at which an amplitude has a corner or turns around, sorted [s]."""
-    return sorted({t for curve in _amplitudes(problem) for t in curve.breakpoints})
-
-
 def driven_by_formula(problem: Problem) -> bool:
     """Whether a formula in t drives a load, support or obstacle: it may turn around at any time."""
     formulas = [load.values for load in problem.loads]
     formulas += [course for support in problem.supports for course in support.time_functions]
     formulas += [pair.contact.values for pair in problem.contact_pairs]
-    curves = any(curve.is_formula for curve in _amplitudes(problem))
+    curves = any(curve.is_formula for curve in problem.curves)
     return curves or any(depends_on_time(vector) for vector in formulas)
-
-
-def _amplitudes(problem: Problem) -> Iterator[Amplitude]:
-    things = [
-        *problem.loads,
-        *problem.supports,
-        *(pair.contact for pair in problem.contact_pairs),
-    ]
-    for thing in things:
-        curve = getattr(thing, "curve", None)
-        if isinstance(curve, Amplitude):
-            yield curve
 
 
 def within_stride(problem: Problem, t: float, goal: float) -> float:

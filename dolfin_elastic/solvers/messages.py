@@ -150,7 +150,7 @@ def linear(reason: str) -> tuple[str, str]:
 
 def load_not_finite(t: float) -> InputError:
     """The error where a load has no finite value at a time [s]."""
-    return InputError(f"a load has no finite value at t = {t:g}", where="load")
+    return InputError(f"a load has no finite value at t = {t:g}", where="load", expected=LOAD)
 
 
 def count(number: int, thing: str) -> str:

@@ -22,9 +22,14 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
+from dolfin_elastic.model.dimension import moment_of
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Audit
-from dolfin_elastic.solvers.assembly.assembler import Assembler, StrainEnergy
+from dolfin_elastic.solvers.assembly.assembler import (
+    Assembler,
+    StrainEnergy,
+    configuration_of_moments,
+)
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.audit.offences import (
     Found,
@@ -93,7 +98,7 @@ class EquilibriumAuditor:
         self._X = problem.V.tabulate_dof_coordinates()[
             : len(assembler.displacement_dofs) // self._dim
         ]
-        self._moment_frame = _configuration_of_moments(problem)
+        self._moment_frame = configuration_of_moments(problem)
         self._previous: _Previous | None = None
         self._work = self._stored = self._round_off_share = 0.0
         self._out_of_balance = False  # the last state was no equilibrium
@@ -271,10 +276,10 @@ class EquilibriumAuditor:
         x = self._X[:, : self._dim]
         if self._moment_frame == "current":
             x = x + self._displacement().reshape(x.shape)
-        rows = [_cross(x, force) for force in external]
+        rows = [moment_of(x, force) for force in external]
         if (ties := self._problem.ties) is not None:  # couples of gaps that they bridge
             along = np.eye(self._dim)[ties.tied % self._dim] * self._tied_forces()[:, None]
-            rows.append(_cross(ties.levers, along))
+            rows.append(moment_of(ties.levers, along))
         arm = float(self._comm.allreduce(float(np.max(np.abs(x), initial=0.0)), op=MPI.MAX))
         share, size, allowed = self._imbalance(rows, noise * arm)
         if share > allowed:
@@ -363,25 +368,6 @@ class EquilibriumAuditor:
                 abs(work - stored),
             )
         self._previous, self._out_of_balance = _Previous(u, forces, energy, abs(change)), False
-
-
-def _configuration_of_moments(problem: Problem) -> str:
-    """In which configuration moments balance: "reference", "current", or "none".
-
-    The stress P of a small-strain law is symmetric itself, that of all others is where it acts:
-    P F^T is symmetric (Bonet & Wood (2008), section 5.2).
-    """
-    linear = [part.law.linear for part in problem.regions]
-    if problem.geometry == "axisymmetric" or (any(linear) and not all(linear)):
-        return "none"
-    return "reference" if all(linear) else "current"
-
-
-def _cross(x: FloatArray, force: FloatArray) -> FloatArray:
-    """Moments about the origin, shape (nodes, 3), in a plane (nodes, 1)."""
-    if x.shape[1] == 2:
-        return np.asarray(x[:, :1] * force[:, 1:] - x[:, 1:] * force[:, :1])
-    return np.asarray(np.cross(x, force))
 
 
 class PathEnergyCheck:

@@ -85,8 +85,8 @@ def check_no_rigid_motion(problem: Problem) -> None:
     if problem.cell is not None:
         text = ", ".join(f"`{body.name}`" for body in free[:_SHOWN])
         raise InputError(
-            f"{text} can {LOOSE}: the cell has {len(bodies)} bodies that share no nodes, through "
-            "its faces neither",
+            f"{text} can {LOOSE}: the cell has {len(bodies)} bodies that share no nodes, not even "
+            "across its faces",
             where="periodic",
             expected="a cell that hangs together; a soft filling binds what lies in a hole",
         )

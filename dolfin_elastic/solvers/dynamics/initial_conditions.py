@@ -175,7 +175,11 @@ def _set_nodal(
 def _check_finite(problem: Problem, field: fem.Function, where: str) -> None:
     bad = int(total(problem.body.comm, int(~np.isfinite(field.x.array).all())))
     if bad:
-        raise InputError("the formula is not finite at some nodes", where=where)
+        raise InputError(
+            "the formula is not finite at some nodes",
+            where=where,
+            expected="a formula that gives a number at every node",
+        )
 
 
 # --- supports that the body cannot follow ---

@@ -234,7 +234,7 @@ def _initial_values(key: str, written: Sequence[object], unit: str) -> tuple[Com
     found = components(written, unit, key=key) if written else ()
     if depends_on_time(found):
         raise InputError(
-            "what holds at the start does not depend on t",
+            "an initial value does not depend on t",
             where=key,
             expected="a formula in x, y, z",
         )
@@ -287,6 +287,6 @@ def _unused_by_explicit(s: DynamicsSettings, scheme: str, leave: str) -> Iterato
     if s.dt is not None:
         yield UnusedKeys(
             ["safety"],
-            f"all steps are dt = {s.dt:g} s, and no share of the stable one",
+            f"dt = {s.dt:g} s is given, so no share of the stable step is taken",
             "leave one of them out",
         )

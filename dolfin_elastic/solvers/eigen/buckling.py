@@ -102,7 +102,7 @@ class Buckling(PreloadedAnalysis):
         _check_proportional(problem)
         if self.linear.method == "iterative":
             raise InputError(
-                "buckling modes are found by factors",
+                "buckling needs a factorisation, and an iterative solver makes none",
                 where="solver.method",
                 expected='"auto" or "direct"',
             )
@@ -354,7 +354,7 @@ def _check_proportional(problem: Problem) -> None:
     for key, rows in own.items():
         if any(rows):
             raise InputError(
-                "what has a course of its own over t is not multiplied by a load factor",
+                "a curve or a formula in t is not multiplied by a load factor",
                 where=f"{key}[{rows.index(True)}].curve",
                 expected="numbers without a curve, formulas without t",
             )

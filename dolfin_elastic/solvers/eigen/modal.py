@@ -97,7 +97,8 @@ class Modal(PreloadedAnalysis):
         self.choice = choose_eigen(problem, self.linear)
         if self.settings.below is not None and not self.choice.direct:
             raise InputError(
-                "modes are counted by factors",
+                "modes below a frequency are counted by a factorisation, and an iterative "
+                "solver makes none",
                 where="modal.below",
                 expected='count, or solver.method = "direct"',
             )
@@ -171,8 +172,8 @@ class Vibration:
             self.room = self._room() - constrained_motions(self.assembler) - len(self.rigid)
         if self.room <= 0 and not self.rigid:
             raise InputError(
-                "nothing can vibrate: supports hold every node, or all but what volumes that "
-                "cannot change allow",
+                "nothing can vibrate: supports hold every node, or all but those that "
+                "incompressibility holds",
                 where="support",
                 expected="some nodes that are free to move: a finer mesh, or fewer supports",
             )

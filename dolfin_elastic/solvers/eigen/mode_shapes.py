@@ -77,7 +77,7 @@ def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
         )
     if problem.contact_pairs:
         raise InputError(
-            "what opens and closes has no modes",
+            "contact opens and closes, so the body has no modes",
             where="contact",
             expected="a support in its place, or [dynamics]",
         )
@@ -85,7 +85,7 @@ def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
     for region in problem.regions:
         if not region.law.has_energy:
             raise InputError(
-                f"'{region.law.name()}' has no energy, so that its modes are no modes",
+                f"'{region.law.name()}' has no strain energy, which modes are defined by",
                 where=f"materials.{region.name}.law",
                 expected="for example st-venant-kirchhoff",
             )
@@ -220,8 +220,8 @@ def _counted(spectrum: Pencil, top: float) -> int:
 def undetermined() -> ConvergenceError:
     """A matrix that is singular with any shift."""
     return ConvergenceError(
-        "modes cannot be counted: the stiffness is singular whatever is added of the mass, for an "
-        "unknown beside the displacement is left undetermined",
+        "modes cannot be counted: the stiffness stays singular whatever multiple of the mass is "
+        "added, because a pressure is left undetermined",
         advice="of several bodies that cannot be compressed, does one have no free surface? A nu "
         "a little below 0.5 there",
     )

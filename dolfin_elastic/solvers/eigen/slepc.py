@@ -28,7 +28,15 @@ from dolfin_elastic.core.signals import raise_if_agreed, stop_agreed
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.linear.choice import Choice, LinearSettings, factorising, multigrid
+from dolfin_elastic.solvers.linear.choice import (
+    BLOCKS,
+    Choice,
+    LinearSettings,
+    factorising,
+    grids,
+    petsc_multigrid,
+)
+from dolfin_elastic.solvers.linear.hierarchy import Multigrid
 from dolfin_elastic.solvers.linear.multigrid import PMultigrid, rigid_body_modes
 from dolfin_elastic.solvers.messages import eigenvalues
 from dolfin_elastic.solvers.petsc.options import Options
@@ -74,10 +82,10 @@ def choose_eigen(problem: Problem, settings: LinearSettings) -> Choice:
         "ksp_type": "cg",
         "ksp_rtol": 1e-11,  # errors of solutions are errors of eigenvectors
         "ksp_max_it": 2000,
-        **multigrid(problem.degree),
+        **BLOCKS,
     }
-    name = "GAMG" if problem.degree == 1 else "multigrid from quadratic to linear elements, GAMG"
-    why = f"Krylov-Schur with shift and invert (SLEPc; CG, {name} with rigid-body modes): {size}"
+    name = grids(problem.degree)
+    why = f"Krylov-Schur with shift and invert (SLEPc; CG, {name}): {size}"
     return Choice(False, prefixed(options), why)
 
 
@@ -170,8 +178,9 @@ class Spectrum:
         self.problem, self.A, self.B = problem, A, B
         self.counted, self._tolerance = choice.direct, tolerance
         self.options = Options(choice.options, users)
+        self.options.update(petsc_multigrid(self.options.all, self.options.users, problem.degree))
         self._pressures = problem.unknowns.count("pressure")
-        self._multigrid: PMultigrid | None = None
+        self._multigrid: Multigrid | PMultigrid | None = None
 
     def below(self, number: float) -> int | None:
         """How many eigenvalues lie below a number; None: it is one of them. Collective.
@@ -263,7 +272,9 @@ class Spectrum:
         transform.setPreconditionerMat(matrix)
         ksp = transform.getKSP()
         ksp.setFromOptions()
-        if ksp.getPC().getType() == "mg" and self.problem.degree > 1:
+        if ksp.getPC().getType() == "python":
+            self._multigrid = Multigrid(self.problem, ksp.getPC())
+        elif ksp.getPC().getType() == "mg" and self.problem.degree > 1:
             self._multigrid = PMultigrid(self.problem, ksp.getPC())
         return matrix
 

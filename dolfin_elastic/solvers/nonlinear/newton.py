@@ -366,7 +366,8 @@ class Newton:
             self.snes.destroy()
         if self.bordered is not None:
             self.bordered.free()
-            self.ksp.destroy()
+        # Also the one of SNES: what Python alone still holds is never freed on several ranks.
+        self.ksp.destroy()
         self._x.destroy()
         self._f.destroy()
 

@@ -16,7 +16,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
-from dolfin_elastic.solvers.breakpoints import corners, within_stride
+from dolfin_elastic.solvers.breakpoints import within_stride
 from dolfin_elastic.solvers.diagnostics.stability import is_stable, negative_eigenvalues
 from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
@@ -103,7 +103,7 @@ class LoadStepping:
         self._states = StaticStates(
             newton, scalars, strain=self._path_check.strain, watch=watch, end=settings.end
         )
-        self._speed = StepSpeed(self._assembler, corners(self._problem))
+        self._speed = StepSpeed(self._assembler, self._problem.corners)
         self._t, self._whole = 0.0, whole
         self._arc: ArcLength | None = None
         # Load factor and unknowns at the beginning of the last step: the path is extrapolated.

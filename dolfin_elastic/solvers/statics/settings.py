@@ -88,11 +88,13 @@ def _unused_keys(s: StaticsSettings) -> Iterator[UnusedKeys]:
     if s.method == "arc-length":
         by_load = 'leave it out, or method = "load"'
         yield UnusedKeys(
-            ["times"], "a path that is followed by its length meets no load on purpose", by_load
+            ["times"], "a path that is followed by its length meets no load factor exactly", by_load
         )
         yield UnusedKeys(
             ["steps", "max_step"],
             "steps along a path are measured by its length, not by the load",
             "leave it out; first_step is the share of the load in the first one",
         )
-        yield UnusedKeys(["snap"], "a path that is followed by its length is never left", by_load)
+        yield UnusedKeys(
+            ["snap"], "a path that is followed by its length goes on beyond limit points", by_load
+        )

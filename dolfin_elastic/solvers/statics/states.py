@@ -8,7 +8,7 @@ from typing import Any
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.solvers.assembly.assembler import StrainEnergy
+from dolfin_elastic.solvers.assembly.assembler import StrainEnergy, SupportForces
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor
 from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
 from dolfin_elastic.solvers.messages import coordinates, in_words
@@ -44,6 +44,7 @@ class StaticStates:
     ) -> None:
         self._newton, self._scalars, self._strain, self._end = newton, scalars, strain, end
         self._assembler, self._problem = newton.assembler, newton.assembler.problem
+        self._supports = SupportForces(self._assembler)
         self._contacts = ContactResults(self._problem) if self._problem.contact_pairs else None
         self._auditor = EquilibriumAuditor(self._problem, self._assembler, watch)
         self.count = 0
@@ -78,6 +79,7 @@ class StaticStates:
         self.count += 1
         if equilibrium:
             assembler.check_volumes()
+        reactions, moments = self._supports()
         return State(
             step=self.count - 1,
             t=t,
@@ -89,10 +91,8 @@ class StaticStates:
             reason=result.reason,
             residuals=result.residuals,
             energies=energies,
-            reactions={
-                **assembler.reactions.by_support(assembler.residual.owned),
-                **assembler.residual.tie_forces,
-            },
+            reactions=reactions,
+            moments=moments,
             max_displacement=assembler.max_displacement(),
             negative=negative,
             limit_points=limits,

@@ -14,7 +14,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
-from dolfin_elastic.solvers.breakpoints import corners, driven_by_formula
+from dolfin_elastic.solvers.breakpoints import driven_by_formula
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_no_rigid_motion
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
@@ -124,7 +124,7 @@ class Statics:
     def _check_path(self) -> None:
         if self.problem.cell is not None and self.settings.method == "arc-length":
             raise InputError(
-                "the path of a periodic cell is not followed by its length",
+                "a periodic cell is not followed by arc length",
                 where="statics.method",
                 expected='"load"; periodic.gradient prescribes how far the cell is deformed',
             )
@@ -161,6 +161,6 @@ class Statics:
             first=first,
             largest=largest,
             smallest=first * s.min_step,
-            stops=[*stops, *s.times, *corners(self.problem)],
+            stops=[*stops, *s.times, *self.problem.corners],
             steady=s.steps is not None,
         )

@@ -38,7 +38,7 @@ from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
-from dolfin_elastic.solvers.breakpoints import corners, driven_by_formula
+from dolfin_elastic.solvers.breakpoints import driven_by_formula
 from dolfin_elastic.solvers.diagnostics.stability import can_prove_stability, is_proven_stable
 from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.nonlinear.convergence import ANOTHER, BEYOND, UNSTABLE, NewtonResult
@@ -67,7 +67,7 @@ FARTHER = "the solution is far from the linear one"
 
 def may_take_whole_load(problem: Problem) -> bool:
     """Whether the signs above can be seen, and no path has to be followed. Not collective."""
-    if problem.linear or problem.contact_pairs or corners(problem) or driven_by_formula(problem):
+    if problem.linear or problem.contact_pairs or problem.corners or driven_by_formula(problem):
         return False
     if not problem.symmetric or problem.weak_form.strain_energy is None:
         return False

@@ -275,7 +275,7 @@ def test_refused(comm: MPI.Comm) -> None:
     )
     refused(
         comm,
-        r"load\[1\].curve: what has a course of its own over t",
+        r"load\[1\].curve: a curve or a formula in t is not multiplied",
         loads=[
             PointForce(at=[10, 0], value=[1, 0]),
             Traction(on="right", value=[1, 0], curve="ramp"),
@@ -283,14 +283,14 @@ def test_refused(comm: MPI.Comm) -> None:
     )
     refused(
         comm,
-        r"support\[1\].curve: what has a course",
+        r"support\[1\].curve: a curve or a formula in t",
         supports=[Support(on="left"), Support(on="right", displacement=["0.1*t^2", 0])],
     )
     refused(comm, "load: no load deforms the body", loads=[])
     refused(comm, "there is no support", supports=[])
     refused(
         comm,
-        "solver.method: buckling modes are found by factors",
+        "solver.method: buckling needs a factorisation",
         settings={"linear": LinearSettings(method="iterative")},
     )
     refused(

@@ -13,7 +13,7 @@ from dolfin_elastic.core.errors import StabilityError
 from dolfin_elastic.core.signals import raise_if_agreed
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State, StateCopy
-from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.assembly.assembler import Assembler, SupportForces
 from dolfin_elastic.solvers.assembly.energy_momentum import LumpedMass, lumped
 from dolfin_elastic.solvers.dynamics.explicit.monitor import StabilityMonitor
 from dolfin_elastic.solvers.dynamics.explicit.replay import Replay
@@ -79,7 +79,7 @@ class Explicit:
         problem, v, a = self.problem, self.v, self.assembler
         problem.set_time(0.0)  # what is packed below are the loads of motion
         self._monitor, self.mass = StabilityMonitor(problem, a), lumped(problem, a)
-        self._scalars, self._last = Scalars(a), StateCopy()
+        self._scalars, self._supports, self._last = Scalars(a), SupportForces(a), StateCopy()
         self.size = StepSize(problem, a, self.mass, chosen=dt, safety=safety)
         self.work = ExternalWork(problem, a, self.mass, v)
         self._energies = EnergyBook(problem, LumpedMass(problem, v, self.mass), self.work)
@@ -202,6 +202,7 @@ class Explicit:
     def _state(self, measures: Measures) -> State:
         (energies, momenta), scheme = measures, self.scheme
         a, inertia = self.assembler, self.mass * scheme.a.x.array[: len(self.mass)]
+        reactions, moments = self._supports(a.residual.owned + a.constrained_part(inertia))
         return State(
             step=scheme.steps,
             t=scheme.t,
@@ -210,7 +211,8 @@ class Explicit:
             a=scheme.a,
             reason="explicit",
             energies=energies,
-            reactions=a.reactions.by_support(a.residual.owned + a.constrained_part(inertia)),
+            reactions=reactions,
+            moments=moments,
             momenta=momenta,
             max_displacement=self.assembler.max_displacement(),
             numbers={**self._energies.numbers(), **self._scalars.numbers(inertia)},

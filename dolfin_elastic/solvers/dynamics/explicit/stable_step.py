@@ -172,8 +172,10 @@ class StepSize:
         self._find_frequency(0)
         if self._chosen is None:
             self._set_step()
-            values = self.stable, min(self.dt, end), self._safety, self._where()
-            log.info("stable step %.4g s, taken %.4g s (safety %g%s)", *values)
+            step = min(self.dt, end)
+            count = float(f"{end / step:.2g}") if step > 0 else 0.0
+            values = self.stable, step, count, self._safety, self._where()
+            log.info("stable step %.4g s, taken %.4g s, about %.0f in all (safety %g%s)", *values)
         elif self._chosen > self.stable:
             raise InputError(
                 f"{self._chosen:.4g} s is above the stable step, {self.stable:.4g} s",

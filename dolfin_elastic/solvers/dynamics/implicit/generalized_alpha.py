@@ -122,7 +122,7 @@ class GeneralizedAlphaParameters:
         if self._radius_of_constraints() <= MOST:
             return self
         raise InputError(
-            "with a pressure as an unknown newmark is not stable at any step with "
+            "with a pressure as an unknown, newmark is unstable at any step with "
             f"beta = {self.beta:g} and gamma = {self.gamma:g}",
             where="dynamics.gamma",
             expected="beta = 1/4 and gamma = 1/2 (the trapezoidal rule), or gamma from 0.52 on and "

@@ -17,6 +17,7 @@ from dolfin_elastic.core.signals import raise_if_agreed
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
+from dolfin_elastic.solvers.assembly.assembler import SupportForces
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass
 from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
 from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
@@ -162,7 +163,7 @@ class Implicit:
             lag = PressureEnergy(problem)
             self._owned.callback(lag.destroy)
         self._energies = EnergyBook(problem, ConsistentMass(problem, self.v), self.balance, lag)
-        self._scalars = Scalars(self.assembler)
+        self._scalars, self._supports = Scalars(self.assembler), SupportForces(self.assembler)
         self.auditor = MotionAuditor(problem, self.moving, watch, parameters, end=settings.end)
         self.auxiliary = AuxiliaryFields(problem)
         self._newton = self._krylov = 0
@@ -334,8 +335,7 @@ class Implicit:
         if not failed:
             self.scheme.balance_at_end(t)
             self.assembler.check_volumes()
-        reactions = self.assembler.reactions.by_support(self.assembler.residual.owned)
-        reactions |= self.assembler.residual.tie_forces
+        reactions, moments = self._supports()
         energies, momenta = self._energies.measure()
         audit = None if failed else self.auditor.judge(t, self.balance, energies)
         return State(
@@ -351,6 +351,7 @@ class Implicit:
             residuals=self.newton.result.residuals,
             energies=energies,
             reactions=reactions,
+            moments=moments,
             momenta=momenta,
             max_displacement=self.assembler.max_displacement(),
             numbers={**self._energies.numbers(), **self._scalars.numbers()},

@@ -71,10 +71,10 @@ class PetscAlpha2(ImplicitScheme):
         """
         if partly_incompressible(problem):
             raise InputError(
-                f"PETSc's '{name}' asks for volumes at its stages: the pressure of what cannot be "
-                "compressed swings the more, the smaller dt is",
+                f"PETSc's '{name}' keeps volumes at its stages, where the pressure of an "
+                "incompressible material swings the more, the smaller dt is",
                 where="dynamics.scheme",
-                expected="generalized-alpha, which asks for them at the ends of steps",
+                expected="generalized-alpha, which keeps them at the ends of steps",
             )
 
     @property
