@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from dolfinx.mesh import Mesh
+from dolfinx.mesh import Mesh, entities_to_geometry
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import IndexArray, IntArray
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.core.units import METRE, LengthUnit
 from dolfin_elastic.mesh.faces import CadFaces
 from dolfin_elastic.mesh.fields import MeshField
@@ -183,7 +183,7 @@ class Body:
         alike = _alike(self, name)
         if len(alike) > 1:
             names = " or ".join(f"'{other}'" for other in alike)
-            raise MeshError(f"'{name}' may be {names}", expected="write it as the mesh file does")
+            raise MeshError(f"'{name}' may mean {names}", expected="write it as the mesh file does")
 
     def part(self, kind: str, name: str) -> IndexArray:
         """Local cells, facets, edges or nodes of a part.
@@ -210,7 +210,10 @@ class Body:
         if self.faces is not None and kind == "surface":
             near = "; ".join(filter(None, (near, self.faces.alike(name))))
         if others:
-            raise MeshError(f"'{name}' is {_A[others[0]]}, not {_A[kind]}")
+            raise MeshError(
+                f"'{name}' is {_A[others[0]]}, not {_A[kind]}",
+                expected=nearest("", self.parts[kind]),
+            )
         raise MeshError(
             f"no {kind} '{name}' in {self.source or 'the mesh'}",
             expected=near,
@@ -349,6 +352,27 @@ def extent(body: Body) -> tuple[float, ...]:
 def span(body: Body) -> float:
     """Diagonal of the body's bounding box [m]. Collective."""
     return float(np.linalg.norm(extent(body)))
+
+
+def centre_of(body: Body, surfaces: Sequence[str]) -> FloatArray:
+    """Centre of the facets of surfaces, taken as flat, by their areas [m]. Collective.
+
+    Args:
+        body: The mesh and its names.
+        surfaces: Names of the surfaces, taken together.
+    """
+    mesh, dim = body.mesh, body.dim
+    facets = np.unique(np.concatenate([body.owned_facets(name) for name in surfaces]))
+    mesh.topology.create_connectivity(dim - 1, dim)
+    mesh.topology.create_connectivity(dim, dim - 1)
+    corners = np.empty((0, dim), dtype=np.int32)
+    if len(facets):  # DOLFINx 0.9 divides by their number
+        corners = entities_to_geometry(mesh, dim - 1, facets.astype(np.int32))[:, :dim]
+    x = mesh.geometry.x[corners]
+    edges = x[:, 1:] - x[:, :1]
+    areas = np.linalg.norm(edges[:, 0] if dim == 2 else np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    sums = total(body.comm, np.append(areas @ x.mean(axis=1), areas.sum()))
+    return np.asarray(sums[:dim] / sums[-1])
 
 
 def cell_size(body: Body) -> float:

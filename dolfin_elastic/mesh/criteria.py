@@ -59,7 +59,11 @@ class BoundingBox:
         """
         dim = len(self.low)
         if len(values) < dim:
-            raise MeshError(f"the body is three-dimensional, {list(values)} is not", where=key)
+            raise MeshError(
+                f"the body is three-dimensional, {list(values)} is not",
+                where=key,
+                expected="3 coordinates",
+            )
         return np.array([self.metres(v) for v in values[:dim]])
 
     def __str__(self) -> str:
@@ -226,7 +230,9 @@ def _distance_from_cylinder(
     along = np.array(cylinder.direction)[:dim]
     if dim == 2 and along.any():
         raise MeshError(
-            "the body is plane: the axis of a cylinder must be z", where="cylinder.axis"
+            "the body is plane: the axis of a cylinder must be z",
+            where="cylinder.axis",
+            expected='"z"',
         )
 
     def distance(x: FloatArray) -> FloatArray:

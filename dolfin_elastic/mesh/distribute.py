@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import basix.ufl
 import numpy as np
@@ -13,7 +14,7 @@ from dolfinx.mesh import CellType, GhostMode, Mesh, create_mesh
 from mpi4py import MPI
 
 from dolfin_elastic.core.compat import cell_partitioner
-from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import agree
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
@@ -28,6 +29,12 @@ from dolfin_elastic.mesh.geometry.simplices import (
     prepare_edges,
     prepare_facets,
 )
+
+LARGE = 1_000_000
+"""Cells of a mesh from which on a hint is worth while though there is one process only."""
+
+CAD = (".geo", ".geo_unrolled", ".step", ".stp", ".brep", ".iges", ".igs")
+"""Suffixes of files that Gmsh meshes on the fly."""
 
 Permutation = Callable[[CellType, int], IndexArray]
 
@@ -60,9 +67,8 @@ def build_body(
         (raw.surfaces, raw.edges, raw.nodes, raw.uncovered, raw.incomplete) if raw else None
     )
     notes, information = comm.bcast((raw.notes, raw.information) if raw else None)
-    surfaces, lost = _entities(mesh, facets, mesh.topology.dim - 1)
-    edges, lost_edges = _entities(mesh, ends, 1)
-    incomplete = {**lost, **lost_edges, **incomplete}
+    surfaces, edges, points, lost = local_parts(mesh, facets, ends, nodes)
+    incomplete = {**lost, **incomplete}
 
     def whole(parts: dict[str, IndexArray]) -> dict[str, IndexArray]:
         return {name: rows for name, rows in parts.items() if name not in incomplete}
@@ -72,22 +78,61 @@ def build_body(
         whole(_regions(mesh, raw)),
         whole(surfaces),
         source,
-        (*notes, *_left_out(incomplete)),
+        (*notes, *left_out(incomplete)),
         distribute_fields(mesh, raw),
         edges=whole(edges),
-        points=whole(_points(mesh, nodes)),
+        points=whole(points),
         uncovered=uncovered,
         incomplete=incomplete,
         unit=unit,
-        information=information,
+        information=(*information, *_one_reader(mesh, source)),
         faces=_faces(mesh, raw, unit),
     )
 
 
-def _left_out(incomplete: Mapping[str, str]) -> list[str]:
+def _one_reader(mesh: Mesh, source: str) -> list[str]:
+    """A hint where one rank has read what all could read."""
+    cells, ranks = mesh.topology.index_map(mesh.topology.dim).size_global, mesh.comm.size
+    if Path(source).suffix.lower() in CAD or (ranks == 1 and cells < LARGE):
+        return []
+    readers = f"one of {ranks} ranks" if ranks > 1 else "one process, with its memory"
+    new = Path(source).stem + (".xdmf" if Path(source).suffix != ".xdmf" else "_shared.xdmf")
+    return [f"read by {readers}; 'dolfin-elastic convert {source} {new}' makes one that all share"]
+
+
+def local_parts(
+    mesh: Mesh,
+    facets: Mapping[str, IntArray],
+    ends: Mapping[str, IntArray],
+    nodes: Mapping[str, IntArray],
+) -> tuple[dict[str, IndexArray], dict[str, IndexArray], dict[str, IndexArray], dict[str, str]]:
+    """Local facets, edges and nodes of named parts, shared ones included. Collective.
+
+    Args:
+        mesh: The mesh; it knows the points of the file by their rows.
+        facets: Name of a surface to the vertices of its facets; all by their rows in the file, and
+            the same on all ranks.
+        ends: Name of an edge to the vertices of its mesh edges; in three dimensions only.
+        nodes: Name of a point to its nodes.
+
+    Returns:
+        Surfaces, edges, points; and name to reason of those of which members are missing.
+    """
+    surfaces, lost = _entities(mesh, facets, mesh.topology.dim - 1)
+    edges, lost_edges = _entities(mesh, ends, 1)
+    return surfaces, edges, _points(mesh, nodes), {**lost, **lost_edges}
+
+
+def left_out(incomplete: Mapping[str, str]) -> list[str]:
     """A note on the parts that are not whole, if there are any."""
     reasons = "; ".join(f"'{name}' ({reason})" for name, reason in incomplete.items())
     return [f"named parts that are not whole (left out): {reasons}"] if reasons else []
+
+
+def _with_advice(error: InputError) -> InputError:
+    """The error of a reader; one that says nothing else is about a damaged file."""
+    anew = "save the mesh anew, or in another format"
+    return error if error.expected else MeshError(error.what, where=error.where, expected=anew)
 
 
 def _on_root_only(comm: MPI.Comm, action: Callable[[], RawMesh], source: str) -> RawMesh | None:
@@ -98,7 +143,7 @@ def _on_root_only(comm: MPI.Comm, action: Callable[[], RawMesh], source: str) ->
         try:
             raw = action()
         except MeshError as caught:
-            error = caught if caught.where else caught.at(source)
+            error = _with_advice(caught if caught.where else caught.at(source))
         except MemoryError:
             error = MeshError(
                 "the mesh does not fit into the memory of one process",
@@ -106,7 +151,11 @@ def _on_root_only(comm: MPI.Comm, action: Callable[[], RawMesh], source: str) ->
                 expected="convert it to XDMF, which is read in parts",
             )
         except OSError as caught:
-            error = MeshError(f"cannot be read: {caught.strerror or caught}", where=source)
+            error = MeshError(
+                f"cannot be read: {caught.strerror or caught}",
+                where=source,
+                expected="a file that you may read",
+            )
         except Exception as caught:  # raised again on all ranks just below
             error = caught
     agree(comm, error)

@@ -95,14 +95,22 @@ def rectangle_body(
         MeshError: The numbers make no rectangle.
     """
     if len(size) != 2:
-        raise MeshError(f"a rectangle has two sizes, not {len(size)}", where="size")
+        raise MeshError(
+            f"a rectangle has two sizes, not {len(size)}",
+            where="size",
+            expected="for example [0.2, 0.1]",
+        )
     return box_body(size=size, cells=cells, origin=origin, comm=comm, scale=scale)
 
 
 def _check(size: Sequence[float], cells: Sequence[int], origin: Sequence[float]) -> int:
     dim = len(size)
     if dim not in (2, 3):
-        raise MeshError(f"a box has three sizes, a rectangle two, not {dim}", where="size")
+        raise MeshError(
+            f"a box has three sizes, a rectangle two, not {dim}",
+            where="size",
+            expected="for example [0.2, 0.1, 0.1]",
+        )
     if len(cells) != dim:
         raise MeshError(
             f"{len(cells)} numbers of cells for {dim} sizes",
@@ -110,13 +118,23 @@ def _check(size: Sequence[float], cells: Sequence[int], origin: Sequence[float])
             expected="one number for each edge",
         )
     if not (np.isfinite(size).all() and min(size) > 0):
-        raise MeshError(f"sizes must be positive, not {list(size)}", where="size")
+        raise MeshError(
+            f"sizes must be positive, not {list(size)}",
+            where="size",
+            expected="for example [0.2, 0.1, 0.1]",
+        )
     if min(cells) < 1 or any(int(n) != n for n in cells):
         raise MeshError(
-            f"numbers of cells must be whole and positive, not {list(cells)}", where="cells"
+            f"numbers of cells must be whole and positive, not {list(cells)}",
+            where="cells",
+            expected="for example [8, 4, 4]",
         )
     if len(origin) not in (2, 3) or not np.isfinite(origin).all():
-        raise MeshError(f"the origin needs {dim} coordinates, not {list(origin)}", where="origin")
+        raise MeshError(
+            f"the origin needs {dim} coordinates, not {list(origin)}",
+            where="origin",
+            expected="for example [0, 0, 0]",
+        )
     return dim
 
 

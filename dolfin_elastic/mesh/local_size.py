@@ -54,7 +54,9 @@ class LocalSize(Record):
                 expected="expected exactly one of on, sphere, box",
             )
         if self.sphere is not None and self.sphere.center is None:
-            raise InputError("this key is missing", where="sphere.center")
+            raise InputError(
+                "this key is missing", where="sphere.center", expected="for example [0, 0, 0]"
+            )
         return self
 
     @property

@@ -15,7 +15,7 @@ from dolfin_elastic.core.errors import MeshError, nearest, not_shown, why_no_fil
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.units import METRE, LengthUnit, to_si
 from dolfin_elastic.mesh.body import Body, CadSource
-from dolfin_elastic.mesh.distribute import Permutation, build_body
+from dolfin_elastic.mesh.distribute import CAD, Permutation, build_body
 from dolfin_elastic.mesh.formats.cad.process import Permission
 from dolfin_elastic.mesh.formats.cleaning import straight
 from dolfin_elastic.mesh.formats.raw import MeshFile, RawMesh, assemble
@@ -24,7 +24,7 @@ from dolfin_elastic.mesh.local_size import NO_SIZES, CadSizes
 
 SHAPES = (".step", ".stp", ".brep", ".iges", ".igs")
 _IN_PARTS = (".pvtu", ".pvd", ".vtm", ".vtmb")
-CAD = (".geo", ".geo_unrolled", *SHAPES)
+XDMF = (".xdmf", ".xmf")
 
 
 def is_cad(path: str | os.PathLike[str]) -> bool:
@@ -71,19 +71,22 @@ def read_body(
         MeshError: The file cannot be read, or the mesh is not fit for use.
     """
     path = Path(path)
-    on_root(comm, lambda: _check_file(path, size, curved, join))
+    on_root(comm, lambda: check_file(path, size, curved, join))
     suffix = path.suffix.lower()
-    if suffix in (".xdmf", ".xmf"):
+    stated = on_root(comm, lambda: stated_unit_of(path))
+    unit = stated or METRE if scale is None else LengthUnit.of(scale)
+    if suffix in XDMF:
         from dolfin_elastic.mesh.formats.xdmf import read_xdmf
 
-        unit = LengthUnit.of(scale or 1.0)
         body = read_xdmf(path, comm=comm, unit=unit, dim=dim, straight_cells=curved is False)
-        return check_cells(body)
-    stated = on_root(comm, lambda: _stated_unit(path, suffix))
-    unit = stated or METRE if scale is None else LengthUnit.of(scale)
+        return check_cells(_with_unit(body, stated))
     edge = to_si(size, "m") / unit.metres if isinstance(size, str) else size
     if edge is not None and not edge > 0:
-        raise MeshError(f"the size of the elements must be positive, not {size}", where=path.name)
+        raise MeshError(
+            f"the size of the elements must be positive, not {size}",
+            where=path.name,
+            expected='for example "2 mm"',
+        )
 
     permission = Permission(trust, time_limit)
 
@@ -102,7 +105,7 @@ def read_body(
             permission=permission,
         )
 
-    read, permutation = _reader(path, suffix, cad, permission)
+    read, permutation = reader(path, cad, permission)
 
     def raw() -> RawMesh:
         found = assemble(read(), source=path.name, dim=dim)
@@ -123,8 +126,13 @@ def read_body(
     return check_cells(_with_unit(body, stated))
 
 
-def _stated_unit(path: Path, suffix: str) -> LengthUnit | None:
-    """The unit that a CAD file or a universal file states."""
+def stated_unit_of(path: Path) -> LengthUnit | None:
+    """The unit that a CAD file, a universal file or a converted mesh states. Local."""
+    suffix = path.suffix.lower()
+    if suffix in XDMF:
+        from dolfin_elastic.mesh.formats.xdmf_named import unit_of_xdmf
+
+        return unit_of_xdmf(path)
     if suffix == ".unv":
         from dolfin_elastic.mesh.formats.unv import unit_of_unv
 
@@ -150,9 +158,23 @@ def _with_unit(body: Body, stated: LengthUnit | None) -> Body:
     return replace(body, notes=(note, *body.notes))
 
 
-def _check_file(
-    path: Path, size: float | str | None, curved: bool | None, join: bool | None
+def check_file(
+    path: Path,
+    size: float | str | None = None,
+    curved: bool | None = None,
+    join: bool | None = None,
 ) -> None:
+    """Refuses a file that cannot be a mesh, or for which an option makes no sense. Local.
+
+    Args:
+        path: The file.
+        size: See `read_body`.
+        curved: See `read_body`.
+        join: See `read_body`.
+
+    Raises:
+        MeshError: With what would be right.
+    """
     if not path.exists():
         if hint := not_shown(path):
             raise MeshError(f"there is no mesh file '{path}'", expected=hint)
@@ -173,21 +195,21 @@ def _check_file(
             expected=ONE_PIECE,
         )
     if path.is_dir():
-        raise MeshError(f"'{path}' is a folder, not a mesh file")
+        raise MeshError(f"'{path}' is a folder, not a mesh file", expected="the file inside it")
     if fault := why_no_file(path, sys.maxsize):
         raise MeshError(fault, where=path.name)
     if path.stat().st_size == 0:
-        raise MeshError("the file is empty", where=path.name)
+        raise MeshError("the file is empty", where=path.name, expected="save the mesh anew")
     is_cad = path.suffix.lower() in CAD
     if size is not None and not is_cad:
         raise MeshError(
-            "a size of elements was given, but this file is a finished mesh",
+            "mesh.size is given, but this file is a finished mesh",
             where=path.name,
             expected=f"size is for {', '.join(CAD)}",
         )
     if curved and not is_cad:
         raise MeshError(
-            "cells are to follow curved surfaces, but this file is a finished mesh",
+            "mesh.curved is given, but this file is a finished mesh",
             where=path.name,
             expected=f"curved is for {', '.join(CAD)}; a mesh of quadratic cells is curved already",
         )
@@ -202,9 +224,17 @@ def _check_file(
         )
 
 
-def _reader(
-    path: Path, suffix: str, cad: Callable[[], MeshFile], permission: Permission
+def reader(
+    path: Path, cad: Callable[[], MeshFile], permission: Permission
 ) -> tuple[Callable[[], MeshFile], Permutation]:
+    """How one rank reads a file, and the node order of its quadratic cells.
+
+    Args:
+        path: The file.
+        cad: Meshes it, if it is a CAD file.
+        permission: What Gmsh may do.
+    """
+    suffix = path.suffix.lower()
     if suffix == ".msh":
         return lambda: _msh(path, permission), cpp.io.perm_gmsh
     if suffix in CAD:

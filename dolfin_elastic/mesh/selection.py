@@ -98,7 +98,11 @@ def _named(
         except MeshError as error:
             raise error.at(where) from None
     if not found:
-        raise MeshError("an empty list of selectors", where=f"{kind}s.{name}")
+        raise MeshError(
+            "an empty list of selectors",
+            where=f"{kind}s.{name}",
+            expected='for example {plane = "x", at = "min"}',
+        )
     return np.unique(np.concatenate(found)).astype(np.int32)
 
 
@@ -211,7 +215,9 @@ def _normal_test(
     wanted = np.array(selector.normal[:dim])
     if len(wanted) < dim or not wanted.any():
         raise MeshError(
-            f"a direction in {dim}D is needed, not {list(selector.normal)}", where="normal"
+            f"a direction in {dim}D is needed, not {list(selector.normal)}",
+            where="normal",
+            expected=f"for example {[1, 0, 0][:dim]}",
         )
     cosine = outward_normals(mesh, facets) @ (wanted / np.linalg.norm(wanted))
     angles = np.degrees(np.arccos(np.clip(cosine, -1, 1)))

@@ -69,9 +69,14 @@ def _level(value: float | str) -> float | str:
     return value if value in ("min", "max") else _length(value)
 
 
+def _middle(value: float | str) -> float | str:
+    return value if value == "middle" else _length(value)
+
+
 MeshLength = Annotated[float | str, BeforeValidator(_no_switch), AfterValidator(_length)]
 Size = Annotated[MeshLength, AfterValidator(_positive)]
 Level = Annotated[float | str, BeforeValidator(_no_switch), AfterValidator(_level)]
+Middle = Annotated[float | str, BeforeValidator(_no_switch), AfterValidator(_middle)]
 Point = Annotated[tuple[MeshLength, ...], Field(min_length=2, max_length=3)]
 Direction = Annotated[tuple[float, ...], Field(min_length=2, max_length=3)]
 Axis = Literal["x", "y", "z"]
@@ -182,9 +187,15 @@ class Place(Record):
             MeshError: A key is missing.
         """
         if self.sphere is not None and self.sphere.center is None:
-            raise MeshError("this key is missing", where="sphere.center")
+            raise MeshError(
+                "this key is missing", where="sphere.center", expected="for example [0, 0, 0]"
+            )
         if self.cylinder is not None and self.cylinder.point is None:
-            raise MeshError("this key is missing", where="cylinder.point")
+            raise MeshError(
+                "this key is missing",
+                where="cylinder.point",
+                expected="a point of the axis, for example [0, 0, 0]",
+            )
 
     def given(self) -> list[str]:
         """The geometric keys that were given."""

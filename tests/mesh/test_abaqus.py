@@ -302,7 +302,7 @@ def test_an_exact_name_comes_first() -> None:
     assert np.array_equal(body.surface("Foot"), body.surface("bottom"))
     assert np.array_equal(body.surface("foot"), body.surface("top"))
     assert np.array_equal(body.surface("LEFT"), body.surface("left"))
-    with pytest.raises(MeshError, match="'FOOT' may be 'Foot' or 'foot'"):
+    with pytest.raises(MeshError, match="'FOOT' may mean 'Foot' or 'foot'"):
         body.surface("FOOT")
     with pytest.raises(MeshError, match="'TOP' is a point"):
         body.surface("TOP")

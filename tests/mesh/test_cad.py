@@ -26,7 +26,7 @@ MILLI = "( LENGTH_UNIT() NAMED_UNIT(*) SI_UNIT(.MILLI.,.METRE.) )"
 def named(text: str) -> str:
     """Names the parts of `stack`."""
     for number, name in ((1, "steel"), (2, "rubber")):
-        text = re.sub(rf"'Open CASCADE STEP translator 7\.8 \d+\.{number}'", f"'{name}'", text)
+        text = re.sub(rf"'Open CASCADE STEP translator \d+\.\d+ \d+\.{number}'", f"'{name}'", text)
     return text
 
 

@@ -160,7 +160,7 @@ FAULTS = {
     "none": ("hello\n", "no universal file"),
     "no end": (cube()[:-8], r"cube\.unv:20: the last dataset has no end"),
     "no nodes": (dataset(2412, element(1, 111, CELLS[0])), "there are no nodes"),
-    "no number": ("    -1\nnodes\n    -1\n", r"cube\.unv:2: a dataset without a number"),
+    "no number": ("    -1\nnodes\n    -1\n", r"cube\.unv:2: a dataset has no number"),
     "words": (cube().replace("        91", "  triangle", 1), "'TRIANGLE' is no number"),
     "range": (cube().replace("        71        81", "        71      9991", 1), "9991"),
     "cut node": (dataset(2411, ["         1         1         1         1"]), "cut short"),

@@ -303,7 +303,10 @@ def _run(words: IntArray, width: int, alike: list[int], most: int, whole: bool) 
 
 def _nodes_of(kind: int) -> int:
     if kind not in _TYPES:
-        raise MeshError(f"section $Elements has the unknown element type {kind}")
+        raise MeshError(
+            f"section $Elements has the unknown element type {kind}",
+            expected="elements of order 1 or 2 (in Gmsh: Mesh.ElementOrder)",
+        )
     return _TYPES[kind][1]
 
 

@@ -179,7 +179,7 @@ def _datasets(path: Path) -> Iterator[_Dataset]:
 def _dataset(path: Path, start: int, lines: list[str]) -> _Dataset:
     head = lines[0].split() if lines else []
     if not head or not head[0].isdigit():
-        raise MeshError("a dataset without a number", where=f"{path.name}:{start + 1}")
+        raise MeshError("a dataset has no number", where=f"{path.name}:{start + 1}")
     return _Dataset(int(head[0]), start + 2, lines[1:], path.name)
 
 

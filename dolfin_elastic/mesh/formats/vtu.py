@@ -223,7 +223,9 @@ class _File:
             source, encoded = self._appended_source()
             start = _count(array, "offset")
         else:
-            raise MeshError(f"the format '{layout}' is unknown")
+            raise MeshError(
+                f"the format '{layout}' is unknown", expected="ascii, binary or appended"
+            )
         data = self._bytes(source, start, need * dtype.itemsize, encoded=encoded)
         return np.frombuffer(data, dtype).astype(dtype.newbyteorder("="))
 
@@ -231,7 +233,10 @@ class _File:
         if self._encoding == "base64":
             return _base64_source(self._appended), True
         if self._encoding != "raw":
-            raise MeshError(f"appended data of the encoding '{self._encoding}'")
+            raise MeshError(
+                f"appended data of the encoding '{self._encoding}' are not read",
+                expected="raw or base64",
+            )
         content = self._appended
         return _Source(lambda start, count: content[start : start + count], len(content)), False
 
@@ -258,7 +263,7 @@ class _File:
         if count == 0 and need == 0:
             return b""
         if not 0 < count <= source.size // width:
-            raise MeshError(f"{count} compressed blocks")
+            raise MeshError(f"{count} compressed blocks do not fit into it")
         head = width * (3 + count)
         sizes = self._sizes(source.take(start, head), 3 + count)
         block, last = sizes[1], sizes[2] or sizes[1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree
@@ -23,6 +23,7 @@ from dolfin_elastic.mesh.distribute import build_body, make_mesh
 from dolfin_elastic.mesh.fields import MeshField, distribute_rows
 from dolfin_elastic.mesh.formats.cleaning import check_distributed, straight
 from dolfin_elastic.mesh.formats.raw import RawMesh, assemble
+from dolfin_elastic.mesh.formats.xdmf_named import Names, dimensions, kind_of, named, names_in
 from dolfin_elastic.mesh.geometry.simplices import prepare_edges, vertex_nodes
 
 _DIMS = {
@@ -62,7 +63,8 @@ class _Data:
 class _Contents:
     """Content of the file; `grid` is empty if DOLFINx cannot read it, and meshio must.
 
-    `order` is the geometric degree of its cells, 0 where it is not known.
+    `order` is the geometric degree of its cells, 0 where it is not known; `names` is what
+    `dolfin-elastic convert` has put into it.
     """
 
     grid: str
@@ -71,6 +73,7 @@ class _Contents:
     tags: tuple[_Tags, ...]
     data: tuple[_Data, ...] = ()
     order: int = 0
+    names: Names = field(default_factory=Names)
 
 
 def read_xdmf(
@@ -83,7 +86,7 @@ def read_xdmf(
 ) -> Body:
     """Reads a mesh and its tags; each value v of the tags `facets` becomes ``facets_v``.
 
-    Collective.
+    Collective.  Parts of a converted mesh keep their names, see `xdmf_named`.
 
     Args:
         path: The .xdmf file, with its .h5 beside it.
@@ -107,7 +110,7 @@ def read_xdmf(
     try:
         with XDMFFile(comm, str(path), "r") as file:
             body = Body(_mesh(file, contents, unit.metres), source=path.name, unit=unit)
-            body = _tagged(body, file, contents)
+            body = named(_tagged(body, file, contents), path, contents.names)
         return replace(body, fields={d.name: _field(body, path, d) for d in contents.data})
     except RuntimeError as error:
         raise MeshError(f"cannot be read: {error}", where=path.name) from None
@@ -125,9 +128,14 @@ def _mesh(file: XDMFFile, contents: _Contents, scale: float) -> Mesh:
 
 def _contents(path: Path) -> _Contents:
     try:
-        root = ElementTree.parse(path).getroot()
+        return _in(ElementTree.parse(path).getroot(), path)
     except ElementTree.ParseError as error:
         raise MeshError(f"this is no XML file: {error}", where=path.name) from None
+    except MeshError as error:
+        raise error if error.where else error.at(path.name) from None
+
+
+def _in(root: ElementTree.Element, path: Path) -> _Contents:
     grids = [
         g
         for g in root.iter("Grid")
@@ -144,10 +152,23 @@ def _contents(path: Path) -> _Contents:
         return _Contents("", 0, 0, ())
     if len(_tags(main)) > 1 and not reads_attributes_by_name():
         return _Contents("", 0, 0, ())
-    tags = [t for g in grids if _kind(g) in _DIMS for t in _tags(g)]
+    tags = [t for g in grids if _kind(g) in _DIMS and not kind_of(g) for t in _tags(g)]
     data = _data(main, [g for g in root.iter("Grid") if g.find("Topology") is None])
     order = 2 if kind.endswith(("_6", "_10")) else 1
-    return _Contents(main.get("Name", ""), _DIMS[kind], width, tuple(tags), tuple(data), order)
+    return _Contents(
+        main.get("Name", ""), _DIMS[kind], width, tuple(tags), tuple(data), order, names_in(root)
+    )
+
+
+def is_shared(path: Path, dim: int | None) -> bool:
+    """Whether all ranks read a file in shares. Local.
+
+    Args:
+        path: The .xdmf file.
+        dim: See `read_xdmf`.
+    """
+    found = _contents(path)
+    return bool(found.grid) and found.spatial == found.dim and (dim or found.dim) == found.dim
 
 
 def _tags(grid: ElementTree.Element) -> list[_Tags]:
@@ -156,6 +177,8 @@ def _tags(grid: ElementTree.Element) -> list[_Tags]:
     for attribute in grid.findall("Attribute"):
         item = attribute.find("DataItem")
         kind = "Float" if item is None else item.get("NumberType", item.get("DataType", "Int"))
+        if kind_of(attribute):
+            continue
         if attribute.get("Center") == "Cell" and kind in ("Int", "UInt", "Char", "UChar"):
             found.append(_Tags(grid.get("Name", ""), attribute.get("Name", ""), _DIMS[_kind(grid)]))
     return found
@@ -184,14 +207,14 @@ def _one(attribute: ElementTree.Element, usual: str) -> _Data | None:
     if centre == "cell" and item.get("NumberType", item.get("DataType", usual)) != "Float":
         return None  # numbers of regions
     file, _, path = place.partition(":")
-    rows, *columns = (int(n) for n in item.get("Dimensions", "0").split())
+    rows, *columns = dimensions(item)
     width = int(np.prod(columns, dtype=np.int64))
     return _Data(attribute.get("Name", ""), centre, file, path, (rows, width))  # type: ignore[arg-type]
 
 
 def _rows(grid: ElementTree.Element, part: str) -> int:
     item = grid.find(f"{part}/DataItem")
-    return int(item.get("Dimensions", "0").split()[0]) if item is not None else 0
+    return dimensions(item)[0] if item is not None else 0
 
 
 def _field(body: Body, path: Path, data: _Data) -> MeshField:

@@ -36,7 +36,11 @@ def check_cells(body: Body) -> Body:
     middle = corners.mean(axis=1) / body.unit.metres
     count, near = _places(body, ~np.isfinite(middle).all(axis=1), middle)
     if count:
-        raise MeshError(f"{count} cells have points whose coordinates are not numbers", where=where)
+        raise MeshError(
+            f"{count} cells have points whose coordinates are not numbers",
+            where=where,
+            expected="save the mesh anew",
+        )
     shape = qualities(corners)
     count, near = _places(body, shape < FLAT, middle)
     if count:

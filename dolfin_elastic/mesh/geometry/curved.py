@@ -13,10 +13,14 @@ from dolfin_elastic.mesh.geometry.simplices import (
     EDGE_ENDS,
     cells_beside_edges,
     cells_beside_facets,
+    determinants,
     node_cells,
 )
 
 _SHAPES = {1: basix.CellType.interval, 2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
+
+_CHUNK = 16384
+"""Cells that are treated at once, which bounds the memory."""
 
 
 def _element(dim: int, degree: int) -> basix.finite_element.FiniteElement:
@@ -55,7 +59,10 @@ def cell_gradients(nodes: FloatArray, degree: int, points: FloatArray) -> FloatA
     """
     tdim = points.shape[1]
     table = np.asarray(_element(tdim, degree).tabulate(1, points), dtype=np.float64)
-    return np.asarray(np.einsum("nkg,tpk->npgt", nodes, table[1 : tdim + 1, :, :, 0]))
+    slopes = table[1 : tdim + 1, :, :, 0].transpose(2, 1, 0)  # by node, point and direction
+    rows = nodes.transpose(0, 2, 1).reshape(-1, nodes.shape[1])  # one product, not one a cell
+    found = (rows @ slopes.reshape(len(slopes), -1)).reshape(-1, nodes.shape[2], len(points), tdim)
+    return found.transpose(0, 2, 1, 3)
 
 
 def shape_functions(mesh: Mesh, points: FloatArray) -> FloatArray:
@@ -72,6 +79,21 @@ def shape_functions(mesh: Mesh, points: FloatArray) -> FloatArray:
     return np.asarray(element.tabulate(0, points)[0, :, :, 0], dtype=np.float64)
 
 
+def shape_gradients(mesh: Mesh, points: FloatArray) -> FloatArray:
+    """Gradients of the shape functions of the geometry, in the reference cell. Local.
+
+    Args:
+        mesh: The mesh.
+        points: Points of the reference cell, shape (points, dim).
+
+    Returns:
+        Shape (points, nodes of a cell, dim), contiguous.
+    """
+    d = mesh.topology.dim
+    table = np.asarray(_element(d, mesh.geometry.cmap.degree).tabulate(1, points), dtype=np.float64)
+    return np.ascontiguousarray(table[1 : d + 1, :, :, 0].transpose(1, 2, 0))
+
+
 def cell_jacobians(mesh: Mesh, points: FloatArray, cells: IndexArray | None = None) -> FloatArray:
     """det(dx/dX) of local cells. Local.
 
@@ -85,8 +107,12 @@ def cell_jacobians(mesh: Mesh, points: FloatArray, cells: IndexArray | None = No
     """
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
     rows = mesh.geometry.dofmap if cells is None else mesh.geometry.dofmap[cells]
-    nodes = np.asarray(mesh.geometry.x[rows, :d], dtype=np.float64)
-    return np.asarray(np.linalg.det(cell_gradients(nodes, degree, points)))
+    found = np.empty((len(rows), len(points)))
+    for first in range(0, len(rows), _CHUNK):
+        some = slice(first, first + _CHUNK)
+        nodes = np.asarray(mesh.geometry.x[rows[some], :d], dtype=np.float64)
+        found[some] = determinants(cell_gradients(nodes, degree, points))
+    return found
 
 
 def cell_volumes(mesh: Mesh) -> FloatArray:

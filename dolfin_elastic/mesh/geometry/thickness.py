@@ -8,14 +8,15 @@ import numpy as np
 from dolfinx import la
 from dolfinx.mesh import Mesh
 
+from dolfin_elastic.core.jit import compile_c, options
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.geometry.curved import cell_volumes, facet_areas
 from dolfin_elastic.mesh.geometry.simplices import (
     boundary_facets,
-    cell_corners,
     cells_beside_facets,
     outward_normals,
 )
+from dolfin_elastic.mesh.geometry.thickness_loops import DECLARATIONS, SOURCE
 
 _STEPS = 40
 """Steps of the random walk: it goes about 2.5 cells far, and sees walls of up to seven cells."""
@@ -51,32 +52,17 @@ def local_thickness(mesh: Mesh, without: IndexArray) -> Thickness:
         mesh: The mesh; curved cells count by their corners and true volumes.
         without: Local boundary facets that do not count, such as planes of symmetry.
     """
-    d, owned = mesh.topology.dim, mesh.topology.index_map(mesh.topology.dim).size_local
+    owned = mesh.topology.index_map(mesh.topology.dim).size_local
     volumes = cell_volumes(mesh)[:owned]
     facets = np.setdiff1d(boundary_facets(mesh), without)
     beside, _ = cells_beside_facets(mesh, facets)
     normals = outward_normals(mesh, facets)
-    faces = np.zeros((owned, d, d))
-    np.add.at(faces, beside, np.einsum("f,fi,fj->fij", facet_areas(mesh, facets), normals, normals))
+    faces = np.einsum("f,fi,fj->fij", facet_areas(mesh, facets), normals, normals)
     walk = _Walk(mesh, volumes)
-    density = walk.steps(faces / volumes[:, None, None], _STEPS)
-    values, directions = np.linalg.eigh(density)
-    with np.errstate(divide="ignore"):
-        thickness = np.where(values[:, -1] > 0, 2 / np.abs(values[:, -1]), np.inf)
     # Single cells of an irregular mesh are oblong at random; their neighbourhood is what bends.
-    metric = walk.steps(_edges(cell_corners(mesh, np.arange(owned, dtype=np.int32))), 2)
-    turned = directions.transpose(0, 2, 1) @ metric @ directions
-    along = np.linalg.eigvalsh(turned[:, :-1, :-1])[:, -1]
-    return Thickness(volumes, thickness, np.sqrt(turned[:, -1, -1]), np.sqrt(along))
-
-
-def _edges(corners: FloatArray) -> FloatArray:
-    """Mean over the edges e of simplices of e e, shape (n, d, d).
-
-    The sum over the edges is d + 1 times that over the corners, taken from the barycentre.
-    """
-    arms = corners - corners.mean(axis=1, keepdims=True)
-    return np.asarray(arms.transpose(0, 2, 1) @ arms) * (2 / (corners.shape[1] - 1))
+    return walk.thickness(
+        walk.steps(walk.added(beside, faces), _STEPS - 1), walk.steps(walk.edges, 1)
+    )
 
 
 class _Walk:
@@ -85,44 +71,74 @@ class _Walk:
     Args:
         mesh: The mesh.
         volumes: Of the owned cells.
+
+    Attributes:
+        edges: Mean over the edges e of the cells around each vertex of e e; arrays of vertices have
+            a row for each local one, with the upper triangle of a tensor.
     """
 
     def __init__(self, mesh: Mesh, volumes: FloatArray) -> None:
-        d = mesh.topology.dim
-        self._map = mesh.topology.index_map(0)
-        vertices = mesh.topology.connectivity(d, 0).array.reshape(-1, d + 1)[: len(volumes)]
-        shape = (len(volumes), self._map.size_local + self._map.num_ghosts)
-        start = np.arange(0, vertices.size + 1, d + 1)
-        from scipy.sparse import csr_array
-
-        self._mean = csr_array(
-            (np.full(vertices.size, 1 / (d + 1)), vertices.ravel(), start), shape=shape
-        )
-        weights = csr_array((np.repeat(volumes, d + 1), vertices.ravel(), start), shape=shape)
-        self._weights = weights.T.tocsr()
-        # From vertices to vertices: a third of the numbers of both steps through the cells.
-        self._between = self._weights @ self._mean
-        around = self._gathered(self._weights @ np.ones((len(volumes), 1)))
+        self._dim, self._volumes, comm = mesh.topology.dim, volumes, mesh.comm
+        mesh.topology.create_connectivity(self._dim, 0)
+        self._loops = compile_c(comm, DECLARATIONS, SOURCE, {"DIM": self._dim}, options(comm))
+        self._map, self._alone = mesh.topology.index_map(0), comm.size == 1
+        self._vertices = mesh.topology.connectivity(self._dim, 0).array
+        self._upper = [(i, j) for j in range(self._dim) for i in range(j + 1)]
+        nodes = mesh.geometry.dofmap
+        sums = self._rows()
+        where = (nodes.shape[1], nodes, mesh.geometry.x, self._vertices, volumes)
+        self._loops.call("add_cells", len(volumes), *where, sums)
+        sums = self._gathered(sums)
+        around = sums[:, len(self._upper)]
         # A vertex without cells on any rank has no volume, and no cell asks for its mean.
-        self._around = np.where(around > 0, around, 1.0)
+        self._inverse = 1 / np.where(around > 0, around, 1.0)[:, None]
+        self.edges = sums * self._inverse
+
+    def _rows(self) -> FloatArray:
+        """Zeros for all local vertices."""
+        return np.zeros((self._map.size_local + self._map.num_ghosts, 8 if self._dim == 3 else 4))
 
     def _gathered(self, values: FloatArray) -> FloatArray:
-        """Sums over the ranks of values at the vertices, shape (vertices, columns)."""
+        """Sums over the ranks of rows of the vertices."""
+        if self._alone:
+            return values
         sums = la.vector(self._map, values.shape[1])
         sums.array[:] = values.ravel()
         sums.scatter_reverse(la.InsertMode.add)
         sums.scatter_forward()
-        return np.array(sums.array).reshape(-1, values.shape[1])
+        return np.array(sums.array).reshape(values.shape)
 
-    def steps(self, tensors: FloatArray, count: int) -> FloatArray:
-        """The symmetric tensors of the cells, shape (n, d, d), after `count` steps."""
-        d = tensors.shape[1]
-        upper = np.triu_indices(d)
-        values = tensors[:, upper[0], upper[1]]
-        at_vertices = self._gathered(self._weights @ values) / self._around
-        for _ in range(count - 1):
-            at_vertices = self._gathered(self._between @ at_vertices) / self._around
-        values = self._mean @ at_vertices
-        found = np.empty_like(tensors)
-        found[:, upper[0], upper[1]] = found[:, upper[1], upper[0]] = values
-        return found
+    def added(self, cells: IndexArray, tensors: FloatArray) -> FloatArray:
+        """Rows of the vertices: means of tensors that are given as integrals over cells.
+
+        Args:
+            cells: Owned cells, repeated or not, shape (n,).
+            tensors: Shape (n, d, d).
+        """
+        rows = self._rows()
+        around = self._vertices.reshape(-1, self._dim + 1)[cells]
+        for column, (i, j) in enumerate(self._upper):
+            shares = np.repeat(tensors[:, i, j], self._dim + 1)
+            rows[:, column] = np.bincount(around.ravel(), shares, len(rows))
+        return self._gathered(rows) * self._inverse
+
+    def steps(self, rows: FloatArray, count: int) -> FloatArray:
+        """Rows of the vertices after further steps."""
+        for _ in range(count):
+            sums = self._rows()
+            where = (self._vertices, self._volumes)
+            self._loops.call("walk", len(self._volumes), *where, rows, sums)
+            rows = self._gathered(sums)
+            rows *= self._inverse
+        return rows
+
+    def thickness(self, density: FloatArray, metric: FloatArray) -> Thickness:
+        """What follows for each cell from the means of its vertices. Not collective.
+
+        Args:
+            density: Of the boundary's n n [1/m].
+            metric: Of the edges' e e [m^2].
+        """
+        found = [np.empty(len(self._volumes)) for _ in range(3)]
+        self._loops.call("at_cells", len(self._volumes), self._vertices, density, metric, *found)
+        return Thickness(self._volumes, *found)

@@ -58,7 +58,11 @@ def refined_locally(body: Body, sizes: Sequence[LocalSize]) -> Body:
         while True:
             inside = _inside(body, one, where)
             if not total(body.comm, int(np.count_nonzero(inside))):
-                raise MeshError(f"there is no cell in {one.place()}", where=where)
+                raise MeshError(
+                    f"there is no cell in {one.place()}",
+                    where=where,
+                    expected=f"a place in the body; lengths without a unit are in {body.unit.name}",
+                )
             marked = np.flatnonzero(inside & (_lengths(body).mean(axis=1) > size))
             count = total(body.comm, len(marked))
             if not count:
@@ -152,7 +156,11 @@ def _distance(body: Body, one: LocalSize, x: FloatArray, where: str) -> FloatArr
 
 def _point(body: Body, values: Sequence[float | str], where: str) -> FloatArray:
     if len(values) < body.dim:
-        raise MeshError(f"the body is three-dimensional, {list(values)} is not", where=where)
+        raise MeshError(
+            f"the body is three-dimensional, {list(values)} is not",
+            where=where,
+            expected="3 coordinates",
+        )
     return np.array([metres(value, body.unit.metres) for value in values[: body.dim]])
 
 

@@ -53,7 +53,7 @@ class Card:
     def option(self, key: str) -> str:
         """Value of a required parameter."""
         if not self.options.get(key):
-            raise self.error(f"{key}= is missing")
+            raise self.error(f"{key}= is missing", expected=f"write {key}=NAME behind the keyword")
         return self.options[key]
 
     def fields(self) -> Iterator[tuple[int, str]]:
@@ -141,7 +141,11 @@ def read_cards(path: Path, depth: int = 0) -> Iterator[Card]:
         MeshError: A file that is included does not exist, or includes itself.
     """
     if depth > _DEEPEST:
-        raise MeshError("*INCLUDE goes round in a circle", where=path.name)
+        raise MeshError(
+            "*INCLUDE goes round in a circle",
+            where=path.name,
+            expected="leave out that of a file that includes this one",
+        )
     card = Card("", {}, path.name, 1)
     continued = ""
     if fault := why_no_file(path, sys.maxsize):

@@ -56,6 +56,7 @@ def load_file(
             if dim == 2
             else "the file has no volumes to mesh",
             where=path.name,
+            expected="save the solid as STEP" if dim == 3 else "save the body, not curves alone",
         )
     return remarks, dim
 

@@ -88,7 +88,11 @@ def _collect(folder: Path, script: Path, found: dict[Path, bytes], depth: int = 
         depth: Number of scripts that include one another to reach it.
     """
     if depth > 10:
-        raise MeshError("scripts include one another without end", where=script.name)
+        raise MeshError(
+            "scripts include one another without end",
+            where=script.name,
+            expected="leave out that of a script that includes this one",
+        )
     found[script] = (folder / script).read_bytes()
     for name in _checked(script, found[script]):
         file = script.parent / name
@@ -162,7 +166,11 @@ def _tokens(text: str, name: str) -> Iterator[_Token]:
         at = match.start()
         kind = str(match.lastgroup)
         if kind == "text" and len(match[0]) > _LONGEST:
-            raise MeshError(f"line {line}: a text of more than {_LONGEST} letters", where=name)
+            raise MeshError(
+                f"line {line}: a text of more than {_LONGEST} letters",
+                where=name,
+                expected="shorter texts; is a quotation mark missing?",
+            )
         yield _Token(kind, match[0], line)
 
 

@@ -118,13 +118,21 @@ class _Worker:
         try:
             return self._tasks[question["do"]](**question["with"])
         except UnicodeDecodeError:
-            raise MeshError("Gmsh cannot read it: a text is not UTF-8", where=name) from None
+            raise MeshError(
+                "Gmsh cannot read it: a text is not UTF-8",
+                where=name,
+                expected="names of plain letters, or a file saved in UTF-8",
+            ) from None
         except Exception as error:
             if type(error) is not Exception:  # Gmsh raises this base class itself
                 raise
             told = self._errors() or str(error)
         told = told.replace(f"{self._path.parent}{os.sep}", "")
-        raise MeshError(f"Gmsh cannot read or mesh it: {told}", where=name)
+        raise MeshError(
+            f"Gmsh cannot read or mesh it: {told}",
+            where=name,
+            expected="a file that Gmsh opens and meshes by itself",
+        )
 
     def _errors(self) -> str:
         try:

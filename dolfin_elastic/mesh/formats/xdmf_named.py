@@ -1,0 +1,417 @@
+"""XDMF with names: what `dolfin-elastic convert` writes, and `read_xdmf` finds in it.
+
+The file has the mesh as a first grid, as DOLFINx reads it, with its fields, and
+
+* regions as attributes of 0 and 1 at its cells,
+* surfaces, edges and points as further grids, whose cells are their vertices, and nodes,
+
+each marked by ``<Information Name="part" Value="region"/>``, with its name as that of the attribute
+or grid; and by further elements `Information` the unit of length, notes, sets of nodes that facets
+do not cover, and parts that are not whole.  All arrays are in an HDF5 file beside it.
+
+Cells, points and fields are read in shares.  Surfaces, edges and points are known to all ranks
+while a mesh is read, as they are of other formats: they are a small part of it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+import numpy as np
+from dolfinx import cpp
+from dolfinx.mesh import CellType
+
+from dolfin_elastic.core.errors import MeshError, OutputError
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
+from dolfin_elastic.core.units import LengthUnit
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.distribute import Permutation, left_out, local_parts
+from dolfin_elastic.mesh.fields import distribute_rows
+from dolfin_elastic.mesh.formats.raw import RawMesh
+
+if TYPE_CHECKING:
+    import h5py
+
+_CELLS = {3: "Triangle", 6: "Triangle_6", 4: "Tetrahedron", 10: "Tetrahedron_10"}
+_PARTS = {1: "Polyvertex", 2: "Polyline", 3: "Triangle"}
+_SHAPES = {1: "Scalar", 3: "Vector", 9: "Tensor"}
+_UNIT = "metres per unit of length"
+
+
+@dataclass(frozen=True)
+class NamedPart:
+    """A named part in the file.
+
+    Attributes:
+        kind: "region", "surface", "edge" or "point".
+        name: As the mesh had it.
+        file: The HDF5 file, beside the `.xdmf`.
+        path: Of the array in it.
+        rows: Cells of the mesh, for a region; else facets, edges or nodes.
+    """
+
+    kind: str
+    name: str
+    file: str
+    path: str
+    rows: int
+
+
+@dataclass(frozen=True)
+class Names:
+    """What the file says beside cells, points and fields.
+
+    Attributes:
+        parts: The named parts.
+        notes: What is doubtful.
+        uncovered: See `Body`.
+        incomplete: See `Body`.
+    """
+
+    parts: tuple[NamedPart, ...] = ()
+    notes: tuple[str, ...] = ()
+    uncovered: Mapping[str, int] | None = None
+    incomplete: Mapping[str, str] | None = None
+
+
+# --- reading ---
+
+
+def dimensions(item: ElementTree.Element) -> tuple[int, ...]:
+    """Shape of an array, as the file states it. Local."""
+    text = item.get("Dimensions", "0")
+    try:
+        shape = tuple(int(n) for n in text.split())
+    except ValueError:
+        shape = ()
+    if not shape or min(shape) < 0:
+        raise MeshError(f"an array has the Dimensions '{text}'", expected="for example '100 3'")
+    return shape
+
+
+def kind_of(element: ElementTree.Element) -> str:
+    """Kind of the part that a grid or an attribute is; empty: it is none."""
+    return next((value for name, value, _ in _information(element) if name == "part"), "")
+
+
+def names_in(root: ElementTree.Element) -> Names:
+    """What a file says of its parts. Local."""
+    grids = [grid for grid in root.iter("Grid") if grid.find("Topology") is not None]
+    if not grids:
+        return Names()
+    main = grids[0]
+    found = [*main.findall("Attribute"), *grids[1:]]
+    parts = [_part(kind, one) for one in found if (kind := kind_of(one))]
+    said = [*_information(main)]
+    return Names(
+        tuple(parts),
+        tuple(value for name, value, _ in said if name == "note"),
+        {value: int(text) for name, value, text in said if name == "uncovered"},
+        {value: text for name, value, text in said if name == "incomplete"},
+    )
+
+
+def unit_of_xdmf(path: Path) -> LengthUnit | None:
+    """The unit of length that a converted mesh states. Local; None where it states none."""
+    try:
+        for _, element in ElementTree.iterparse(path):
+            if element.tag == "Information" and element.get("Name") == _UNIT:
+                return LengthUnit.of(float(element.get("Value", "")), stated=True)
+    except (ElementTree.ParseError, ValueError):
+        pass  # the reader says what is wrong
+    return None
+
+
+def named(body: Body, path: Path, names: Names) -> Body:
+    """The body with the parts that its file names. Collective.
+
+    Args:
+        body: Read from the file.
+        path: The `.xdmf` file.
+        names: What it says of its parts.
+    """
+    if not names.parts and not names.notes and not names.incomplete:
+        return body
+    points, dim = body.mesh.geometry.index_map().size_global, body.dim
+    tables = on_root(body.comm, lambda: _tables(path, names.parts, points, dim))
+    surfaces, edges, points, lost = local_parts(
+        body.mesh, tables["surface"], tables["edge"], tables["point"]
+    )
+    incomplete = {**lost, **(names.incomplete or {})}
+    regions = {part.name: _region(body, path, part) for part in names.parts if _is_region(part)}
+    whole = [
+        {name: rows for name, rows in parts.items() if name not in incomplete}
+        for parts in (regions, surfaces, edges, points)
+    ]
+    body = body.named(regions=whole[0], surfaces=whole[1], edges=whole[2], points=whole[3])
+    return replace(
+        body,
+        uncovered=names.uncovered or {},
+        incomplete=incomplete,
+        notes=(*body.notes, *names.notes, *left_out(incomplete)),
+    )
+
+
+def _is_region(part: NamedPart) -> bool:
+    return part.kind == "region"
+
+
+def _information(element: ElementTree.Element) -> Iterator[tuple[str, str, str]]:
+    """Name, value and text of what is said of a grid or an attribute."""
+    for one in element.findall("Information"):
+        yield one.get("Name", ""), one.get("Value", ""), one.text or ""
+
+
+def _part(kind: str, element: ElementTree.Element) -> NamedPart:
+    item = element.find("DataItem" if kind == "region" else "Topology/DataItem")
+    if item is None or not item.text:
+        raise MeshError(f"the {kind} '{element.get('Name')}' has no array")
+    file, _, path = item.text.strip().partition(":")
+    return NamedPart(kind, element.get("Name", ""), file, path, dimensions(item)[0])
+
+
+def _tables(
+    path: Path, parts: tuple[NamedPart, ...], points: int, dim: int
+) -> dict[str, dict[str, IntArray]]:
+    """Kind and name to vertices, or nodes, by their rows in the file. On rank 0.
+
+    Args:
+        path: The `.xdmf` file.
+        parts: The named parts, among them regions.
+        points: Number of points.
+        dim: Of the body.
+    """
+    widths = {"surface": dim, "edge": 2, "point": 1}
+    found: dict[str, dict[str, IntArray]] = {kind: {} for kind in widths}
+    for part in parts:
+        if _is_region(part):
+            continue
+        if part.kind not in widths:
+            known = ", ".join(("region", *widths))
+            raise MeshError(f"'{part.name}' is a part of kind '{part.kind}'", expected=known)
+        rows = _rows(path, part)
+        if rows.dtype.kind not in "iu" or rows.shape != (part.rows, widths[part.kind]):
+            raise MeshError(
+                f"the array of the {part.kind} '{part.name}' has the shape {rows.shape} and the "
+                f"type {rows.dtype}",
+                expected=f"({part.rows}, {widths[part.kind]}) and integers",
+            )
+        if rows.size and not 0 <= rows.min() <= rows.max() < points:
+            raise MeshError(
+                f"the {part.kind} '{part.name}' has points that do not exist",
+                expected=f"numbers from 0 to {points - 1}",
+            )
+        rows = rows.astype(np.int64)
+        found[part.kind][part.name] = rows[:, 0] if part.kind == "point" else rows
+    return found
+
+
+def _rows(path: Path, part: NamedPart, start: int = 0, stop: int | None = None) -> AnyArray:
+    """Some rows of the array of a part.
+
+    Args:
+        path: The `.xdmf` file.
+        part: The part.
+        start: The first row.
+        stop: The row after the last one; None: all of them.
+    """
+    import h5py
+
+    try:
+        with h5py.File(path.parent / part.file, "r") as file:
+            return np.asarray(file[part.path][start:stop])
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise MeshError(f"the {part.kind} '{part.name}' cannot be read: {error}") from None
+
+
+def _region(body: Body, path: Path, part: NamedPart) -> AnyArray:
+    """Local cells of a region, read on rank 0 in pieces. Collective."""
+
+    def read(start: int, stop: int) -> FloatArray:
+        """Some of the marks, shape (stop - start, 1).
+
+        Args:
+            start: The first cell.
+            stop: The cell after the last one.
+        """
+        return _rows(path, part, start, stop).astype(np.float64).reshape(-1, 1)
+
+    try:
+        marks = distribute_rows(
+            body.mesh, "cell", (part.rows, 1), read if body.comm.rank == 0 else None
+        )
+    except MeshError as error:
+        raise MeshError(f"the region '{part.name}': {error}") from None
+    return np.flatnonzero(marks.values[:, 0]).astype(np.int32)
+
+
+# --- writing ---
+
+
+def write_named(
+    raw: RawMesh, path: Path, unit: LengthUnit | None, permutation: Permutation
+) -> None:
+    """Writes a mesh with its names. Local: one rank writes.
+
+    Args:
+        raw: The mesh, cleaned.
+        path: The `.xdmf` file; its arrays go into a file `.h5` beside it.
+        unit: Unit of length that its own file states, or None.
+        permutation: The node order of its quadratic cells: `cpp.io.perm_vtk` or `perm_gmsh`.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    import h5py
+
+    data = path.with_suffix(".h5")
+    drafts = {one: one.with_name(f".{one.name}.part") for one in (data, path)}
+    try:
+        with h5py.File(drafts[data], "w") as file:
+            tree = _Writer(file, data.name).document(raw, unit, permutation)
+        drafts[path].write_bytes(ElementTree.tostring(tree, "utf-8", xml_declaration=True))
+        for final, draft in drafts.items():
+            draft.replace(final)
+    except (OSError, RuntimeError) as error:
+        number = error.errno if isinstance(error, OSError) else None
+        text = os.strerror(number).lower() if number else str(error)
+        raise OutputError(f"cannot write {path}: {text}") from None
+    finally:
+        for draft in drafts.values():
+            draft.unlink(missing_ok=True)
+
+
+class _Writer:
+    """Writes arrays into an HDF5 file, and makes the XML that refers to them.
+
+    Args:
+        file: Open for writing.
+        name: Of the file.
+    """
+
+    def __init__(self, file: h5py.File, name: str) -> None:
+        self._file, self._name = file, name
+
+    def document(
+        self, raw: RawMesh, unit: LengthUnit | None, permutation: Permutation
+    ) -> ElementTree.Element:
+        """The whole document; see `write_named` for the arguments."""
+        root = ElementTree.Element("Xdmf", Version="3.0")
+        domain = ElementTree.SubElement(root, "Domain")
+        main = self._mesh(domain, raw, permutation)
+        if unit is not None:
+            _say(main, _UNIT, repr(unit.metres))
+        for note in raw.notes:
+            _say(main, "note", note)
+        for name, count in raw.uncovered.items():
+            _say(main, "uncovered", name, str(count))
+        for name, reason in raw.incomplete.items():
+            _say(main, "incomplete", name, reason)
+        for centre, tables in (("Cell", raw.cell_data), ("Node", raw.point_data)):
+            for k, (name, table) in enumerate(tables.items()):
+                self._attribute(main, name, centre, f"{centre.lower()}_data_{k}", table)
+        for k, (name, cells) in enumerate(raw.regions.items()):
+            marks = np.zeros((len(raw.cells), 1), dtype=np.uint8)
+            marks[cells] = 1
+            _say(self._attribute(main, name, "Cell", f"region_{k}", marks), "part", "region")
+        parts = {"surface": raw.surfaces, "edge": raw.edges, "point": raw.nodes}
+        for kind, named_parts in parts.items():
+            for k, (name, rows) in enumerate(named_parts.items()):
+                self._grid(domain, kind, name, f"{kind}_{k}", rows.reshape(len(rows), -1))
+        return root
+
+    def _mesh(
+        self, domain: ElementTree.Element, raw: RawMesh, permutation: Permutation
+    ) -> ElementTree.Element:
+        width = raw.cells.shape[1]
+        kind = CellType.tetrahedron if raw.dim == 3 else CellType.triangle
+        # From the file's order to DOLFINx's, and from there to that of VTK, which XDMF has.
+        order = np.asarray(permutation(kind, width))[np.argsort(cpp.io.perm_vtk(kind, width))]
+        grid = _grid(domain, "mesh")
+        self._topology(grid, _CELLS[width], "cells", raw.cells[:, order])
+        geometry = ElementTree.SubElement(grid, "Geometry", GeometryType="XYZ"[: raw.dim])
+        self._item(geometry, "points", raw.points)
+        return grid
+
+    def _grid(
+        self, domain: ElementTree.Element, kind: str, name: str, path: str, rows: IntArray
+    ) -> None:
+        """Adds a surface, edge or point.
+
+        Args:
+            domain: The document.
+            kind: Of the part.
+            name: Of the part.
+            path: Of the array.
+            rows: Vertices, or nodes, by their rows in `points`, shape (n, 1 to 3).
+        """
+        grid = _grid(domain, name)
+        _say(grid, "part", kind)
+        self._topology(grid, _PARTS[rows.shape[1]], path, rows)
+        points = self._file["points"]
+        geometry = ElementTree.SubElement(
+            grid, "Geometry", GeometryType="XYZ"[: int(points.shape[1])]
+        )
+        self._refer(geometry, "points")
+        # For DOLFINx, whose `read_meshtags` asks for values.
+        self._attribute(grid, name, "Cell", f"{path}_values", np.ones((len(rows), 1), np.int32))
+
+    def _topology(self, grid: ElementTree.Element, kind: str, path: str, rows: AnyArray) -> None:
+        count, width = rows.shape
+        topology = ElementTree.SubElement(
+            grid,
+            "Topology",
+            TopologyType=kind,
+            NumberOfElements=str(count),
+            NodesPerElement=str(width),
+        )
+        self._item(topology, path, np.asarray(rows, dtype=np.int64))
+
+    def _attribute(
+        self, grid: ElementTree.Element, name: str, centre: str, path: str, values: AnyArray
+    ) -> ElementTree.Element:
+        shape = _SHAPES.get(values.shape[1], "Matrix")
+        found = ElementTree.SubElement(
+            grid, "Attribute", Name=name, AttributeType=shape, Center=centre
+        )
+        self._item(found, path, values)
+        return found
+
+    def _item(self, parent: ElementTree.Element, path: str, values: AnyArray) -> None:
+        self._file.create_dataset(path, data=np.ascontiguousarray(values))
+        self._refer(parent, path)
+
+    def _refer(self, parent: ElementTree.Element, path: str) -> None:
+        values = self._file[path]
+        kind = {"f": "Float", "i": "Int", "u": "UChar"}[values.dtype.kind]
+        item = ElementTree.SubElement(
+            parent,
+            "DataItem",
+            Dimensions=" ".join(str(n) for n in values.shape),
+            NumberType=kind,
+            Precision=str(values.dtype.itemsize),
+            Format="HDF",
+        )
+        item.text = f"{self._name}:/{path}"
+
+
+def _grid(domain: ElementTree.Element, name: str) -> ElementTree.Element:
+    return ElementTree.SubElement(domain, "Grid", Name=name, GridType="Uniform")
+
+
+def _say(element: ElementTree.Element, name: str, value: str, text: str = "") -> None:
+    """Adds what is said of a grid or an attribute.
+
+    Args:
+        element: The grid or attribute.
+        name: What it is about.
+        value: Its value.
+        text: More about it.
+    """
+    ElementTree.SubElement(element, "Information", Name=name, Value=value).text = text or None
