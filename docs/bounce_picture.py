@@ -10,18 +10,15 @@ from pathlib import Path
 import numpy as np
 import pyvista as pv
 from dolfinx.plot import vtk_mesh
-from matplotlib.colors import LinearSegmentedColormap
 
 from dolfin_elastic import read_case
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.results.evaluate import Evaluator
+from dolfin_elastic.results.pictures._draw import colour_map
 
 ROOT = Path(__file__).resolve().parent.parent
 TIMES = (0.0, 0.006, 0.014, 0.021, 0.028, 0.044)
 APART = 0.068
-HEAT = LinearSegmentedColormap.from_list(
-    "heat", ["#ffe36b", "#ffb020", "#f0591e", "#b3122b", "#4a0530"]
-)
 NAME = "von Mises stress [kPa]"
 
 
@@ -50,7 +47,7 @@ def main():
     plot = pv.Plotter(off_screen=True, window_size=[1800, 480])
     plot.set_background("white")
     plot.enable_anti_aliasing("ssaa")
-    look = {"ambient": 0.35, "diffuse": 0.65, "specular": 0.2, "specular_power": 20}
+    look = {"ambient": 0.5, "diffuse": 0.5, "specular": 0.2, "specular_power": 20}
     shots = list(instants())
     top = max(np.percentile(s[NAME], 99.5) for _, s in shots)
     for k, (t, surface) in enumerate(shots):
@@ -58,7 +55,7 @@ def main():
         plot.add_mesh(
             surface,
             scalars=NAME,
-            cmap=HEAT,
+            cmap=colour_map(),
             clim=[0, top],
             smooth_shading=True,
             split_sharp_edges=True,

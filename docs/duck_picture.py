@@ -15,7 +15,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from dolfin_elastic import read_case
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.pictures.colour_bar import bar
+from dolfin_elastic.results.pictures.colour_bar import make_colour_bar
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZE = 4.0
@@ -78,7 +78,7 @@ def main():
     right = np.cross(UP, FROM)
     after.points += after["u"] + APART * right / np.linalg.norm(right)
     values = after["von Mises stress [kPa]"]
-    ticks = bar(values[values < np.percentile(values, 99.5)], "").ticks
+    ticks = make_colour_bar(values[values < np.percentile(values, 99.5)], "").ticks
     plot.add_mesh(
         after,
         scalars="von Mises stress [kPa]",

@@ -10,14 +10,13 @@ from pathlib import Path
 import numpy as np
 import pyvista as pv
 from dolfinx.plot import vtk_mesh
-from matplotlib.colors import LinearSegmentedColormap
 
 from dolfin_elastic import read_case
+from dolfin_elastic.results.pictures._draw import colour_map
 
 ROOT = Path(__file__).resolve().parent.parent
 WORDS = {4: "the tone", 3: "twisting", 2: "swaying"}
 APART, SWING = 0.036, 0.0039
-STEEL = LinearSegmentedColormap.from_list("steel", ["#c9d1d9", "#7fb3d5", "#e67e22", "#b3122b"])
 
 
 def shapes():
@@ -34,7 +33,7 @@ def shapes():
 def main():
     """Three forks side by side, each in both ends of its swing."""
     found = dict(shapes())
-    plot = pv.Plotter(off_screen=True, window_size=[1300, 1000])
+    plot = pv.Plotter(off_screen=True, window_size=[800, 1000])
     plot.set_background("white")
     plot.enable_anti_aliasing("ssaa")
     for k, number in enumerate(WORDS):
@@ -46,13 +45,17 @@ def main():
             plot.add_mesh(
                 drawn,
                 scalars="swing",
-                cmap=STEEL,
+                cmap=colour_map(),
                 clim=[0, 1],
                 opacity=opacity,
                 smooth_shading=True,
                 split_sharp_edges=True,
+                ambient=0.5,
+                diffuse=0.52,
                 show_scalar_bar=False,
             )
+        edges = drawn.extract_feature_edges(35, manifold_edges=False, boundary_edges=False)
+        plot.add_mesh(edges, color="#303840", line_width=2.5, lighting=False)
         x, y, z = surface.points.T
         foot = [(x.min() + x.max()) / 2 + k * APART, y.min() - 0.004, (z.min() + z.max()) / 2]
         plot.add_point_labels(
@@ -69,7 +72,7 @@ def main():
         )
     plot.view_vector([0.35, 0.0, 1.0], viewup=[0, 1, 0])
     plot.enable_parallel_projection()
-    plot.camera.zoom(1.02)
+    plot.camera.zoom(1.2)
     plot.camera.SetWindowCenter(0.0, -0.08)
     plot.screenshot(ROOT / "docs/fork.png")
 

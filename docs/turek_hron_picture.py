@@ -17,14 +17,15 @@ from dolfinx.plot import vtk_mesh
 from dolfin_elastic import read_case
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.results.evaluate import Evaluator
+from dolfin_elastic.results.pictures._draw import colour_map
 from dolfin_elastic.results.probes import Probe
 
 ROOT = Path(__file__).resolve().parent.parent
 MOMENTS = (0.0, 0.15, 0.25, 0.455)
 PUBLISHED = (-63.607, 65.160)
 BLUE, GREY = "#1f5fa8", "#8a8f98"
-EDGES = [0, 3, 1, 4, 2, 5]
-"""Nodes of VTK's quadratic triangle in the order of its edge."""
+PIECES = [(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)]
+"""Triangles between the nodes of VTK's quadratic one."""
 
 
 def swing():
@@ -34,13 +35,13 @@ def swing():
     tables["dynamics"] |= {"end": 10.0}
     case = Case.from_dict(tables, folder=folder)
     problem = case.make_problem(case.read_body())
-    probe, stress = Probe(problem, {"A": [0.6, 0.2]}), Evaluator(problem, ["von_mises_cell"])
+    probe, stress = Probe(problem, {"A": [0.6, 0.2]}), Evaluator(problem, ["von_mises_nodal"])
     shapes, rows = [], []
     for state in case.make_solver(problem).steps():
         rows.append((state.t, 1e3 * probe.numbers(state)["A_y"]))
         if any(abs(state.t - moment) < 1e-9 for moment in MOMENTS):
             u = state.u.x.array.reshape(-1, 2).copy()
-            shapes.append((state.t, u, stress(state)["von_mises_cell"].ravel() / 1e3))
+            shapes.append((state.t, u, stress(state)["von_mises_nodal"][:, 0] / 1e3))
     return problem, shapes, np.array(rows)
 
 
@@ -50,14 +51,13 @@ def draw(problem, shapes, rows):
         2, 1, figsize=(9, 7.2), height_ratios=[1.5, 1], layout="constrained"
     )
     cells, _, x = vtk_mesh(problem.V)
-    edges = cells.reshape(-1, 7)[:, 1:][:, EDGES]
+    pieces = cells.reshape(-1, 7)[:, 1:][:, PIECES].reshape(-1, 3)
     largest = max(values.max() for _, _, values in shapes)
     for t, u, values in shapes:
         places = x[:, :2] + u
-        painted = mpl.collections.PolyCollection(
-            places[edges], array=values, cmap="YlOrRd", clim=(0, largest), edgecolors="face", lw=0.2
+        painted = top.tripcolor(
+            *places.T, pieces, values, cmap=colour_map(), vmin=0, vmax=largest, shading="gouraud"
         )
-        top.add_collection(painted)
         tip = places[np.argmin(np.linalg.norm(x[:, :2] - [0.6, 0.21], axis=1))]
         top.annotate(f"{t:g} s", tip, (4, 0), textcoords="offset points", fontsize=9)
     top.add_patch(plt.Circle((0.2, 0.2), 0.05, color=GREY))

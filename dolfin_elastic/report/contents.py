@@ -104,8 +104,8 @@ _EXTREMES = {
     "safety_factor": ("smallest safety factor", ""),
     "speed": ("largest speed", "m/s"),
     "velocity": ("largest velocity", "m/s"),
-    "min_jacobian": ("smallest change of volume J", ""),
-    "max_jacobian": ("largest change of volume J", ""),
+    "min_jacobian": ("smallest change of volume J, means of cells", ""),
+    "max_jacobian": ("largest change of volume J, means of cells", ""),
     "contact_pressure": ("largest contact pressure", "Pa"),
 }
 
@@ -193,6 +193,7 @@ class Acting:
         words: What it does.
         size: Area of its surfaces, if the run has noted it.
         force: Its resultant or reaction, for people.
+        moment: Its moment, and the point of reference, for people.
     """
 
     name: str
@@ -200,23 +201,41 @@ class Acting:
     words: str
     size: str = ""
     force: str = ""
+    moment: str = ""
 
 
 def supports_of(run: FinishedRun) -> list[Acting]:
-    """What holds the body, with the reactions of the last state."""
+    """What holds the body, with the reactions and moments of the last state."""
     reactions = run.summary.get("reactions") or {}
     most = max((abs(x) for row in reactions.values() for x in row), default=0.0)
-    found = []
-    for k, row in enumerate(_rows(run.case, "support")):
+
+    def acting(row: Table, key: str, words: str) -> Acting:
         force = reactions.get(label(row))
         text = vector(force, "N", most) if force else ""
-        words, area = support_words(row, part_kind(row, run.summary)), _area(run, row)
-        found.append(Acting(_where(row), f"support {k}", words, area, text))
-    for row in _rows(run.case, "contact"):
-        force = reactions.get(label(row))
-        text = vector(force, "N", most) if force else ""
-        found.append(Acting(_where(row), "", contact_words(row), _area(run, row), text))
-    return found
+        return Acting(_where(row), key, words, _area(run, row), text, _moment(run, row, most))
+
+    found = [
+        acting(row, f"support {k}", support_words(row, part_kind(row, run.summary)))
+        for k, row in enumerate(_rows(run.case, "support"))
+    ]
+    return found + [acting(row, "", contact_words(row)) for row in _rows(run.case, "contact")]
+
+
+def _moment(run: FinishedRun, row: Table, force: float) -> str:
+    """The moment of a support, with its point of reference; empty of older runs.
+
+    Args:
+        run: The run.
+        row: Table of the support.
+        force: The largest reaction [N]: its moment about the end of the body is not small.
+    """
+    moments = run.summary.get("moments") or {}
+    if not (found := moments.get(label(row))):
+        return ""
+    size = max((model(run).get("mesh") or {}).get("extent") or [0.0])
+    most = max(abs(x) for one in moments.values() for x in one["moment"])
+    about = vector(found["about"], "m", size)
+    return f"{vector(found['moment'], 'N m', max(most, force * size))} about {about}"
 
 
 def _where(table: Table) -> str:

@@ -214,5 +214,9 @@ def mesh_quality(
     cells, x = read_array(run.folder, frame.cells), read_array(run.folder, frame.points)
     corners = np.asarray(x[cells[:, : frame.dim + 1], : frame.dim], dtype=np.float64)
     if not math.isfinite(float(np.abs(corners).max(initial=0.0))):
-        raise InputError("points of the mesh are not finite", where=str(Path(run.folder)))
+        raise InputError(
+            "points of the mesh are not finite",
+            where=str(Path(run.folder)),
+            expected="the files as the run has left them",
+        )
     return qualities(corners), np.abs(signed_volumes(corners))

@@ -188,7 +188,7 @@ def load_words(table: Table) -> str:
             for key in keys
             if key in table
         ]
-        return f"a closed cavity with {', '.join(given)}" + _rest(table, *keys)
+        return f"closed cavity with {', '.join(given)}" + _rest(table, *keys)
     if kind in _LOADS:
         text, unit = _LOADS[kind]
         if kind == "gravity" and not table.get("value"):

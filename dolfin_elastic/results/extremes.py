@@ -11,6 +11,7 @@ from dolfinx.mesh import Mesh
 from dolfin_elastic.core.types import AnyArray, IntArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
+from dolfin_elastic.results.grid import place_of
 from dolfin_elastic.results.recovery.stress import StressRecovery
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ class Extremes:
     ) -> Extreme:
         node, value = _first_largest(sign * values)
         dim = self.problem.body.dim
-        place = self.evaluate.grid.points()[node, :dim] if node >= 0 else np.zeros(0)
+        place = place_of(self.problem.V, node)[:dim] if node >= 0 else np.zeros(0)
         region = -1 if regions is None or node < 0 else int(regions[node])
         part = self.problem.regions[region].name if region >= 0 else ""
         return self._largest(Extreme(sign * value, _numbers(place), part), sign)

@@ -12,6 +12,7 @@ from dolfinx.mesh import CellType
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import AnyArray, FloatArray
+from dolfin_elastic.mesh.geometry.curved import shape_functions
 from dolfin_elastic.mesh.geometry.simplices import cell_corners, signed_volumes
 from dolfin_elastic.results.hdf5 import Rows
 
@@ -121,6 +122,20 @@ class Grid:
             int(index_map.local_range[0]),
             int(index_map.size_global),
         )
+
+
+def place_of(V: fem.FunctionSpace, node: int) -> FloatArray:
+    """Place [m] of one local node in the reference configuration, shape (3,). Not collective.
+
+    Args:
+        V: Lagrange space.
+        node: Its number.
+    """
+    cells, local = np.nonzero(V.dofmap.list == node)
+    geometry, points = V.mesh.geometry, np.asarray(V.element.basix_element.points)
+    # As in a table of all nodes, where the last cell counts: periodic nodes have several places.
+    shape = shape_functions(V.mesh, points[local[-1:]])
+    return np.asarray(shape[0] @ geometry.x[geometry.dofmap[cells[-1]]])
 
 
 def to_nodes(V: fem.FunctionSpace, values: FloatArray) -> FloatArray:

@@ -10,12 +10,15 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, StrictBool, field_validator, model_validator
 
 from dolfin_elastic.core.errors import InputError, nearest
-from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.schema import Record, within
 from dolfin_elastic.core.units import COMMON_UNITS
+from dolfin_elastic.mesh.criteria import bounding_box
+from dolfin_elastic.mesh.selectors import Axis, Middle, metres
 from dolfin_elastic.results.fields import check_field_names
+from dolfin_elastic.results.pictures.clip import Clip
 from dolfin_elastic.results.pictures.pictures import (
     Appearance,
     Film,
@@ -24,7 +27,7 @@ from dolfin_elastic.results.pictures.pictures import (
     check_drawable,
     picture_files,
 )
-from dolfin_elastic.results.pictures.scene import View
+from dolfin_elastic.results.pictures.scene import Up, View
 from dolfin_elastic.results.pictures.series import FILMS, Limits
 from dolfin_elastic.results.writer import Numbers, Steps, Writer
 from dolfin_elastic.results.writers.history import HistoryWriter
@@ -39,6 +42,7 @@ from dolfin_elastic.results.writers.vtu import VtuWriter
 from dolfin_elastic.results.writers.xdmf import XdmfWriter
 
 if TYPE_CHECKING:
+    from dolfin_elastic.mesh.body import Body
     from dolfin_elastic.problem.problem import Problem
 
 
@@ -110,7 +114,7 @@ def _number_of(value: float | str) -> float:
     known = (table[parts[1]] for table in COMMON_UNITS.values() if parts[1] in table)
     factor = next(known, None)
     if factor is None:
-        raise InputError(f"unknown unit '{parts[1]}'")
+        raise InputError(f"unknown unit '{parts[1]}'", expected='for example "200 MPa"')
     return float(parts[0]) * factor
 
 
@@ -277,6 +281,44 @@ class Summary(Output):
         return SummaryWriter(problem, folder / self.file, saved, case=self.case, model=self.model)
 
 
+class ClipPlane(Record):
+    """A plane that takes away a part of the body in a picture.
+
+    Attributes:
+        plane: The axis across it.
+        at: Its coordinate in the undeformed body, a bare number in the mesh's unit; "middle": of
+            the body.
+        keep: What stays; by default what is farther from the camera.
+    """
+
+    plane: Axis
+    at: Middle = "middle"
+    keep: Literal["above", "below"] | None = None
+
+    def clip(self, body: Body) -> Clip:
+        """The plane in a body. Collective.
+
+        Raises:
+            InputError: The body has no such axis, or the plane misses it.
+        """
+        axis, (low, high) = "xyz".index(self.plane), bounding_box(body.mesh)
+        if axis >= body.dim:
+            raise InputError(
+                f"the body is plane, it has no {self.plane}", where="plane", expected="x or y"
+            )
+        unit = body.unit
+        ends = float(low[axis]), float(high[axis])
+        at = sum(ends) / 2 if self.at == "middle" else metres(self.at, unit.metres)
+        if not ends[0] < at < ends[1]:
+            raise InputError(
+                f"the plane {self.plane} = {at / unit.metres:.4g} {unit.name} misses the body",
+                where="at",
+                expected=f"between {ends[0] / unit.metres:.4g} and {ends[1] / unit.metres:.4g} "
+                f'{unit.name}, or "middle"',
+            )
+        return Clip(axis, at, None if self.keep is None else self.keep == "below")
+
+
 class Picture(Output):
     """A picture of the deformed body, or a film.
 
@@ -286,13 +328,16 @@ class Picture(Output):
         field: Name from `FIELDS` whose value colours the surface, of a vector or tensor its norm;
             or several names, which are seen side by side.
         view: Direction from which the body is seen.
+        up: Axis that is up; by default the one against which weight acts, else z.
+        clip: Planes that take away a part of the body, or one.
         scale: Magnification of the displacement.
         every: "last"; or n for the first state at or after each n-th step, and the last one.  Of a
             film "last" stands for as many states as it needs.
         title: Text above the body; by default the case's title.
         range: Ends of the colours in the field's SI unit, or percentiles ["2 %", "98 %"]; by
             default the smallest and largest value, of a series those of all its pictures.
-        mark: The largest value is marked, of safety factors the smallest.
+        mark: The largest value is marked, of safety factors the smallest; by default in pictures
+            and not in films.
         obstacles: The rigid obstacles of contacts are drawn.
         fps: Frames a second of a film.
         speed: Time [s], in statics load, that passes in a second of a film; by default 1, in
@@ -306,8 +351,10 @@ class Picture(Output):
     every: Literal["last"] | int = "last"
     title: str | None = None
     range: list[float | str] | None = None
-    mark: bool = True
+    mark: StrictBool | None = None
     obstacles: bool = True
+    up: Up | None = None
+    clip: ClipPlane | list[ClipPlane] = Field(default=[])
     fps: float | None = Field(default=None, gt=0, le=240)
     speed: float | None = Field(default=None, gt=0)
 
@@ -322,7 +369,7 @@ class Picture(Output):
         names = [field] if isinstance(field, str) else field
         if not 1 <= len(names) <= _MOST_FIELDS:
             raise InputError(
-                f"{len(names)} fields", expected=f"one, or up to {_MOST_FIELDS} side by side"
+                f"{len(names)} fields given", expected=f"one, or up to {_MOST_FIELDS} side by side"
             )
         for name in names:
             check_drawable(name)
@@ -374,21 +421,39 @@ class Picture(Output):
             folder / self.file,
             fields=self.fields,
             saved=saved,
-            appearance=self.appearance,
+            appearance=self.appearance(problem.body),
             every=None if self.every == "last" else self.every,
             film=Film(self.fps or _FPS, self.speed),
         )
 
-    @property
-    def appearance(self) -> Appearance:
-        """How the pictures show the body."""
+    def clips(self, body: Body) -> list[Clip]:
+        """The planes that take away a part. Collective.
+
+        Raises:
+            InputError: One of them misses the body.
+        """
+        single = isinstance(self.clip, ClipPlane)
+        planes = [self.clip] if isinstance(self.clip, ClipPlane) else self.clip
+        found = []
+        for i, plane in enumerate(planes):
+            try:
+                found.append(plane.clip(body))
+            except InputError as error:
+                raise within("clip" if single else f"clip[{i}]", error) from None
+        return found
+
+    def appearance(self, body: Body) -> Appearance:
+        """How the pictures show the body. Collective."""
         return Appearance(
             self.scale,
             self.view,
             self.title or "",
             limits=Limits() if self.range is None else limits_of(self.range),
-            marks=self.mark,
+            marks=not self.film if self.mark is None else self.mark,
             obstacles=self.obstacles,
+            up=self.up,
+            clips=self.clips(body),
+            film=self.film,
         )
 
     def listing(self, folder: Path) -> list[str]:
@@ -415,7 +480,7 @@ class ModePicture(Picture):
             problem,
             folder / self.file,
             amplitude=self.amplitude,
-            appearance=self.appearance,
+            appearance=self.appearance(problem.body),
         )
 
 

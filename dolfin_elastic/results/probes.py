@@ -21,6 +21,7 @@ from dolfin_elastic.mesh.geometry.curved import cell_volumes
 from dolfin_elastic.mesh.geometry.locate import LocatedPoint, locate
 from dolfin_elastic.mesh.selectors import MeshLength, metres
 from dolfin_elastic.problem.loads.edges_points import points_of
+from dolfin_elastic.problem.problem import parts_held
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel
 from dolfin_elastic.results.derived.part_numbers import PartNumbers, Statistic, columns_of
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
 _WHERE = "output.probes"
+ReferencePoints = Mapping[str, Sequence[float] | None]
+"""Label to coordinates [m] of a point of reference; None: the middle of the surface."""
 STATISTICS: tuple[str, ...] = get_args(Statistic)
 """What `values` of a probe may ask for."""
 
@@ -95,7 +98,7 @@ class ProbePoint(Record):
             raise InputError(what, expected="at = [x, y, z], or on with the name of a part")
         if self.values and self.at is not None:
             raise InputError(
-                "a point has one value of each field",
+                "values are those of a surface or region, and this is a point",
                 where="values",
                 expected="on = the name of a surface or region, or no `values`",
             )
@@ -240,6 +243,7 @@ class Probe:
         reactions: Name to the part whose nodal reactions are summed up.
         counted: Name to the numbers of a surface or region.
         plain: Names of those that are means, called as the field alone.
+        moments: Supports of which a column has the moment, and about which point.
 
     Raises:
         InputError: A field cannot be evaluated at a point.
@@ -256,8 +260,11 @@ class Probe:
         reactions: Mapping[str, str] | None = None,
         counted: Mapping[str, PartNumbers] | None = None,
         plain: Collection[str] = (),
+        moments: ReferencePoints | None = None,
     ) -> None:
         self.problem, self.dim = problem, problem.body.dim
+        self._moments = moments or {}
+        check_moments(self._moments, problem)
         of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
         wanted = {name: check_readable(of[name]) for name in points}
         self.fields = {name: _interpolated(row) for name, row in wanted.items()}
@@ -280,13 +287,20 @@ class Probe:
         }
 
     @classmethod
-    def of(cls, probes: Mapping[str, ProbePoint], problem: Problem, scale: float) -> Probe:
+    def of(
+        cls,
+        probes: Mapping[str, ProbePoint],
+        problem: Problem,
+        scale: float,
+        moments: ReferencePoints | None = None,
+    ) -> Probe:
         """Makes it from the settings of a case. Collective.
 
         Args:
             probes: Name to point or surface.
             problem: The problem that is solved.
             scale: Metres per unit of the mesh.
+            moments: Label of a support to the point about which its moment is found.
         """
         places, body = _points(probes, scale), problem.body
         named = {n: p for n, p in probes.items() if p.part is not None}
@@ -312,7 +326,7 @@ class Probe:
         points = {**places, **{k: list(x) for s in samples.values() for k, x in s.points.items()}}
         fields = {n: probes[n].fields for n in places}
         fields |= {k: parts[n][1] for n, s in samples.items() for k in s.points}
-        return cls(problem, points, fields, surfaces, samples, held, counted, plain)
+        return cls(problem, points, fields, surfaces, samples, held, counted, plain, moments)
 
     def __call__(self, state: State) -> dict[str, FloatArray]:
         """Column stem "POINT_FIELD" to the field's components in SI units, the same on every rank.
@@ -359,7 +373,11 @@ class Probe:
         """A vector at a point, on the rank that owns its cell; zeros on the others."""
         function = getattr(state, NODAL[field])
         if function is None:
-            raise InputError(f"there is no '{field}' in statics", where=_WHERE)
+            raise InputError(
+                f"there is no '{field}' in statics",
+                where=_WHERE,
+                expected="leave it out, or use [dynamics]",
+            )
         if place.cell < 0:
             return np.zeros(self.dim)
         shape = _shape_functions(self.problem.body.dim, self.problem.degree, place.local)
@@ -376,6 +394,11 @@ class Probe:
         with stage("output"):
             for name, part in self._counted.items():
                 found |= columns_of(name, part(state), plain=name in self._plain)
+        for label, point in self._moments.items():
+            moment = state.moments[label]
+            about = moment.about if point is None else point
+            values = moment.about_point(about, state.reactions[label])
+            found |= dict(zip(_moment_columns(label, self.dim), map(float, values), strict=True))
         return found
 
     def add_to(self, state: State) -> State:
@@ -388,6 +411,49 @@ class Probe:
         if twice := found.keys() & row(state).keys():
             raise duplicate_column(min(twice))
         return replace(state, numbers={**state.numbers, **found})
+
+
+def check_moments(moments: ReferencePoints, problem: Problem) -> None:
+    """Checks that there are such supports, and that their moments have no columns already.
+
+    Args:
+        moments: Label to the point of reference.
+        problem: Of which supports and contacts.
+
+    Raises:
+        InputError: There is no such support, its moment is a column in any case, the point has
+            other components than the body, or nothing has a moment.
+    """
+    held = parts_held(problem)
+    rigid = {motion.label for motion in problem.dirichlet.rigid_motions}
+    for name, point in moments.items():
+        where = f"output.moments.{name}"
+        if problem.geometry == "axisymmetric":
+            raise InputError(
+                "moments cancel round the axis of a body of revolution",
+                where=where,
+                expected="no output.moments",
+            )
+        if name not in held:
+            raise InputError(
+                f"there is no support or contact '{name}'",
+                where=where,
+                expected=nearest(name, held),
+            )
+        if name in rigid:
+            raise InputError(
+                f"history.csv has moment_{name} of the rigid surface already",
+                where=where,
+                expected=f"'point' of the support '{name}' to choose about what",
+            )
+        if point is not None and len(point) != problem.body.dim:
+            raise InputError(
+                f"{len(point)} coordinates given, the body has {problem.body.dim}", where=where
+            )
+
+
+def _moment_columns(label: str, dim: int) -> list[str]:
+    return [f"moment_{label}_{axis}" for axis in ("xyz" if dim == 3 else "z")]
 
 
 def _interpolated(fields: Sequence[str]) -> tuple[str, ...]:

@@ -49,7 +49,9 @@ def check_surface(body: Body, name: str, where: str = "") -> None:
     except MeshError as error:
         raise within(where, error) from None
     if not total(body.comm, len(body.owned_facets(name))):
-        raise MeshError(f"the surface '{name}' has no facets", where=where)
+        raise MeshError(
+            f"the surface '{name}' has no facets", where=where, expected="a surface with facets"
+        )
 
 
 class SurfaceMean:
@@ -132,7 +134,11 @@ class SurfaceMean:
         for name, function in self._nodal.items():
             values = getattr(state, NODAL[name])
             if values is None:
-                raise InputError(f"there is no '{name}' in statics", where="output.probes")
+                raise InputError(
+                    f"there is no '{name}' in statics",
+                    where="output.probes",
+                    expected="leave it out, or use [dynamics]",
+                )
             function.x.array[:] = values.x.array
         self._sums[:] = 0.0
         fem.assemble_vector(self._sums.reshape(-1), self._form)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from dolfin_elastic import (
     rectangle_body,
     run,
 )
-from dolfin_elastic.case.check import check
+from dolfin_elastic.case.check import check, report
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.mesh import EdgeSelector, PointSelector, name_parts
 from dolfin_elastic.mesh.geometry.locate import locate
@@ -160,6 +161,43 @@ def test_columns_of_the_history(folder):
         *("tip_x", "tip_y", "tip_z"),
         *("middle_x", "middle_y", "middle_z", "middle_von_mises"),
     ]
+
+
+def test_moments_of_supports(folder):
+    """Columns where they are asked for: F x 5 mm of half the block's width about its rim, else 0.
+
+    In `summary.json` those of all supports about their middle.
+    """
+    about = {"left": "middle", "right": ["2 cm", 5, 0]}
+    case = Case.from_dict(block(moments=about))
+    assert Case.from_dict(case.to_dict()) == case
+    [*_] = run(case, output=folder / "out")
+    *_, row = csv.DictReader((folder / "out" / "history.csv").open())
+    names = [f"moment_{name}_{axis}" for name in about for axis in "xyz"]
+    assert [name for name in row if name.startswith("moment")] == names
+    # 1e5 Pa on 1 cm^2, 5 mm above the point: about y.
+    wanted = [0, 0, 0, 0, 10 * 5e-3, 0]
+    np.testing.assert_allclose([float(row[name]) for name in names], wanted, atol=1e-10)
+    summary = json.loads((folder / "out" / "summary.json").read_text())
+    assert list(summary["moments"]) == ["left", "right"]
+    np.testing.assert_allclose(summary["moments"]["right"]["about"], [0.02, 5e-3, 5e-3])
+    np.testing.assert_allclose(summary["moments"]["right"]["moment"], 0, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("moments", "message"),
+    [
+        ({"lft": "middle"}, r"output.moments.lft: there is no support or contact 'lft'.*left"),
+        ({"left": [0, 0]}, r"output.moments.left: 2 coordinates given, the body has 3"),
+        ({"left": "centre"}, r"output.moments.left: .*middle"),
+        ({"hub": "middle"}, r"output.moments.hub: history.csv has moment_hub of the rigid surface"),
+    ],
+)
+def test_invalid_moments_are_refused(moments, message):
+    tables = block(moments=moments)
+    tables["support"].append({"kind": "rigid", "on": "top", "name": "hub"})
+    with pytest.raises(InputError, match=message):
+        report(Case.from_dict(tables))
 
 
 def test_means_over_surfaces(folder):

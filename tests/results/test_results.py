@@ -46,9 +46,10 @@ from dolfin_elastic.results.outputs import (
 )
 from dolfin_elastic.results.pictures import colour_bar, pictures, renderer, scene
 from dolfin_elastic.results.pictures._draw import colour_map
+from dolfin_elastic.results.pictures.clip import Clip
 from dolfin_elastic.results.pictures.colour_bar import make_colour_bar
 from dolfin_elastic.results.pictures.drawn_field import DrawnField
-from dolfin_elastic.results.pictures.pictures import Appearance, _round_off, picture
+from dolfin_elastic.results.pictures.pictures import Appearance, Painter, _round_off, picture
 from dolfin_elastic.results.pictures.surface import Surface, gather_surface
 
 
@@ -533,6 +534,32 @@ def test_a_picture_that_cannot_be_drawn(
     warnings = [r.message for r in caplog.records if r.levelname == "WARNING"]
     shown = ["cannot draw a picture: no display; the run goes on"] if COMM.rank == 0 else []
     assert warnings == shown or COMM.rank
+
+
+@pytest.mark.parametrize(
+    ("clips", "low", "high", "area"),
+    [
+        ([Clip(0, 1.0)], 0.0, 1.0, 6.0),
+        ([Clip(0, 1.4, above=False), Clip(2, 0.5, above=True)], 1.4, 2.0, 2.8),
+    ],
+)
+def test_sections(clips: list[Clip], low: float, high: float, area: float) -> None:
+    """Surface and section of what planes leave of a beam of 2 x 1 x 1, on any number of ranks."""
+    problem = make_problem(3, degree=2, cells=1)
+    painter = Painter(problem, ("displacement",))
+    try:
+        found = painter.panels(make_state(problem), Appearance(clips=clips))
+    finally:
+        painter.close()
+    assert len(found) == (problem.body.comm.rank == 0)
+    for one in found:
+        x = one["points"]
+        assert low - 1e-5 <= x[:, 0].min() < x[:, 0].max() <= high + 1e-5
+        # Between points of a section h = 1/2 apart u is linear: |u''| h^2/8 = 0.4/32.
+        np.testing.assert_allclose(one["u"], displacement(x.T).T, atol=0.0125)
+        corners = x[one["triangles"]]
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        assert np.linalg.norm(across, axis=1).sum() / 2 == pytest.approx(area, rel=1e-4)
 
 
 def test_a_new_run_removes_old_pictures(folder: Path) -> None:

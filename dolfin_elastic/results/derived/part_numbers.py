@@ -99,7 +99,9 @@ class PartNumbers:
             else np.column_stack([body.owned_cells(part), np.zeros_like(body.owned_cells(part))])
         )
         if not total(body.comm, len(sides)):
-            raise MeshError(f"the {kind} '{part}' is empty", where=_WHERE)
+            raise MeshError(
+                f"the {kind} '{part}' is empty", where=_WHERE, expected="a name that has members"
+            )
         self._nodes = self._nodes_of(part)
         self._pieces = [self._piece(region, sides) for region in problem.regions]
         shapes = problem.V.element.basix_element.tabulate(0, self._points.reshape(-1, body.dim))

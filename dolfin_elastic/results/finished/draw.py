@@ -14,42 +14,20 @@ from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.contact import Contact
+from dolfin_elastic.model.loads.forces import Gravity
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.pictures.obstacles import obstacle_triangles
-from dolfin_elastic.results.pictures.scene import DIRECTIONS, Scene, label_of, window
+from dolfin_elastic.results.pictures.clip import Clip, sections
+from dolfin_elastic.results.pictures.obstacles import Reach, obstacle_scene
+from dolfin_elastic.results.pictures.scene import Scene, Up, label_of, up_against, window
 from dolfin_elastic.results.pictures.series import Limits, Series, film_times
 
 if TYPE_CHECKING:
     import pyvista
 
-_ASIDE = 1e-6
-"""Distance of a section from where it is asked for, over the body's length."""
+_NODES, _IDS = "nodes", "vtkOriginalPointIds"
 _SUBDIVISION = 2
 """Halvings of the faces of quadratic cells."""
-
-
-@dataclass(frozen=True)
-class Clip:
-    """A plane that takes away what lies beyond it.
-
-    Attributes:
-        axis: Number of the axis.
-        at: Coordinate of the plane in the undeformed body [m].
-        above: What is above it goes, or what is below; None: what is nearer to the camera.
-    """
-
-    axis: int
-    at: float
-    above: bool | None = None
-
-    def takes_above(self, view: str) -> bool:
-        """Whether what is above it goes.
-
-        Args:
-            view: See `scene.View`.
-        """
-        return DIRECTIONS[view][self.axis] >= 0 if self.above is None else self.above
 
 
 @dataclass(frozen=True)
@@ -65,6 +43,7 @@ class Look:
         marks: The largest value is marked.
         obstacles: The rigid obstacles are drawn.
         clips: Planes that take away a part.
+        up: Axis that is up; None: the one against which weight acts, else z.
     """
 
     fields: Sequence[str]
@@ -75,6 +54,7 @@ class Look:
     marks: bool = True
     obstacles: bool = True
     clips: Sequence[Clip] = ()
+    up: Up | None = None
 
 
 def check_field(run: FinishedRun, name: str, step: int = -1) -> str:
@@ -112,7 +92,7 @@ def draw(run: FinishedRun, look: Look, file: Path, step: int = -1) -> None:
         InputError: There is no such step or field, or nothing is left by the clip planes.
         OutputError: It cannot be drawn or written.
     """
-    panels = _panels(run, look, step)
+    panels = _panels(run, look, step, Reach())
     series = Series(look.limits, marks=look.marks)
     try:
         series.add(0, panels)
@@ -139,66 +119,78 @@ def film(run: FinishedRun, look: Look, file: Path, *, fps: float, speed: float) 
     with tempfile.TemporaryDirectory() as scratch:
         series = Series(look.limits, marks=look.marks, folder=Path(scratch) / "frames")
         try:
+            reach = Reach()
             for step in range(len(run.steps)):
-                series.add(step, _panels(run, look, step))
+                panels = _panels(run, look, step, reach)
+                series.add(step, [{**one, "outline": not run.moving} for one in panels])
             series.film(file, film_times(run.steps, speed), range(len(run.steps)), fps)
         finally:
             series.close()
 
 
-def _panels(run: FinishedRun, look: Look, step: int) -> list[Scene]:
+def _panels(run: FinishedRun, look: Look, step: int, reach: Reach) -> list[Scene]:
     for name in look.fields:
         check_field(run, name, step)
     whole = run.grid(step)
-    return [_panel(run, look, step, whole, name) for name in look.fields]
+    return [_panel(run, look, step, whole, name, reach) for name in look.fields]
 
 
 def _panel(
-    run: FinishedRun, look: Look, step: int, whole: pyvista.UnstructuredGrid, name: str
+    run: FinishedRun,
+    look: Look,
+    step: int,
+    whole: pyvista.UnstructuredGrid,
+    name: str,
+    reach: Reach,
 ) -> Scene:
     frame = run.frame(step)
     grid = whole.copy(deep=False)
     if frame.arrays[name].centre == "cell":
         grid = grid.cell_data_to_point_data(pass_cell_data=True)
-    surface = _clipped(grid, look)
+    view, up = ("z" if run.dim == 2 else look.view), look.up or _up(run)
+    surface = _clipped(grid, look.clips, view, up)
     points = np.asarray(surface.points, dtype=float)
     u = np.zeros_like(points)
     if "displacement" in surface.point_data:
         u = np.asarray(surface.point_data["displacement"], dtype=float)
-    view = "z" if run.dim == 2 else look.view
     moved = points + look.scale * u
+    reach.take(moved)
     return {
         "points": points,
         "triangles": surface.faces.reshape(-1, 4)[:, 1:].astype(np.int64),
         "u": u,
         "scale": look.scale,
         "view": view,
-        "window": window(np.vstack([points, moved]), view),
+        "up_axis": up,
+        "window": window(np.vstack([points, moved]), view, up),
         "title": _headline(run, look, frame.t),
         "plane": run.dim == 2,
         **_values(run, surface, name),
-        **(_obstacles(run, moved, frame.t) if look.obstacles else {}),
+        **(_obstacles(run, reach, frame.t) if look.obstacles else {}),
     }
 
 
-def _clipped(grid: pyvista.UnstructuredGrid, look: Look) -> pyvista.PolyData:
+def _up(run: FinishedRun) -> Up:
+    if run.dim == 2:
+        return "z"
+    rows = [dict(row) for row in run.case.get("load", []) if row.get("kind") == "gravity"]
+    return up_against(Gravity(**row).acceleration(run.dim) for row in rows)
+
+
+def _clipped(
+    grid: pyvista.UnstructuredGrid, clips: Sequence[Clip], view: str, up: str
+) -> pyvista.PolyData:
     """The surface of what the clip planes leave, of triangles."""
-    parts = [grid.extract_surface(nonlinear_subdivision=_SUBDIVISION).triangulate()]
-    planes = []
-    for clip in look.clips:
-        # Nodes that lie in the plane would give sections without an area.
-        place = clip.at + _ASIDE * grid.length
-        normal, origin = np.eye(3)[clip.axis], place * np.eye(3)[clip.axis]
-        planes.append({"normal": normal, "origin": origin, "invert": clip.takes_above(look.view)})
-        parts.append(grid.slice(normal, origin).triangulate())
-    for i, plane in enumerate(planes):
-        for j, part in enumerate(parts):
-            if j != i + 1 and part.n_cells:
-                parts[j] = part.clip(**plane).extract_surface().triangulate()
-    first, *others = [part for part in parts if part.n_cells] or [None]
-    if first is None:
-        raise InputError("nothing of the body is left", where="--clip")
-    return first.append_polydata(*others) if others else first
+    surface = grid.extract_surface(nonlinear_subdivision=_SUBDIVISION, pass_pointid=True)
+    surface.point_data[_NODES] = (surface.point_data[_IDS] >= 0).astype(float)
+    whole = grid.copy(deep=False)
+    whole.point_data[_NODES] = np.ones(grid.n_points)
+    left = sections(surface.triangulate(), whole, clips, view, up)
+    if not left.n_cells:
+        raise InputError(
+            "nothing of the body is left", where="--clip", expected="planes that meet the body"
+        )
+    return left
 
 
 def _values(run: FinishedRun, surface: pyvista.PolyData, name: str) -> Scene:
@@ -208,6 +200,7 @@ def _values(run: FinishedRun, surface: pyvista.PolyData, name: str) -> Scene:
         return {"value": numbers, "names": list(run.case["materials"]), "label": label_of(name)}
     return {
         "value": shown(surface.point_data, name),
+        "nodes": np.asarray(surface.point_data[_NODES]) > 1 - 1e-9,
         "field": name,
         "unit": field.unit if field else "",
         "noise": 0.0,
@@ -240,12 +233,11 @@ def _headline(run: FinishedRun, look: Look, t: float) -> str:
     return "   |   ".join(filter(None, (title, place, scale)))
 
 
-def _obstacles(run: FinishedRun, moved: FloatArray, t: float) -> Scene:
+def _obstacles(run: FinishedRun, reach: Reach, t: float) -> Scene:
     default = CONSTANT if run.moving else PROPORTIONAL
     pairs = []
     for row in run.case.get("contact", []):
         contact = Contact(**row)
         shift = np.array(contact.displacement_at(t, default, run.dim))
         pairs.append((contact.obstacle, shift))
-    found = obstacle_triangles(pairs, moved.min(axis=0), moved.max(axis=0), run.dim)
-    return {"obstacle_points": found[0], "obstacle_triangles": found[1]}
+    return obstacle_scene(pairs, reach, run.dim)

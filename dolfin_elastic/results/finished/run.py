@@ -31,7 +31,7 @@ class FinishedRun:
         folder: The folder of the results.
 
     Attributes:
-        folder: As given.
+        folder: As given, as a path.
         summary: `summary.json`.
         case: The tables of the case as it was computed, with the curves of CSV files in it and of
             the mesh's file the name alone; empty of a case with Python functions.
@@ -44,8 +44,8 @@ class FinishedRun:
         InputError: It is no folder of results, or a file in it cannot be read.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path | str) -> None:
+        self.folder = folder = Path(folder)
         self._check_folder()
         self.summary: dict[str, Any] = _read_json(folder / _SUMMARY)
         self.case: dict[str, Any] = self.summary.get("case") or {}
@@ -138,9 +138,15 @@ def _read_json(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise InputError(f"cannot be read: {error}", where=str(path)) from None
+        raise InputError(
+            f"cannot be read: {error}", where=str(path), expected="the file as the run has left it"
+        ) from None
     if not isinstance(found, dict):
-        raise InputError("this is no summary of a run", where=str(path))
+        raise InputError(
+            "this is no summary of a run",
+            where=str(path),
+            expected="the file as the run has left it",
+        )
     return found
 
 
@@ -152,7 +158,9 @@ def _read_history(path: Path) -> dict[str, FloatArray]:
         with path.open(encoding="utf-8", newline="") as file:
             head, *rows = [*csv.reader(file)] or [[]]
     except (OSError, ValueError, csv.Error) as error:
-        raise InputError(f"cannot be read: {error}", where=str(path)) from None
+        raise InputError(
+            f"cannot be read: {error}", where=str(path), expected="the file as the run has left it"
+        ) from None
     # The last row may be in the making.
     whole = [row for row in rows if len(row) == len(head)]
     columns = {name: [row[i] for row in whole] for i, name in enumerate(head)}

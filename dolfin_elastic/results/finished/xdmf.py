@@ -142,7 +142,9 @@ def read_array(folder: Path, stored: Stored) -> AnyArray:
         ) from None
     if found.shape != stored.shape:
         raise InputError(
-            f"it has the shape {found.shape}, not {stored.shape}", where=f"{path}:/{stored.name}"
+            f"it has the shape {found.shape}, not {stored.shape}",
+            where=f"{path}:/{stored.name}",
+            expected="the files as the run has left them",
         )
     return found
 
@@ -159,7 +161,9 @@ def read_grid(folder: Path, frame: Frame) -> pyvista.UnstructuredGrid:
     cells, points = read_array(folder, frame.cells), read_array(folder, frame.points)
     if cells.size and not 0 <= cells.min() <= cells.max() < len(points):
         raise InputError(
-            "cells have nodes that are not there", where=str(folder / frame.cells.file)
+            "cells have nodes that are not there",
+            where=str(folder / frame.cells.file),
+            expected="the files as the run has left them",
         )
     kinds = np.full(len(cells), _CELLS[frame.kind][0], dtype=np.uint8)
     rows = np.insert(cells.astype(np.int64), 0, cells.shape[1], axis=1)
@@ -172,6 +176,10 @@ def read_grid(folder: Path, frame: Frame) -> pyvista.UnstructuredGrid:
         count, data = sizes[stored.centre]
         values = read_array(folder, stored)
         if len(values) != count:
-            raise InputError(f"'{name}' has {len(values)} values, not {count}", where=str(folder))
+            raise InputError(
+                f"'{name}' has {len(values)} values, not {count}",
+                where=str(folder),
+                expected="the files as the run has left them",
+            )
         data[name] = values[:, 0] if values.shape[1] == 1 else values
     return grid

@@ -35,7 +35,8 @@ _SHORT = 0.6
 _HEADLINE, _LETTERS = 15, 85
 # Shares of the picture's width and height that the body may fill, left of the scalar bar.
 _ROOM, _SHIFT = (0.74, 0.8), 0.12
-
+# Share of the body's width right of which a text beside a point would run into the bar.
+_BESIDE_BAR = 0.7
 
 Arrays: TypeAlias = Mapping[str, npt.NDArray[Any]]
 """Points, triangles, values and texts of a picture, as `pictures.Painter` writes them."""
@@ -95,7 +96,7 @@ def _add_body(plot: pv.Plotter, data: Arrays) -> pv.DataSetMapper:
     if not flat:
         plot.add_silhouette(deformed, color=_INK, line_width=3.0, decimate=None)
     moved = np.abs(deformed.points - reference.points).max()
-    if moved > _VISIBLE * reference.length:
+    if moved > _VISIBLE * reference.length and bool(data.get("outline", True)):
         _add_outline(plot, reference)
     return body.mapper
 
@@ -247,11 +248,16 @@ def _add_obstacles(plot: pv.Plotter, data: Arrays) -> None:
 
 
 def _add_mark(plot: pv.Plotter, data: Arrays) -> None:
-    """A point at the largest value, and the value beside it."""
+    """A point at the largest value, and the value beside it, and whether the body hides it."""
     if "mark" not in data:
         return
     # In front of all, where a parallel projection shows it at the same place.
     depth = float(np.linalg.norm(data["window"][1] - data["window"][0]))
+    begin, end = (data["mark"] + ahead * depth * data["back"] for ahead in (1e-3, 2.0))
+    hits, _ = _surface(data, deformed=True).ray_trace(begin, end)
+    text = _plain(str(data["mark_text"])) + (", behind" if len(hits) else "")
+    across = (data["mark"] @ data["right"] - data["window"][0][0]) / np.ptp(data["window"][:, 0])
+    left = bool(across > _BESIDE_BAR)
     for size, colour, ahead in ((20, "white", 0.9), (13, _INK, 0.95)):
         place = pv.PolyData((data["mark"] + ahead * depth * data["back"])[None].astype(float))
         plot.add_mesh(
@@ -259,7 +265,8 @@ def _add_mark(plot: pv.Plotter, data: Arrays) -> None:
         )
     plot.add_point_labels(
         place,
-        ["  " + _plain(str(data["mark_text"]))],
+        [text + "  " if left else "  " + text],
+        justification_horizontal="right" if left else "left",
         font_size=24,
         bold=False,
         text_color=_INK,

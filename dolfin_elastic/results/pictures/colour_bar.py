@@ -77,12 +77,18 @@ def prefixed(largest: float, unit: str) -> tuple[float, str]:
 
     Args:
         largest: Absolute value [SI].
-        unit: SI unit.
+        unit: SI unit; small areas and volumes are in squares and cubes of cm or mm.
     """
-    if unit not in _PREFIXED or not largest:
-        return 1.0, unit
     # With a tolerance, so that 1000 kPa less round-off are 1 MPa.
     largest *= 1 + EQUAL
+    if unit in ("m^2", "m^3") and largest:
+        power = int(unit[-1])
+        lengths = ((1.0, "m"), (1e-2, "cm"), (1e-3, "mm"))
+        shown = (one for one in lengths if largest >= one[0] ** power)
+        length, name = next(shown, lengths[-1])
+        return length**power, f"{name}^{power}"
+    if unit not in _PREFIXED or not largest:
+        return 1.0, unit
     factor, prefix = next(((f, p) for f, p in _PREFIXES if largest >= f), _PREFIXES[-1])
     return factor, prefix + unit
 

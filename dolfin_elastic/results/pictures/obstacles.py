@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from dolfin_elastic.core.types import FloatArray, IntArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.model.contact import CylinderObstacle, Obstacle, Plane, SphereObstacle
+from dolfin_elastic.results.pictures.scene import Scene
 
 _ROUND, _WIDE, _DEEP = 48, 0.5, 0.04
 """Corners of a circle; half the side of a drawn plane, and the depth of a drawn line, over the
@@ -15,6 +16,22 @@ diagonal of the body."""
 
 Triangles = tuple[FloatArray, IntArray]
 """Points [m], shape (n, 3), and triangles."""
+
+
+class Reach:
+    """The box around a body in all states so far: a floor is drawn below all of its ways."""
+
+    def __init__(self) -> None:
+        self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
+
+    def take(self, points: FloatArray) -> None:
+        """Takes up a state.
+
+        Args:
+            points: Of the body [m], shape (n, 3).
+        """
+        self.low = np.minimum(self.low, points.min(axis=0))
+        self.high = np.maximum(self.high, points.max(axis=0))
 
 
 def obstacle_triangles(
@@ -43,6 +60,35 @@ def obstacle_triangles(
         triangles.append((found[1][:, ::-1] if inside else found[1]) + count)
         count += len(found[0])
     return np.concatenate(points), np.concatenate(triangles)
+
+
+def obstacle_scene(
+    obstacles: Sequence[tuple[Obstacle, FloatArray]], reach: Reach, dim: int
+) -> Scene:
+    """What a picture is told of obstacles: where they would be at rest, and their shifts.
+
+    In a series all pictures show as much of them as the one with the longest reach.
+
+    Args:
+        obstacles: Each with its displacement [m], `dim` components.
+        reach: Of the body.
+        dim: Of the body.
+    """
+    every: list[Triangles] = []
+    shifts: list[AnyArray] = [np.zeros((0, 3))]
+    for obstacle, shift in obstacles:
+        found = obstacle_triangles([(obstacle, np.zeros(dim))], reach.low, reach.high, dim)
+        every.append(found)
+        shifts.append(np.tile(_whole(shift), (len(found[0]), 1)))
+    starts = np.cumsum([0, *(len(points) for points, _ in every)])
+    none = np.zeros((0, 3), dtype=np.int64)
+    return {
+        "obstacle_points": np.concatenate([np.zeros((0, 3)), *(points for points, _ in every)]),
+        "obstacle_triangles": np.concatenate(
+            [none, *(one[1] + start for one, start in zip(every, starts, strict=False))]
+        ),
+        "obstacle_shift": np.concatenate(shifts),
+    }
 
 
 def _triangles(obstacle: Obstacle, middle: FloatArray, size: float, dim: int) -> Triangles:

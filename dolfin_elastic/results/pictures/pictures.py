@@ -22,18 +22,19 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import InputError, OutputError, nearest
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.timing import stage
-from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import extent, span
+from dolfin_elastic.model.loads.forces import Gravity
 from dolfin_elastic.problem.material_regions import shear_modulus
 from dolfin_elastic.problem.state import Mode, State, plain
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import make_folder, writing
+from dolfin_elastic.results.pictures.clip import Clip, clipped
 from dolfin_elastic.results.pictures.drawn_field import DrawnField, with_ghosts
-from dolfin_elastic.results.pictures.obstacles import obstacle_triangles
+from dolfin_elastic.results.pictures.obstacles import Reach, obstacle_scene
 from dolfin_elastic.results.pictures.renderer import RENDERER
-from dolfin_elastic.results.pictures.scene import Scene, View, label_of, window
+from dolfin_elastic.results.pictures.scene import Scene, Up, View, label_of, up_against, window
 from dolfin_elastic.results.pictures.series import FILMS, Limits, Series, film_times
-from dolfin_elastic.results.pictures.surface import Surface, gather_surface
+from dolfin_elastic.results.pictures.surface import Surface, gather_cells, gather_surface
 from dolfin_elastic.results.writer import LastState, Numbers, StepInterval
 
 if TYPE_CHECKING:
@@ -60,6 +61,9 @@ class Appearance:
         limits: Ends of the colours.
         marks: The largest value is marked, of safety factors the smallest.
         obstacles: The rigid obstacles of contacts are drawn, too.
+        up: Axis that is up; None: the one against which weight acts, else z.
+        clips: Planes that take away a part.
+        film: They are frames of a film: of a motion without the undeformed body.
     """
 
     scale: float = 1.0
@@ -68,6 +72,9 @@ class Appearance:
     limits: Limits = field(default_factory=Limits)
     marks: bool = True
     obstacles: bool = True
+    up: Up | None = None
+    clips: Sequence[Clip] = ()
+    film: bool = False
 
 
 @dataclass(frozen=True)
@@ -334,7 +341,9 @@ class Painter:
 
     def __init__(self, problem: Problem, fields: Sequence[str]) -> None:
         self.problem, self.comm, self.dim = problem, problem.body.comm, problem.body.dim
-        self._failed = False
+        self._failed, self._reach = False, Reach()
+        weights = [g.acceleration(self.dim) for g in problem.loads if isinstance(g, Gravity)]
+        self._up = up_against(weights) if self.dim == 3 else "z"
         names = [check_drawable(name) for name in fields]
         self._noise = {name: _round_off(problem, FIELDS[name].unit) for name in names}
         self._drawn = [DrawnField(problem, name) for name in names]
@@ -431,22 +440,31 @@ class Painter:
         else:
             fields["value"] = drawn.at_nodes(state)
         linear = ("value",) if drawn.linear else ()
-        surface = gather_surface(grid, fields, of_cells, linear=linear)
+        surface, cells = gather_surface(grid, fields, of_cells, linear=linear), None
+        if appearance.clips and self.dim == 3:
+            planes = [(clip.axis, clip.at) for clip in appearance.clips]
+            cells = gather_cells(grid, fields, planes, of_cells)
         if surface is None:
             return None
-        view = "z" if self.dim == 2 else appearance.view
+        view, up = ("z" if self.dim == 2 else appearance.view), appearance.up or self._up
         moved = surface.points + appearance.scale * surface.values["u"]
+        seen = window(np.vstack([surface.points, moved]), view, up)
+        self._reach.take(moved)
+        if appearance.clips:
+            surface = clipped(surface, cells, appearance.clips, view, up)
         return {
             "points": surface.points,
             "triangles": surface.triangles,
             "u": surface.values["u"],
             "scale": appearance.scale,
             "view": view,
-            "window": window(np.vstack([surface.points, moved]), view),
+            "up_axis": up,
+            "outline": not (appearance.film and state.v is not None),
+            "window": seen,
             "title": _headline(state, appearance),
             "plane": self.dim == 2,
             **self._values(drawn, surface),
-            **(self._obstacles(moved) if appearance.obstacles else {}),
+            **(self._obstacles() if appearance.obstacles else {}),
         }
 
     def _values(self, drawn: DrawnField, surface: Surface) -> Scene:
@@ -465,15 +483,15 @@ class Painter:
             "unit": field.unit,
             "noise": self._noise[drawn.name],
             "tensor": field.shape == "tensor",
+            **({} if surface.nodes is None else {"nodes": surface.nodes}),
         }
 
-    def _obstacles(self, moved: FloatArray) -> Scene:
+    def _obstacles(self) -> Scene:
         pairs = [
             (pair.contact.obstacle, np.asarray(pair.shift.value))
             for pair in self.problem.contact_pairs
         ]
-        found = obstacle_triangles(pairs, moved.min(axis=0), moved.max(axis=0), self.dim)
-        return {"obstacle_points": found[0], "obstacle_triangles": found[1]}
+        return obstacle_scene(pairs, self._reach, self.dim)
 
     def _names(self, field: str) -> tuple[int, list[str]]:
         """Number of the first name of a field of names, and all names."""

@@ -6,7 +6,7 @@ the values, the camera, the mark at the largest value.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from textwrap import fill
 from typing import Any, Literal, TypeAlias
 
@@ -18,6 +18,8 @@ from dolfin_elastic.results.pictures.colour_bar import make_colour_bar
 Scene: TypeAlias = dict[str, Any]
 """Arrays, texts and numbers of one picture by name, as `_draw.py` reads them from a file."""
 View = Literal["isometric", "x", "y", "z", "-x", "-y", "-z"]
+Up = Literal["x", "y", "z"]
+AXES: tuple[Up, Up, Up] = ("x", "y", "z")
 
 DIRECTIONS: dict[str, tuple[float, float, float]] = {
     "isometric": (1.0, -1.25, 0.85),
@@ -28,11 +30,21 @@ DIRECTIONS: dict[str, tuple[float, float, float]] = {
     "-y": (0, -1, 0),
     "-z": (0, 0, -1),
 }
-"""View to the direction from the body to the camera."""
+"""View to the direction from the body to the camera, where z is up."""
+_SLANTED: dict[str, tuple[float, float, float]] = {
+    "x": (0.85, 1.0, -1.25),
+    "y": (1.0, 0.85, 1.25),
+    "z": DIRECTIONS["isometric"],
+}
+"""Axis that is up to the direction of the isometric view."""
+_BESIDE = {"x": (0.0, 1.0, 0.0), "y": (0.0, 0.0, -1.0), "z": (0.0, 1.0, 0.0)}
+"""Axis that is up to what is up in a picture from above or below."""
 SAFEST = 5.0
 """Safety factor above which all of them have one colour, that of no danger."""
 SMALL_MATTERS = ("safety_factor",)
 """Fields whose small values matter: drawn in warm colours, large ones all alike."""
+_NOTHING = 1e-9
+"""Largest values below this share of the colour bar's are not marked: round-off of rest."""
 _LINE = 20
 """Letters in a line above the colour bar; longer ones would not fit."""
 _LABELS = {
@@ -100,44 +112,66 @@ def mark(points: FloatArray, data: Scene, *, small: bool) -> Scene:
 
     Args:
         points: Where the points are drawn, shape (n, 3).
-        data: From `colours`.
+        data: From `colours`; with `nodes`, shape (n,), only these points count: between them
+            quadratic interpolation overshoots.
         small: The smallest value is marked.
     """
     values = np.asarray(data["value"], dtype=float)
+    if "nodes" in data:
+        values = np.where(data["nodes"], values, np.nan)
     if not np.isfinite(values).any():
         return {}
     at = int(np.nanargmin(values) if small else np.nanargmax(values))
+    if abs(values[at]) <= _NOTHING * np.abs(data["ticks"]).max():
+        return {}
     unit = str(data["label"]).rpartition("[")[2].rstrip("]") if "[" in data["label"] else ""
     word = "min" if small else "max"
     return {"mark": points[at], "mark_text": f"{word} {values[at]:.4g} {unit}".strip()}
 
 
-def axes_of(view: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+def up_against(weights: Iterable[Sequence[object]]) -> Up:
+    """The axis against which weight acts, z if there is none.
+
+    Args:
+        weights: Accelerations, each a number or a formula a component.
+    """
+    for weight in weights:
+        along = [i for i, value in enumerate(weight) if value != 0]
+        if len(along) == 1 and isinstance(value := weight[along[0]], int | float) and value < 0:
+            return AXES[along[0]]
+    return "z"
+
+
+def axes_of(view: str, up: str = "z") -> tuple[FloatArray, FloatArray, FloatArray]:
     """Unit vectors to the camera, to the right and up in a picture.
 
     Args:
         view: One of `DIRECTIONS`.
+        up: Axis that is up in it: x, y or z.
     """
-    back = np.array(DIRECTIONS[view], dtype=float)
+    back = np.array(_SLANTED[up] if view == "isometric" else DIRECTIONS[view], dtype=float)
     back /= np.linalg.norm(back)
-    pole = np.array([0.0, 1.0, 0.0]) if abs(back[2]) > 1 - 1e-9 else np.array([0.0, 0.0, 1.0])
+    pole = np.eye(3)["xyz".index(up)]
+    if abs(back @ pole) > 1 - 1e-9:
+        pole = np.array(_BESIDE[up])
     right = np.cross(pole, back)
     right /= np.linalg.norm(right)
     return back, right, np.cross(back, right)
 
 
-def window(points: FloatArray, view: str) -> FloatArray:
+def window(points: FloatArray, view: str, up: str = "z") -> FloatArray:
     """Lowest and highest coordinates of points along the picture's axes and its depth.
 
     Args:
         points: Shape (n, 3).
         view: One of `DIRECTIONS`.
+        up: Axis that is up.
 
     Returns:
         Shape (2, 3): right, up, towards the camera.
     """
-    back, right, up = axes_of(view)
-    seen = points @ np.stack([right, up, back]).T
+    back, right, top = axes_of(view, up)
+    seen = points @ np.stack([right, top, back]).T
     return np.array([seen.min(axis=0), seen.max(axis=0)])
 
 
@@ -147,12 +181,13 @@ def joined_windows(windows: Sequence[AnyArray]) -> FloatArray:
     return np.array([every[:, 0].min(axis=0), every[:, 1].max(axis=0)])
 
 
-def camera(view: str, seen: FloatArray) -> Scene:
+def camera(view: str, up: str, seen: FloatArray) -> Scene:
     """The camera's directions and what it has to show.
 
     Args:
         view: One of `DIRECTIONS`.
+        up: Axis that is up.
         seen: From `window`.
     """
-    back, right, up = axes_of(view)
-    return {"back": back, "right": right, "up": up, "window": seen}
+    back, right, top = axes_of(view, up)
+    return {"back": back, "right": right, "up": top, "window": seen}

@@ -65,6 +65,7 @@ class Series:
         self._ends: list[tuple[float, float] | None] = []
         self._windows: list[FloatArray] = []
         self._drawn: dict[Path, tuple[int, _Drawn]] = {}
+        self._floor: AnyArray = np.zeros((0, 3))
 
     def add(self, number: int, panels: Sequence[Scene]) -> None:
         """Keeps what one picture shows; see `Painter.scene`.
@@ -72,11 +73,13 @@ class Series:
         Args:
             number: Of the step.
             panels: What is seen side by side.
+
+        Raises:
+            OutputError: Nothing of the body is seen, or it cannot be kept.
         """
-        self._windows.append(scenes.joined_windows([panel["window"] for panel in panels]))
-        found = [_ends(panel, self._limits) for panel in panels]
-        before = self._ends or [None] * len(found)
-        self._ends = [_wider(a, b) for a, b in zip(before, found, strict=True)]
+        if not all(len(panel["triangles"]) for panel in panels):
+            raise OutputError("the clip planes leave nothing of the body")
+        self._take(panels)
         if self._folder is not None:
             with writing(self._folder):
                 self._folder.mkdir(parents=True, exist_ok=True)
@@ -98,11 +101,17 @@ class Series:
                 for file in files:
                     file.unlink()
             else:
-                panels = [_load(file) for file in files]
-                self._windows.append(scenes.joined_windows([p["window"] for p in panels]))
-                found = [_ends(panel, self._limits) for panel in panels]
-                before = self._ends or [None] * len(found)
-                self._ends = [_wider(a, b) for a, b in zip(before, found, strict=True)]
+                self._take([_load(file) for file in files])
+
+    def _take(self, panels: Sequence[Scene]) -> None:
+        """Widens range, camera and floor to what a picture shows."""
+        self._windows.append(scenes.joined_windows([panel["window"] for panel in panels]))
+        found = [_ends(panel, self._limits) for panel in panels]
+        before = self._ends or [None] * len(found)
+        self._ends = [_wider(a, b) for a, b in zip(before, found, strict=True)]
+        floor = np.asarray(panels[0].get("obstacle_points", self._floor))
+        if _size(floor) >= _size(self._floor):
+            self._floor = floor
 
     def _files(self, number: int) -> list[Path]:
         assert self._folder is not None
@@ -128,6 +137,8 @@ class Series:
 
     def _finished(self, panel: Scene, index: int) -> Scene:
         window = scenes.joined_windows(self._windows)
+        if "obstacle_shift" in panel:
+            panel = {**panel, "obstacle_points": self._floor + panel["obstacle_shift"]}
         return finished(panel, self._ends[index], self._limits, window, marks=self._marks)
 
     def redraw(self) -> None:
@@ -262,7 +273,7 @@ def finished(
         window: What the camera has to show, see `scene.window`.
         marks: The largest value is marked.
     """
-    found = {**panel, **scenes.camera(str(panel["view"]), window)}
+    found = {**panel, **scenes.camera(str(panel["view"]), str(panel.get("up_axis", "z")), window)}
     if "names" in panel:
         return found
     field, values = str(panel["field"]), np.asarray(panel["value"], dtype=float)
@@ -278,6 +289,8 @@ def finished(
         tensor=bool(panel["tensor"]),
     )
     if marks:
+        if "nodes" in panel:
+            found["nodes"] = panel["nodes"]
         places = panel["points"] + float(panel["scale"]) * panel["u"]
         found |= scenes.mark(places, found, small=field in scenes.SMALL_MATTERS)
     return found
@@ -318,6 +331,10 @@ def _ends(panel: Scene, limits: Limits) -> tuple[float, float] | None:
         return None
     low, high = np.percentile(values, limits.ends if limits.ends is not None else (0, 100))
     return float(low), float(high)
+
+
+def _size(points: AnyArray) -> float:
+    return float(np.ptp(points, axis=0).sum()) if len(points) else 0.0
 
 
 def _wider(

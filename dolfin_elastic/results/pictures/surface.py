@@ -7,7 +7,7 @@ stress that falls to zero, as on the neutral axis of a beam, would not be seen.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +25,9 @@ takes about 30 microseconds each."""
 _SIDES = ((1, 2), (0, 2), (0, 1))
 """Corners of the sides of a face, whose middles are the nodes after the corners."""
 
+_AT_NODE = 1e-9
+"""What a shape function lacks of 1 at its node."""
+
 _Share = tuple[AnyArray, AnyArray, AnyArray, dict[str, AnyArray], AnyArray | None]
 """Faces, global numbers of nodes, their places, values and values of cells of one rank."""
 
@@ -38,12 +41,14 @@ class Surface:
         points: Reference configuration [m], shape (m, 3).
         values: Name to values at the points, shape (m, columns).
         of_cells: Values of the cells behind the triangles, shape (n,), or None.
+        nodes: Which points are nodes, shape (m,), or None: all of them.
     """
 
     triangles: AnyArray
     points: AnyArray
     values: dict[str, AnyArray]
     of_cells: AnyArray | None = None
+    nodes: AnyArray | None = None
 
 
 def gather_surface(
@@ -78,6 +83,41 @@ def gather_surface(
     )
     parts = _to_root(grid.mesh.comm, own)
     return _divided(_joined(parts), linear) if grid.mesh.comm.rank == 0 else None
+
+
+def gather_cells(
+    grid: Grid,
+    values: dict[str, AnyArray],
+    planes: Sequence[tuple[int, float]],
+    of_cells: AnyArray | None = None,
+) -> Surface | None:
+    """The tetrahedra that planes cut, on rank 0, None on the others. Collective.
+
+    Args:
+        grid: The body's points and cells.
+        values: See `gather_surface`.
+        planes: Number of the axis across each plane, and its coordinate [m].
+        of_cells: See `gather_surface`.
+
+    Returns:
+        The nodes of the cells, in the order of VTK, as its triangles.
+    """
+    own, x = grid.local_cells(), grid.V.tabulate_dof_coordinates()
+    cut = np.zeros(len(own), dtype=bool)
+    for axis, at in planes:
+        along = x[own, axis]
+        cut |= (along.min(axis=1) <= at) & (along.max(axis=1) >= at)
+    cells = own[cut]
+    used, local = np.unique(cells, return_inverse=True)
+    share = (
+        local.reshape(cells.shape),
+        grid.V.dofmap.index_map.local_to_global(used.astype(np.int32)),
+        x[used],
+        {k: v[used] for k, v in values.items()},
+        None if of_cells is None else of_cells[: grid.own_cells][cut],
+    )
+    parts = _to_root(grid.mesh.comm, share)
+    return _joined(parts) if grid.mesh.comm.rank == 0 else None
 
 
 def _to_root(comm: MPI.Comm, own: _Share) -> list[_Share]:
@@ -136,6 +176,7 @@ def _divided(faces: Surface, linear: Collection[str]) -> Surface:
         between(faces.points, smooth),
         {k: between(v, kinked if k in linear else smooth) for k, v in faces.values.items()},
         None if faces.of_cells is None else np.repeat(faces.of_cells, len(pieces)),
+        smooth.max(axis=1)[place] > 1 - _AT_NODE,
     )
 
 

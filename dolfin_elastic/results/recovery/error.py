@@ -47,18 +47,18 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.mesh.geometry.curved import cell_jacobians, quadrature_rule
+from dolfin_elastic.mesh.geometry.curved import quadrature_rule, shape_gradients
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw
 from dolfin_elastic.model.materials.mixed import Mixed
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.results.recovery.patches import cell_edges
+from dolfin_elastic.results.recovery.patches import ErrorRule, cell_edges
 from dolfin_elastic.results.recovery.stress import (
     COMPONENTS,
     STRESS,
+    NodalMeans,
     NodalStress,
     RegionStress,
-    means_at_nodes,
     von_mises,
 )
 
@@ -141,9 +141,8 @@ class ErrorEstimator:
             chosen = region.part.cells
             cells[chosen], elastic[chosen], in_cells[chosen] = of.energy, of.elastic, of.stress
             found.append((region.part, of.recovered))
-            errors[number] = means_at_nodes(V, chosen, of.at_nodes[:, :, None])[:, 0]
-            off = von_mises(means_at_nodes(V, chosen, of.difference))
-            largest[:] = np.fmax(largest, off)
+            errors[number] = of.at_nodes
+            largest[:] = np.fmax(largest, von_mises(of.difference))
         difference.scatter_forward()
         stress = NodalStress.of(V, found)
         energy, stored = total(problem.body.comm, np.array([cells.sum(), elastic.sum()]))
@@ -166,10 +165,11 @@ class _Found:
         energy: Strain energy of the error [J], shape (cells,).
         elastic: Strain energy in the same norm [J].
         stress: See `ErrorEstimate.stress_in_cells`.
-        at_nodes: Estimated error of the von Mises stress [Pa], shape (cells, nodes of a cell).
-        recovered: Recovered Cauchy stress at the nodes of the cells [Pa], shape (cells, nodes of a
-            cell, 6).
-        difference: The same less the stress of the cells, extrapolated to these nodes [Pa].
+        at_nodes: Estimated error of the von Mises stress at the owned nodes [Pa]; NaN at those of
+            other regions, as what follows.
+        recovered: Recovered values there, see `RegionStress.at_owned_nodes`.
+        difference: Recovered stress less that of the cells, extrapolated to the nodes, mean over
+            the cells [Pa], shape (nodes, 6).
     """
 
     energy: FloatArray
@@ -187,10 +187,9 @@ class _RegionError:
         dim, degree = problem.body.dim, problem.degree
         pairs, shares = _work_pairs(problem, region, w)
         weight = problem.measures.filled(None, 0).weight
-        self._pairs, self._shares = len(pairs), np.array(shares)
-        self._mesh = problem.body.mesh
+        self._V, mesh = problem.V, problem.body.mesh
         # The difference has the degree of the displacement on straight cells.
-        self._points, self._weights = quadrature_rule(dim, 2 * degree)
+        points, weights = quadrature_rule(dim, 2 * degree)
         self.part = RegionStress(
             problem,
             region,
@@ -198,55 +197,56 @@ class _RegionError:
             more=[a for a, _ in pairs]
             + [b for _, b in pairs]
             + ([] if weight is None else [weight]),
-            points=self._points,
+            points=points,
         )
         # Values at nodes are coefficients.  The stress of curved cells has about the degree of the
         # displacement, too.
-        self._shape = problem.V.element.basix_element.tabulate(0, self._points)[0, :, :, 0]
-        self._to_nodes = np.linalg.pinv(self._shape)
+        shape = problem.V.element.basix_element.tabulate(0, points)[0, :, :, 0]
+        self._rule = ErrorRule(
+            shape_gradients(mesh, points),
+            np.ascontiguousarray(weights),
+            np.ascontiguousarray(shape),
+            np.ascontiguousarray(np.linalg.pinv(shape)),
+            np.array(shares),
+        )
         self._edges = cell_edges(dim) if degree > 1 else np.zeros((0, 2), dtype=np.int64)
 
     def __call__(self) -> _Found:
         """The error of the state that is in the unknowns."""
-        fitted, n = self.part.patches.fit(self.part.samples()), self._pairs
-        stresses, difference = np.empty((2, len(self.part.cells), self._shape.shape[1], 6))
-        energy, elastic, squares, volume = np.zeros((4, len(self.part.cells)))
+        patches, samples = self.part.patches, self.part.samples()
+        fitted = patches.fit(samples)
+        sums = np.empty((len(self.part.cells), 4))
+        recovered, difference = (NodalMeans(self._V, 6) for _ in range(2))
         for part in self.part.chunks():
-            raw = self.part.at_points(part)
-            recovered = self.part.patches.at_nodes(fitted, part)
-            stresses[part] = recovered[..., :6]
-            difference[part] = stresses[part] - self._to_nodes @ raw[..., :6]
-            off = self._shape @ recovered - raw
-            size = np.abs(cell_jacobians(self._mesh, self._points, self.part.cells[part]))
-            size = size * self._weights
-            volume[part] = size.sum(axis=1)
-            squares[part] = (size * von_mises(off[..., :6]) ** 2).sum(axis=1)
-            if raw.shape[2] > 6 + 2 * n:
-                size = size * raw[..., -1]
-            energy[part] = (size * self._work(off)).sum(axis=1)
-            elastic[part] = (size * self._work(raw)).sum(axis=1)
+            at_nodes = patches.at_nodes(fitted, part)
+            raw = self.part.raw(part, samples)
+            sums[part], off = patches.errors(part, self._rule, at_nodes, raw)
+            difference.add(patches, part, off)
+            recovered.add(patches, part, np.ascontiguousarray(at_nodes[..., :6]))
+        energy, elastic, squares, volume = sums.T
         return _Found(
             energy,
             elastic,
             np.sqrt(squares / volume),
-            self._at_nodes(squares, volume),
-            stresses,
-            difference,
+            self._at_nodes(sums[:, 2:]),
+            recovered.owned(),
+            difference.owned()[:, :6],
         )
 
-    def _work(self, values: FloatArray) -> FloatArray:
-        """Half the product of stresses and strains, its absolute value; shape (cells, points)."""
-        a, b = values[..., 6 : 6 + self._pairs], values[..., 6 + self._pairs : 6 + 2 * self._pairs]
-        return np.asarray(np.abs(0.5 * np.sum(self._shares * a * b, axis=2)))
-
-    def _at_nodes(self, squares: FloatArray, volume: FloatArray) -> FloatArray:
-        """Estimated error of the von Mises stress at the nodes, shape (cells, nodes of a cell).
+    def _at_nodes(self, squares: FloatArray) -> FloatArray:
+        """Estimated error of the von Mises stress at the owned nodes, NaN in other regions.
 
         At the middle of an edge that of one of its ends, whichever is larger.
+
+        Args:
+            squares: Integral of its square over each cell, and volume of the cell.
         """
-        sums = self.part.patches.sums(np.stack([squares, volume], axis=1))
+        sums = self.part.patches.sums(squares)
         corners = np.sqrt(_LARGEST * sums[..., 0] / sums[..., 1])
-        return np.concatenate([corners, corners[:, self._edges].max(axis=2)], axis=1)
+        values = np.concatenate([corners, corners[:, self._edges].max(axis=2)], axis=1)
+        means = NodalMeans(self._V, 1)
+        means.add(self.part.patches, slice(0, len(values)), values[..., None])
+        return means.owned()[:, 0]
 
 
 def _work_pairs(

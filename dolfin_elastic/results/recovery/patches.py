@@ -24,28 +24,30 @@ J. Numer. Meth. Eng. 10 (1976) 243.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, permutations
 
 import basix
 import numpy as np
 from dolfinx import fem, la
 
+from dolfin_elastic.core.jit import JitOptions, compile_c, options
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.curved import quadrature_rule, shape_functions
+from dolfin_elastic.results.recovery.loops import DECLARATIONS, SOURCE
 
-_CHUNK = 8192
+_CHUNK = 2048
 """Cells that are treated at once, which bounds the memory."""
-_FEW = 20000
-"""Values of so few rows are summed before scipy is imported."""
 _REGULAR = 1e-5
 """Least over largest eigenvalue of the normal equations of a patch with enough points."""
 _GAIN = 10.0
 """Largest sum of the absolute weights of the points in the value at a vertex: its error is at most
 so many times theirs.  Of one-sided patches of sound meshes it is 3 to 7, of four tetrahedra that
 meet at a vertex of the surface it may be 100."""
+_WIDEST = 64
+"""Columns for which the loops in C have room."""
 
 
 def sampling_points(dim: int, degree: int) -> FloatArray:
@@ -77,17 +79,11 @@ def sums_by_row(rows: IndexArray, values: FloatArray, count: int) -> FloatArray:
         count: Number of rows.
     """
     flat, table = rows.reshape(-1), values.reshape(rows.size, values.shape[-1])
-    if rows.size < _FEW:
-        found = np.zeros((count, table.shape[1]))
-        np.add.at(found, flat, table)
-        return found
-    from scipy.sparse import csc_array
-
-    # Columns of one entry each: the product is one pass over the values, 15 to 30 times as fast as
-    # numpy's ways.
-    columns = np.arange(rows.size + 1, dtype=np.int32)
-    matrix = csc_array((np.ones(rows.size), flat, columns), shape=(count, rows.size))
-    return np.asarray(matrix @ table)
+    # Not by a sparse matrix: importing scipy takes longer.
+    found = np.empty((count, table.shape[1]))
+    for column in range(table.shape[1]):
+        found[:, column] = np.bincount(flat, table[:, column], minlength=count)
+    return found
 
 
 class Patches:
@@ -96,30 +92,43 @@ class Patches:
     Args:
         V: Vector-valued Lagrange space of degree 1 or 2, at whose nodes values are recovered.
         cells: Owned cells of the region on this rank, without repetition.
+        jit_options: For loops in C; by default those of the program.
 
     Attributes:
         cells: As given.
     """
 
-    def __init__(self, V: fem.FunctionSpace, cells: IndexArray) -> None:
-        self.cells, self._mesh = cells, V.mesh
+    def __init__(
+        self, V: fem.FunctionSpace, cells: IndexArray, jit_options: JitOptions | None = None
+    ) -> None:
+        self.cells, self._mesh = np.ascontiguousarray(cells, dtype=np.int32), V.mesh
         self._dim, self._degree = V.mesh.topology.dim, V.element.basix_element.degree
-        self._vertices = fem.functionspace(V.mesh, ("Lagrange", 1)).dofmap
-        self._powers = _powers(self._dim, self._degree)
-        self._samples = shape_functions(V.mesh, sampling_points(self._dim, self._degree))
-        self._nodes = shape_functions(V.mesh, np.asarray(V.element.basix_element.points))
-        corners = self._vertices.list[cells]
-        self._used, numbers = np.unique(corners, return_inverse=True)
-        self._corners = numbers.reshape(corners.shape).astype(np.int64)
-        self._parts = [_Chunk.of(self._corners, begin) for begin in range(0, len(cells), _CHUNK)]
+        self._powers, self._edges = _powers(self._dim, self._degree), cell_edges(self._dim)
+        samples = shape_functions(V.mesh, sampling_points(self._dim, self._degree))
+        nodes = shape_functions(V.mesh, np.asarray(V.element.basix_element.points))
+        self._loops = compile_c(
+            V.mesh.comm,
+            DECLARATIONS,
+            SOURCE,
+            {
+                "DIM": self._dim,
+                "DEGREE": self._degree,
+                "NG": nodes.shape[1],
+                "ND": len(nodes),
+                "NS": len(samples),
+                "NM": len(self._powers),
+            },
+            jit_options or options(V.mesh.comm),
+        )
+        self._geometry = V.mesh.geometry.dofmap, V.mesh.geometry.x
+        self._samples, self._nodes = np.ascontiguousarray(samples), np.ascontiguousarray(nodes)
+        self._map = V.mesh.topology.index_map(0)
+        self._used, self._corners = self._numbered()
         self._centres = self._vertex_places()
-        count, squares = self._sum(2, self._spread).T
+        where = (self._samples, self._corners, self._centres)
+        count, squares = self._summed(2, "add_spread", where).T
         self._size = np.sqrt(np.where(squares > 0, squares / np.maximum(count, 1), 1.0))
-        # Of linear cells it takes 128 bytes a cell and saves half of the time of every further
-        # state; of quadratic ones ten times that, a third of the tangent.
-        self._kept: dict[int, FloatArray] = {}
-        if self._degree == 1:
-            self._kept = {part.cells.start: self._weighted(part) for part in self._parts}
+        self._frames = self._corners, self._centres, self._size
         self._solve, self._regular = self._normal_equations()
         self._rounds = self._plan_extrapolation()
 
@@ -133,9 +142,7 @@ class Patches:
             Values at the nodes of the cells, shape (cells, nodes of a cell, columns); the same at
             a node in all cells of the region.
         """
-        fitted = self.fit(values)
-        parts = [self.at_nodes(fitted, part.cells) for part in self._parts]
-        return np.concatenate([*parts, np.zeros((0, len(self._nodes), values.shape[2]))])
+        return self.at_nodes(self.fit(values), slice(0, len(self.cells)))
 
     def fit(self, values: FloatArray) -> FloatArray:
         """The polynomials of fields from their values at the sampling points. Collective.
@@ -147,14 +154,10 @@ class Patches:
             Coefficients at the vertices of the cells, shape (vertices, monomials, columns).
         """
         width, size = values.shape[2], len(self._powers)
-
-        def moments(part: _Chunk) -> FloatArray:
-            found = self._weighted(part).swapaxes(2, 3) @ values[part.cells][:, None]
-            return np.asarray(found.reshape(*found.shape[:2], size * width))
-
-        if not total(self._mesh.comm, float(np.any(values != 0.0))):  # as of a body at rest
+        if not total(self._mesh.comm, float(np.any(values))):  # as of a body at rest
             return np.zeros((len(self._used), size, width))
-        right = self._sum(size * width, moments).reshape(-1, size, width)
+        arguments = (self._samples, *self._frames, width, np.ascontiguousarray(values))
+        right = self._summed(size * width, "add_moments", arguments).reshape(-1, size, width)
         fitted = np.asarray(self._solve @ right)
         for extrapolation in self._rounds:
             self._extrapolate(fitted, extrapolation)
@@ -169,90 +172,122 @@ class Patches:
         Returns:
             Shape (cells, corners, columns).
         """
+        table = np.zeros((len(self._used), values.shape[1]))
+        for column, row in enumerate(values.T):
+            shares = np.repeat(row, self._dim + 1)
+            table[:, column] = np.bincount(self._corners.ravel(), shares, len(table))
+        return self._over_ranks(table)[self._corners]
 
-        def summand(part: _Chunk) -> FloatArray:
-            return np.repeat(values[part.cells][:, None], part.corners.shape[1], axis=1)
+    def add_at_nodes(
+        self, cells: slice, nodes: IndexArray, values: FloatArray, sums: FloatArray
+    ) -> None:
+        """Adds values at the nodes of some cells to sums at nodes. Not collective.
 
-        return self._sum(values.shape[1], summand)[self._corners]
+        Args:
+            cells: Which of the region's.
+            nodes: Of all local cells, shape (local cells, nodes of a cell).
+            values: Shape (cells, nodes of a cell, columns).
+            sums: Shape (local nodes, columns + 1); in the last column are the numbers of summands.
+        """
+        chosen = self.cells[cells]
+        self._loops.call("add_nodal", len(chosen), chosen, nodes, values.shape[2], values, sums)
+
+    def errors(
+        self, cells: slice, rule: ErrorRule, recovered: FloatArray, raw: RawValues
+    ) -> tuple[FloatArray, FloatArray]:
+        """Integrals of the difference of recovered and raw values. Not collective.
+
+        Args:
+            cells: Which of the region's.
+            rule: Points and products.
+            recovered: At the nodes, shape (cells, nodes of a cell, columns).
+            raw: At the points.
+
+        Returns:
+            Strain energy of the error, elastic energy, integral of the square of the von Mises
+            stress of the error, and volume, shape (cells, 4); and the recovered stress at the nodes
+            less that of the cell, shape (cells, nodes of a cell, 6).
+        """
+        chosen, width = self.cells[cells], recovered.shape[2]
+        assert width <= _WIDEST
+        found = np.zeros((len(chosen), 4))
+        difference = np.empty((*recovered.shape[:2], 6))
+        self._loops.call(
+            "add_errors",
+            len(chosen),
+            chosen,
+            *self._geometry,
+            len(rule.weights),
+            rule.gradients,
+            rule.weights,
+            rule.shape,
+            rule.to_nodes,
+            width,
+            len(rule.shares),
+            rule.shares,
+            int(width > 6 + 2 * len(rule.shares)),
+            recovered,
+            raw.values.shape[1],
+            raw.first,
+            raw.step,
+            raw.values,
+            found,
+            difference,
+        )
+        return found, difference
 
     # --- geometry ---
+
+    def _numbered(self) -> tuple[IntArray, IndexArray]:
+        """The vertices of the cells, and their numbers among them, shape (cells, corners)."""
+        topology = self._mesh.topology
+        corners = topology.connectivity(self._dim, 0).array.reshape(-1, self._dim + 1)[self.cells]
+        marks = np.zeros(self._map.size_local + self._map.num_ghosts, dtype=np.int32)
+        marks[corners] = 1
+        used = np.flatnonzero(marks)
+        marks[used] = np.arange(len(used), dtype=np.int32)
+        return used, marks[corners]
 
     def _vertex_places(self) -> FloatArray:
         """Places of the used vertices, shape (vertices, dim)."""
         places = np.zeros((len(self._used), self._dim))
-        nodes = self._mesh.geometry.dofmap[self.cells][:, : self._dim + 1]
-        places[self._corners.reshape(-1)] = self._mesh.geometry.x[nodes.reshape(-1), : self._dim]
+        nodes = self._mesh.geometry.dofmap[self.cells, : self._dim + 1]
+        places[self._corners.ravel()] = self._mesh.geometry.x[nodes.ravel(), : self._dim]
         return places
-
-    def _places(self, cells: slice, shape: FloatArray) -> FloatArray:
-        """Places of points of the reference cell, shape (cells, points, dim)."""
-        nodes = self._mesh.geometry.x[self._mesh.geometry.dofmap[self.cells[cells]]]
-        return np.einsum("sn,cnj->csj", shape, nodes[:, :, : self._dim])
-
-    def _spread(self, part: _Chunk) -> FloatArray:
-        """Number of sampling points of a cell, and the sum of their squared distances."""
-        offsets = (
-            self._places(part.cells, self._samples)[:, None]
-            - self._centres[part.corners][:, :, None]
-        )
-        squares = np.einsum("cvsj,cvsj->cv", offsets, offsets)
-        return np.stack([np.full(squares.shape, float(len(self._samples))), squares], axis=2)
-
-    def _monomials(self, cells: slice, shape: FloatArray) -> FloatArray:
-        """Monomials about each corner of a cell, shape (cells, corners, points, monomials)."""
-        places, corners = self._places(cells, shape), self._corners[cells]
-        offsets = places[:, None] - self._centres[corners][:, :, None]
-        return _monomials(offsets / self._size[corners][:, :, None, None], self._powers)
-
-    def _weighted(self, part: _Chunk) -> FloatArray:
-        """Monomials at the sampling points times weights, shape (cells, corners, points, -)."""
-        kept = self._kept.get(part.cells.start)
-        if kept is not None:
-            return kept
-        p = self._monomials(part.cells, self._samples)
-        return p * self._weights(p)
-
-    def _weights(self, p: FloatArray) -> FloatArray:
-        """Weight of each sampling point in a patch, shape (cells, corners, points, 1).
-
-        Args:
-            p: Monomials at the points, of which the first after 1 are the coordinates.
-        """
-        return np.exp(-np.sum(p[..., 1 : 1 + self._dim] ** 2, axis=3, keepdims=True))
 
     # --- sums over patches ---
 
-    def _sum(self, width: int, summand: Callable[[_Chunk], FloatArray]) -> FloatArray:
-        """Sums over the cells of each patch on all ranks.
+    def _summed(self, width: int, name: str, arguments: tuple[int | AnyArray, ...]) -> FloatArray:
+        """Sums over the cells of each patch on all ranks, shape (vertices, columns).
 
         Args:
             width: Number of columns.
-            summand: Gives the summands of some cells, shape (cells, corners, columns).
-
-        Returns:
-            Shape (vertices, columns).
+            name: Of the loop that adds them up.
+            arguments: What it needs but cells, geometry and the table of sums.
         """
-        work = la.vector(self._vertices.index_map, width)
-        table = work.array.reshape(-1, width)
-        for part in self._parts:
-            table[self._used[part.vertices]] += part.sum(summand(part))
+        table = np.zeros((len(self._used), width))
+        where = (len(self.cells), self.cells, *self._geometry)
+        self._loops.call(name, *where, *arguments, table)
+        return self._over_ranks(table)
+
+    def _over_ranks(self, table: FloatArray) -> FloatArray:
+        """Sums over the ranks of rows of the used vertices; of the same shape, or the table."""
+        if self._mesh.comm.size == 1:
+            return table
+        work = la.vector(self._map, table.shape[1])
+        rows = work.array.reshape(-1, table.shape[1])
+        rows[self._used] = table
         work.scatter_reverse(la.InsertMode.add)
         work.scatter_forward()
-        return np.asarray(table[self._used])
+        return np.asarray(rows[self._used])
 
     def _normal_equations(self) -> tuple[FloatArray, BoolArray]:
         """Inverse of the normal equations of each patch, and where it serves.
 
         Where there is none, it is that of the highest degree for which there is one.
         """
-        size = len(self._powers)
-
-        def products(part: _Chunk) -> FloatArray:
-            p = self._monomials(part.cells, self._samples)
-            found = (p * self._weights(p)).swapaxes(2, 3) @ p
-            return np.asarray(found.reshape(*found.shape[:2], size * size))
-
-        matrices = self._sum(size * size, products).reshape(-1, size, size)
+        size, where = len(self._powers), (self._samples, *self._frames)
+        matrices = self._summed(size * size, "add_products", where).reshape(-1, size, size)
         solve = np.zeros_like(matrices)
         open_ = np.ones(len(matrices), dtype=bool)
         for degree in range(self._degree, -1, -1):
@@ -265,20 +300,9 @@ class Patches:
             open_[rows] = False
             if degree == self._degree:
                 regular = ~open_
-        return solve, regular & (self._gains(solve) < _GAIN)
-
-    def _gains(self, solve: FloatArray) -> FloatArray:
-        """Sum of the absolute weights of the points in the value at each vertex.
-
-        Args:
-            solve: Inverse of the normal equations of each patch.
-        """
-
-        def summand(part: _Chunk) -> FloatArray:
-            shares = self._weighted(part) @ solve[part.corners, 0][..., None]
-            return np.asarray(np.abs(shares).sum(axis=2))
-
-        return self._sum(1, summand)[:, 0]
+        # Sum of the absolute weights of the points in the value at each vertex.
+        gains = self._summed(1, "add_gains", (*where, solve))[:, 0]
+        return solve, regular & (gains < _GAIN)
 
     # --- patches with too few points ---
 
@@ -287,39 +311,31 @@ class Patches:
         rounds, known = [], self._regular.copy()
         comm = self._mesh.comm
         while total(comm, int(np.sum(~known))):
-
-            def pairs(part: _Chunk, known: BoolArray = known) -> FloatArray:
-                has = known[part.corners]
-                beside = np.where(has, 0, has.sum(axis=1, keepdims=True))
-                return beside[:, :, None].astype(np.float64)
-
-            count = self._sum(1, pairs)[:, 0]
+            corners = self._corners[~known[self._corners].all(axis=1)]
+            has = known[corners]
+            beside = np.where(has, 0, has.sum(axis=1, keepdims=True)).astype(np.float64)
+            table = np.zeros((len(known), 1))
+            np.add.at(table[:, 0], corners, beside)
+            count = self._over_ranks(table)[:, 0]
             new = count > 0
             if not total(comm, int(np.sum(new))):
                 break
-            rounds.append(_Extrapolation(known.copy(), new, count))
+            touched = corners[new[corners].any(axis=1)]
+            rounds.append(_Extrapolation(known.copy(), new, count, touched))
             known |= new
         return rounds
 
     def _extrapolate(self, fitted: FloatArray, step: _Extrapolation) -> None:
         """Fills in the polynomials of one round."""
-        size, width = fitted.shape[1:]
-
-        def shifted(part: _Chunk) -> FloatArray:
-            corners = part.corners
-            found = np.zeros((*corners.shape, size, width))
-            for a in range(corners.shape[1]):
-                rows = np.flatnonzero(step.new[corners[:, a]])
-                for b in range(corners.shape[1]):
-                    both = rows[step.known[corners[rows, b]]]
-                    to, of = corners[both, a], corners[both, b]
-                    found[both, a] += self._shift(fitted[of], of, to)
-            return found.reshape(*corners.shape, size * width)
-
-        sums = self._sum(size * width, shifted).reshape(-1, size, width)
+        sums, width = np.zeros_like(fitted), fitted.shape[1] * fitted.shape[2]
+        for a, b in permutations(range(self._dim + 1), 2):
+            to, of = step.corners[:, a], step.corners[:, b]
+            both = step.new[to] & step.known[of]
+            np.add.at(sums, to[both], self._shift(fitted[of[both]], of[both], to[both]))
+        sums = self._over_ranks(sums.reshape(len(sums), width)).reshape(fitted.shape)
         fitted[step.new] = sums[step.new] / step.count[step.new, None, None]
 
-    def _shift(self, polynomials: FloatArray, of: IntArray, to: IntArray) -> FloatArray:
+    def _shift(self, polynomials: FloatArray, of: IndexArray, to: IndexArray) -> FloatArray:
         """Polynomials about some vertices as polynomials about others.
 
         Args:
@@ -334,6 +350,10 @@ class Patches:
 
     # --- evaluation ---
 
+    def parts(self) -> list[slice]:
+        """The cells in parts whose values need little memory."""
+        return [slice(i, i + _CHUNK) for i in range(0, len(self.cells), _CHUNK)]
+
     def at_nodes(self, fitted: FloatArray, cells: slice) -> FloatArray:
         """Values at the nodes of some cells, shape (cells, nodes of a cell, columns).
 
@@ -343,16 +363,48 @@ class Patches:
             fitted: From `fit`.
             cells: Which of the region's.
         """
-        edges, count, numbers = cell_edges(self._dim), self._dim + 1, self._corners[cells]
-        found = np.zeros((len(numbers), len(self._nodes), fitted.shape[2]))
-        found[:, :count] = np.ascontiguousarray(fitted[:, 0])[numbers]
-        if self._degree > 1:
-            p = self._monomials(cells, self._nodes[count:])
-            for node, (a, b) in enumerate(edges):
-                for end in (a, b):
-                    value = p[:, end, node, None] @ fitted[numbers[:, end]]
-                    found[:, count + node] += 0.5 * value[:, 0]
+        chosen, width = self.cells[cells], fitted.shape[2]
+        found = np.empty((len(chosen), len(self._nodes), width))
+        edges = self._edges.astype(np.int32)
+        where = (self._nodes, self._corners[cells], self._centres, self._size, edges)
+        self._loops.call(
+            "take_nodal", len(chosen), chosen, *self._geometry, *where, width, fitted, found
+        )
         return found
+
+
+@dataclass(frozen=True)
+class ErrorRule:
+    """How differences of values at nodes and at points are integrated.
+
+    Attributes:
+        gradients: Those of the geometry's shape functions, shape (points, geometry nodes, dim).
+        weights: Of the points, shape (points,).
+        shape: Shape functions at the points, shape (points, nodes of a cell).
+        to_nodes: Values at nodes of values at points, shape (nodes of a cell, points).
+        shares: How often each product of a stress and a strain counts.
+    """
+
+    gradients: FloatArray
+    weights: FloatArray
+    shape: FloatArray
+    to_nodes: FloatArray
+    shares: FloatArray
+
+
+@dataclass(frozen=True)
+class RawValues:
+    """Values of the finite element solution at the points of an `ErrorRule`.
+
+    Attributes:
+        values: Shape (cells, rows, columns).
+        first: Row of the first point.
+        step: Rows between points; 0: all points have those of the first.
+    """
+
+    values: FloatArray
+    first: int
+    step: int
 
 
 @dataclass(frozen=True)
@@ -363,50 +415,13 @@ class _Extrapolation:
         known: Vertices whose polynomials are known before.
         new: Vertices that get theirs.
         count: Number of summands of each vertex.
+        corners: Of the cells that have new vertices, shape (cells, corners).
     """
 
     known: BoolArray
     new: BoolArray
     count: FloatArray
-
-
-@dataclass(frozen=True)
-class _Chunk:
-    """Some cells of a region, and how their summands are added up at the vertices.
-
-    Attributes:
-        cells: Their numbers in the region.
-        corners: Numbers of their vertices among those of the region, shape (cells, corners).
-        vertices: The vertices.
-        rows: Number of each corner among these, shape (cells, corners).
-    """
-
-    cells: slice
-    corners: IntArray
-    vertices: IntArray
-    rows: IndexArray
-
-    @classmethod
-    def of(cls, corners: IntArray, begin: int) -> _Chunk:
-        """The chunk of a region that begins with one of its cells.
-
-        Args:
-            corners: Vertices of all cells, shape (cells, corners).
-            begin: First cell.
-        """
-        cells = slice(begin, min(begin + _CHUNK, len(corners)))
-        vertices, rows = np.unique(corners[cells], return_inverse=True)
-        return cls(
-            cells, corners[cells], vertices, rows.reshape(corners[cells].shape).astype(np.int32)
-        )
-
-    def sum(self, values: FloatArray) -> FloatArray:
-        """Sums of values of corners at the vertices, shape (vertices, columns).
-
-        Args:
-            values: Shape (cells, corners, columns).
-        """
-        return sums_by_row(self.rows, values, len(self.vertices))
+    corners: IndexArray
 
 
 # --- polynomials ---
@@ -418,21 +433,6 @@ def _powers(dim: int, degree: int) -> list[tuple[int, ...]]:
     for order in range(degree + 1):
         for factors in combinations_with_replacement(range(dim), order):
             found.append(tuple(factors.count(axis) for axis in range(dim)))
-    return found
-
-
-def _monomials(x: FloatArray, powers: list[tuple[int, ...]]) -> FloatArray:
-    """Monomials at places, shape (..., monomials).
-
-    Args:
-        x: Places, shape (..., dim).
-        powers: Exponents of each monomial.
-    """
-    found = np.ones((*x.shape[:-1], len(powers)))
-    for number, power in enumerate(powers):
-        for axis, exponent in enumerate(power):
-            for _ in range(exponent):
-                found[..., number] *= x[..., axis]
     return found
 
 

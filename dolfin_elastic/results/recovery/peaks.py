@@ -12,6 +12,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.core.units import stress_unit
+from dolfin_elastic.results.grid import place_of
 from dolfin_elastic.results.recovery.error import ErrorEstimate
 from dolfin_elastic.results.recovery.singular import SingularPlaces, singular_places
 from dolfin_elastic.results.recovery.stress import von_mises
@@ -97,8 +98,10 @@ class Peaks:
         if self.safety_elsewhere is not None:
             beside = self.safety_elsewhere
             found.append(f"  smallest elsewhere      {beside.value:.3g} {beside.where()}")
-        field = f"estimated error           {percent(norm)} of the whole stress field (energy norm)"
-        return [*found, field]
+        share = f"{percent(norm)} of the whole stress field (energy norm)"
+        if not np.isfinite(norm):
+            share = "none is known: its energy at these strains has no finite value"
+        return [*found, f"estimated error           {share}"]
 
 
 def _remarks(peak: Peak, changes: str) -> list[str]:
@@ -221,7 +224,7 @@ def _at_largest(
     own, surface = None, _surface_at(problem, node, -rank)
     around = _largest_around(problem, node if comm.rank == -rank else -1, estimate.difference)
     if comm.rank == -rank:
-        x = problem.V.tabulate_dof_coordinates()[node, : problem.body.dim]
+        x = place_of(problem.V, node)[: problem.body.dim]
         stress = float(von_mises(estimate.stress.stress[node]))
         error = max(float(estimate.stress_error[node]), around)
         own = Peak(

@@ -104,7 +104,7 @@ def singular_places(problem: Problem) -> SingularPlaces:
         *(f"the rim of the support '{label}'" for label in labels),
         *(f"the edge of the contact '{pair.label}'" for pair in pairs),
     ]
-    sums, ridge_dim = _sums_at_ridges(problem, held, labels)
+    sums = _sums_at_ridges(problem, held, labels)
     rims = _classify(sums, problem, (len(labels), len(pairs)))
     (count, whole, some) = sums[:, 6:9].T
     alike = np.column_stack([count - whole - some, whole, some])
@@ -112,10 +112,9 @@ def singular_places(problem: Problem) -> SingularPlaces:
     V = problem.V
     marks = la.vector(V.dofmap.index_map, len(reasons))
     table = marks.array.reshape(-1, len(reasons))
+    ridges, nodes = _nodes_of_ridges(V, np.asarray(singular.any(axis=1)))
     for column in range(singular.shape[1]):
-        found = np.flatnonzero(singular[:, column]).astype(np.int32)
-        nodes = fem.locate_dofs_topological(V, ridge_dim, found)
-        table[nodes, 1 + column] = 1.0
+        table[nodes[singular[ridges, column]], 1 + column] = 1.0
     for column, label in enumerate(labels):
         names = [n for s in held if s.label == label for n in s.surfaces]
         table[_nodes_of_edges_and_points(problem, names), 3 + column] = 1.0
@@ -125,6 +124,24 @@ def singular_places(problem: Problem) -> SingularPlaces:
     marks.scatter_reverse(la.InsertMode.add)
     marks.scatter_forward()
     return SingularPlaces(tuple(reasons), _with_neighbours(V, table))
+
+
+def _nodes_of_ridges(V: fem.FunctionSpace, chosen: BoolArray) -> tuple[IndexArray, IndexArray]:
+    """Local nodes of edges of the mesh (vertices in the plane), as seen from each cell. Local.
+
+    Args:
+        V: Space whose nodes they are.
+        chosen: Which of the local edges.
+
+    Returns:
+        Edges, shape (n,), and the nodes of each, shape (n, nodes of an edge).
+    """
+    dim, layout = V.mesh.topology.dim, V.dofmap.dof_layout
+    count = comb(dim + 1, dim - 1)
+    around = V.mesh.topology.connectivity(dim, dim - 2).array.reshape(-1, count)
+    closure = np.array([layout.entity_closure_dofs(dim - 2, i) for i in range(count)])
+    cells, number = np.nonzero(chosen[around])
+    return around[cells, number], V.dofmap.list[cells[:, None], closure[number]]
 
 
 def _with_neighbours(V: fem.FunctionSpace, table: FloatArray) -> BoolArray:
@@ -169,21 +186,19 @@ def _nearest_nodes(problem: Problem, points: IndexArray) -> IndexArray:
 
 def _sums_at_ridges(
     problem: Problem, held: Sequence[Restraint], labels: Sequence[str]
-) -> tuple[FloatArray, int]:
+) -> FloatArray:
     """Sums over the boundary facets at each edge (vertex in the plane). Collective.
 
     Returns:
         Of each local edge the sums of outward normals (3), of directions into the facets (3), of 1,
         of facets that are held in all and in some directions, of those of each support, those that
-        press each obstacle and those that might, and of Poisson's ratio; and the dimension of the
-        edges.
+        press each obstacle and those that might, and of Poisson's ratio.
     """
     body, mesh = problem.body, problem.body.mesh
     dim = mesh.topology.dim
     facets = boundary_facets(mesh)
     mesh.topology.create_entities(dim - 2)
-    for pair in ((dim, dim - 2), (dim - 2, dim)):
-        mesh.topology.create_connectivity(*pair)
+    mesh.topology.create_connectivity(dim, dim - 2)
     cells, local = cells_beside_facets(mesh, facets)
     facts = np.column_stack(
         [np.ones(len(facets)), *_held(problem, held, labels, facets), _nu(problem, cells)]
@@ -208,7 +223,7 @@ def _sums_at_ridges(
     work.scatter_reverse(la.InsertMode.add)
     work.scatter_forward()
     assert body.dim == dim
-    return np.asarray(table), dim - 2
+    return np.asarray(table)
 
 
 def _frames(

@@ -23,13 +23,15 @@ import numpy as np
 import ufl
 from dolfinx import fem, la
 from dolfinx.fem import Constant
+from ufl.checks import is_cellwise_constant
+from ufl.classes import Grad
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.fields import FIELDS, SAFEST, cauchy_stress
-from dolfin_elastic.results.recovery.patches import Patches, sampling_points, sums_by_row
+from dolfin_elastic.results.recovery.patches import Patches, RawValues, sampling_points
 
 if TYPE_CHECKING:
     from dolfin_elastic.model.materials.law import Law
@@ -38,7 +40,6 @@ if TYPE_CHECKING:
 
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Order of the six components of a symmetric tensor: xx, yy, zz, xy, xz, yz."""
-_CHUNK = 8192
 _WHOLE = (0, 3, 4, 3, 1, 5, 4, 5, 2)
 
 
@@ -110,25 +111,23 @@ class NodalStress:
 
         Args:
             V: Space of the displacement.
-            found: Each region with its recovered values, see `RegionStress`.
+            found: Each region with its recovered values at the owned nodes, the first six the
+                stress, see `RegionStress.at_owned_nodes`.
         """
         count = V.dofmap.index_map.size_local
         stress, region = np.full((count, 6), np.nan), np.full(count, -1)
         safety, safety_region = np.full(count, np.nan), np.full(count, -1)
         highest, utilisation = np.full(count, -1.0), np.full((count, 6), np.nan)
         for number, (part, values) in enumerate(found):
-            allowable = part.allowable()[:, :, None]
-            ones = np.ones_like(allowable)
-            table = np.concatenate([values[..., :6], allowable, ones], axis=2)
-            rows = means_at_nodes(V, part.cells, table)
-            here, value = ~np.isnan(rows[:, 7]), von_mises(rows[:, :6])
+            here, rows = values[:, -1] > 0, values[:, :6]
+            allowable, value = part.allowable_at_nodes(), von_mises(rows)
             # A comparison with NaN is false: so NaN counts as the largest stress.
             more = here & ~(value <= highest)
-            stress[more], region[more], highest[more] = rows[more, :6], number, value[more]
-            factor = safety_factor(rows[:, 6], value)
-            less = here & ~(factor >= safety) & ~np.isnan(rows[:, 6])
+            stress[more], region[more], highest[more] = rows[more], number, value[more]
+            factor = safety_factor(allowable, value)
+            less = here & ~(factor >= safety) & ~np.isnan(allowable)
             safety[less], safety_region[less] = factor[less], number
-            utilisation[less] = rows[less, :6] / rows[less, 6:7]
+            utilisation[less] = rows[less] / allowable[less, None]
         return cls(stress, region, safety, safety_region, utilisation)
 
     def rows(self, name: str) -> FloatArray:
@@ -144,7 +143,7 @@ def _patches(problem: Problem, region: MaterialRegion) -> Patches:
     """Patches of all cells of a material region. Collective."""
     known = _PATCHES.setdefault(problem, {})
     if region.name not in known:
-        known[region.name] = Patches(problem.V, region.cells)
+        known[region.name] = Patches(problem.V, region.cells, problem.jit)
     return known[region.name]
 
 
@@ -177,10 +176,17 @@ class RegionStress:
         columns = [(sigma[i, j] + sigma[j, i]) / 2 for i, j in COMPONENTS] + list(more)
         samples = sampling_points(problem.body.dim, problem.degree)
         self._width, self._samples = len(columns), len(samples)
+        self._points = 0 if points is None else len(points)
         # One kernel for all points: compiling it takes longer than evaluating it.
         everywhere = samples if points is None else np.concatenate([samples, points])
+        plain = problem.degree == 1 and problem.W is problem.V
+        self._constant = plain and _constant_in_cells(columns, w)
+        if self._constant:
+            everywhere = samples[:1]
         self._kernel = self._compiled(ufl.as_vector(columns), everywhere)
-        self.patches = _patches(problem, region) if cells is None else Patches(problem.V, cells)
+        self.patches = (
+            _patches(problem, region) if cells is None else Patches(problem.V, cells, problem.jit)
+        )
         self._nodes = np.asarray(problem.V.element.basix_element.points)
         allowable = region.law.allowable
         self._allowable: fem.Expression | float | None
@@ -202,16 +208,33 @@ class RegionStress:
         """
         return self.patches(self.samples())
 
+    def at_owned_nodes(self, fitted: FloatArray | None = None) -> FloatArray:
+        """Recovered values at this rank's nodes. Collective.
+
+        Args:
+            fitted: Polynomials, see `Patches.fit`; by default of the stress of the state.
+
+        Returns:
+            Shape (owned nodes, columns + 1); the last is 0 at nodes of none of the cells, whose
+            other values are NaN.
+        """
+        if fitted is None:
+            fitted = self.patches.fit(self.samples())
+        means = NodalMeans(self._problem.V, fitted.shape[2])
+        for part in self.patches.parts():
+            means.add(self.patches, part, self.patches.at_nodes(fitted, part))
+        return means.owned()
+
     def samples(self) -> FloatArray:
         """Values of the finite element solution at the sampling points. Not collective."""
-        values = np.zeros((len(self.cells), self._samples, self._width))
+        values = np.empty((len(self.cells), self._samples, self._width))
         for part in self.chunks():
             values[part] = self._evaluated(part)[:, : self._samples]
         return values
 
     def chunks(self) -> list[slice]:
         """The cells in parts whose values need little memory."""
-        return [slice(i, i + _CHUNK) for i in range(0, len(self.cells), _CHUNK)]
+        return self.patches.parts()
 
     def at_points(self, part: slice) -> FloatArray:
         """Values of the finite element solution at the further points. Not collective.
@@ -222,12 +245,37 @@ class RegionStress:
         Returns:
             Shape (cells, points, 6 and more).
         """
-        return self._evaluated(part)[:, self._samples :]
+        raw = self.raw(part)
+        rows = raw.first + raw.step * np.arange(self._points)
+        return np.asarray(raw.values[:, rows])
+
+    def raw(self, part: slice, samples: FloatArray | None = None) -> RawValues:
+        """As `at_points`; where they are the same at all points of a cell, once. Not collective.
+
+        Args:
+            part: One of `chunks`.
+            samples: Values at the sampling points, if they are known.
+        """
+        if self._constant and samples is not None:
+            return RawValues(samples[part], 0, 0)
+        values = self._evaluated(part)
+        return RawValues(values, 0, 0) if self._constant else RawValues(values, self._samples, 1)
 
     def _evaluated(self, part: slice) -> FloatArray:
         cells = self.cells[part]
         values = np.asarray(self._kernel.eval(self._mesh, cells))
         return values.reshape(len(cells), -1, self._width)
+
+    def allowable_at_nodes(self) -> FloatArray:
+        """Allowable stress [Pa] at the owned nodes, NaN without. Collective."""
+        V = self._problem.V
+        if isinstance(self._allowable, fem.Expression):
+            means = NodalMeans(V, 1)
+            everywhere = slice(0, len(self.cells))
+            means.add(self.patches, everywhere, np.ascontiguousarray(self.allowable()[..., None]))
+            return means.owned()[:, 0]
+        value = np.nan if self._allowable is None else self._allowable
+        return np.full(V.dofmap.index_map.size_local, value)
 
     def allowable(self) -> FloatArray:
         """Allowable stress [Pa] at the nodes of the cells, NaN without; shape (cells, nodes)."""
@@ -265,28 +313,65 @@ class StressRecovery:
         if isinstance(known, NodalStress):
             return known
         self._w.x.array[:] = (state.w or state.u).x.array
-        found = NodalStress.of(self._problem.V, [(part, part()) for part in self._regions])
+        found = NodalStress.of(self._problem.V, [(p, p.at_owned_nodes()) for p in self._regions])
         state.derived[STRESS] = found
         return found
 
 
-def means_at_nodes(V: fem.FunctionSpace, cells: IndexArray, values: FloatArray) -> FloatArray:
-    """Means over cells of their values at nodes. Collective.
+class NodalMeans:
+    """Means over cells of their values at nodes.
 
     Args:
         V: Space whose nodes they are.
-        cells: Owned cells, the same part of the body on all ranks.
-        values: Shape (cells, nodes of a cell, columns).
-
-    Returns:
-        Shape (owned nodes, columns); NaN at nodes of none of the cells.
+        width: Number of columns.
     """
-    width = values.shape[2] + 1
-    work = la.vector(V.dofmap.index_map, width)
-    table = work.array.reshape(-1, width)
-    nodes = V.dofmap.list[cells].reshape(-1)
-    table[:, -1] = np.bincount(nodes, minlength=len(table))
-    table[:, :-1] = sums_by_row(nodes, values, len(table))
-    work.scatter_reverse(la.InsertMode.add)
-    own = table[: V.dofmap.index_map.size_local]
-    return np.asarray(own[:, :-1] / np.where(own[:, -1:] > 0, own[:, -1:], np.nan))
+
+    def __init__(self, V: fem.FunctionSpace, width: int) -> None:
+        self._map, self._nodes = V.dofmap.index_map, V.dofmap.list
+        self._comm = V.mesh.comm
+        self._work = la.vector(self._map, width + 1)
+        self._table = self._work.array.reshape(-1, width + 1)
+
+    def add(self, patches: Patches, cells: slice, values: FloatArray) -> None:
+        """Takes in the values of some cells. Not collective.
+
+        Args:
+            patches: Those of their region.
+            cells: Which of the region's.
+            values: Shape (cells, nodes of a cell, columns).
+        """
+        patches.add_at_nodes(cells, self._nodes, values, self._table)
+
+    def owned(self) -> FloatArray:
+        """Means at the owned nodes and the number of summands, shape (nodes, columns + 1).
+
+        NaN at nodes of none of the cells.  Collective; called once.
+        """
+        self._work.scatter_reverse(la.InsertMode.add)
+        own = np.array(self._table[: self._map.size_local])
+        own[:, :-1] /= np.where(own[:, -1:] > 0, own[:, -1:], np.nan)
+        return own
+
+
+def _constant_in_cells(expressions: Sequence[Expr], w: fem.Function) -> bool:
+    """Whether expressions of a linear displacement are the same at all points of a cell.
+
+    Args:
+        expressions: They may contain the gradient of the displacement.
+        w: The displacement, linear in straight or curved cells.
+    """
+    mesh = w.function_space.mesh
+    if w.function_space.element.basix_element.degree > 1 or mesh.geometry.cmap.degree > 1:
+        return False
+    waiting, seen = list(expressions), set()
+    while waiting:
+        one = waiting.pop()
+        if one in seen:
+            continue
+        seen.add(one)
+        if isinstance(one, Grad) and one.ufl_operands[0] is w:
+            continue
+        if not one.ufl_operands and not is_cellwise_constant(one):
+            return False
+        waiting.extend(one.ufl_operands)
+    return True

@@ -40,7 +40,7 @@ class HistoryWriter:
       ``springs_energy``, ``contact_energy``, ``damping_energy`` and ``dashpots_energy`` (lost so
       far), ``potential_energy`` (of dead loads), ``balance_energy`` (the energy error),
     * ``reaction_<support>_x``, ``_y``, ``_z`` [N] for each support,
-    * further results by name, for example of probes, obstacles and cavities,
+    * further results by name, for example of probes, moments, obstacles and cavities,
     * in motion ``momentum_x`` ... [kg m/s] and ``angular_momentum_x`` ... [kg m^2/s],
     * the audit: ``balance_force`` and ``balance_moment`` (relative residuals), in statics
       ``external_work`` [J], ``min_jacobian``, ``max_jacobian``, ``verdict`` (pass or warn).

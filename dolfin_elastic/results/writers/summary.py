@@ -42,6 +42,8 @@ UNITS = {
     "energies": "J",
     "strain_energy": "J",
     "reactions": "N",
+    "moment": "N m",
+    "about": "m",
     "place": "m",
     "von_mises": "Pa",
     "frequency": "Hz",
@@ -228,6 +230,7 @@ _NUMBERS: dict[str, object] = {
     "strain_energy": None,
     "energies": {},
     "reactions": {},
+    "moments": {},
     "numbers": {},
     "limit_points": [],
 }
@@ -245,6 +248,10 @@ def _numbers(state: State) -> dict[str, object]:
         "strain_energy": state.energies.get("strain"),
         "energies": dict(state.energies),
         "reactions": dict(state.reactions),
+        "moments": {
+            name: {"moment": moment.value, "about": moment.about}
+            for name, moment in state.moments.items()
+        },
         "numbers": dict(state.numbers),
         "limit_points": list(state.limit_points),
     }
@@ -283,7 +290,7 @@ def _error(problem: Problem, estimate: ErrorEstimate, *, logs: bool) -> dict[str
     peaks = find_peaks(problem, estimate)
     if logs and peaks.largest.value > 0:
         for line in peaks.lines(estimate.relative):
-            log.info("%s", line)
+            log.info("%s", line, extra={"result": True})
     found = {
         "energy_norm": estimate.relative,
         "energy": estimate.energy,

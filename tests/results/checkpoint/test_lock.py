@@ -154,7 +154,7 @@ def test_a_run_that_was_continued_by_another_process(folder: Path) -> None:
     other = restart(folder)
     next(other)
     other.close()
-    with pytest.raises(RestartError, match="somebody else has gone on with this run meanwhile"):
+    with pytest.raises(RestartError, match="another run has gone on from these checkpoints"):
         next(restart(found))
     found = unfinished(folder)
     list(restart(folder))

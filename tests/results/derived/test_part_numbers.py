@@ -160,7 +160,7 @@ def test_the_integral_of_the_traction_is_the_applied_force(folder):
     ("probe", "where", "message"),
     [
         ({"on": "right", "values": ["maks"]}, "output.probes.p.values[0]", "unknown value 'maks'"),
-        ({"at": [1, 0, 0], "values": ["max"]}, "output.probes.p.values", "a point has one value"),
+        ({"at": [1, 0, 0], "values": ["max"]}, "output.probes.p.values", "this is a point"),
         ({"on": "right", "fields": ["rank"]}, "output.probes.p.fields", "cannot read 'rank'"),
         ({"on": "right", "fields": ["trsca"]}, "output.probes.p.fields", "tresca"),
         ({"on": "rigth", "values": ["max"]}, "output.probes.p.on", "right"),

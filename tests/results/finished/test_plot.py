@@ -26,10 +26,12 @@ from dolfin_elastic.results.finished.curves import (
     line,
     write_csv,
 )
-from dolfin_elastic.results.finished.draw import Clip, Look, draw, film
+from dolfin_elastic.results.finished.draw import Look, draw, film
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.outputs import History, Summary, Xdmf
 from dolfin_elastic.results.pictures import renderer
+from dolfin_elastic.results.pictures.clip import Clip
+from dolfin_elastic.results.pictures.colour_bar import prefixed
 
 
 @pytest.fixture
@@ -122,6 +124,14 @@ def test_names_with_dollars_are_no_formulas(folder: Path) -> None:
     curves = Curves(Axis("a$\\x$", x), [Axis("b$_$", x)], r"beam $\frac$")
     draw_curves(curves, folder / "a.svg")
     assert [path.name for path in folder.iterdir()] == ["a.svg"]
+
+
+def test_small_areas_and_volumes() -> None:
+    """Of a cavity in cubic centimetres, where m^3 would be drawn with a power of ten."""
+    found = [prefixed(*one) for one in ((1.05e-6, "m^3"), (5e-9, "m^3"), (2.0, "m^3"))]
+    assert [unit for _, unit in found] == ["cm^3", "mm^3", "m^3"]
+    assert [factor for factor, _ in found] == pytest.approx([1e-6, 1e-9, 1.0])
+    assert prefixed(3e-4, "m^2") == (pytest.approx(1e-4), "cm^2")
 
 
 def test_no_film_of_modes_alone(folder: Path) -> None:

@@ -21,8 +21,8 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.contact import CylinderObstacle, Obstacle, Plane, SphereObstacle
 from dolfin_elastic.results.outputs import Picture, limits_of
 from dolfin_elastic.results.pictures import renderer, series
-from dolfin_elastic.results.pictures.obstacles import obstacle_triangles
-from dolfin_elastic.results.pictures.scene import window
+from dolfin_elastic.results.pictures.obstacles import Reach, obstacle_scene, obstacle_triangles
+from dolfin_elastic.results.pictures.scene import axes_of, up_against, window
 from dolfin_elastic.results.pictures.series import Limits, Series, encode, film_times, frames_at
 
 
@@ -138,6 +138,57 @@ def probe(file: Path) -> dict[str, Any]:
 
 
 needs_ffmpeg = pytest.mark.skipif(shutil.which("ffprobe") is None, reason="needs ffmpeg")
+
+
+@pytest.mark.parametrize("up", ["x", "y", "z"])
+def test_what_is_up_is_up(up: str) -> None:
+    """In every view that does not look along it; right, up and camera are right-handed."""
+    for view in ("isometric", "x", "-x", "y", "-y", "z", "-z"):
+        back, right, top = axes_of(view, up)
+        np.testing.assert_allclose(np.cross(right, top), back, atol=1e-15)
+        if view[-1] != up:
+            assert top["xyz".index(up)] > 0.7
+    assert up_against([(0.0, "sin(t)"), (0.0, -9.81, 0.0)]) == "y"
+    assert up_against([(0.0, 0.0, 9.81), (1.0, -9.81, 0.0)]) == "z"
+
+
+@pytest.mark.parametrize(
+    ("clip", "message"),
+    [
+        ({"plane": "x", "at": 2}, r"clip.at: the plane x = 2 m misses the body; between 0 and 2 m"),
+        ([{"plane": "z"}], r"clip\[0\].plane: the body is plane, it has no z; x or y"),
+    ],
+)
+def test_planes_that_cut_nothing(clip: Any, message: str) -> None:
+    """Before the run: the picture would show nothing, or all."""
+    with pytest.raises(InputError, match=message):
+        Picture(clip=clip).clips(make_problem(2, cells=1).body)
+
+
+def test_the_floor_of_a_series_stays(folder: Path, drawn: list[dict[str, Any]]) -> None:
+    """As large as the whole way of the body needs, in every picture, and where its obstacle is."""
+    reach, pictures = Reach(), Series(Limits(), marks=False, folder=folder / ".frames")
+    for number, shift in enumerate((0.0, 3.0)):
+        panel = scene_of([0, 1, 2], shift)
+        reach.take(panel["points"] + panel["u"])
+        panel |= obstacle_scene([(Plane(axis="z", at=-1.0), np.array([0, 0, shift]))], reach, 3)
+        pictures.add(number, [panel])
+        pictures.draw(number, [panel], folder / f"{number}.png")
+    pictures.redraw()
+    first, last = drawn[2]["obstacle_points"], drawn[1]["obstacle_points"]
+    np.testing.assert_allclose(last - first, np.tile([0, 0, 3.0], (4, 1)))
+    np.testing.assert_allclose(first[:, 2], -1.0)
+
+
+def test_marks_stand_at_nodes(folder: Path, drawn: list[dict[str, Any]]) -> None:
+    """Between nodes a quadratic field overshoots what the run has found; films have no marks."""
+    pictures = Series(Limits(), marks=True)
+    panel = scene_of([1e6, 9e6, 2e6]) | {"nodes": np.array([True, False, True])}
+    pictures.add(0, [panel])
+    pictures.draw(0, [panel], folder / "a.png")
+    assert str(drawn[0]["mark_text"]) == "max 2 MPa"
+    body = make_problem(2, cells=1).body
+    assert [Picture(file=f).appearance(body).marks for f in ("a.png", "a.mp4")] == [True, False]
 
 
 @needs_ffmpeg
