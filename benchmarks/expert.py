@@ -132,6 +132,7 @@ def main(degree: int, n: int) -> None:
     tip = body.comm.allreduce(fem.assemble_scalar(fem.form(u[2] * ds(1))))
     usage = resource.getrusage(resource.RUSAGE_SELF)
     memory = body.comm.allreduce(1024 * usage.ru_maxrss)
+    nonzeros = A.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]  # collective
     if body.comm.rank == 0:
         print(
             json.dumps(
@@ -141,7 +142,7 @@ def main(degree: int, n: int) -> None:
                     "newton": snes.getIterationNumber(),
                     "krylov": snes.getLinearSolveIterations(),
                     "reason": snes.getConvergedReason(),
-                    "nonzeros": A.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"],
+                    "nonzeros": nonzeros,
                     "solve": seconds,
                     "memory": memory,
                     "seconds": time.time() - BEGIN,
