@@ -1,7 +1,9 @@
-"""Compare what ParaView's three XDMF readers find in a file with what it holds.
+"""Compare what ParaView's readers find in a file of results with what its .xdmf holds.
 
-python3 paraview_check.py RESULTS.xdmf EXPECTED.json     each reader, in a process of its own
-pvbatch paraview_check.py RESULTS.xdmf EXPECTED.json READER
+python3 paraview_check.py RESULTS EXPECTED.json     each reader, in a process of its own
+pvbatch paraview_check.py RESULTS EXPECTED.json READER
+
+RESULTS is an .xdmf, .pvd or .vtkhdf file.
 
 EXPECTED.json is what paraview_expected.py prints.
 """
@@ -18,8 +20,14 @@ from typing import Any
 
 import numpy as np
 
-# The readers, and what each calls the file.
-READERS = {"XDMFReader": "FileNames", "Xdmf3ReaderS": "FileName", "Xdmf3ReaderT": "FileName"}
+# The readers of each kind of file, and what each calls it.
+READERS = {
+    ".xdmf": {"XDMFReader": "FileNames", "Xdmf3ReaderS": "FileName", "Xdmf3ReaderT": "FileName"},
+    ".pvd": {"PVDReader": "FileName"},
+    ".vtkhdf": {"VTKHDFReader": "FileName"},
+}
+# Marks of points that another piece has, too.
+GHOSTS, DUPLICATE = "vtkGhostType", 1
 SECONDS = 300
 # Sums differ in the last digits by the order of the points.
 CLOSE = {"rtol": 1e-9, "atol": 1e-12}
@@ -32,7 +40,8 @@ def main() -> int:
     results, expected = Path(sys.argv[1]).resolve(), Path(sys.argv[2]).resolve()
     if len(sys.argv) > 3:
         return check(sys.argv[3], results, json.loads(expected.read_text()))
-    failed = [reader for reader in READERS if not passes(reader, results, expected)]
+    readers = READERS[results.suffix]
+    failed = [reader for reader in readers if not passes(reader, results, expected)]
     return 1 if failed else 0
 
 
@@ -58,7 +67,7 @@ def check(name: str, results: Path, expected: dict[str, Any]) -> int:
     """Read the file with one reader, inside pvbatch."""
     from paraview import servermanager, simple
 
-    reader = getattr(simple, name)(**{READERS[name]: [str(results)]})
+    reader = getattr(simple, name)(**{READERS[results.suffix][name]: [str(results)]})
     reader.UpdatePipelineInformation()
     times = np.atleast_1d(np.asarray(reader.TimestepValues, dtype=float))
     if len(times) != len(expected["times"]) or not np.allclose(times, expected["times"], **CLOSE):
@@ -92,7 +101,7 @@ def differences(
     found: list[Any], expected: dict[str, Any], fields: dict[str, Any]
 ) -> Iterator[str]:
     """What is wrong with one step."""
-    points = sum(data.GetNumberOfPoints() for data in found)
+    points = sum(int(np.sum(~duplicates(data))) for data in found)
     if points != expected["points"]:
         yield f"{points} points, not {expected['points']}"
     cells = sum(data.GetNumberOfCells() for data in found)
@@ -114,8 +123,18 @@ def differences(
                 yield f"{name} sums to {(total * scale).tolist()}, not {field['sum']}"
 
 
+def duplicates(data: Any) -> Any:
+    """Which points of a block another one has, too."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    marks = data.GetPointData().GetArray(GHOSTS)
+    if marks is None:
+        return np.zeros(data.GetNumberOfPoints(), dtype=bool)
+    return (vtk_to_numpy(marks) & DUPLICATE) > 0
+
+
 def rows(found: list[Any], centre: str, name: str) -> Any:
-    """A field's values over all blocks, or None where a block lacks it."""
+    """A field's values over all blocks, each point once, or None where a block lacks it."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
     parts = []
@@ -124,7 +143,8 @@ def rows(found: list[Any], centre: str, name: str) -> Any:
         values = held.GetArray(name)
         if values is None:
             return None
-        parts.append(vtk_to_numpy(values).astype(float).reshape(values.GetNumberOfTuples(), -1))
+        table = vtk_to_numpy(values).astype(float).reshape(values.GetNumberOfTuples(), -1)
+        parts.append(table[~duplicates(data)] if centre == "point" else table)
     return np.concatenate(parts) if parts else None
 
 
