@@ -6,16 +6,16 @@ include them.
 
 from __future__ import annotations
 
-import ast
 import json
 import re
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import click
+import messages
 import typer
+from messages import escaped
 
 from dolfin_elastic.case.reference.json_schema import case_schema
 from dolfin_elastic.cli.app import app
@@ -39,7 +39,7 @@ def write(folder: Path) -> None:
     pages = {
         "keys.md": keys(case_schema()),
         "commands.md": commands(),
-        "messages.md": messages(),
+        "messages.md": messages.write(folder.parent / "messages"),
         "fields.md": fields(),
         "verification.md": verification(),
     }
@@ -107,15 +107,6 @@ def table(schema: Schema) -> str:
     return "\n".join([head, "", "| key | value | default | what |", "|---|---|---|---|", *rows])
 
 
-def escaped(text: str) -> str:
-    """Text of docstrings as Markdown: brackets are no links, stars no emphasis."""
-    parts = re.split(r"(`[^`]*`)", text)
-    return "".join(
-        part if part.startswith("`") else re.sub(r"([\[\]*_<>{}$])", r"\\\1", part)
-        for part in parts
-    )
-
-
 def kind(schema: Schema) -> str:
     """What a value is, in words."""
     if "$ref" in schema:
@@ -176,60 +167,6 @@ def commands() -> str:
             text = command.get_help(context)
             parts.append(f"## `{name}`\n\n```text\n{text}\n```")
     return "\n\n".join(parts) + "\n"
-
-
-# --- messages ---
-
-CODES = {"SolveError": 3, "ConvergenceError": 3, "StabilityError": 3, "OutputError": 4}
-"""Exit codes of errors that are not 2."""
-
-
-def messages() -> str:
-    """Every message that an error of the program carries, by the part of the program it is from."""
-    found: dict[str, list[tuple[str, str, int]]] = defaultdict(list)
-    for path in sorted((ROOT / "dolfin_elastic").rglob("*.py")):
-        part = path.relative_to(ROOT / "dolfin_elastic").parts[0]
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and (row := message(node)):
-                found[part].append(row)
-    parts = []
-    for part, rows in found.items():
-        lines = [
-            f"| {cell(what)} | {cell(expected)} | {code} |"
-            for what, expected, code in sorted(set(rows))
-        ]
-        parts.append(f"## `{part}`\n\n| message | what to do | code |\n|---|---|---|")
-        parts[-1] += "\n" + "\n".join(lines)
-    return "\n\n".join(parts) + "\n"
-
-
-def message(node: ast.Call) -> tuple[str, str, int] | None:
-    """Text, advice and exit code of what makes an error; None of other calls."""
-    name = node.func.id if isinstance(node.func, ast.Name) else ""
-    kinds = "Input|Mesh|Unit|Case|Solve|Convergence|Stability|Output|Restart|Formula"
-    if not re.fullmatch(rf"({kinds})Error", name):
-        return None
-    what = text_of(node.args[0]) if node.args else ""
-    advice = next(
-        (text_of(one.value) for one in node.keywords if one.arg in ("expected", "advice")), ""
-    )
-    return (what, advice, CODES.get(name, 2)) if re.search(r"\w{3}", what) else None
-
-
-def text_of(node: ast.expr) -> str:
-    """A text, with an ellipsis for what is known only when the program runs."""
-    if isinstance(node, ast.Constant):
-        return str(node.value)
-    if isinstance(node, ast.JoinedStr):
-        return "".join(text_of(part) for part in node.values)
-    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
-        return text_of(node.left) + text_of(node.right)
-    return "…"
-
-
-def cell(text: str) -> str:
-    """A text in a cell of a table."""
-    return escaped(" ".join(text.split())).replace("|", "\\|")
 
 
 # --- fields, functions ---
