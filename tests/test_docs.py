@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import re
 import subprocess
+import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
 from conftest import ROOT
 from mpi4py import MPI
+
+from dolfin_elastic.core.errors import Diagnosis
+
+sys.path.append(str(ROOT / "docs/_ext"))
+
+import messages
+import said
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="runs one process")
 
@@ -29,3 +40,39 @@ def test_site(tmp_path: Path) -> None:
         assert not re.findall(r'<(?:script|link|img)[^>]*(?:src|href)="https?:', text), page
     keys = (tmp_path / "reference/case.html").read_text(encoding="utf-8")
     assert "Mass per reference volume" in keys
+    page = (tmp_path / "reference/messages/free-body.html").read_text(encoding="utf-8")
+    assert "the supports leave the body free" in page
+    assert "What to do" in page
+
+
+def test_every_message_has_its_meaning() -> None:
+    """A new message cannot be forgotten, nor a page outlive its message."""
+    known, pages = said.messages(), messages.pages()
+    assert len(known) > 500
+    written = Counter(text for page in pages for text in page.messages)
+    missing = sorted({one.text for one in known} - set(written))
+    assert not missing, (
+        "these messages have no meaning: into docs/reference/meanings/*.toml write a table with "
+        "messages = [...], means = what is checked and why the program cannot go on, do = what "
+        f"to do, guide = the page to read on; or add them to the table of alike ones: {missing}"
+    )
+    gone = messages.unknown(known)
+    assert not gone, f"docs/reference/meanings has messages that the program does not say: {gone}"
+    assert [text for text, times in written.items() if times > 1] == []
+    advised = {one.text for one in known if len(one.advice) > 1}
+    for page in pages:
+        assert re.fullmatch(r"[a-z0-9-]+", page.name), page.name
+        assert page.means.endswith("."), page.name
+        assert page.do or advised & set(page.messages), f"{page.name}: say what to do"
+        assert (ROOT / f"docs/{page.guide}.md").is_file(), f"{page.name}: {page.guide}"
+    causes = re.findall(r'"([\w-]+)"', str(Diagnosis.__doc__).partition("text:")[0])
+    assert {page.cause for page in pages if page.cause} == set(causes)
+
+
+def test_scripts_of_pictures_find_what_they_import() -> None:
+    """They are run by hand, when pictures are drawn anew: until then nobody sees a name go."""
+    for script in (ROOT / "docs").glob("*_picture.py"):
+        for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and str(node.module).startswith("dolfin_elastic"):
+                module = importlib.import_module(str(node.module))
+                assert all(hasattr(module, one.name) for one in node.names), script.name

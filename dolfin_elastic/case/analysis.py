@@ -218,10 +218,10 @@ def _check_output(case: AnalysisTables) -> None:
     if case.gives_modes:
         rules = []
         if not case.output.checkpoint.off:
-            what = f"a run of [{case.analysis}] has no checkpoints and is not gone on with"
+            what = f"a run of [{case.analysis}] has no checkpoints and cannot be restarted"
             rules.append(UnusedKeys(["checkpoint"], what))
         if not case.preloaded:
-            what = "modes without a preload are drawn and listed, but there are no states beside"
+            what = "modes without a preload have no states with fields, probes or steps"
             expected = f"leave it out, or write {case.analysis}.preload"
             rules.append(UnusedKeys(["fields", "every", "probes"], what, expected))
     refuse_unused_keys(case.output, rules, "output")

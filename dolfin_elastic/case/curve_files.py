@@ -72,7 +72,9 @@ def _columns(source: CurveFile, path: Path) -> list[list[str]]:
         hint = not_shown(path) or near
         raise InputError("there is no such file", expected=hint) from None
     except (OSError, UnicodeDecodeError):
-        raise InputError("this is no text file that can be read") from None
+        raise InputError(
+            "this is no text file that can be read", expected="columns of numbers, saved in UTF-8"
+        ) from None
     lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
     mark = next((m for m in ";\t," if lines and m in lines[0]), ",")
     table = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=mark)]
@@ -81,9 +83,14 @@ def _columns(source: CurveFile, path: Path) -> list[list[str]]:
     head = None if _number(table[0][0]) else table.pop(0)
     at = [_column_index(source.time, head, 0), _column_index(source.value, head, 1)]
     if short := [row for row in table if len(row) <= max(at)]:
-        raise InputError(f"the line {mark.join(short[0])!r} ends too early")
+        raise InputError(
+            f"the line {mark.join(short[0])!r} ends too early",
+            expected="both columns in every line",
+        )
     if not table:
-        raise InputError("there are headings but no numbers")
+        raise InputError(
+            "there are headings but no numbers", expected="for example a line 0.1, 2.5"
+        )
     _check_numbers(table, at, mark)
     if mark == "," and all(len(row) > 2 for row in table) and not source.time + source.value:
         _refuse_commas(lines, head)
@@ -126,7 +133,10 @@ def _column_index(name: str, head: list[str] | None, default: int) -> int:
     if not name:
         return default
     if head is None:
-        raise InputError(f"the file has no headings, so no column '{name}'")
+        raise InputError(
+            f"the file has no headings, so no column '{name}'",
+            expected="names of the columns in the first line, or leave time and value out",
+        )
     if name not in head:
         raise InputError(f"there is no column '{name}'", expected=nearest(name, head))
     return head.index(name)

@@ -49,7 +49,9 @@ def read_laws(
         )
     if constants:
         raise CaseError(
-            f"--{next(iter(constants))} belongs to a law", where=what, expected="edit the file"
+            f"--{next(iter(constants))} is a constant of a law, and this is a case file",
+            where=what,
+            expected="write it in the file",
         )
     laws = {name: material.law for name, material in read_materials(what).items()}
     if only is not None and only not in laws:
@@ -69,7 +71,7 @@ def read_constants(words: Sequence[str]) -> dict[str, object]:
         word = rest.pop(0)
         name, equals, value = word.removeprefix("--").partition("=")
         if not word.startswith("--") or not name:
-            raise CaseError(f"'{word}' is not understood", expected="write --E '10 MPa'")
+            raise CaseError(f"'{word}' is no option", expected="write --E '10 MPa'")
         if not equals and not rest:
             raise CaseError(f"--{name} has no value", expected=f"write --{name} VALUE")
         found[name] = _value(name, value if equals else rest.pop(0))

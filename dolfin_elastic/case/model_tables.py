@@ -92,7 +92,7 @@ class ModelTables(Record):
         key = str(info.field_name)
         if not isinstance(rows, list | tuple):
             raise InputError(
-                f"a single table cannot be a {key}",
+                f"[{key}] is one table, and a list of tables is needed",
                 expected=f"write [[{key}]] with double brackets",
             )
         return read_list(rows, _ROWS[key])

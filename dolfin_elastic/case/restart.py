@@ -81,7 +81,7 @@ class Unfinished:
         _check_unfinished(self.folder)
         if last_step(self.folder) != self.newest or not self.found.path.is_file():
             raise RestartError(
-                "somebody else has gone on with this run meanwhile",
+                "another run has gone on from these checkpoints meanwhile",
                 where=str(self.folder),
                 expected="restart it again",
             )

@@ -34,7 +34,7 @@ from dolfin_elastic.mesh import (
 )
 from dolfin_elastic.mesh.local_size import CadSizes, LocalSize
 from dolfin_elastic.mesh.read import is_cad
-from dolfin_elastic.mesh.selectors import MeshLength, Place, Selector, metres
+from dolfin_elastic.mesh.selectors import MeshLength, Place, Point, Selector, metres
 from dolfin_elastic.model.dimension import Geometry
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
@@ -54,7 +54,7 @@ from dolfin_elastic.results.outputs import (
     check_formats,
 )
 from dolfin_elastic.results.outputs import Output as File
-from dolfin_elastic.results.probes import Probe, ProbePoint, check_places
+from dolfin_elastic.results.probes import Probe, ProbePoint, ReferencePoints, check_places
 from dolfin_elastic.results.writer import Steps
 
 T = TypeVar("T")
@@ -307,6 +307,9 @@ class Output(Record):
         pictures: Pictures of the deformed body.
         probes: Name to a point or surface of the undeformed body, where fields are read off at
             every step.
+        moments: Name of a support, spring, contact or tie to the point, fixed in space, about which
+            its moment is a column of history.csv, bare numbers in the mesh's unit; "middle": of the
+            undeformed surface.
         checkpoint: How often the data are written from which a run can restart; false: never.
         frames: Frames of an animation of one period of a mode.
         amplitude: Largest displacement of a mode's animation, over the body's longest side.
@@ -318,6 +321,7 @@ class Output(Record):
     every: Steps | None = None
     pictures: list[Picture] = Field(default=[])
     probes: dict[str, ProbePoint] = Field(default={})
+    moments: dict[str, Literal["middle"] | Point] = Field(default={})
     checkpoint: CheckpointSettings = CheckpointSettings()
     frames: Count = 20
     amplitude: Annotated[float, Field(gt=0)] = 0.1
@@ -383,9 +387,33 @@ class Output(Record):
         except MeshError as error:
             raise within("output.probes", error) from None
 
+    def check_clips(self, body: Body) -> None:
+        """Checks that the planes that cut pictures meet the body. Collective.
+
+        Raises:
+            InputError: One does not.
+        """
+        for i, picture in enumerate(self.pictures):
+            try:
+                picture.clips(body)
+            except InputError as error:
+                raise within(f"output.pictures[{i}]", error) from None
+
     def make_probe(self, problem: Problem) -> Probe:
         """The probe that evaluates the fields at its points and surfaces. Collective."""
-        return Probe.of(self.probes, problem, problem.body.unit.metres)
+        unit = problem.body.unit.metres
+        return Probe.of(self.probes, problem, unit, self.reference_points(unit))
+
+    def reference_points(self, scale: float) -> ReferencePoints:
+        """Label of a support to the point of reference of its moment.
+
+        Args:
+            scale: Metres per unit of the mesh.
+        """
+        return {
+            name: None if point == "middle" else [metres(x, scale) for x in point]
+            for name, point in self.moments.items()
+        }
 
     def files(
         self,

@@ -86,11 +86,13 @@ def read_toml(file: str) -> dict[str, Any]:
         text = Path(file).read_text(encoding="utf-8-sig")
         tables = tomllib.loads(text)
     except RecursionError:
-        raise CaseError(_TOO_DEEP, where=file) from None
+        raise CaseError(_TOO_DEEP, where=file, expected="fewer levels") from None
     except tomllib.TOMLDecodeError as error:
         raise CaseError(_syntax(str(error), text), where=file) from None
     except UnicodeDecodeError:
-        raise CaseError("this is no text file in UTF-8", where=file) from None
+        raise CaseError(
+            "this is no text file in UTF-8", where=file, expected="save it in UTF-8"
+        ) from None
     except FileNotFoundError:
         others = sorted(str(p) for p in Path(file).parent.glob("*.toml"))
         near = nearest(file, others) if others else "dolfin-elastic new writes a first one"
@@ -129,12 +131,12 @@ def _check_limits(tables: Mapping[str, Any], file: str) -> None:
         where, value, depth = left.pop()
         place = f"{file}: {shortened(where)}" if where else file
         if depth > DEEPEST:
-            raise CaseError(_TOO_DEEP, where=place)
+            raise CaseError(_TOO_DEEP, where=place, expected="fewer levels")
         if isinstance(value, dict):
             for key in value:
                 if len(key) > LONGEST_NAME:
                     raise CaseError(
-                        f"a name of {len(key)} characters, {shortened(key)}",
+                        f"a name of {len(key)} characters is too long, {shortened(key)}",
                         where=place,
                         expected=f"at most {LONGEST_NAME} characters",
                     )
@@ -142,7 +144,7 @@ def _check_limits(tables: Mapping[str, Any], file: str) -> None:
         elif isinstance(value, list):
             if len(value) > MOST_ROWS and isinstance(value[0], dict):
                 raise CaseError(
-                    f"{len(value)} tables",
+                    f"{len(value)} tables are too many",
                     where=place,
                     expected=f"at most {MOST_ROWS}; one table can have several surfaces in `on`",
                 )
@@ -154,7 +156,7 @@ def _check_limits(tables: Mapping[str, Any], file: str) -> None:
         elif _too_large(value):
             raise CaseError(_TOO_LARGE, where=place, expected=_LARGEST)
         elif isinstance(value, str) and "\0" in value:
-            raise CaseError("a text with the character NUL", where=place)
+            raise CaseError("a text with the character NUL", where=place, expected="leave it out")
 
 
 def _too_large(value: object) -> bool:
@@ -168,15 +170,34 @@ def shortened(text: str) -> str:
 
 _PLAINER = {
     "Illegal character '\\n'": "the closing quote is missing",
+    "Unterminated string": "the closing quote is missing",
     "Cannot overwrite a value": "this key stands here for the second time",
+    "Expected '=' after a key in a key/value pair": "there is no = behind the key",
+    "Expected newline or end of document after a statement": "something stands behind the value",
+    "Expected ']' at the end of a table declaration": "the heading has no closing bracket ]",
+    "Expected ']]' at the end of an array declaration": "the heading has no closing brackets ]]",
+    "Invalid value": "there is no value of TOML here",
+    "Invalid statement": "there is no key and no heading here",
+    "Unclosed array": "the list has no closing bracket ]",
+    "Unclosed inline table": "the table has no closing brace }",
 }
+"""What `tomllib` says, in words of a case file."""
+
+_UNQUOTED = re.compile(r"(?!true\b|false\b|inf\b|nan\b)[A-Za-z_]\w+|[*/^()]|\d\s*[A-Za-df-z%]")
+"""What a value has outside quotes if it is a text."""
 
 
 def _syntax(message: str, text: str) -> str:
-    """The message of a syntax error of `tomllib`, with the line and a caret under the column."""
+    """A syntax error of `tomllib`, what to write, and the line with a caret under the column.
+
+    Args:
+        message: What `tomllib` says.
+        text: The file.
+    """
     found = re.fullmatch(r"(.*?) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
     if not found:
-        return message[:1].lower() + message[1:]
+        what, _, where = message.partition(" (")
+        return f"{_PLAINER.get(what, what[:1].lower() + what[1:])} ({where}".removesuffix(" (")
     what, line, column = found[1], int(found[2]), int(found[3])
     if twice := re.fullmatch(r"Cannot declare \((.*?),?\) twice", what):
         key = twice[1].replace("'", "").replace(", ", ".")
@@ -185,4 +206,12 @@ def _syntax(message: str, text: str) -> str:
     shown = text.splitlines()[line - 1].replace("\t", " ")
     if re.search(r"\d$", shown[: column - 1]) and re.match(r",\d", shown[column - 1 :]):
         what = "a decimal point is needed in place of the comma"
+    elif _unquoted(shown):
+        what += '; texts, values with units and formulas stand in quotes: "1 MPa", "2*x"'
     return f"line {line}: {what}\n    {shown}\n    {' ' * (column - 1)}^"
+
+
+def _unquoted(line: str) -> bool:
+    """The value in a line is a text without quotes."""
+    value = re.sub(r"#.*|'[^']*'|\"[^\"]*\"", "", line.partition("=")[2])
+    return _UNQUOTED.search(value) is not None and "'" not in value and '"' not in value

@@ -24,6 +24,7 @@ from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import guard_output
 from dolfin_elastic.cli.report import report
 from dolfin_elastic.cli.run import Trust, collect_garbage, log_to_screen, restart, run
+from dolfin_elastic.cli.tools.convert import convert
 from dolfin_elastic.cli.tools.new import new
 from dolfin_elastic.cli.tools.plot import plot
 from dolfin_elastic.cli.tools.schema import schema
@@ -57,6 +58,7 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
   dolfin-elastic plot beam_results          pictures, films and curves of what it has left
   dolfin-elastic converge beam.toml --until "displacement of tip" 1%
                                             refine the mesh until it is known so well
+  dolfin-elastic convert wing.msh wing.xdmf a large mesh, for many cores to read in shares
   dolfin-elastic verify                     known results, computed on this installation
 
 \b
@@ -153,6 +155,7 @@ app.command()(plot)
 app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(material)
 app.command()(materials)
 app.command()(report)
+app.command()(convert)
 app.command()(new)
 app.command()(schema)
 app.command()(verify)

@@ -7,18 +7,16 @@ import math
 import os
 import re
 import sys
-import textwrap
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from dolfin_elastic.cli.terminal import Screen
+from dolfin_elastic.cli.terminal import Screen, wrapped
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, SolveError
 from dolfin_elastic.core.units import stress_unit
@@ -35,7 +33,7 @@ FIRST_LINES = 20
 """Steps that get a line of their own in any case; later ones at most one a second."""
 
 
-def console(*, stderr: bool = False) -> Console:
+def console(*, stderr: bool = False) -> Screen:
     """A console that is as wide as the terminal, or 100 columns in a file."""
     stream = sys.stderr if stderr else sys.stdout
     # Launchers forward through terminals of their own: what arrives may well be a file.
@@ -136,7 +134,7 @@ class ProgressLines:
 class ProgressBar:
     """A bar that moves, for terminals."""
 
-    def __init__(self, motion: bool, screen: Console) -> None:
+    def __init__(self, motion: bool, screen: Screen) -> None:
         self.motion, self._estimate = motion, Estimate()
         self._progress = Progress(
             BarColumn(bar_width=24),
@@ -203,14 +201,15 @@ def time_left(spent: float, done: float, before: float = 0.0) -> str:
 class LogHandler(logging.Handler):
     """Prints log records of rank 0, warnings with the word in front.
 
-    Trials on the way to a state are shown where the progress is, see `show_searches`.
+    Trials on the way to a state are shown where the progress is, see `show_searches`; what belongs
+    to the results goes where the rest of them is printed.
 
     Args:
         rank: Of this process.
         screen: Where to.
     """
 
-    def __init__(self, rank: int, screen: Console) -> None:
+    def __init__(self, rank: int, screen: Screen) -> None:
         super().__init__()
         self._display: ProgressDisplay | None = None
         self.addFilter(lambda record: rank == 0 or hasattr(record, "every_rank"))
@@ -226,38 +225,26 @@ class LogHandler(logging.Handler):
             self._display.search(record.getMessage())
             return
         mark = "warning: " if record.levelno >= logging.WARNING else ""
-        self.screen.print(f"{mark}{record.getMessage()}", soft_wrap=True)
+        screen = console() if getattr(record, "result", False) else self.screen
+        screen.tell(f"{mark}{record.getMessage()}")
 
 
 # --- errors ---
 
 
 def error_text(error: ElasticError) -> str:
-    """An error with its notes; long lines of a `SolveError` are wrapped."""
+    """An error with its notes; wrapped for a terminal, elsewhere where it is a `SolveError`."""
     notes = "".join(f"\n  {note}" for note in getattr(error, "__notes__", ()))
-    text = f"error: {error}{notes}"
-    return _wrapped(text) if isinstance(error, SolveError) else text
-
-
-def _wrapped(text: str) -> str:
-    """Wraps long lines, with indented continuation; words and paths stay whole."""
-    wrapped = (
-        textwrap.wrap(
-            line,
-            WIDTH,
-            subsequent_indent="    ",
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
-        for line in text.splitlines()
-    )
-    return "\n".join(part for lines in wrapped for part in lines)
+    text, screen = f"error: {error}{notes}", console(stderr=True)
+    if screen.is_terminal:
+        return wrapped(text, screen.width)
+    return wrapped(text, WIDTH) if isinstance(error, SolveError) else text
 
 
 # --- tables ---
 
 
-def show_table(screen: Console, table: Table) -> None:
+def show_table(screen: Screen, table: Table) -> None:
     """Prints a table, in files without trailing blanks.
 
     Args:
@@ -294,7 +281,7 @@ def show_end(
     screen.print(f"done: {count(state.step, 'step')}{iterations}{again}")
     show_table(screen, table)
     # Not in the table: the line is longer than a column may be.
-    screen.print(f" time: {_times(seconds)}", soft_wrap=True)
+    screen.tell(f" time: {_times(seconds)}")
 
 
 def extreme_lines(summary: Mapping[str, Any]) -> list[str]:

@@ -6,10 +6,11 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from dolfin_elastic.cli.console import console, show_table, vector_text
+from dolfin_elastic.cli.terminal import Screen
+from dolfin_elastic.core.units import LENGTHS
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.check import PartSize, Report
@@ -24,7 +25,7 @@ def show_check(report: Report) -> None:
     title = " ".join(report.title.split())  # one line, whatever it holds
     screen.print(f"{report.case}: {title}" if title else report.case, style="bold")
     for name, text in _head(report):
-        screen.print(f"  {name:<10} {text}", soft_wrap=True)
+        screen.tell(f"  {name:<10} {text}")
     span = max(report.extent)
     area, volume = ("m^2", "m^3") if report.dim == 3 else ("m", "m^2")
     show_table(screen, _parts("surface", area, report.surfaces, span))
@@ -39,9 +40,9 @@ def show_check(report: Report) -> None:
     if report.contacts:
         show_table(screen, _contacts(report.contacts))
     for field in report.fields:
-        screen.print(f"field {field}", soft_wrap=True)
+        screen.tell(f"field {field}")
     for note in report.notes:
-        screen.print(f"note: {note}", soft_wrap=True)
+        screen.tell(f"note: {note}")
     count = len(report.notes)
     screen.print(
         f"no errors; {count} note{'s' if count > 1 else ''}" if count else "nothing is wrong"
@@ -54,7 +55,7 @@ def _head(report: Report) -> list[tuple[str, str]]:
     rows = [
         ("mesh", f"{report.mesh}, {report.dim}D{kind}, {report.cells} cells"),
         *(("", text) for text in report.information),
-        ("extent", f"{' x '.join(f'{side:.4g}' for side in report.extent)} m"),
+        ("extent", _extent(report)),
         *([] if report.thickness is None else [("thickness", f"{report.thickness:.4g} m")]),
         ("analysis", f"{report.analysis}, {elements} elements, {report.unknowns} unknowns"),
         ("equations", report.linear_solver),
@@ -64,6 +65,15 @@ def _head(report: Report) -> list[tuple[str, str]]:
         middle = _place(whole.centre_of_mass, max(report.extent))
         rows.append(("mass", f"{whole.mass:.4g} kg, centre of mass {middle} m"))
     return [*rows, *(("body", _body(body, len(report.bodies))) for body in report.bodies[:5])]
+
+
+def _extent(report: Report) -> str:
+    """In metres, as all that follows, and as the mesh has it."""
+    found = f"{' x '.join(f'{side:.4g}' for side in report.extent)} m"
+    if report.unit != "m" and report.unit in LENGTHS:
+        own = (f"{side / LENGTHS[report.unit]:.4g}" for side in report.extent)
+        found += f" ({' x '.join(own)} {report.unit})"
+    return found
 
 
 def _body(body: FreeBody, bodies: int) -> str:
@@ -98,7 +108,7 @@ def _parts(kind: str, unit: str, parts: Sequence[PartSize], span: float) -> Tabl
     return table
 
 
-def _show_loads(screen: Console, report: Report) -> None:
+def _show_loads(screen: Screen, report: Report) -> None:
     table = Table("load", box=SIMPLE_HEAD, pad_edge=False)
     for head in ("on", "force [N]", "moment about the origin [N m]"):
         table.add_column(head)
@@ -111,7 +121,7 @@ def _show_loads(screen: Console, report: Report) -> None:
     show_table(screen, table)
     at = f"at load parameter {max((load.time for load in report.loads), default=1.0):g}"
     when = "when it is largest in the motion" if moving else at
-    screen.print(_loads_caption(report.loads, when), soft_wrap=True)
+    screen.tell(_loads_caption(report.loads, when))
 
 
 def _contacts(contacts: Sequence[ContactGap]) -> Table:

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
+
+from dolfin_elastic.cli.terminal import Screen
 
 if TYPE_CHECKING:
     from dolfin_elastic.material_point.library import TypicalMaterial
@@ -53,7 +54,7 @@ def report_table(found: MaterialReport) -> dict[str, object]:
     }
 
 
-def show_report(screen: Console, name: str, found: MaterialReport, files: Sequence[Path]) -> None:
+def show_report(screen: Screen, name: str, found: MaterialReport, files: Sequence[Path]) -> None:
     """Prints the tests of one material.
 
     Args:
@@ -72,7 +73,7 @@ def show_report(screen: Console, name: str, found: MaterialReport, files: Sequen
     if found.curves:
         screen.print(_curves(found))
     for note in found.notes:
-        screen.print(f"note: {note}", soft_wrap=True)
+        screen.tell(f"note: {note}")
     if files:
         screen.print(f"written: {files[0].parent}: {', '.join(f.name for f in files)}")
 
@@ -91,7 +92,7 @@ def _curves(found: MaterialReport) -> Table:
 
 
 def show_laws(
-    screen: Console, laws: Sequence[Mapping[str, Any]], typical: Sequence[TypicalMaterial]
+    screen: Screen, laws: Sequence[Mapping[str, Any]], typical: Sequence[TypicalMaterial]
 ) -> None:
     """Prints the laws, and typical constants.
 
@@ -118,4 +119,4 @@ def show_laws(
         table.add_row(item.name, item.E, item.nu, item.density)
     screen.print(table)
     for item in typical:
-        screen.print(f"  {item.name}: {item.source}", soft_wrap=True)
+        screen.tell(f"  {item.name}: {item.source}")

@@ -155,7 +155,7 @@ def show_table_of(progress: Progress, folder: Path) -> None:
     screen = console()
     show_table(screen, table)
     for line in _ending(progress):
-        screen.print(line, soft_wrap=True)
+        screen.tell(line)
     show_files(folder, [*FILES, "summary.json"])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any, TextIO
 
 from rich.console import Console
@@ -34,3 +35,34 @@ class Screen(Console):
     def render_str(self, text: str, **options: Any) -> Text:
         """See `Console.render_str`."""
         return super().render_str(printable(text), **options)
+
+    def tell(self, text: str, style: str | None = None) -> None:
+        """Prints a text: on a terminal broken between words, elsewhere its lines as they are.
+
+        Args:
+            text: One line or several.
+            style: Of rich.
+        """
+        shown = wrapped(printable(text), self.width) if self.is_terminal else text
+        self.print(shown, style=style, soft_wrap=True)
+
+
+def wrapped(text: str, width: int) -> str:
+    """Breaks long lines, with indented continuation; words and paths stay whole.
+
+    Args:
+        text: One line or several.
+        width: Columns.
+    """
+    broken = (
+        textwrap.wrap(
+            line,
+            width,
+            subsequent_indent="    ",
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        or [""]
+        for line in text.split("\n")
+    )
+    return "\n".join(part for lines in broken for part in lines)

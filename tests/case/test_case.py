@@ -195,7 +195,7 @@ MISTAKES = {
     "components": (
         'on = "left"\ndisplacement = [0, 0, 0]',
         'on = "left"\ndisplacement = [0, 0]',
-        "support[0].displacement: 2 components; the body is 3-dimensional, expected 3",
+        "support[0].displacement: 2 components given; the body is 3-dimensional, expected 3",
     ),
     "components4": (
         'on = "left"\ndisplacement = [0, 0, 0]',
@@ -206,7 +206,7 @@ MISTAKES = {
     "load comps": (
         '[0, 0, "1 MPa"]',
         '[0, "1 MPa"]',
-        "load[0].value: 2 components; the body is 3-dimensional, expected 3",
+        "load[0].value: 2 components given; the body is 3-dimensional, expected 3",
     ),
     "vec no list": (
         '[0, 0, "1 MPa"]',
@@ -238,7 +238,8 @@ MISTAKES = {
     "formula nest": (
         "displacement = [0, 0, 0]",
         'displacement = [0, "0.1*(x", 0]',
-        "support[0].displacement[1]: this parenthesis is never closed\n    0.1*(x\n        ^",
+        "support[0].displacement[1]: this parenthesis is never closed; add its )\n    0.1*(x\n"
+        "        ^",
     ),
     "curve word": (
         'on = "right"',
@@ -250,7 +251,7 @@ MISTAKES = {
     "curve table": (
         'on = "right"',
         'on = "right"\ncurve = [[0, 0], [0, 1]]',
-        "load[0].curve: the times of a curve's table must increase",
+        "load[0].curve: the times of a curve's table must increase; a jump takes a short time",
     ),
     "two meshes": (
         'unit = "mm"',
@@ -388,7 +389,8 @@ MISTAKES = {
     "single bracket": (
         "[[support]]",
         "[support]",
-        "support: a single table cannot be a support; write [[support]] with double brackets",
+        "support: [support] is one table, and a list of tables is needed; write [[support]] with "
+        "double brackets",
     ),
     "material flat": (
         "[materials.steel]",
@@ -445,7 +447,7 @@ MISTAKES = {
     "toml": (
         "steps = 2",
         "steps 2",
-        "line 22: expected '=' after a key in a key/value pair\n    steps 2\n          ^",
+        "line 22: there is no = behind the key\n    steps 2\n          ^",
     ),
     "toml twice": (
         "steps = 2",
@@ -461,6 +463,12 @@ MISTAKES = {
         'title = "Block"',
         'title = "Block',
         'line 1: the closing quote is missing\n    title = "Block\n                  ^',
+    ),
+    "toml quotes": (
+        "steps = 2",
+        "max_step = 5 %",
+        "line 22: something stands behind the value; texts, values with units and formulas stand "
+        'in quotes: "1 MPa", "2*x"\n    max_step = 5 %\n                 ^',
     ),
     "title": ('title = "Block"', "title = 3", "title: 3 is wrong; expected a text"),
     "pictures of one name": (
@@ -492,7 +500,7 @@ MISTAKES = {
     "toml closing bracket": (
         'fields = ["displacement"]',
         'fields = ["displacement"',
-        "unclosed array (at end of document)",
+        "the list has no closing bracket ] (at end of document)",
     ),
 }
 
@@ -534,7 +542,7 @@ MOTION = GOOD.replace("nu = 0.3", "nu = 0.3\ndensity = 7850").replace(
         (
             "end = 1",
             "end = 1\ninitial_velocity = [0, 3]",
-            "dynamics.initial_velocity: 2 components; the body is 3-dimensional, expected 3",
+            "dynamics.initial_velocity: 2 components given; the body is 3-dimensional, expected 3",
         ),
         (
             "degree = 1\n[surfaces]",
@@ -583,7 +591,7 @@ def test_other_mistakes(folder: Path) -> None:
     )
     assert (
         message_of(folder, GOOD.replace("Block", "\udcff"))
-        == "case.toml: this is no text file in UTF-8"
+        == "case.toml: this is no text file in UTF-8; save it in UTF-8"
     )
     text = GOOD.replace("box = {size = [2, 1, 1], cells = [2, 1, 1]}", 'file = "part.msh"')
     assert message_of(folder, text).startswith(

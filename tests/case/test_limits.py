@@ -52,7 +52,10 @@ HOSTILE = {
     "mesh-pipe": (case('file = "pipe.msh"'), r"mesh.file: .*this is a pipe, not a file"),
     "mesh-device": (case('file = "zero.msh"'), r"mesh.file: .*this is a device, not a file"),
     "mesh-nul": (case('file = "a\\u0000b.msh"'), r"mesh.file: a text with the character NUL"),
-    "supports": (case() + '[[support]]\non = "right"\n' * 3000, r"support: 3001 tables; at most"),
+    "supports": (
+        case() + '[[support]]\non = "right"\n' * 3000,
+        r"support: 3001 tables are too many; at most",
+    ),
     "folder-300": (
         case() + f'[output]\nfolder = "{"x" * 300}"\n',
         r"output.folder: .*name too long",
@@ -79,7 +82,7 @@ HOSTILE = {
     "deep-tables": (case() + ".".join(["a"] * 5000) + " = 1", r"nested more than 20 deep"),
     "name": (
         case().replace("materials.rubber", f"materials.{'r' * 5000}"),
-        r"materials: a name of 5000 characters, rrr",
+        r"materials: a name of 5000 characters is too long, rrr",
     ),
     "probe": (
         case() + f"[output.probes]\n{'p' * 5000} = [0, 0, 0]\n",

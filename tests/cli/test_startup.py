@@ -33,8 +33,8 @@ LIST = (
 @pytest.mark.parametrize(
     ("arguments", "unwanted"),
     [
-        (["--help"], ["numpy", "mpi4py", "petsc4py", "dolfinx", "ufl", "pydantic", *SLOW]),
-        (["check", "case.toml"], SLOW),
+        (["--help"], ["numpy", "mpi4py", "petsc4py", "dolfinx", "ufl", "pydantic", "rich", *SLOW]),
+        (["check", "case.toml"], ["markdown_it", *SLOW]),
     ],
 )
 @pytest.mark.usefixtures("serial_only")

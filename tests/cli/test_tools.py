@@ -71,7 +71,7 @@ def test_completion(tmp_path: Path) -> None:
         text=True,
         check=False,
     )
-    assert done.stdout.split() == ["converge"]
+    assert done.stdout.split() == ["converge", "convert"]
     assert os.listdir(tmp_path) == []
 
 

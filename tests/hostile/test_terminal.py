@@ -58,6 +58,16 @@ def test_markup_is_text() -> None:
     assert out.getvalue() == "[red]x[/red] [link=http://x]y[/link] :smile: \\u001b[1m\n"
 
 
+def test_long_lines_break_between_words() -> None:
+    """On a narrow terminal; a path stays whole. Files keep the line."""
+    text = "warning: a long line about /a/rather/long/path/of/a/file.toml and more"
+    broken = "warning: a long line\n    about\n    /a/rather/long/path/of/a/file.toml\n    and more"
+    for terminal, shown in ((True, broken), (False, text)):
+        out = io.StringIO()
+        Screen(out, 24, terminal).tell(text)
+        assert out.getvalue() == f"{shown}\n"
+
+
 @pytest.mark.sample(2)
 @pytest.mark.parametrize(
     "words", [["check"], ["check", "--json"], ["run", "--quiet"], ["run"]], ids=" ".join

@@ -46,6 +46,7 @@ POINTS = {
     "results/finished/test_plot.py",
     "results/pictures/test_series.py",
     "test_layout.py",
+    "test_scaling_model.py",
     "test_tutorials.py",
     "verification/test_manufactured.py",
 }
@@ -92,6 +93,7 @@ SHARED = {
     "model/loads/test_loads.py",
     "model/loads/test_pressure.py",
     "model/supports/test_supports.py",
+    "problem/loads/test_at_points.py",
     "problem/loads/test_contact.py",
     "problem/loads/test_edges_points.py",
     "problem/test_mixed.py",

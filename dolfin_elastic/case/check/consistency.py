@@ -50,6 +50,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_constants(case, body)
         _check_fields(case)
         case.output.check_probes(body)
+        case.output.check_clips(body)
         if case.explicit:
             _check_explicit(case)
     return (*_notes(case), *plausibility_notes(case, body))
@@ -181,7 +182,11 @@ def _check_name(where: str, name: str, kinds: Sequence[str], rule: str, body: Bo
             f"there is no {kinds[0]} '{name}'", where=where, expected=_suggestion(name, every)
         )
     if not sum(_count(body, kind, name) for kind in here):
-        raise MeshError(f"the {here[0]} '{name}' is empty", where=where)
+        raise MeshError(
+            f"the {here[0]} '{name}' is empty",
+            where=where,
+            expected="a name that has members, or another selector",
+        )
     if len(kinds) == 1:
         _check_area(where, name, body, here[0])
 
@@ -235,7 +240,7 @@ def _check_components(case: Case, body: Body) -> None:
     for where, values in vectors:
         if values and len(values) != body.dim:
             raise CaseError(
-                f"{len(values)} components",
+                f"{len(values)} components given",
                 where=where,
                 expected=f"the body is {body.dim}-dimensional, expected {body.dim}",
             )

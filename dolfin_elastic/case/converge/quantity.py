@@ -197,7 +197,11 @@ class Measurement:
         mine = (float(own[best]), *map(float, places[best])) if len(own) else (-np.inf,)
         top = max(body.comm.allgather(mine))
         if not np.isfinite(top[0]):
-            raise InputError(f"'{q}' has no value in this run", where="--until")
+            raise InputError(
+                f"'{q}' has no value in this run",
+                where="--until",
+                expected="a result that is finite somewhere on that part",
+            )
         limit = _PEAK * top[0] if top[0] > 0 else top[0] / _PEAK
         cells = self._touching(members[own >= limit]) if nodal else members[own >= limit]
         return Measured(sign * top[0], top[1:], _size_at(body, np.array(top[1:])), cells)

@@ -149,7 +149,8 @@ def _middle(body: Body, load: Load) -> FloatArray:
 def _obstacle(contact: Contact, index: int, body: Body) -> Obstacle | None:
     """An obstacle as it stands at the start."""
     shape = contact.obstacle
-    label = f"contact[{index}] with {', '.join(contact.surfaces)}"
+    named = f"'{contact.name}'" if contact.name else f"with {', '.join(contact.surfaces)}"
+    label = f"contact[{index}] {named}"
     if isinstance(shape, Plane):
         try:
             shape.check(body.dim, axisymmetric=False)

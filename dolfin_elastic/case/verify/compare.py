@@ -55,7 +55,9 @@ def compare(folders: Sequence[Path]) -> list[Difference]:
     for folder, other in zip(folders, found, strict=True):
         if other.keys() != found[0].keys():
             raise InputError(
-                "other columns or modes than on the first number of ranks", where=str(folder)
+                "other columns or modes than on the first number of ranks",
+                where=str(folder),
+                expected="please report it, with the case",
             )
     scales: dict[str, float] = defaultdict(float)
     for numbers in found:

@@ -21,11 +21,11 @@ def show_look(found: Look) -> None:
     screen = console()
     unit = found.unit
     title = f"{found.case}: {found.source}" if found.case else found.source
-    screen.print(title, style="bold", soft_wrap=True)
+    screen.tell(title, style="bold")
     sides = " x ".join(f"{side / found.metres:.4g}" for side in found.extent)
-    screen.print(f"  extent {sides} {unit}, {found.dim}D, {found.cells} cells", soft_wrap=True)
+    screen.tell(f"  extent {sides} {unit}, {found.dim}D, {found.cells} cells")
     for text in found.information:
-        screen.print(f"  {text}", soft_wrap=True)
+        screen.tell(f"  {text}")
     if found.faces:
         show_table(screen, _faces(found, found.faces))
     things = (
@@ -42,9 +42,9 @@ def show_look(found: Look) -> None:
         one = next((f.number for f in found.faces if f.form), found.faces[0].number)
         screen.print(f"A case names faces like this:  [surfaces]  name = {{faces = [{one}]}}")
     for note in found.notes:
-        screen.print(f"note: {note}", soft_wrap=True)
+        screen.tell(f"note: {note}")
     if found.picture:
-        screen.print(f"picture in {found.picture}", soft_wrap=True)
+        screen.tell(f"picture in {found.picture}")
 
 
 def _table(heads: Sequence[tuple[str, bool]]) -> Table:

@@ -61,7 +61,11 @@ def new(
             draft.write_text(template(kind, str(file)), encoding="utf-8")
             draft.replace(file)
         except OSError as error:
-            raise CaseError(f"cannot be written: {error.strerror}", where=str(file)) from None
+            raise CaseError(
+                f"cannot be written: {error.strerror}",
+                where=str(file),
+                expected="a folder you may write to",
+            ) from None
     print(f"{file} written; compute it with: dolfin-elastic run {file}")
 
 

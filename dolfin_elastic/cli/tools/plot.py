@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,8 +16,10 @@ from dolfin_elastic.core.errors import InputError, nearest
 if TYPE_CHECKING:
     from dolfin_elastic.core.types import FloatArray
     from dolfin_elastic.results.finished.curves import Curves
-    from dolfin_elastic.results.finished.draw import Clip, Look
+    from dolfin_elastic.results.finished.draw import Look
     from dolfin_elastic.results.finished.run import FinishedRun
+    from dolfin_elastic.results.pictures.clip import Clip
+    from dolfin_elastic.results.pictures.scene import Up
     from dolfin_elastic.results.pictures.series import Limits
 
 _FILMS = (".mp4", ".gif")
@@ -35,6 +38,9 @@ def plot(
     view: Annotated[str, typer.Option("--view", help="isometric, x, y, z, -x, -y or -z.")] = (
         "isometric"
     ),
+    up: Annotated[
+        str | None, typer.Option("--up", help="Axis that is up, x, y or z: against the weight.")
+    ] = None,
     scale: Annotated[float, typer.Option("--scale", help="Magnification of displacements.")] = 1.0,
     ends: Annotated[
         str | None, typer.Option("--range", help="Ends of the colours: 0:2e8, 2%:98%.")
@@ -80,6 +86,7 @@ def plot(
         field: Names of fields.
         step: Which step is drawn.
         view: Direction from which the body is seen.
+        up: Axis that is up.
         scale: Magnification of the displacement.
         ends: Ends of the colours.
         clip: Planes that take away a part.
@@ -98,9 +105,10 @@ def plot(
     from mpi4py import MPI
 
     from dolfin_elastic.core.parallel import on_root
+    from dolfin_elastic.results.finished import draw  # noqa: F401
     from dolfin_elastic.results.finished.run import FinishedRun
 
-    # Its import starts PETSc, which all ranks do together.
+    # These imports start PETSc, which all ranks do together.
     limits = None if ends is None else _limits(ends)
 
     def work() -> None:
@@ -109,7 +117,9 @@ def plot(
         if listing:
             _show(run)
         elif len(given) > 1:
-            raise InputError(f"--{given[0]} and --{given[1]} are given together", expected="one")
+            raise InputError(
+                f"--{given[0]} and --{given[1]} are given together", expected="one of them"
+            )
         elif given:
             if curve is not None:
                 found = _history(run, curve)
@@ -119,7 +129,7 @@ def plot(
             _write_curves(run, found, file, f"--{given[0]}")
         else:
             _check_view(view)
-            look = _look(field, view, scale, limits, clip, plain, run, step)
+            look = _look(field, view, _axis(up), scale, limits, clip, plain, run, step)
             _draw(run, look, step, output, fps, speed)
 
     on_root(MPI.COMM_WORLD, work)
@@ -139,7 +149,12 @@ def _draw(
     _check_apart(run, file)
     if file.suffix in _FILMS:
         if fps <= 0 or (speed is not None and speed <= 0):
-            raise InputError("it must be above 0", where="--fps, --speed")
+            raise InputError(
+                "frames a second and speed must be above 0",
+                where="--fps, --speed",
+                expected="for example --fps 25",
+            )
+        look = replace(look, marks=False)
         film(run, look, file, fps=fps, speed=speed or (1.0 if run.moving else 0.2))
     elif file.suffix == ".png":
         draw(run, look, file, step)
@@ -155,6 +170,7 @@ def _draw(
 def _look(
     field: list[str] | None,
     view: str,
+    up: Up | None,
     scale: float,
     limits: Limits | None,
     clip: list[str] | None,
@@ -173,6 +189,7 @@ def _look(
         marks=not plain,
         obstacles=not plain,
         clips=[_clip(text) for text in clip or ()],
+        up=up,
     )
 
 
@@ -181,6 +198,17 @@ def _check_view(view: str) -> None:
         raise InputError(
             f"there is no view '{view}'", where="--view", expected=nearest(view, _VIEWS)
         )
+
+
+def _axis(name: str | None) -> Up | None:
+    from dolfin_elastic.results.pictures.scene import AXES
+
+    for axis in AXES:
+        if name == axis:
+            return axis
+    if name is not None:
+        raise InputError(f"'{name}' is no axis", where="--up", expected="x, y or z")
+    return None
 
 
 def _limits(text: str) -> Limits:
@@ -202,12 +230,16 @@ def _fields(run: FinishedRun, given: Sequence[str] | None, step: int) -> list[st
         return list(given)
     known = run.fields(step)
     if not known:
-        raise InputError("the step holds no fields", where=str(run.folder))
+        raise InputError(
+            "the step holds no fields",
+            where=str(run.folder),
+            expected="name fields in output.fields and compute again",
+        )
     return ["von_mises" if "von_mises" in known else known[0]]
 
 
 def _clip(text: str) -> Clip:
-    from dolfin_elastic.results.finished.draw import Clip
+    from dolfin_elastic.results.pictures.clip import Clip
 
     for sign in ("=", ">", "<"):
         axis, found, number = text.partition(sign)
@@ -279,7 +311,11 @@ def _history(run: FinishedRun, text: str) -> Curves:
 
     over, found, names = text.partition(":")
     if not run.history:
-        raise InputError("it holds no history.csv", where=str(run.folder))
+        raise InputError(
+            "it holds no history.csv",
+            where=str(run.folder),
+            expected="a run of [statics] or [dynamics]",
+        )
     if not found or not names:
         over, names = "t", text
     return history_curves(run, over, names.split(","))

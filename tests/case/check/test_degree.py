@@ -125,6 +125,7 @@ Extrude {0, 0, 4} { Surface{1}; }
 """
 
 
+@pytest.mark.sample(3)
 @pytest.mark.parametrize(
     ("geo", "mesh", "order"),
     [

@@ -20,7 +20,7 @@ DEMOS = sorted((ROOT / "demos").glob("*/*.toml"))
 PAGES = [
     path
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
-    if not {"_build", "generated"} & {*path.parts}
+    if not {"_build", "generated", "messages"} & {*path.parts}
 ]
 CASE = """
 [mesh]
@@ -84,6 +84,15 @@ def test_documentation(validator: Draft7Validator, page) -> None:
     """So are the cases, and parts of cases, of the documentation."""
     for text in re.findall(r"^```toml[\w-]*\n(.*?)^```$", page.read_text(), re.M | re.DOTALL):
         assert faults(validator, tomllib.loads(text)) == []
+
+
+def test_examples_of_messages(validator: Draft7Validator) -> None:
+    """So are those of the pages of messages, whose meanings are written in TOML."""
+    for file in (ROOT / "docs/reference/meanings").glob("*.toml"):
+        for name, page in tomllib.loads(file.read_text(encoding="utf-8")).items():
+            example = page.get("example", "").strip()
+            if not example.startswith("dolfin-elastic"):
+                assert faults(validator, tomllib.loads(example)) == [], name
 
 
 @pytest.mark.parametrize(
