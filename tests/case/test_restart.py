@@ -205,10 +205,12 @@ def test_a_solver_goes_on(name: str, folder: Path) -> None:
         found = newest_checkpoint(WORLD, folder / str(step))
         assert found is not None
         again = list(Statics(make(), **keys).steps(found))
-        # A preconditioner that is kept across load steps is set up anew by a restart: each of the
-        # two is balanced to 1e-8.
+        # A preconditioner that is kept across load steps is set up anew by a restart.  The linear
+        # solves of inexact Newton then end at other residuals below the same tolerance, and where
+        # one of them ends near Newton's own, a step more or less is taken (seen on 3 ranks: 5 for
+        # 4).  The two are balanced to 1e-8 each, and that is what can be compared.
         iterative = name == "iterative"
-        near, but = (1e-8, ["krylov"]) if iterative else (NEAR, [])
+        near, but = (1e-8, ["krylov", "newton"]) if iterative else (NEAR, [])
         check_same([row(state) for state in again], known[step + 1 :], near, but)
         assert [state.limit_points for state in again] == pytest.approx(limits[step + 1 :])
     if name == "arc-length":
