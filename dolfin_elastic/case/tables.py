@@ -44,6 +44,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.checkpoint.checkpoints import CheckpointSettings
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import LONGEST_NAME
+from dolfin_elastic.results.moments import ReferencePoints, check_reference
 from dolfin_elastic.results.outputs import (
     FORMATS,
     History,
@@ -54,12 +55,14 @@ from dolfin_elastic.results.outputs import (
     check_formats,
 )
 from dolfin_elastic.results.outputs import Output as File
-from dolfin_elastic.results.probes import Probe, ProbePoint, ReferencePoints, check_places
+from dolfin_elastic.results.probes import Probe, ProbePoint, check_places
 from dolfin_elastic.results.writer import Steps
 
 T = TypeVar("T")
 P = TypeVar("P", bound=Place)
 Count = Annotated[int, Field(gt=0)]
+Reference = str | Point
+"""A point of reference of a moment, see `check_reference`."""
 
 
 class Box(Record):
@@ -308,8 +311,9 @@ class Output(Record):
         probes: Name to a point or surface of the undeformed body, where fields are read off at
             every step.
         moments: Name of a support, spring, contact or tie to the point, fixed in space, about which
-            its moment is a column of history.csv, bare numbers in the mesh's unit; "middle": of the
-            undeformed surface.
+            its moment is a column of history.csv: "middle" of the undeformed surface, coordinates,
+            bare numbers in the mesh's unit, or the name of a surface, edge or point for its
+            middle; or a table of several points, each with a name.
         checkpoint: How often the data are written from which a run can restart; false: never.
         frames: Frames of an animation of one period of a mode.
         amplitude: Largest displacement of a mode's animation, over the body's longest side.
@@ -321,7 +325,7 @@ class Output(Record):
     every: Steps | None = None
     pictures: list[Picture] = Field(default=[])
     probes: dict[str, ProbePoint] = Field(default={})
-    moments: dict[str, Literal["middle"] | Point] = Field(default={})
+    moments: dict[str, Reference | dict[str, Reference]] = Field(default={})
     checkpoint: CheckpointSettings = CheckpointSettings()
     frames: Count = 20
     amplitude: Annotated[float, Field(gt=0)] = 0.1
@@ -376,6 +380,16 @@ class Output(Record):
                 )
         return probes
 
+    @field_validator("moments", mode="before")
+    @classmethod
+    def _about_points(cls, moments: object) -> object:
+        for name, value in moments.items() if isinstance(moments, Mapping) else ():
+            try:
+                check_reference(value)
+            except InputError as error:
+                raise within(key_text(name), error) from None
+        return moments
+
     def check_probes(self, body: Body) -> None:
         """Checks that the probes' points lie in the body. Collective.
 
@@ -405,14 +419,20 @@ class Output(Record):
         return Probe.of(self.probes, problem, unit, self.reference_points(unit))
 
     def reference_points(self, scale: float) -> ReferencePoints:
-        """Label of a support to the point of reference of its moment.
+        """Label of a support to the points of reference of its moment.
 
         Args:
             scale: Metres per unit of the mesh.
         """
+
+        def place(point: Reference) -> list[float] | str:
+            return point if isinstance(point, str) else [metres(x, scale) for x in point]
+
         return {
-            name: None if point == "middle" else [metres(x, scale) for x in point]
-            for name, point in self.moments.items()
+            label: {name: place(point) for name, point in given.items()}
+            if isinstance(given, dict)
+            else {"": place(given)}
+            for label, given in self.moments.items()
         }
 
     def files(

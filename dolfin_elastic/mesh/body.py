@@ -18,6 +18,7 @@ from dolfin_elastic.core.units import METRE, LengthUnit
 from dolfin_elastic.mesh.faces import CadFaces
 from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.mesh.formats.cad.process import Permission
+from dolfin_elastic.mesh.geometry.curved import edge_points, facet_quadrature, node_points
 
 T = TypeVar("T")
 _A = {"region": "a region", "surface": "a surface", "edge": "an edge", "point": "a point"}
@@ -355,7 +356,7 @@ def span(body: Body) -> float:
 
 
 def centre_of(body: Body, surfaces: Sequence[str]) -> FloatArray:
-    """Centre of the facets of surfaces, taken as flat, by their areas [m]. Collective.
+    """Centre of the facets of surfaces by their areas, of curved ones too [m]. Collective.
 
     Args:
         body: The mesh and its names.
@@ -365,14 +366,52 @@ def centre_of(body: Body, surfaces: Sequence[str]) -> FloatArray:
     facets = np.unique(np.concatenate([body.owned_facets(name) for name in surfaces]))
     mesh.topology.create_connectivity(dim - 1, dim)
     mesh.topology.create_connectivity(dim, dim - 1)
+    if mesh.geometry.cmap.degree > 1:
+        points = facet_quadrature(mesh, facets, 1)
+        return _centre(body, points.weights, points.X)
+    # Of flat facets the middle of the corners.
     corners = np.empty((0, dim), dtype=np.int32)
     if len(facets):  # DOLFINx 0.9 divides by their number
         corners = entities_to_geometry(mesh, dim - 1, facets.astype(np.int32))[:, :dim]
-    x = mesh.geometry.x[corners]
+    x = mesh.geometry.x[corners][..., :dim]
     edges = x[:, 1:] - x[:, :1]
     areas = np.linalg.norm(edges[:, 0] if dim == 2 else np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    sums = total(body.comm, np.append(areas @ x.mean(axis=1), areas.sum()))
-    return np.asarray(sums[:dim] / sums[-1])
+    return _centre(body, areas[:, None], x.mean(axis=1, keepdims=True))
+
+
+def middle_of(body: Body, names: Sequence[str]) -> FloatArray:
+    """Centre of the parts of highest dimension among some [m]. Collective.
+
+    A set of nodes that facets do not cover counts as points.
+
+    Args:
+        body: The mesh and its names.
+        names: Of surfaces, edges and points, each once.
+
+    Raises:
+        MeshError: A name is none of such a part.
+    """
+    kinds = {n: "point" if n in body.uncovered else body.common_kind([n]) for n in names}
+    kind = next(kind for kind in ("surface", "edge", "point") if kind in kinds.values())
+    highest = [name for name in names if kinds[name] == kind]
+    if kind == "surface":
+        return centre_of(body, highest)
+    pick = body.owned_edges if kind == "edge" else body.owned_points
+    entities = np.unique(np.concatenate([pick(name) for name in highest]))
+    points = (
+        edge_points(body.mesh, entities, 1) if kind == "edge" else node_points(body.mesh, entities)
+    )
+    return _centre(body, points.weights, points.X)
+
+
+def _centre(body: Body, weights: FloatArray, X: FloatArray) -> FloatArray:
+    """Weighted mean of the points of all ranks, of shapes (entities, points) and (..., dim).
+
+    Not a number where there are none.
+    """
+    moments = np.einsum("ep,epj->j", weights, X)
+    sums = total(body.comm, np.append(moments, weights.sum()))
+    return np.asarray(sums[:-1] / sums[-1] if sums[-1] else np.full(body.dim, np.nan))
 
 
 def cell_size(body: Body) -> float:

@@ -21,11 +21,11 @@ from dolfin_elastic.mesh.geometry.curved import cell_volumes
 from dolfin_elastic.mesh.geometry.locate import LocatedPoint, locate
 from dolfin_elastic.mesh.selectors import MeshLength, metres
 from dolfin_elastic.problem.loads.edges_points import points_of
-from dolfin_elastic.problem.problem import parts_held
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel
 from dolfin_elastic.results.derived.part_numbers import PartNumbers, Statistic, columns_of
 from dolfin_elastic.results.fields import FIELDS, component_names
+from dolfin_elastic.results.moments import ReferencePoints, columns_of_moments
 from dolfin_elastic.results.recovery.points import StressAtPoints, is_recovered
 from dolfin_elastic.results.surface_means import (
     NODAL,
@@ -42,8 +42,6 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
 _WHERE = "output.probes"
-ReferencePoints = Mapping[str, Sequence[float] | None]
-"""Label to coordinates [m] of a point of reference; None: the middle of the surface."""
 STATISTICS: tuple[str, ...] = get_args(Statistic)
 """What `values` of a probe may ask for."""
 
@@ -243,7 +241,7 @@ class Probe:
         reactions: Name to the part whose nodal reactions are summed up.
         counted: Name to the numbers of a surface or region.
         plain: Names of those that are means, called as the field alone.
-        moments: Supports of which a column has the moment, and about which point.
+        moments: Supports of which columns have the moment, and about which points.
 
     Raises:
         InputError: A field cannot be evaluated at a point.
@@ -263,8 +261,7 @@ class Probe:
         moments: ReferencePoints | None = None,
     ) -> None:
         self.problem, self.dim = problem, problem.body.dim
-        self._moments = moments or {}
-        check_moments(self._moments, problem)
+        self._moments = columns_of_moments(moments or {}, problem)
         of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
         wanted = {name: check_readable(of[name]) for name in points}
         self.fields = {name: _interpolated(row) for name, row in wanted.items()}
@@ -300,7 +297,7 @@ class Probe:
             probes: Name to point or surface.
             problem: The problem that is solved.
             scale: Metres per unit of the mesh.
-            moments: Label of a support to the point about which its moment is found.
+            moments: Label of a support to the points about which its moment is found.
         """
         places, body = _points(probes, scale), problem.body
         named = {n: p for n, p in probes.items() if p.part is not None}
@@ -394,11 +391,8 @@ class Probe:
         with stage("output"):
             for name, part in self._counted.items():
                 found |= columns_of(name, part(state), plain=name in self._plain)
-        for label, point in self._moments.items():
-            moment = state.moments[label]
-            about = moment.about if point is None else point
-            values = moment.about_point(about, state.reactions[label])
-            found |= dict(zip(_moment_columns(label, self.dim), map(float, values), strict=True))
+        for moment in self._moments:
+            found |= moment(state)
         return found
 
     def add_to(self, state: State) -> State:
@@ -411,49 +405,6 @@ class Probe:
         if twice := found.keys() & row(state).keys():
             raise duplicate_column(min(twice))
         return replace(state, numbers={**state.numbers, **found})
-
-
-def check_moments(moments: ReferencePoints, problem: Problem) -> None:
-    """Checks that there are such supports, and that their moments have no columns already.
-
-    Args:
-        moments: Label to the point of reference.
-        problem: Of which supports and contacts.
-
-    Raises:
-        InputError: There is no such support, its moment is a column in any case, the point has
-            other components than the body, or nothing has a moment.
-    """
-    held = parts_held(problem)
-    rigid = {motion.label for motion in problem.dirichlet.rigid_motions}
-    for name, point in moments.items():
-        where = f"output.moments.{name}"
-        if problem.geometry == "axisymmetric":
-            raise InputError(
-                "moments cancel round the axis of a body of revolution",
-                where=where,
-                expected="no output.moments",
-            )
-        if name not in held:
-            raise InputError(
-                f"there is no support or contact '{name}'",
-                where=where,
-                expected=nearest(name, held),
-            )
-        if name in rigid:
-            raise InputError(
-                f"history.csv has moment_{name} of the rigid surface already",
-                where=where,
-                expected=f"'point' of the support '{name}' to choose about what",
-            )
-        if point is not None and len(point) != problem.body.dim:
-            raise InputError(
-                f"{len(point)} coordinates given, the body has {problem.body.dim}", where=where
-            )
-
-
-def _moment_columns(label: str, dim: int) -> list[str]:
-    return [f"moment_{label}_{axis}" for axis in ("xyz" if dim == 3 else "z")]
 
 
 def _interpolated(fields: Sequence[str]) -> tuple[str, ...]:

@@ -184,18 +184,50 @@ def test_moments_of_supports(folder):
     np.testing.assert_allclose(summary["moments"]["right"]["moment"], 0, atol=1e-10)
 
 
+def test_moments_about_several_points(folder):
+    """M_P = M_middle + (middle - P) x F about points and parts: names of columns tell which."""
+    about = {"edge": ["2 cm", 5, 0], "own": "middle", "lid": "top", "foot": "bottom"}
+    case = Case.from_dict(block(moments={"left": "bottom", "right": about}))
+    assert Case.from_dict(case.to_dict()) == case
+    [*_] = run(case, output=folder / "out")
+    *_, row = csv.DictReader((folder / "out" / "history.csv").open())
+    names = [name for name in row if name.startswith("moment")]
+    stems = ["moment_left", *(f"moment_right_{name}" for name in about)]
+    assert names == [f"{stem}_{axis}" for stem in stems for axis in "xyz"]
+    # 10 N along x, in the middle of faces at z = 5 mm: above the edge and bottom, below the top.
+    wanted = [-0.05, 0.05, 0.0, -0.05, 0.05]
+    found = np.array([float(row[name]) for name in names]).reshape(-1, 3)
+    np.testing.assert_allclose(found[:, 1], wanted, atol=1e-10)
+    np.testing.assert_allclose(found[:, [0, 2]], 0, atol=1e-10)
+
+
 @pytest.mark.parametrize(
     ("moments", "message"),
     [
         ({"lft": "middle"}, r"output.moments.lft: there is no support or contact 'lft'.*left"),
         ({"left": [0, 0]}, r"output.moments.left: 2 coordinates given, the body has 3"),
-        ({"left": "centre"}, r"output.moments.left: .*middle"),
+        ({"left": "midle"}, r"output.moments.left: there is no point 'midle'; .*mean 'middle'\?"),
+        ({"left": "botom"}, r"'botom'; did you mean 'bottom'\? A point is \"middle\", \[x, y, z\]"),
+        ({"left": "anchor"}, r"no point 'anchor'; known: back, bottom, .*middle.* A point is"),
+        ({"left": 3}, r"output.moments.left: 3 is no point; expected \"middle\", .*; or a table"),
+        ({"left": [0, 1, "x"]}, r"output.moments.left\[2\]: .*'x'"),
+        ({"left": [0, True, 1]}, r"output.moments.left\[1\]: true is wrong"),
+        ({"left": {}}, r"output.moments.left: no point is given; expected names, each with"),
+        ({"left": {"bolt": [1]}}, r"output.moments.left.bolt: \[1\] is no point; expected \"mi"),
+        ({"left": {"bolt": {"a": "middle"}}}, r"output.moments.left.bolt: .* is no point"),
+        ({"left": {"bolt": "tpo"}}, r"output.moments.left.bolt: .*'tpo'; did you mean 'top'"),
+        ({"left": {" ": "middle"}}, r'output.moments.left: " " is no name of a point'),
+        (
+            {"left": {"a_b": "middle"}, "left_a": {"b": "middle"}},
+            r"output.moments.left_a.b: there are two moments called 'moment_left_a_b_x'",
+        ),
         ({"hub": "middle"}, r"output.moments.hub: history.csv has moment_hub of the rigid surface"),
     ],
 )
 def test_invalid_moments_are_refused(moments, message):
     tables = block(moments=moments)
     tables["support"].append({"kind": "rigid", "on": "top", "name": "hub"})
+    tables["support"].append({"on": "bottom", "name": "left_a"})
     with pytest.raises(InputError, match=message):
         report(Case.from_dict(tables))
 

@@ -47,7 +47,8 @@ from dolfin_elastic.problem.damping import check_damped
 from dolfin_elastic.problem.material_regions import locking_notes
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.files import why_not_made
-from dolfin_elastic.results.probes import check_moments, duplicate_column
+from dolfin_elastic.results.moments import columns_of_moments
+from dolfin_elastic.results.probes import duplicate_column
 from dolfin_elastic.results.surface_means import REACTION, node_at
 from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
 from dolfin_elastic.solvers.diagnostics.rigid_body import (
@@ -161,7 +162,7 @@ def check_probes(case: Case, problem: Problem) -> None:
         InputError: A probe has the column of a reaction or momentum, or no node; there is no
             support of whose moment a column is asked for.
     """
-    check_moments(case.output.reference_points(problem.body.unit.metres), problem)
+    columns_of_moments(case.output.reference_points(problem.body.unit.metres), problem)
     for name, probe in case.output.probes.items():
         if probe.at is not None and REACTION in probe.fields:
             place = probe.place(problem.body.unit.metres)

@@ -14,7 +14,7 @@ from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
-from dolfin_elastic.mesh.body import Body, centre_of
+from dolfin_elastic.mesh.body import middle_of
 from dolfin_elastic.model.dimension import moment_of
 from dolfin_elastic.problem.problem import Problem, parts_held
 from dolfin_elastic.problem.state import Moment
@@ -474,7 +474,7 @@ class SupportForces:
         self._about: dict[str, FloatArray] = {}
         if self._problem.geometry != "axisymmetric" and self._problem.cell is None:
             self._about = {
-                label: _middle(body, list(dict.fromkeys(names)))
+                label: middle_of(body, list(dict.fromkeys(names)))
                 for label, names in parts_held(self._problem).items()
             }
 
@@ -551,22 +551,3 @@ def configuration_of_moments(problem: Problem) -> str:
     if problem.geometry == "axisymmetric" or (any(linear) and not all(linear)):
         return "none"
     return "reference" if all(linear) else "current"
-
-
-def _middle(body: Body, names: list[str]) -> FloatArray:
-    """Centre of the parts of highest dimension among these [m]. Collective.
-
-    A set of nodes that facets do not cover counts as points.
-    """
-    uncovered = body.uncovered
-    kinds = {n: "point" if n in uncovered else body.common_kind([n]) for n in names}
-    kind = next(kind for kind in ("surface", "edge", "point") if kind in kinds.values())
-    highest = [name for name in names if kinds[name] == kind]
-    if kind == "surface":
-        return centre_of(body, highest)
-    from dolfin_elastic.problem.loads.edges_points import points_of  # rarely needed
-
-    points = points_of(body, kind, highest, 2)
-    rows = np.einsum("ep,epj->j", points.weights, points.X)
-    sums = total(body.comm, np.append(rows, points.weights.sum()))
-    return np.asarray(sums[:-1] / sums[-1])
