@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import sys
 from pathlib import Path
@@ -16,6 +17,8 @@ HERE = Path(__file__).parent
 CODE = HERE.parent / "dolfin_elastic/core/__init__.py"
 sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent)]
 
+gc.disable()  # trees of documents are large and stay: to look for garbage is a fifth of the time
+
 import reference  # noqa: E402  it stands in docs/_ext
 
 reference.write(HERE / "reference/generated")
@@ -24,7 +27,7 @@ project = "dolfin_elastic"
 author = "the authors of dolfin_elastic"
 copyright = "the authors of dolfin_elastic; LGPL-3.0-or-later"  # noqa: A001
 release = version = re.findall(r'__version__ = "(.*)"', CODE.read_text(encoding="utf-8"))[0]
-extensions = ["myst_parser"]
+extensions = ["myst_parser", "quick"]
 source_suffix = {".md": "markdown"}
 exclude_patterns = ["_build", "reference/generated"]
 myst_enable_extensions = ["dollarmath", "colon_fence"]

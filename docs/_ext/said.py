@@ -10,6 +10,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import TypeAlias
@@ -68,9 +69,15 @@ class _Function:
     constants: Names
     validates: bool
 
+    @cached_property
+    def nodes(self) -> Sequence[ast.AST]:
+        """All that it is made of."""
+        return list(ast.walk(self.node))
+
+    @cached_property
     def names(self) -> Names:
         """Texts that names within it stand for."""
-        return {**self.constants, **_assigned(self.node)}
+        return {**self.constants, **_assigned(self.nodes)}
 
     def arguments(self) -> list[str]:
         """Names of its arguments, without `self`."""
@@ -104,7 +111,7 @@ def _functions() -> Iterator[_Function]:
             text := path.read_text(encoding="utf-8"),
         )
     }
-    of_modules = {path: _assigned(tree) for path, tree in trees.items()}
+    of_modules = {path: _assigned(tree.body) for path, tree in trees.items()}
     shared = {
         name: texts
         for names in of_modules.values()
@@ -124,7 +131,7 @@ def _functions() -> Iterator[_Function]:
 
 def _errors(function: _Function) -> Iterator[ast.Call]:
     """What makes an error in a function, or warns."""
-    for one in ast.walk(function.node):
+    for one in function.nodes:
         if isinstance(one, ast.Call) and one.args:
             name = one.func.id if isinstance(one.func, ast.Name) else ""
             validates = name == "ValueError" and function.validates
@@ -136,7 +143,7 @@ def _made(functions: Iterable[_Function]) -> Made:
     """What is raised or returned, by the last name of what makes it."""
     found: Made = defaultdict(list)
     for function in functions:
-        for one in ast.walk(function.node):
+        for one in function.nodes:
             call = one.exc if isinstance(one, ast.Raise) else None
             call = one.value if isinstance(one, ast.Return) else call
             if isinstance(call, ast.Call):
@@ -152,7 +159,7 @@ def _of_call(call: ast.Call, function: _Function, made: Made) -> Iterator[tuple[
         function: Where it stands; of one with an argument `what`, the texts are its callers'.
         made: See `_made`.
     """
-    names = function.names()
+    names = function.names
     hints = [one.value for one in call.keywords if one.arg in ("expected", "advice")]
     advice = [text for hint in hints for text in _lines(hint, names)]
     given = []
@@ -184,7 +191,7 @@ def _given(
     method = helper.node.args.args[0].arg == "self"
     for function, call in callers:
         if not method or function.folder == helper.folder:
-            names = function.names()
+            names = function.names
             hints = [k.value for k in call.keywords if k.arg == "expected"]
             if "expected" in arguments:
                 hints += call.args[arguments.index("expected") :]
@@ -204,9 +211,8 @@ def _either(texts: Iterable[str]) -> str:
     return " or ".join(dict.fromkeys(text for text in texts if text))
 
 
-def _assigned(node: ast.Module | ast.FunctionDef) -> Names:
+def _assigned(inside: Sequence[ast.AST]) -> Names:
     """Texts that names stand for, of those that are given once and as a text."""
-    inside = [*ast.walk(node)] if isinstance(node, ast.FunctionDef) else node.body
     stored = Counter(one.id for one in inside if isinstance(one, ast.Name) and _is_stored(one))
     arguments = {one.arg for one in inside if isinstance(one, ast.arg)}
     found: dict[str, list[str]] = {}
