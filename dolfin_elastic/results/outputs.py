@@ -118,9 +118,10 @@ def _number_of(value: float | str) -> float:
     return float(parts[0]) * factor
 
 
-def _check_suffix(file: str, suffix: str) -> str:
-    if not file.endswith(suffix) or file == suffix:
-        raise InputError(f"'{file}' does not end in {suffix}", expected=f'for example "a{suffix}"')
+def _check_suffix(file: str, suffix: str, *others: str) -> str:
+    if not file.endswith((suffix, *others)) or file in (suffix, *others):
+        endings = " or ".join(filter(None, [", ".join((suffix, *others[:-1])), *others[-1:]]))
+        raise InputError(f"'{file}' does not end in {endings}", expected=f'for example "a{suffix}"')
     if not file.isprintable():
         raise InputError(f"{file!r} is no name of a file", expected=f'for example "a{suffix}"')
     if Path(file).is_absolute() or ".." in Path(file).parts:
@@ -361,7 +362,7 @@ class Picture(Output):
     @field_validator("file")
     @classmethod
     def _check_file(cls, file: str) -> str:
-        return _check_suffix(file, Path(file).suffix if _is_film(file) else ".png")
+        return _check_suffix(file, ".png", *FILMS)
 
     @field_validator("field")
     @classmethod

@@ -50,6 +50,7 @@ from dolfin_elastic.results.pictures.clip import Clip
 from dolfin_elastic.results.pictures.colour_bar import make_colour_bar
 from dolfin_elastic.results.pictures.drawn_field import DrawnField
 from dolfin_elastic.results.pictures.pictures import Appearance, Painter, _round_off, picture
+from dolfin_elastic.results.pictures.scene import window
 from dolfin_elastic.results.pictures.surface import Surface, gather_surface
 
 
@@ -560,6 +561,9 @@ def test_sections(clips: list[Clip], low: float, high: float, area: float) -> No
         corners = x[one["triangles"]]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         assert np.linalg.norm(across, axis=1).sum() / 2 == pytest.approx(area, rel=1e-4)
+        # The camera shows what is drawn, undeformed and deformed, and nothing beside it.
+        seen = window(np.vstack([x, x + one["scale"] * one["u"]]), str(one["view"]))
+        np.testing.assert_allclose(one["window"], seen, rtol=0, atol=1e-12)
 
 
 def test_a_new_run_removes_old_pictures(folder: Path) -> None:

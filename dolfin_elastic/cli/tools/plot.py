@@ -64,7 +64,7 @@ def plot(
     speed: Annotated[
         float | None, typer.Option("--speed", help="Time [s] in a second of a film.")
     ] = None,
-    plain: Annotated[bool, typer.Option("--plain", help="No mark, no obstacles.")] = False,
+    plain: Annotated[bool, typer.Option("--plain", help="The body alone.")] = False,
     listing: Annotated[bool, typer.Option("--list", help="Say what there is to plot.")] = False,
 ) -> None:
     """Draw a finished run: pictures, films, curves.
@@ -96,7 +96,7 @@ def plot(
         output: The file that is written.
         fps: Frames a second of a film.
         speed: Time that passes in a second of a film.
-        plain: Leave marks and obstacles out.
+        plain: The body alone: no mark, obstacles, title, colour bar and axes.
         listing: List fields, steps and columns, draw nothing.
 
     Raises:
@@ -188,6 +188,7 @@ def _look(
         limits=limits or Limits(),
         marks=not plain,
         obstacles=not plain,
+        bare=plain,
         clips=[_clip(text) for text in clip or ()],
         up=up,
     )

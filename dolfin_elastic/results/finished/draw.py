@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     import pyvista
 
 _NODES, _IDS = "nodes", "vtkOriginalPointIds"
+_ROUND_OFF = 1e-12
+"""Coordinates below this share of the body's length are 0."""
 _SUBDIVISION = 2
 """Halvings of the faces of quadratic cells."""
 
@@ -44,6 +46,7 @@ class Look:
         obstacles: The rigid obstacles are drawn.
         clips: Planes that take away a part.
         up: Axis that is up; None: the one against which weight acts, else z.
+        bare: Nothing stands beside the body: no title, no colour bar, no axes.
     """
 
     fields: Sequence[str]
@@ -55,6 +58,7 @@ class Look:
     obstacles: bool = True
     clips: Sequence[Clip] = ()
     up: Up | None = None
+    bare: bool = False
 
 
 def check_field(run: FinishedRun, name: str, step: int = -1) -> str:
@@ -164,6 +168,7 @@ def _panel(
         "up_axis": up,
         "window": window(np.vstack([points, moved]), view, up),
         "title": _headline(run, look, frame.t),
+        "bare": look.bare,
         "plane": run.dim == 2,
         **_values(run, surface, name),
         **(_obstacles(run, reach, frame.t) if look.obstacles else {}),
@@ -181,14 +186,31 @@ def _clipped(
     grid: pyvista.UnstructuredGrid, clips: Sequence[Clip], view: str, up: str
 ) -> pyvista.PolyData:
     """The surface of what the clip planes leave, of triangles."""
+    ends = np.asarray(grid.bounds).reshape(3, 2)
+    ends[np.abs(ends) < _ROUND_OFF * grid.length] = 0.0
+    for clip in clips:
+        axis, (low, high) = "xyz"[clip.axis], ends[clip.axis]
+        if low == high:
+            raise InputError(
+                f"the body is plane, it has no {axis}", where="--clip", expected="x or y"
+            )
+        if not low < clip.at < high:
+            raise InputError(
+                f"the plane {axis} = {clip.at:.4g} m misses the body",
+                where="--clip",
+                expected=f"between {low:.4g} and {high:.4g} m",
+            )
     surface = grid.extract_surface(nonlinear_subdivision=_SUBDIVISION, pass_pointid=True)
     surface.point_data[_NODES] = (surface.point_data[_IDS] >= 0).astype(float)
     whole = grid.copy(deep=False)
     whole.point_data[_NODES] = np.ones(grid.n_points)
     left = sections(surface.triangulate(), whole, clips, view, up)
     if not left.n_cells:
+        sides = (f"{'xyz'[i]} = {low:.4g} to {high:.4g}" for i, (low, high) in enumerate(ends))
         raise InputError(
-            "nothing of the body is left", where="--clip", expected="planes that meet the body"
+            "nothing of the body is left",
+            where="--clip",
+            expected=f"planes that leave a part of it, {', '.join(sides)} m",
         )
     return left
 

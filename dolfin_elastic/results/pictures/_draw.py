@@ -35,6 +35,8 @@ _SHORT = 0.6
 _HEADLINE, _LETTERS = 15, 85
 # Shares of the picture's width and height that the body may fill, left of the scalar bar.
 _ROOM, _SHIFT = (0.74, 0.8), 0.12
+# The same where nothing stands beside it.
+_BARE = (0.94, 0.94)
 # Share of the body's width right of which a text beside a point would run into the bar.
 _BESIDE_BAR = 0.7
 
@@ -149,6 +151,8 @@ def _add_lines(plot: pv.Plotter, lines: pv.PolyData, colour: str, width: float) 
 
 
 def _add_text(plot: pv.Plotter, data: Arrays, mapper: pv.DataSetMapper) -> None:
+    if _bare(data):
+        return
     if "names" in data:
         _add_legend(plot, data)
     else:
@@ -158,6 +162,11 @@ def _add_text(plot: pv.Plotter, data: Arrays, mapper: pv.DataSetMapper) -> None:
     plot.add_text(headline, position=(0.03, 0.93), viewport=True, color=_INK, font_size=size)
     if not bool(data["plane"]):
         plot.add_axes(color=_INK, line_width=2, viewport=(0, 0, 0.16, 0.2))
+
+
+def _bare(data: Arrays) -> bool:
+    """Nothing stands beside the body."""
+    return bool(data.get("bare", False))
 
 
 def _plain(text: str) -> str:
@@ -228,8 +237,9 @@ def _aim(plot: pv.Plotter, data: Arrays) -> None:
     plot.camera.up = data["up"]
     plot.enable_parallel_projection()
     aspect = np.array([_SIZE[0] / _SIZE[1], 1.0])
-    plot.camera.parallel_scale = float(((high - low)[:2] / 2 / aspect / _ROOM).max()) or 1.0
-    plot.camera.SetWindowCenter(_SHIFT, 0.0)
+    room, shift = (_BARE, 0.0) if _bare(data) else (_ROOM, _SHIFT)
+    plot.camera.parallel_scale = float(((high - low)[:2] / 2 / aspect / room).max()) or 1.0
+    plot.camera.SetWindowCenter(shift, 0.0)
     plot.reset_camera_clipping_range()
 
 

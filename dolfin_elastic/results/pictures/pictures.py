@@ -447,11 +447,12 @@ class Painter:
         if surface is None:
             return None
         view, up = ("z" if self.dim == 2 else appearance.view), appearance.up or self._up
-        moved = surface.points + appearance.scale * surface.values["u"]
-        seen = window(np.vstack([surface.points, moved]), view, up)
-        self._reach.take(moved)
+        whole = surface
         if appearance.clips:
-            surface = clipped(surface, cells, appearance.clips, view, up)
+            surface = clipped(whole, cells, appearance.clips, view, up)
+        drawn_part = surface if len(surface.points) else whole  # `Series.add` refuses nothing
+        moved = drawn_part.points + appearance.scale * drawn_part.values["u"]
+        self._reach.take(moved)
         return {
             "points": surface.points,
             "triangles": surface.triangles,
@@ -460,7 +461,7 @@ class Painter:
             "view": view,
             "up_axis": up,
             "outline": not (appearance.film and state.v is not None),
-            "window": seen,
+            "window": window(np.vstack([drawn_part.points, moved]), view, up),
             "title": _headline(state, appearance),
             "plane": self.dim == 2,
             **self._values(drawn, surface),

@@ -176,8 +176,33 @@ def test_what_a_picture_is_told(
     assert np.abs(values - 1e3 * inside).max() < 10
     np.testing.assert_allclose(told[0]["obstacle_points"][:, 0], 2.4)
     assert str(told[0]["title"]) == "A beam   |   load 100 %   |   deformation \u00d7 1"
-    with pytest.raises(InputError, match="--clip: nothing of the body is left"):
+    with pytest.raises(
+        InputError, match="--clip: the plane x = -1 m misses the body; between 0 and 2 m"
+    ):
         draw(run, Look(["displacement"], clips=[Clip(0, -1.0)]), folder / "a.png")
+    both = [Clip(0, 0.7, above=True), Clip(0, 0.8, above=False)]
+    said = "--clip: nothing of the body is left; planes that leave a part of it, x = 0 to 2, y = 0"
+    with pytest.raises(InputError, match=said):
+        draw(run, Look(["displacement"], clips=both), folder / "a.png")
+
+
+def test_a_plain_picture_holds_nothing_but_the_body(run: FinishedRun, folder: Path) -> None:
+    """No title above it, no axes beside it; else there are both."""
+    for bare in (True, False):
+        file = folder / f"{bare}.png"
+        draw(run, Look(["displacement"], marks=False, obstacles=False, bare=bare, view="-y"), file)
+        pixels = np.asarray(Image.open(file).convert("RGB")).astype(int)
+        height, width = pixels.shape[:2]
+        # The background is the same along each row.
+        for rows, columns in (
+            (slice(0, height // 10), slice(0, width)),
+            (slice(9 * height // 10, height), slice(0, width // 7)),
+        ):
+            differs = np.ptp(pixels[rows, columns], axis=1).max() > 8
+            assert differs == (not bare)
+        coloured = np.flatnonzero((np.ptp(pixels, axis=2) > 60).any(axis=0))
+        # As wide as the picture; else the body ends, and the bar begins, some way from its edge.
+        assert (coloured[-1] > 0.95 * width) == bare
 
 
 def area(one: dict[str, Any]) -> float:
