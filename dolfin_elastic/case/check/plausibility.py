@@ -32,7 +32,7 @@ from dolfin_elastic.model.supports.displacement import (
 )
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.values import Component
-from dolfin_elastic.problem.material_regions import young
+from dolfin_elastic.problem.material_regions import poisson, young
 
 _LONG, _SHORT = 1e3, 1e-6
 """Lengths of a body [m] beyond which mesh.unit looks wrong."""
@@ -47,6 +47,14 @@ Not that of bulk waves, sqrt((K + 4/3 mu)/rho), which is unbounded in an incompr
 """
 _GRAM_PER_CM3 = 1000.0
 """[kg/m^3]"""
+_LIGHTEST = 5.0
+"""Density below that of foams that carry a load [kg/m^3]; melamine foam and polystyrene: 8."""
+_COMPACT = 0.45, 100.0
+"""Poisson's ratio above that of foams, and a density that no solid without pores has [kg/m^3]."""
+_HEAVIEST = 23.0
+"""Density of the heaviest solid, osmium [g/cm^3]."""
+_SOFT = 1e3
+"""Young's modulus [Pa] below which a case may be in numbers without dimensions."""
 _NEAR = 0.01
 """Distance over the body's diagonal up to which a point counts as in the body."""
 _FAR = 10.0
@@ -285,10 +293,12 @@ def _density_notes(where: str, law: Law) -> Iterator[str]:
     if not isinstance(rho, int | float):
         return
     if not low <= rho <= high:
+        meant = "is a unit missing or wrong?"
+        if 0.1 * low <= rho < low:
+            meant = f'is it "{rho:.4g} g/cm^3"?'
         yield (
             f"{where}.density: {rho:.3g} kg/m^3 is "
-            f"{'less than a gas' if rho < low else 'more than any metal'} weighs: is a unit "
-            "missing or wrong?"
+            f"{'less than a gas' if rho < low else 'more than any metal'} weighs: {meant}"
         )
         return
     if law.spatial_constants():  # constants that vary in space have no value before they are bound
@@ -302,6 +312,18 @@ def _density_notes(where: str, law: Law) -> Iterator[str]:
             f"{where}.density: {rho:.4g} kg/m^3 with a Young's modulus of {modulus:.3g} Pa has "
             f"waves of {speed / 1e3:.3g} km/s, faster than in any solid (diamond: 17): {wanted}"
         )
+    elif modulus > _SOFT:
+        # Soft solids such as rubber, too soft for waves to tell.  Foams have pores, which no solid
+        # has that keeps its volume.
+        (least, compact), nu = _COMPACT, poisson(law)
+        what = ""
+        if rho < _LIGHTEST:
+            what = "less than any foam weighs"
+        elif rho < compact and nu > least:
+            what = f"less than any solid without pores weighs (Poisson's ratio {nu:.4g})"
+        if what:
+            meant = f'is it "{rho:.4g} g/cm^3"?' if rho < _HEAVIEST else "is a unit wrong?"
+            yield f"{where}.density: {rho:.4g} kg/m^3 is {what}: {meant}"
 
 
 def _unnamed_cells(case: Case, body: Body) -> int:

@@ -624,6 +624,33 @@ def test_waves_faster_than_in_any_solid(E, nu, density, advice):
     assert [note.endswith(advice) for note in found] == [True] * bool(advice)
 
 
+@pytest.mark.parametrize(
+    ("constants", "density", "said"),
+    [
+        ({"E": "1 MPa", "nu": 0.45}, 1.2, 'less than any foam weighs: is it "1.2 g/cm^3"?'),
+        ({"E": "5 kPa", "nu": 0.3}, 1.06, 'less than any foam weighs: is it "1.06 g/cm^3"?'),
+        ({"E": "1 MPa", "nu": 0.3}, 0.95, 'less than a gas weighs: is it "0.95 g/cm^3"?'),
+        ({"E": "1 MPa", "nu": 0.3}, 1e-6, "less than a gas weighs: is a unit missing or wrong?"),
+        ({"E": "1 MPa", "nu": 0.49}, 11, '(Poisson\'s ratio 0.49): is it "11 g/cm^3"?'),
+        ({"E": "1 MPa", "nu": 0.49}, 90, "(Poisson's ratio 0.49): is a unit wrong?"),
+        ({"E": "1 MPa", "nu": 0.49}, "1.2 g/cm^3", ""),
+        ({"E": "5 MPa", "nu": 0.1}, 15, ""),  # expanded polystyrene
+        ({"E": "100 kPa", "nu": 0.3}, 8, ""),  # melamine foam
+        ({"E": 1, "nu": 0.3}, 1, ""),  # numbers without dimensions
+        ({"E": 1, "nu": 0.49}, 1, ""),
+        ({"E": "500 Pa", "nu": 0.49}, 1000, ""),  # a gel
+        ({"E": "9 MPa", "nu": 0.3}, 120, ""),  # cork
+    ],
+)
+def test_density_without_its_unit(constants, density, said):
+    """One of g/cm^3 written bare is noted for soft solids, too; real foams are not."""
+    rubber = {"law": "neo-hookean", **constants, "density": density}
+    box = {"size": [2, 1, 3], "cells": [2, 1, 3]}
+    read = case(mesh={"box": box}, materials={"rubber": rubber})
+    found = [note for note in check(read, read.read_body()) if "density" in note]
+    assert [note.endswith(said) for note in found] == [True] * bool(said), found
+
+
 def test_parts_that_no_cell_carries():
     """Empty names, and surfaces inside the body."""
     body = box_body(size=(1, 1, 1), cells=(2, 2, 2))
