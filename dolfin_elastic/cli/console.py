@@ -20,6 +20,7 @@ from dolfin_elastic.cli.terminal import Screen, wrapped
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, SolveError
 from dolfin_elastic.core.units import stress_unit
+from dolfin_elastic.report.quantity import number
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.state import State
@@ -167,7 +168,7 @@ def step_text(state: State, *, motion: bool) -> str:
         state: A converged state.
         motion: It has a time; otherwise a load factor.
     """
-    place = f"t {state.t:.5g} s" if motion else f"load {100 * state.load_factor:.4g} %"
+    place = f"t {seconds_text(state.t, 5)} s" if motion else f"load {100 * state.load_factor:.4g} %"
     counts = {"Newton": state.newton, "linear": state.krylov}
     equilibrium = not motion and state.step > 0  # its Newton iterations are shown even if 0
     work = ", ".join(
@@ -176,6 +177,16 @@ def step_text(state: State, *, motion: bool) -> str:
         if number or (equilibrium and name == "Newton")
     )
     return f"step {state.step:>4}   {place:<15} {work:<20} max |u| {state.max_displacement:.4g} m"
+
+
+def seconds_text(t: float, digits: int) -> str:
+    """A time [s] without its unit, "150" and not "1.5e+02"; with ASCII's minus, to be searched for.
+
+    Args:
+        t: The time [s].
+        digits: Significant ones.
+    """
+    return number(t, digits).replace("\u2212", "-")
 
 
 def time_left(spent: float, done: float, before: float = 0.0) -> str:
@@ -366,11 +377,11 @@ def vector_text(vector: Iterable[float], largest: float = 0.0) -> str:
 def _times(seconds: Mapping[str, float]) -> str:
     total = seconds.get("total", 0.0)
     stages = [
-        f"{name} {value:.2g}"
+        f"{name} {seconds_text(value, 2)}"
         for name, value in seconds.items()
         if name != "total" and value >= 0.005
     ]
-    return f"{total:.3g} s" + (f" ({', '.join(stages)})" if stages else "")
+    return f"{seconds_text(total, 3)} s" + (f" ({', '.join(stages)})" if stages else "")
 
 
 def show_profile(rows: Sequence[tuple[str, float, float]], memory: Mapping[str, int]) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from dolfin_elastic.cli.console import console
+from dolfin_elastic.cli.console import console, seconds_text
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.state import Mode
@@ -34,7 +34,7 @@ def show_modes(modes: Sequence[Mode], seconds: Mapping[str, float]) -> None:
         table.add_column(head, justify="left" if not head else "right")
     for mode in modes[:SHOWN]:
         table.add_row(str(mode.number), *(_load_factor(mode) if buckling else _cells(mode)))
-    screen.print(f"done: {len(modes)} modes, {seconds.get('total', 0.0):.3g} s")
+    screen.print(f"done: {len(modes)} modes, {seconds_text(seconds.get('total', 0.0), 3)} s")
     screen.print(table)
     if len(modes) > SHOWN:
         screen.print(f"{len(modes) - SHOWN} more are in modes.csv")

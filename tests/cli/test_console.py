@@ -9,7 +9,13 @@ import pytest
 
 from dolfin_elastic import LinearElastic
 from dolfin_elastic.cli import info
-from dolfin_elastic.cli.console import LogHandler, ProgressLines, console, extreme_lines
+from dolfin_elastic.cli.console import (
+    LogHandler,
+    ProgressLines,
+    _times,
+    console,
+    extreme_lines,
+)
 from dolfin_elastic.cli.console_materials import report_table
 from dolfin_elastic.material_point.checks import Finding
 from dolfin_elastic.material_point.report import MaterialReport
@@ -87,3 +93,9 @@ def test_a_material_passes_unless_a_test_fails(verdict: str) -> None:
     finding = Finding("stress", verdict, "0.1 %", {})  # type: ignore[arg-type]
     found = MaterialReport(LinearElastic(E=1.0, nu=0.0), (finding,), {}, ())
     assert report_table(found)["passed"] is (verdict != "fail")
+
+
+def test_times_of_a_run_in_plain_form() -> None:
+    """No powers of ten where people read seconds."""
+    seconds = {"mesh": 0.004, "compile": 0.25, "solve": 1234.5, "output": 150.2, "total": 1385.0}
+    assert _times(seconds) == "1385 s (compile 0.25, solve 1234, output 150)"
