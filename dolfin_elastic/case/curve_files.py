@@ -6,7 +6,14 @@ import csv
 from pathlib import Path
 from typing import Any, TypeVar
 
-from dolfin_elastic.core.errors import CaseError, InputError, nearest, not_shown, why_no_file
+from dolfin_elastic.core.errors import (
+    CaseError,
+    InputError,
+    nearest,
+    nearest_file,
+    not_shown,
+    why_no_file,
+)
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.units import is_quantity
 from dolfin_elastic.model.amplitude import Amplitude, CurveFile
@@ -68,7 +75,7 @@ def _columns(source: CurveFile, path: Path) -> list[list[str]]:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except FileNotFoundError:
         others = sorted(p.name for p in path.parent.glob("*.csv"))
-        near = nearest(path.name, others) if others else "paths are relative to the case file"
+        near = nearest_file(path.name, others) if others else "paths are relative to the case file"
         hint = not_shown(path) or near
         raise InputError("there is no such file", expected=hint) from None
     except (OSError, UnicodeDecodeError):

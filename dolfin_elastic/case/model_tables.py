@@ -26,11 +26,11 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.mesh import Body, EdgeSelector, PointSelector, Selector
 from dolfin_elastic.model.contact import Contact
-from dolfin_elastic.model.loads import LOADS, Load
+from dolfin_elastic.model.loads import LOAD_WORDS, LOADS, Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports.displacement import Restraint
-from dolfin_elastic.model.supports.springs import SUPPORTS
+from dolfin_elastic.model.supports.springs import SUPPORT_WORDS, SUPPORTS
 from dolfin_elastic.model.tie import Tie
 from dolfin_elastic.problem.problem import Problem
 
@@ -158,7 +158,7 @@ def _support(row: object) -> Restraint:
         return row
     table = {"kind": "displacement", **as_table(row)}
     with _vector("displacement"):
-        return class_named(SUPPORTS, table, "kind")(**table)
+        return class_named(SUPPORTS, table, "kind", SUPPORT_WORDS)(**table)
 
 
 def _support_table(support: Restraint) -> dict[str, Any]:
@@ -171,7 +171,7 @@ def _load(row: object) -> Load:
         return row
     table = as_table(row)
     with _vector("value"):
-        return class_named(LOADS, table, "kind")(**table)
+        return class_named(LOADS, table, "kind", LOAD_WORDS)(**table)
 
 
 def _contact(row: object) -> Contact:

@@ -16,7 +16,7 @@ from mpi4py import MPI
 from dolfin_elastic.case.case import Case, read_case
 from dolfin_elastic.case.curve_files import CURVED
 from dolfin_elastic.case.toml import toml_text
-from dolfin_elastic.core.errors import InputError, RestartError, nearest
+from dolfin_elastic.core.errors import InputError, RestartError, nearest_file
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import Record
@@ -201,7 +201,7 @@ def _check_folder(folder: Path) -> None:
     if not folder.is_dir():
         parent = folder.parent
         others = [p.parent.parent for p in parent.glob(f"*/{FOLDER}/{CASE}")]
-        hint = nearest(folder.name, [p.name for p in others]) if others else ""
+        hint = nearest_file(folder.name, [p.name for p in others]) if others else ""
         raise RestartError("there is no such folder", where=where, expected=hint)
     check_free(folder)
     _check_unfinished(folder)

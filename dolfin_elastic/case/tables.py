@@ -18,6 +18,7 @@ from dolfin_elastic.core.errors import (
     MeshError,
     UnitError,
     nearest,
+    nearest_first,
 )
 from dolfin_elastic.core.schema import (
     Record,
@@ -482,13 +483,19 @@ def as_table(value: object) -> dict[str, Any]:
     return dict(value)
 
 
-def class_named(kinds: Mapping[str, type[T]], table: object, key: str) -> type[T]:
+def class_named(
+    kinds: Mapping[str, type[T]],
+    table: object,
+    key: str,
+    meant: Mapping[str, str] | None = None,
+) -> type[T]:
     """The class that a table's `law` or `kind` names.
 
     Args:
         kinds: Name to class.
         table: The table.
         key: Which of its keys holds the name.
+        meant: Words that are no names, and what to write for them; with it, all names are listed.
 
     Raises:
         InputError: It names none, or an unknown one.
@@ -499,7 +506,10 @@ def class_named(kinds: Mapping[str, type[T]], table: object, key: str) -> type[T
     if not isinstance(name, str):
         raise InputError(f"{quoted(name)} is wrong", where=key, expected="expected a text")
     if name not in kinds:
-        raise InputError(f"unknown {key} '{name}'", where=key, expected=nearest(name, kinds))
+        known = nearest(name, kinds)
+        if meant is not None:
+            known = nearest_first(name, kinds, meant.get(name.casefold(), ""))
+        raise InputError(f"unknown {key} '{name}'", where=key, expected=known)
     return kinds[name]
 
 

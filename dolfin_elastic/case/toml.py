@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dolfin_elastic.core.errors import CaseError, nearest, not_shown, why_no_file
+from dolfin_elastic.core.errors import CaseError, nearest_file, not_shown, why_no_file
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -95,7 +95,7 @@ def read_toml(file: str) -> dict[str, Any]:
         ) from None
     except FileNotFoundError:
         others = sorted(str(p) for p in Path(file).parent.glob("*.toml"))
-        near = nearest(file, others) if others else "dolfin-elastic new writes a first one"
+        near = nearest_file(file, others) if others else "dolfin-elastic new writes a first one"
         hint = not_shown(file) or near
         raise CaseError("there is no such case file", where=file, expected=hint) from None
     except OSError as error:

@@ -277,3 +277,54 @@ def nearest(name: str, known: Iterable[str]) -> str:
     if match:
         return f"did you mean '{match[0]}'?"
     return f"known: {', '.join(names)}" if names else "there are none"
+
+
+def nearest_first(name: str, known: Iterable[str], meant: str = "") -> str:
+    """Hint at an unknown name among few: which one may be meant, and all of them.
+
+    Args:
+        name: What the user wrote.
+        known: The names that exist, which are listed in their order.
+        meant: What to write for this word, which is no name, with names in quotation marks.
+
+    Returns:
+        For example ``did you mean 'roller'? known: roller, normal, spring``; those that may be
+        meant stand first.
+    """
+    names = list(known)
+    quoted = [one for one in names if f'"{one}"' in meant]
+    near = quoted or get_close_matches(name, names, cutoff=0.6)
+    hint = f"{meant}; " if meant else f"did you mean '{near[0]}'? " if near else ""
+    return f"{hint}known: {', '.join(dict.fromkeys((*near, *names)))}"
+
+
+_SAME_FILE = 0.65
+"""Likeness from which on a file may be the one that is missing: "tow" and "two", not "bar"."""
+_FILES = 8
+"""Files that are listed at most."""
+
+
+def nearest_file(name: str | Path, known: Iterable[str | Path]) -> str:
+    """Hint at a missing file or folder: the most similar one, or else those that are there.
+
+    Folders, suffixes and the ending of folders of results are not compared: what shares them is
+    no more alike for it.
+
+    Args:
+        name: What the user wrote.
+        known: The files that are there, at least one.
+
+    Returns:
+        For example ``did you mean 'beam.toml'?`` or ``known: beam.toml, plate.toml``.
+    """
+    files = sorted(map(str, known))
+    stems = {_stem(file): file for file in reversed(files)}
+    match = get_close_matches(_stem(name), stems, n=1, cutoff=_SAME_FILE)
+    if match:
+        return f"did you mean '{stems[match[0]]}'?"
+    more = len(files) - _FILES
+    return f"known: {', '.join(files[:_FILES])}" + (f" and {more} more" if more > 0 else "")
+
+
+def _stem(file: str | Path) -> str:
+    return Path(file).stem.casefold().removesuffix("_results")

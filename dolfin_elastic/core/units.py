@@ -11,6 +11,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
@@ -52,6 +53,35 @@ COMMON_UNITS = {
     "rad": {"rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180},
 }
 """Usual units, found without importing pint, which takes 0.3 s."""
+
+_OTHER_UNITS = {
+    "m": ("in", "ft"),
+    "Pa": ("kN/m^2", "mPa", "psi", "bar"),
+    "kg/m^3": ("t/m^3", "kg/cm^3", "g/mm^3", "kg/dm^3"),
+    "N/m^3": ("N/mm^3", "MN/m^3"),
+    "s": ("us", "hours", "days"),
+    "rad/s": ("deg/s",),
+    "K": ("degC", "°C"),
+    "1/K": ("1/degC", "1/°C"),
+    "m/s": ("km/h", "cm/s", "km/s"),
+    "m/s^2": ("mm/s^2", "cm/s^2"),
+    "Hz": ("MHz", "rpm"),
+    "rad": ("mrad", "degrees"),
+    "N": ("N", "kN", "MN", "mN", "lbf"),
+    "N/m": ("N/m", "kN/m", "MN/m", "N/mm", "kN/mm", "N/cm"),
+    "N*m": ("N*m", "kN*m", "MN*m", "N*mm", "N*cm"),
+    "N*m/rad": ("N*m/rad", "kN*m/rad", "N*mm/rad"),
+    "Pa*s": ("Pa*s", "kPa*s", "MPa*s", "GPa*s"),
+    "N*s/m": ("N*s/m", "kN*s/m", "N*s/mm"),
+    "N*s/m^3": ("N*s/m^3", "kN*s/m^3", "Pa*s/m"),
+    "1/s": ("1/s", "Hz"),
+    "m^3": ("m^3", "cm^3", "mm^3", "ml", "l"),
+    "": ("%",),
+}
+"""Units that may have been meant, beside the usual ones."""
+
+_LIKE = 0.6
+"""Likeness from which on a unit may be the one that was meant."""
 
 LENGTHS = {**COMMON_UNITS["m"], "in": 0.0254, "ft": 0.3048, "mil": 2.54e-5, "mi": 1609.344}
 
@@ -175,18 +205,28 @@ def _from_text(text: str, unit: str) -> float:
         meant = _meant(name, unit)
         raise UnitError(f"unknown unit '{name}' in '{text}'{meant}", expected=_expected(unit))
     if not _registry().Quantity(1.0, name).is_compatible_with(unit or "dimensionless"):
-        raise UnitError(f"'{text}' has the wrong unit", expected=_expected(unit))
+        meant = _meant(name, unit)  # to pint "kNm" is a fineness of yarn
+        raise UnitError(f"'{text}' has the wrong unit{meant}", expected=_expected(unit))
     zero, size = _scale(text, name, unit)
     if zero != 0.0 and unit != "K":  # a number in kelvin is a change of temperature throughout
         raise UnitError(f"'{text}' counts from a zero of its own", expected=_expected(unit))
     return number * size * _frequency_factor(name, unit)
 
 
-def _meant(name: str, unit: str) -> str:
-    """Question after a unit that differs in case, or by a missing ^, from a usual one."""
-    same = (known for known in COMMON_UNITS.get(unit, ()) if _plain(known) == _plain(name))
-    known = next(same, "")
-    return f" (did you mean '{known}'?)" if known else ""
+def _meant(name: str, unit: str | None) -> str:
+    """Question after an unknown or wrong unit: the nearest of the right dimension, if any is.
+
+    Args:
+        name: As it was written.
+        unit: SI unit of what is expected; None: any.
+    """
+    wanted = {*COMMON_UNITS, *_OTHER_UNITS} if unit is None else {unit}
+    tables = (COMMON_UNITS, _OTHER_UNITS)
+    every = [one for key in sorted(wanted) for table in tables for one in table.get(key, ())]
+    # Among those that differ in nothing but case or a missing ^, the first: MPa, not mPa.
+    known = {_plain(one): one for one in reversed(every)}
+    match = get_close_matches(_plain(name), known, n=1, cutoff=_LIKE)
+    return f" (did you mean '{known[match[0]]}'?)" if match else ""
 
 
 def _plain(unit: str) -> str:
@@ -241,7 +281,10 @@ def to_base(value: float | str) -> float:
         if name in units:
             return _finite(number * units[name], value)
     if not _known(name):
-        raise UnitError(f"unknown unit '{name}' in '{value}'", expected='for example "0.4 MPa"')
+        raise UnitError(
+            f"unknown unit '{name}' in '{value}'{_meant(name, None)}",
+            expected='for example "0.4 MPa"',
+        )
     zero, size = _scale(str(value), name, None)
     if zero != 0.0:
         raise UnitError(

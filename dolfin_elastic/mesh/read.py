@@ -11,7 +11,7 @@ from pathlib import Path
 from dolfinx import cpp
 from mpi4py import MPI
 
-from dolfin_elastic.core.errors import MeshError, nearest, not_shown, why_no_file
+from dolfin_elastic.core.errors import MeshError, nearest_file, not_shown, why_no_file
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.units import METRE, LengthUnit, to_si
 from dolfin_elastic.mesh.body import Body, CadSource
@@ -182,7 +182,7 @@ def check_file(
         known = [p.name for p in folder.iterdir() if p.suffix.lower() == path.suffix.lower()]
         raise MeshError(
             f"there is no mesh file '{path}'",
-            expected=nearest(path.name, known)
+            expected=nearest_file(path.name, known)
             if known
             else f"nor any other {path.suffix} file in '{folder}'",
         )

@@ -104,7 +104,22 @@ MISTAKES = {
     "kind": (
         '"traction"',
         '"tracktion"',
-        "load[0].kind: unknown kind 'tracktion'; did you mean 'traction'?",
+        "load[0].kind: unknown kind 'tracktion'; did you mean 'traction'? known: traction, "
+        "pressure, cavity, body-force, gravity, centrifugal, point-force, line-force, thermal, "
+        "growth",
+    ),
+    "kind in words": (
+        '"traction"',
+        '"Force"',
+        "load[0].kind: unknown kind 'Force'; a total force [N] on a surface is kind = \"traction\" "
+        'with force = [0, 0, -100], at a point "point-force"; known: traction, point-force, '
+        "pressure, cavity, body-force, gravity, centrifugal, line-force, thermal, growth",
+    ),
+    "kind unlike any": (
+        '"traction"',
+        '"wind"',
+        "load[0].kind: unknown kind 'wind'; known: traction, pressure, cavity, body-force, "
+        "gravity, centrifugal, point-force, line-force, thermal, growth",
     ),
     "kind missing": (
         'kind = "traction"\n',
@@ -121,8 +136,8 @@ MISTAKES = {
     "unit unknown": (
         '"210 GPa"',
         '"210 GPaa"',
-        "materials.steel.E: unknown unit 'GPaa' in '210 GPaa'; expected a number in Pa, "
-        'for example "210 GPa"',
+        "materials.steel.E: unknown unit 'GPaa' in '210 GPaa' (did you mean 'GPa'?); expected a "
+        'number in Pa, for example "210 GPa"',
     ),
     "E no number": (
         '"210 GPa"',
@@ -702,6 +717,12 @@ def test_missing_case_file(folder: Path) -> None:
     )
     with pytest.raises(InputError, match="this is a folder, not a file"):
         read_case(folder)
+    # Folder and suffix, which all have, make no name alike.
+    with pytest.raises(InputError) as caught:
+        read_case(folder / "plate.toml")
+    assert str(caught.value) == (
+        f"{folder}/plate.toml: there is no such case file; known: {folder}/case.toml"
+    )
 
 
 def test_good_case(folder: Path) -> None:

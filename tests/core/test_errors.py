@@ -25,3 +25,26 @@ from dolfin_elastic.core import errors
 def test_exit_codes(kind: str, code: int) -> None:
     """Scripts tell by the code whether the case, the mechanics or the disk is at fault."""
     assert getattr(errors, kind).exit_code == code
+
+
+@pytest.mark.parametrize(
+    ("name", "known", "hint"),
+    [
+        ("a/cas.toml", ["a/case.toml", "a/b.toml"], "did you mean 'a/case.toml'?"),
+        ("beam", ["beam.toml"], "did you mean 'beam.toml'?"),
+        ("Beam.toml", ["beam.toml"], "did you mean 'beam.toml'?"),
+        ("tow.msh", ["two.msh", "one.msh"], "did you mean 'two.msh'?"),
+        # What all have in common makes no name alike.
+        ("long/way/bar.toml", ["long/way/foo.toml"], "known: long/way/foo.toml"),
+        ("plate_results", ["beam_results"], "known: beam_results"),
+        ("tyre.toml", ["bridge.toml", "plate.toml"], "known: bridge.toml, plate.toml"),
+        (
+            "x",
+            [f"{i}.toml" for i in range(10)],
+            "known: " + ", ".join(f"{i}.toml" for i in range(8)) + " and 2 more",
+        ),
+    ],
+)
+def test_nearest_file(name: str, known: list[str], hint: str) -> None:
+    """A file of another name is not proposed for the one that is missing."""
+    assert errors.nearest_file(name, known) == hint

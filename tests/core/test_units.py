@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import re
 import subprocess
 import sys
 
 import pytest
 
+from dolfin_elastic.core import units
 from dolfin_elastic.core.errors import UnitError
 from dolfin_elastic.core.units import (
     COMMON_UNITS,
@@ -64,7 +67,13 @@ def test_to_si(written: float | str, unit: str, value: float) -> None:
         (
             "10 MPaa",
             "Pa",
-            "unknown unit 'MPaa' in '10 MPaa'; expected a number in Pa, for example \"210 GPa\"",
+            "unknown unit 'MPaa' in '10 MPaa' (did you mean 'MPa'?); expected a number in Pa, for "
+            'example "210 GPa"',
+        ),
+        (
+            "10 quux",
+            "Pa",
+            "unknown unit 'quux' in '10 quux'; expected a number in Pa, for example \"210 GPa\"",
         ),
         (
             "1 Mpa",
@@ -110,6 +119,39 @@ def test_refused(written: float | str, unit: str, message: str) -> None:
     with pytest.raises(UnitError) as caught:
         to_si(written, unit)
     assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    ("written", "unit", "meant"),
+    [
+        ("1 Mpaa", "Pa", "MPa"),
+        ("1 mpa", "Pa", "MPa"),
+        ("3 kNm", "N*m", "kN*m"),
+        ("3 kNm", "N/m", "kN/m"),
+        ("3 kNm", "N", "kN"),
+        ("3 kNs", "N", "kN"),
+        ("2 mmm", "m", "mm"),
+        ("2 kg/m3", "kg/m^3", "kg/m^3"),
+        ("2 rmp", "rad/s", "rpm"),
+        ("2 m/ss", "m/s^2", "m/s^2"),
+        ("2 MPaa", None, "MPa"),
+        ("2 kNm", "Pa", "kN/m^2"),
+        ("2 furlang", "K", ""),
+    ],
+)
+def test_misspelt_units(written: str, unit: str | None, meant: str) -> None:
+    """The nearest unit of the right dimension is named, none where none is near."""
+    with pytest.raises(UnitError, match="unknown unit|the wrong unit") as caught:
+        to_base(written) if unit is None else to_si(written, unit)
+    found = re.findall(r"\(did you mean '(.*)'\?\)", str(caught.value))
+    assert found == [meant] * bool(meant)
+
+
+@pytest.mark.parametrize("unit", sorted({*units.COMMON_UNITS, *units._OTHER_UNITS}))
+def test_proposed_units_are_read(unit: str) -> None:
+    """Every unit that a message may propose is one of its dimension."""
+    for name in (*units.COMMON_UNITS.get(unit, ()), *units._OTHER_UNITS.get(unit, ())):
+        assert math.isfinite(to_si(f"1 {name}", unit)), name
 
 
 @pytest.mark.parametrize(

@@ -33,3 +33,20 @@ LOADS: dict[str, type[Load]] = {
         Growth,
     )
 }
+_FORCE = (
+    'a total force [N] on a surface is kind = "traction" with force = [0, 0, -100], at a point '
+    '"point-force"'
+)
+_MOMENT = Load.key_hints["moment"]
+LOAD_WORDS = {
+    "force": _FORCE,
+    "load": _FORCE,
+    "moment": _MOMENT,
+    "torque": _MOMENT,
+    "weight": 'it is kind = "gravity"',
+    "acceleration": 'it is kind = "gravity"',
+    "temperature": 'it is kind = "thermal"',
+    "heat": 'it is kind = "thermal"',
+    "displacement": "a prescribed displacement is a [[support]]",
+}
+"""Words that are no kind of load, and what to write for them."""

@@ -366,3 +366,6 @@ SUPPORTS: dict[str, type[Restraint]] = {
     "spring": Spring,
     "dashpot": Dashpot,
 }
+_HELD = 'held in all directions is kind = "displacement" with displacement = [0, 0, 0]'
+SUPPORT_WORDS = dict.fromkeys(("fixed", "fix", "clamped", "clamp", "encastre", "pinned"), _HELD)
+"""Words that are no kind of support, and what to write for them."""

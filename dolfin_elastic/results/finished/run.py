@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.errors import InputError, nearest_file
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.finished.units import column_unit
 from dolfin_elastic.results.finished.xdmf import Frame, read_frames, read_grid
@@ -59,7 +59,7 @@ class FinishedRun:
             raise InputError("this is a file", where=where, expected=expected)
         if not folder.is_dir():
             others = [path.parent.name for path in folder.parent.glob(f"*/{_SUMMARY}")]
-            hint = nearest(folder.name, others) if others else expected
+            hint = nearest_file(folder.name, others) if others else expected
             raise InputError("there is no such folder", where=where, expected=hint)
         if not (folder / _SUMMARY).is_file():
             raise InputError(f"it holds no {_SUMMARY}", where=where, expected=expected)
