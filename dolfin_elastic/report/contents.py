@@ -180,6 +180,62 @@ def place_text(row: Table, size: float, surface: str = "") -> str:
     return f"({text}) {unit}{part}" + (f", on ‘{surface}’" if surface else "")
 
 
+@dataclass(frozen=True)
+class LastValue:
+    """A result of the last state that the user has asked for, or that has no other place.
+
+    Attributes:
+        name: Of the probe, moment, cavity or rigid surface.
+        values: Component to value, the component empty of a scalar.
+    """
+
+    name: str
+    values: tuple[tuple[str, Value], ...]
+
+
+_ELSEWHERE = ("reaction_", "momentum_", "angular_momentum_", "balance_")
+
+
+def last_values(run: FinishedRun) -> list[LastValue]:
+    """Probes, moments and all other columns of the history that no other section shows."""
+    history = run.history
+    if not run.summary.get("steps") or not len(history.get("step", ())):
+        return []
+    names = [
+        name
+        for name in history
+        if not name.startswith(_ELSEWHERE) and not name.endswith("_energy") and name not in _TITLES
+    ]
+    probes = (run.case.get("output") or {}).get("probes") or {}
+    found = []
+    for title, columns in _groups(names):
+        what = ": displacement" if columns[0].rpartition("_")[0] in probes else ""
+        values = [(name, float(history[name][-1])) for name in columns]
+        unit = run.units.get(columns[0], "")
+        most = max((abs(value) for _, value in values if math.isfinite(value)), default=0.0)
+        factor, shown = scaled_unit(most, unit)
+        rows = tuple(
+            (_component(name, len(columns)), Value(value, _shown(value, factor, shown, most)))
+            for name, value in values
+        )
+        found.append(LastValue(title + what, rows))
+    return found
+
+
+def _component(column: str, count: int) -> str:
+    """The axis of a column of several; with one column the title says all but an axis."""
+    last = column.rpartition("_")[2]
+    return last if last in _AXES or count > 1 else ""
+
+
+def _shown(value: float, factor: float, unit: str, largest: float) -> str:
+    """A component in the unit of all, round-off as 0."""
+    if not math.isfinite(value):
+        return number(value)
+    text = number(value / factor) if abs(value) > 1e-9 * largest else "0"
+    return f"{text} {unit}" if unit else text
+
+
 # --- supports, loads, reactions ---
 
 
@@ -445,6 +501,7 @@ def _groups(columns: Sequence[str]) -> list[tuple[str, list[str]]]:
             title = title[:1].upper() + title[1:]
         else:
             title = name.replace("_", " ")
+            title = title[:1].upper() + title[1:]
         found.setdefault(title, []).append(name)
     return list(found.items())
 

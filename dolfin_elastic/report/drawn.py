@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray, IntArray
+from dolfin_elastic.core.units import to_si
 from dolfin_elastic.mesh.geometry.simplices import qualities, signed_volumes
 from dolfin_elastic.report.contents import model
 from dolfin_elastic.report.quantity import number, quantity
@@ -80,7 +81,7 @@ def scene_of(run: FinishedRun, frames: Sequence[tuple[str, Frame]]) -> Scene | N
     for label, frame in chosen:
         shown = grid if frame is frames[-1][1] else read_grid(run.folder, frame)
         if np.array_equal(shown.points, points):  # else the run went on with other ranks
-            views.append(_view(label, shown, nodes))
+            views.append(_view(label, shown, nodes, _allowable(run.case)))
     dim = frames[-1][1].dim
     return Scene(
         points=points[nodes],
@@ -94,8 +95,23 @@ def scene_of(run: FinishedRun, frames: Sequence[tuple[str, Frame]]) -> Scene | N
     )
 
 
-def _view(label: str, grid: pyvista.UnstructuredGrid, nodes: IntArray) -> View:
-    values = {name: v[nodes] for name, v in node_values(grid).items()}
+def _allowable(case: Table) -> float | None:
+    """The allowable stress [Pa], where all materials have the same one."""
+    tables = case.get("materials")
+    rows = [*tables.values()] if isinstance(tables, Mapping) else []
+    given = [row.get("allowable") if isinstance(row, Mapping) else None for row in rows]
+    if not given or any(value is None or value != given[0] for value in given):
+        return None
+    try:
+        return to_si(given[0], "Pa")
+    except InputError:  # a field of the mesh, or a formula
+        return None
+
+
+def _view(
+    label: str, grid: pyvista.UnstructuredGrid, nodes: IntArray, allowable: float | None
+) -> View:
+    values = {name: v[nodes] for name, v in node_values(grid, allowable).items()}
     u = np.zeros((grid.n_points, 3))
     if "displacement" in grid.point_data:
         given = np.asarray(grid.point_data["displacement"], dtype=np.float64)

@@ -14,6 +14,9 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.material_point.homogeneous_tests import ResponseCurve
 from dolfin_elastic.material_point.report import material_report
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.model.materials.spatial import units_of
+from dolfin_elastic.model.materials.user import SplitFormulaEnergy
 from dolfin_elastic.report.charts import Axis, Line, line_chart
 from dolfin_elastic.report.quantity import scaled_unit
 from dolfin_elastic.report.words import Table, names, value_text
@@ -26,7 +29,6 @@ _STIFF = 1.02
 _HARD = 5e8
 """Young's modulus [Pa] between soft and stiff materials: metals, wood and bone lie above it,
 rubbers and tissues below."""
-_UNITS = {"density": "kg/m^3", "nu": "", "expansion": "1/K", "viscosity": "Pa s", "allowable": "Pa"}
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ def materials_of(case: Table) -> list[MaterialText]:
                 name=str(name),
                 law=law,
                 where=names(table),
-                constants=tuple(_constants(table)),
+                constants=tuple(_constants(table, law)),
                 what=str(row.get("what", "")),
                 formula=str(row.get("formula", "")),
                 source=str(row.get("source", "")),
@@ -87,14 +89,31 @@ def materials_of(case: Table) -> list[MaterialText]:
     return found
 
 
-def _constants(table: Table) -> list[tuple[str, str]]:
-    rows = ((str(key), value) for key, value in table.items() if key not in ("law", "on"))
-    # Moduli of most laws are stresses; of the others the unit is not known here, and left out.
-    stresses = {"E", "K", "lambda", "mu"}
-    return [
-        (key, value_text(value, "Pa" if key in stresses else _UNITS.get(key, "")))
-        for key, value in rows
-    ]
+def _constants(table: Table, law: str) -> list[tuple[str, str]]:
+    """Key and value, a bare number in the SI unit in which the law reads it."""
+    units = units_of(MATERIALS.get(law, SplitFormulaEnergy))
+    found = []
+    for key, value in table.items():
+        if key == "parameters":
+            found.append((str(key), _parameters(value)))
+        elif key not in ("law", "on"):
+            found.append((str(key), _constant(value, units.get(str(key), "").replace("*", " "))))
+    return found
+
+
+def _constant(value: object, unit: str) -> str:
+    """A constant, which may be a field of the mesh."""
+    if isinstance(value, Mapping) and unit and not value.get("unit"):
+        return f"{value_text(value)} [{unit}]"
+    return value_text(value, unit)
+
+
+def _parameters(table: object) -> str:
+    """Parameters of an energy that a user wrote, whose units follow from the formula alone."""
+    text = value_text(table)
+    values = table.values() if isinstance(table, Mapping) else ()
+    bare = any(isinstance(value, int | float) for value in values)
+    return f"{text} (bare numbers: SI units)" if bare else text
 
 
 def _tested(name: str, table: Table) -> tuple[tuple[Markup, ...], tuple[str, ...]]:

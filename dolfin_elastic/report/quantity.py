@@ -14,6 +14,8 @@ _PREFIXES = {
     "m": ((1e3, "km"), (1.0, "m"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm")),
     "s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")),
     "kg": ((1e3, "t"), (1.0, "kg"), (1e-3, "g"), (1e-6, "mg")),
+    "m^2": ((1.0, "m²"), (1e-4, "cm²"), (1e-6, "mm²"), (1e-12, "µm²")),
+    "m^3": ((1.0, "m³"), (1e-6, "cm³"), (1e-9, "mm³"), (1e-18, "µm³")),
     "byte": ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1.0, "byte")),
 }
 _ROUND_OFF = 1e-9
@@ -86,10 +88,7 @@ def size(value: float, dim: int) -> str:
     """
     if dim == 1:
         return quantity(value, "m")
-    steps = {
-        2: ((1.0, "m²"), (1e-4, "cm²"), (1e-6, "mm²"), (1e-12, "µm²")),
-        3: ((1.0, "m³"), (1e-6, "cm³"), (1e-9, "mm³"), (1e-18, "µm³")),
-    }[dim]
+    steps = _PREFIXES[f"m^{dim}"]
     factor, unit = next((step for step in steps if value >= 0.1 * step[0]), steps[-1])
     return f"{number(value / factor)} {unit}"
 

@@ -21,7 +21,7 @@ from dolfin_elastic.report.laws import materials_of
 from dolfin_elastic.report.page import render
 from dolfin_elastic.report.quantity import counted, listed, number, quantity, size, vector
 from dolfin_elastic.report.scene import Scene, packed
-from dolfin_elastic.report.still import colour_table, picture
+from dolfin_elastic.report.still import Camera, colour_table
 from dolfin_elastic.report.words import Table, analysis_of, what_was_computed
 from dolfin_elastic.results.files import replace_text
 from dolfin_elastic.results.finished.run import FinishedRun
@@ -33,6 +33,8 @@ LARGEST = 10_000_000
 """Bytes of a page: what goes through every mail server."""
 _PICTURES = 1_500_000
 """Bytes of the run's own pictures in it."""
+_STILLS = 3
+"""Fields of which there are fixed pictures."""
 _HASHED = 2_000_000_000
 """Bytes of a file up to which it gets a checksum."""
 _CASE = 200_000
@@ -92,6 +94,7 @@ def report_contents(run: FinishedRun) -> dict[str, object]:
         "audit": contents.audit_of(run),
         "audited": _audited(run.summary),
         "extremes": contents.extremes_of(run.summary, max(sides, default=1.0)),
+        "last_values": contents.last_values(run),
         "supports": supports,
         "loads": loads,
         "balance": contents.balance_of(run),
@@ -137,20 +140,19 @@ def _palette(scene: Scene | None) -> dict[str, str]:
 
 def _pictures(scene: Scene | None, palette: Mapping[str, str]) -> dict[str, object]:
     if scene is None:
-        return {"scene": None, "stills": [], "held": "", "palette": {}, "drawn": ""}
-    stills = [
-        (shown.title, picture(scene, shown, palette))
-        for shown in scene.fields
-        if shown.high > shown.low
-    ]
-    held = picture(scene, None, palette, marks=True) if scene.marks else ""
+        return {"scene": None, "stills": [], "held": "", "palette": {}, "drawn": "", "left_out": ()}
+    camera = Camera(scene, palette)
+    varied = [shown for shown in scene.fields if shown.high > shown.low][:_STILLS]
+    stills = [(shown.title, camera.picture(shown)) for shown in varied]
+    held = Camera(scene, palette, marks=True).picture() if scene.marks else ""
     table = colour_table()
     count, of = len(scene.triangles), scene.of
     return {
         "scene": packed(scene, table, palette),
-        "stills": stills[:3] or [("", picture(scene, None, palette))],
+        "stills": stills or [("", camera.picture())],
         "held": held,
         "palette": palette,
+        "left_out": scene.left_out,
         "drawn": f"drawn with {count} of {of} triangles of its surface" if count < of else "",
         "still_label": scene.views[scene.last].label,
         "still_scale": _scale_text(scene),

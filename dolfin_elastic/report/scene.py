@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -14,6 +15,8 @@ import numpy as np
 
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.report.quantity import scaled_unit
+from dolfin_elastic.results.fields import FIELDS, SAFEST
+from dolfin_elastic.results.pictures.scene import SMALL_MATTERS, label_of
 
 if TYPE_CHECKING:
     import pyvista
@@ -29,15 +32,17 @@ _VISIBLE = 0.08
 """Largest displacement, over the body's size, to which small ones are scaled up."""
 _NOT_SMALL = 0.04
 """The same from which on they are shown as they are."""
-FIELDS = {
-    "von_mises": ("von Mises stress", "Pa"),
-    "displacement": ("displacement", "m"),
-    "contact_pressure": ("contact pressure", "Pa"),
-    "safety_factor": ("safety factor", ""),
-}
-"""Fields that are drawn where a run has written them: title and SI unit."""
-_SMALL_MATTERS = ("safety_factor",)
-"""Fields of which the smallest value is marked."""
+FIRST = ("von_mises", "displacement", "safety_factor", "contact_pressure")
+"""Fields that are offered first, and that have room in any page: the first two of them."""
+_NO_SIZES = re.compile(r"fibre2?|normal|(principal|stretch)_direction_\d|region|material|rank")
+"""Fields whose length says nothing, or whose numbers are names."""
+_ALWAYS = 2
+_ALL_ROOM = 4_400_000
+"""Bytes of a scene up to which further fields are added; as text they are a third more."""
+_LARGEST_SAFETY = 5.0
+"""Safety factor above which all have one colour."""
+_EQUAL = 1e-9
+"""Relative difference below which values count as equal."""
 _LAST, _UNKNOWN = 65534, 65535
 """16 bit numbers of the last colour, and of nodes without a value."""
 
@@ -110,6 +115,8 @@ class Scene:
         modes: The views are modes, whose size means nothing.
         of: Triangles of the surface before it was thinned out.
         marks: Supports and loads.
+        fields: What can be shown, in the order in which it is offered.
+        left_out: Titles of fields for which the page has no room.
     """
 
     points: FloatArray
@@ -121,11 +128,20 @@ class Scene:
     of: int = 0
     marks: tuple[Marks, ...] = ()
     fields: tuple[Shown, ...] = field(init=False)
+    left_out: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        names = [name for name in FIELDS if all(_finite(view, name) for view in self.views)]
-        shown = tuple(_shown(name, self.views, modes=self.modes) for name in names)
-        object.__setattr__(self, "fields", shown)  # the only way to complete a frozen object
+        names = _offered(self.views)
+        titles = _titles(names)
+        shown = [_shown(name, titles[name], self.views, modes=self.modes) for name in names]
+        # Numbers of 16 bits each, those of the viewer's triangles and edges of 32.
+        used = 6 * len(self.points) * (1 + len(self.views))
+        used += 12 * len(self.triangles) + 8 * len(self.edges)
+        each = 2 * len(self.points) * len(self.views)
+        count = max(_ALWAYS, (_ALL_ROOM - used) // max(each, 1))
+        # The only way to complete a frozen object.
+        object.__setattr__(self, "fields", tuple(shown[:count]))
+        object.__setattr__(self, "left_out", tuple(one.title for one in shown[count:]))
 
     @property
     def size(self) -> float:
@@ -155,14 +171,43 @@ def _finite(view: View, name: str) -> bool:
     return name in view.values and bool(np.isfinite(view.values[name]).any())
 
 
-def _shown(name: str, views: Sequence[View], *, modes: bool) -> Shown:
-    title, unit = FIELDS[name]
-    every = [view.values[name] for view in views]
-    low = min(float(v[np.isfinite(v)].min()) for v in every)
-    high = max(float(v[np.isfinite(v)].max()) for v in every)
-    low = min(low, 0.0) if name != "safety_factor" else 0.0
-    high = 5.0 if name == "safety_factor" else high
-    factor, shown = (high or 1.0, "of the largest") if modes else scaled_unit(high, unit)
+def _offered(views: Sequence[View]) -> list[str]:
+    """Names of the fields of all views, the first ones first; none that is the same everywhere."""
+    names = dict.fromkeys([*FIRST, *(name for view in views for name in view.values)])
+    sizes = [n for n in names if n in FIELDS and not _NO_SIZES.fullmatch(n)]
+    known = [n for n in sizes if all(_finite(view, n) for view in views)]
+    return [n for n in known if n in FIRST or _varies([view.values[n] for view in views])]
+
+
+def _varies(every: Sequence[FloatArray]) -> bool:
+    low, high = _range(every)
+    return high - low > _EQUAL * max(abs(low), abs(high))
+
+
+def _range(every: Sequence[FloatArray]) -> tuple[float, float]:
+    """Smallest and largest finite value."""
+    finite = [v[np.isfinite(v)] for v in every]
+    return min(float(v.min()) for v in finite), max(float(v.max()) for v in finite)
+
+
+def _titles(names: Sequence[str]) -> dict[str, str]:
+    """Names for people, none of them twice."""
+    labels = {name: label_of(name) for name in names}
+    alike = [label for label in labels.values() if list(labels.values()).count(label) > 1]
+    return {n: f"{label} ({n})" if label in alike else label for n, label in labels.items()}
+
+
+def _shown(name: str, title: str, views: Sequence[View], *, modes: bool) -> Shown:
+    unit = FIELDS[name].unit
+    low, high = _range([view.values[name] for view in views])
+    if name in SMALL_MATTERS:
+        low, high = 0.0, _LARGEST_SAFETY
+    elif unit:  # a strain or stretch need not begin at 0
+        low, high = min(low, 0.0), max(high, 0.0)
+    largest = max(abs(low), abs(high))
+    factor, shown = (largest or 1.0, "of the largest") if modes else scaled_unit(largest, unit)
+    if FIELDS[name].shape == "tensor":
+        title = f"{title} (norm)"
     return Shown(name, title, low, high, factor, shown)
 
 
@@ -235,20 +280,41 @@ def _boundary_triangles(grid: pyvista.UnstructuredGrid) -> IntArray:
     return np.concatenate([faces[:, quarter] for quarter in _QUARTERS])
 
 
-def node_values(grid: pyvista.UnstructuredGrid) -> dict[str, FloatArray]:
-    """Field's name to its values at the nodes; of vectors their length.
+def node_values(
+    grid: pyvista.UnstructuredGrid, allowable: float | None = None
+) -> dict[str, FloatArray]:
+    """Field's name to its values at the nodes; of vectors and tensors their length or norm.
 
-    Values of cells are averaged at the nodes.  The tensor of stress gives nothing.
+    Values of cells are averaged at the nodes.  The von Mises stress follows from the Cauchy stress
+    where a run has not written it, and the safety factor from the von Mises stress.
+
+    Args:
+        grid: A state.
+        allowable: Stress [Pa] of all materials, if they have one and the same.
     """
-    found: dict[str, FloatArray] = {}
+    rows: dict[str, FloatArray] = {}
     cells = [name for name in FIELDS if name in grid.cell_data]
     averaged = grid.cell_data_to_point_data() if cells else grid
-    for name in FIELDS:
-        data = averaged.point_data if name in cells else grid.point_data
-        if name in data:
-            values = np.asarray(data[name], dtype=np.float64)
-            found[name] = np.linalg.norm(values, axis=1) if values.ndim == 2 else values
+    for name in (*grid.point_data.keys(), *cells):
+        if name in FIELDS:
+            data = averaged.point_data if name in cells else grid.point_data
+            rows[name] = np.asarray(data[name], dtype=np.float64)
+    found = {
+        name: np.linalg.norm(values, axis=1) if values.ndim == 2 else values
+        for name, values in rows.items()
+    }
+    for name in ("cauchy_stress", "cauchy_stress_cell"):
+        if name in rows and not any(one.startswith("von_mises") for one in found):
+            found["von_mises"] = _von_mises(rows[name])
+    if allowable and "safety_factor" not in found and "von_mises" in found:
+        found["safety_factor"] = allowable / np.maximum(found["von_mises"], allowable / SAFEST)
     return found
+
+
+def _von_mises(stress: FloatArray) -> FloatArray:
+    """Of tensors, row by row, shape (n, 9)."""
+    deviator = stress - np.outer(stress[:, [0, 4, 8]].mean(axis=1), np.eye(3))
+    return np.asarray(np.sqrt(1.5) * np.linalg.norm(deviator, axis=1))
 
 
 def chosen_frames(count: int, nodes: int) -> list[int]:
@@ -299,7 +365,7 @@ def packed(scene: Scene, colours: AnyArray, palette: Mapping[str, str]) -> dict[
                 **{key: getattr(shown, key) for key in ("name", "title", "factor", "unit")},
                 "low": shown.low,
                 "high": shown.high,
-                "least": shown.name in _SMALL_MATTERS,
+                "least": shown.name in SMALL_MATTERS,
             }
             for shown in scene.fields
         ],

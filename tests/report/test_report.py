@@ -22,13 +22,24 @@ from dolfin_elastic.cli.report import _write
 from dolfin_elastic.core.errors import InputError, OutputError, SolveError
 from dolfin_elastic.report import pdf
 from dolfin_elastic.report.charts import Axis, Line, line_chart
-from dolfin_elastic.report.contents import balance_of, supports_of
+from dolfin_elastic.report.contents import balance_of, history_charts, last_values, supports_of
+from dolfin_elastic.report.depth import Window, look
+from dolfin_elastic.report.laws import _constants
 from dolfin_elastic.report.page import json_text
 from dolfin_elastic.report.report import LARGEST, _command, write_report
-from dolfin_elastic.report.scene import MOST_TRIANGLES, Scene, View, chosen_frames, packed
-from dolfin_elastic.report.still import _colours
+from dolfin_elastic.report.scene import (
+    MOST_TRIANGLES,
+    Scene,
+    Shown,
+    View,
+    chosen_frames,
+    node_values,
+    packed,
+)
+from dolfin_elastic.report.still import Camera, _colours, colour_table
 from dolfin_elastic.report.words import contact_words, load_words, support_words
 from dolfin_elastic.results.finished.run import FinishedRun
+from dolfin_elastic.results.pictures._draw import colour_map
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror='alert(2)'>&amp;\"`"
 BOX = {"box": {"size": [4, 1, 1], "cells": [4, 1, 1]}}
@@ -302,8 +313,166 @@ def test_nodes_without_a_value_are_no_zeros() -> None:
     raw = np.frombuffer(base64.b64decode(data["frames"][0]["values"]["safety_factor"]), "<u2")
     assert raw[0] == 65535
     assert raw[1:] / 65534 == pytest.approx([0.4, 1.0, 0.2], abs=1e-4)
-    colours = _colours(scene, points, np.array([0.0, 0, 1]), scene.fields[0])
+    seen = values["safety_factor"][triangles].mean(axis=1)
+    colours = _colours(seen, scene.fields[0])
     assert np.ptp(colours[0]) < 0.1 < np.ptp(colours[1])
+
+
+def test_colours_of_a_run() -> None:
+    """Those of the pictures that `run` draws; a small safety factor is red, a large stress too."""
+    for turned in (False, True):
+        wanted = np.rint(255 * colour_map(warm_first=turned)(np.arange(256)))
+        assert np.array_equal(colour_table(warm_first=turned), wanted)
+    ends = np.array([0.0, 5.0])
+    stress = Shown("von_mises", "", 0.0, 5.0, 1.0, "Pa")
+    safety = Shown("safety_factor", "", 0.0, 5.0, 1.0, "")
+    assert _colours(ends, stress)[1, 0] > 0.7 > 0.4 > _colours(ends, stress)[0, 0]
+    assert _colours(ends, safety)[0, 0] > 0.7 > 0.4 > _colours(ends, safety)[1, 0]
+
+
+def test_what_the_body_hides() -> None:
+    """Of two squares behind each other the nearer one is seen, whatever their order and size.
+
+    A line on the rear one is seen where it looks out, and one on the front one as a whole.
+    """
+    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    flat = np.concatenate([2 * square, square + 0.5])
+    depth = np.repeat([0.0, 1.0], 4)
+    halves = np.array([[0, 1, 2], [0, 2, 3]])
+    window = Window(np.zeros(2), 0.01, (200, 200))
+    triangles = np.concatenate([halves, halves + 4])
+    x = 0.01 * (np.arange(200) + 0.5)
+    front = (np.abs(x[:, None] - 1) < 0.5) & (np.abs(x[None] - 1) < 0.5)
+    for order in ([0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]):
+        seen = look(flat, depth, triangles[order], window)
+        assert np.array_equal(np.array(order)[seen.triangle] >= 2, front)
+        assert np.array_equal(seen.depth, np.where(front, 1.0, 0.0))
+    # Values of the corners are linear between them.
+    which, shares = seen.weights(flat, triangles[order])
+    places = np.einsum("pi,pij->pj", shares, flat[triangles[order][which]])
+    np.testing.assert_allclose(places[:, 0], np.tile(x, 200), atol=1e-12)
+    np.testing.assert_allclose(places[:, 1], np.repeat(x, 200), atol=1e-12)
+    ends = np.array([[[0.0, 1.0], [2.0, 1.0]], [[0.5, 0.5], [1.5, 0.5]]])
+    pieces, clear = seen.pieces(ends, np.array([[0.0, 0.0], [1.0, 1.0]]), 1e-3)
+    along = pieces.mean(axis=1)
+    rear = along[:, 1] == 1.0
+    hidden = np.abs(along[:, 0] - 1) < 0.5
+    near = np.abs(np.abs(along[:, 0] - 1) - 0.5) < 0.03  # a piece is 3 pixels long
+    assert np.array_equal(clear[rear & ~near], ~hidden[rear & ~near])
+    assert clear[~rear].all()
+
+
+def test_rear_rims_are_hidden() -> None:
+    """Of a block the edges that meet in the corner that is turned away are not drawn."""
+    corners = np.array([[i, j, k] for k in (0, 1) for j in (0, 1) for i in (0, 1)], dtype=float)
+    sides = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
+    triangles = np.array([half for a, b, c, d in sides for half in ([a, b, c], [a, c, d])])
+    edges = np.array([[i, i | bit] for i in range(8) for bit in (1, 2, 4) if not i & bit])
+    view = View("", np.zeros((8, 3)), {"displacement": corners[:, 0]})
+    camera = Camera(Scene(corners, triangles, edges, (view,)), {})
+    pieces, clear = camera.lines()
+    # The eye is at (+, -, +): the corner (0, 1, 0) is hidden, number 2.
+    behind = [list(edge) for edge in edges.tolist() if 2 in edge]
+    assert len(behind) == 3
+    flat = camera.flat
+    for a, b in edges:
+        middle = (flat[a] + flat[b]) / 2
+        nearest = np.argmin(np.linalg.norm(pieces.mean(axis=1) - middle, axis=1))
+        assert clear[nearest] == ([a, b] not in behind)
+
+
+def test_fields_that_are_offered() -> None:
+    """What a reader wants first, then what the run has written; nothing that is everywhere the
+    same; the von Mises stress and the safety factor also where they only follow."""
+    pv = pytest.importorskip("pyvista")
+    cells = np.array([[4, 0, 1, 2, 3]])
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    grid = pv.UnstructuredGrid(cells.ravel(), [pv.CellType.TETRA], points)
+    tension = np.zeros((4, 9))
+    tension[:, 0] = [1e6, 2e6, 3e6, 4e6]
+    grid.point_data["cauchy_stress"] = tension
+    grid.point_data["displacement"] = points * 1e-3
+    grid.point_data["max_principal_stress"] = tension[:, 0]
+    grid.cell_data["jacobian"] = np.array([1.0])  # everywhere the same
+    grid.point_data["no_field"] = np.arange(4.0)
+    grid.point_data["normal"] = points  # a direction has no size
+    values = node_values(grid, 8e6)
+    np.testing.assert_allclose(values["von_mises"], tension[:, 0], rtol=1e-12)
+    np.testing.assert_allclose(values["safety_factor"], [8, 4, 8 / 3, 2], rtol=1e-12)
+    triangles = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    scene = Scene(points, triangles, triangles[:, :2], (View("", 0 * points, values),))
+    assert [shown.name for shown in scene.fields] == [
+        *("von_mises", "displacement", "safety_factor"),
+        *("cauchy_stress", "max_principal_stress"),
+    ]
+    assert [shown.title for shown in scene.fields][-2:] == [
+        "Cauchy stress (norm)",
+        "max principal stress",
+    ]
+    assert scene.left_out == ()
+    assert "safety_factor" not in node_values(grid)
+
+
+def test_fields_without_room_are_named() -> None:
+    """A page of a large body offers the first fields only, and says which it lacks."""
+    count = MOST_TRIANGLES // 2
+    points = np.random.default_rng(0).random((count, 3))
+    triangles = np.arange(3 * MOST_TRIANGLES).reshape(-1, 3) % count
+    names = ["tresca", "pressure", "jacobian", "von_mises", "displacement"]
+    values = {name: points[:, 0] * (1 + k) for k, name in enumerate(names)}
+    views = tuple(View(f"{k}", points * 0.1, values) for k in chosen_frames(500, count))
+    scene = Scene(points, triangles, triangles[:, :2], views)
+    assert [shown.name for shown in scene.fields] == ["von_mises", "displacement"]
+    assert scene.left_out == ("tresca", "pressure", "det F")
+    text = json_text(packed(scene, np.zeros((256, 4), np.uint8), {}))
+    assert len(text) < 0.75 * LARGEST
+    (one,) = (Scene(points, triangles, triangles[:, :2], views[:1]) for _ in range(1))
+    assert len(one.fields) == 5  # there is room with one state
+
+
+def test_values_of_a_single_step(tmp_path: Path) -> None:
+    """Probes, moments and a cavity's volume are told where there are no curves, with units."""
+    names = "step,t,load_factor,newton,max_displacement,strain_energy,reaction_base_z"
+    names += ",tip_x,tip_y,tip_z,moment_base_bolt_1_x,moment_base_bolt_1_y,moment_base_bolt_1_z"
+    names += ",end_von_mises,volume_room,pressure_room"
+    row = "1,1,1,2,1e-3,3,100,0,1e-20,-2e-3,0,1500,0,3e6,2e-6,5e3"
+    start = ",".join("0" for _ in names.split(","))
+    (tmp_path / "history.csv").write_text("\n".join([names, start, row, ""]), encoding="utf-8")
+    case = {"output": {"probes": {"tip": [1, 0, 0]}}}
+    (tmp_path / "summary.json").write_text(json.dumps({"steps": 1, "case": case}), encoding="utf-8")
+    run = FinishedRun(tmp_path)
+    assert history_charts(run) == []
+    found = {
+        row.name: [(part, value.text) for part, value in row.values] for row in last_values(run)
+    }
+    assert found == {
+        "Tip: displacement": [("x", "0 mm"), ("y", "0 mm"), ("z", "−2 mm")],
+        "Moment base bolt 1": [("x", "0 kN m"), ("y", "1.5 kN m"), ("z", "0 kN m")],
+        "End von mises": [("", "3 MPa")],
+        "Volume room": [("", "2 cm³")],
+        "Pressure room": [("", "5 kPa")],
+    }
+
+
+def test_constants_have_units() -> None:
+    """Those in which the law reads bare numbers, of lists and of any law."""
+    heart = {"law": "guccione", "C": 2000.0, "bf": 8.0, "K": 2e5, "density": 1060.0}
+    rubber = {"law": "ogden", "mu": [6e5, -1e4], "alpha": [1.3, -2.0], "nu": 0.4}
+    varied = {"law": "linear-elastic", "E": {"field": "E_cell"}, "nu": 0.3, "viscosity": 5.0}
+    own = {"energy": "C*(I1 - 3)", "parameters": {"C": 2000.0, "b": "3 MPa"}, "K": 1e6}
+    assert dict(_constants(heart, "guccione")) == {
+        **{"C": "2 kPa", "bf": "8", "K": "200 kPa", "density": "1060 kg/m^3"}
+    }
+    assert dict(_constants(rubber, "ogden")) == {
+        **{"mu": "(600, −10) kPa", "alpha": "(1.3, −2)", "nu": "0.4"}
+    }
+    assert dict(_constants(varied, "linear-elastic")) == {
+        **{"E": "field E_cell [Pa]", "nu": "0.3", "viscosity": "5 Pa s"}
+    }
+    assert dict(_constants(own, "energy"))["parameters"] == (
+        "C 2000, b 3 MPa (bare numbers: SI units)"
+    )
+    assert dict(_constants(own, "energy"))["K"] == "1 MPa"
 
 
 BALANCED: dict[str, dict[str, Any]] = {

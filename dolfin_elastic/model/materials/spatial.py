@@ -151,7 +151,7 @@ def constants(kind: type[BaseModel], table: Mapping[str, object]) -> dict[str, o
     Raises:
         InputError: See `constant`; the key is named.
     """
-    units, read = _units(kind), {}
+    units, read = units_of(kind), {}
     for key, value in table.items():
         try:
             read[key] = constant(value, units[key]) if key in units else value
@@ -161,8 +161,12 @@ def constants(kind: type[BaseModel], table: Mapping[str, object]) -> dict[str, o
 
 
 @lru_cache
-def _units(kind: type[BaseModel]) -> dict[str, str]:
-    """Key, other spellings included, to SI unit, for the fields that are single quantities."""
+def units_of(kind: type[BaseModel]) -> dict[str, str]:
+    """Key, other spellings included, to SI unit, for the fields that are single quantities.
+
+    Args:
+        kind: Class of a law.
+    """
     found = {}
     for name, info in kind.model_fields.items():
         if (unit := _unit(info)) is not None:

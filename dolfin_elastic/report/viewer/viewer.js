@@ -36,6 +36,7 @@ const VERTEX = `
 const FRAGMENT = `
   uniform sampler2D colours;
   uniform float plain;
+  uniform float turned;
   uniform vec3 grey;
   varying float shade;
   varying float sure;
@@ -43,7 +44,8 @@ const FRAGMENT = `
   void main() {
     vec3 n = normalize(cross(dFdx(place), dFdy(place)));
     float light = 0.7 + 0.3 * abs(dot(n, normalize(vec3(0.25, 0.35, 1.0))));
-    vec3 c = mix(texture2D(colours, vec2(shade * 255.0 / 256.0 + 0.5 / 256.0, 0.5)).rgb, grey,
+    float s = mix(shade, 1.0 - shade, turned);
+    vec3 c = mix(texture2D(colours, vec2(s * 255.0 / 256.0 + 0.5 / 256.0, 0.5)).rgb, grey,
                  sure < 0.999 ? 1.0 : plain);
     gl_FragColor = vec4(light * c, 1.0);
   }`;
@@ -84,7 +86,7 @@ function start() {
   table.minFilter = table.magFilter = LinearFilter;
   table.needsUpdate = true;
   const scale = { value: 1 };
-  const uniforms = { colours: { value: table }, scale, plain: { value: 0 }, grey: { value: new Vector3(0.72, 0.75, 0.78) } };
+  const uniforms = { colours: { value: table }, scale, plain: { value: 0 }, turned: { value: 0 }, grey: { value: new Vector3(0.72, 0.75, 0.78) } };
   const body = new Mesh(geometry, new ShaderMaterial({
     uniforms, vertexShader: VERTEX, fragmentShader: FRAGMENT, side: DoubleSide,
     polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1,
@@ -178,6 +180,8 @@ function start() {
     $("legend").hidden = !field;
     top.visible = false;
     if (field) {
+      uniforms.turned.value = field.least ? 1 : 0;  // what is dangerous is red
+      paint(field.least);
       const shares = numbers("s", state.frame, field.name);
       let most = -1;
       for (let i = 0; i < n; i++) {
@@ -272,9 +276,12 @@ function start() {
   choice.value = state.field;
   choice.addEventListener("change", () => { state.field = choice.value; refresh(); });
   const ramp = $("ramp"), pen = ramp.getContext("2d"), shades = new Uint8Array(bytes(data.colours));
-  for (let i = 0; i < 256; i++) {
-    pen.fillStyle = `rgb(${shades[4 * i]},${shades[4 * i + 1]},${shades[4 * i + 2]})`;
-    pen.fillRect(i, 0, 1, 1);
+  function paint(turned) {
+    for (let i = 0; i < 256; i++) {
+      const k = 4 * (turned ? 255 - i : i);
+      pen.fillStyle = `rgb(${shades[k]},${shades[k + 1]},${shades[k + 2]})`;
+      pen.fillRect(i, 0, 1, 1);
+    }
   }
 
   const slider = $("scale");
