@@ -11,9 +11,11 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from click.exceptions import ClickException
 from conftest import ROOT
 from mpi4py import MPI
 
+from dolfin_elastic.cli.app import app
 from dolfin_elastic.core.errors import Diagnosis
 
 sys.path.append(str(ROOT / "docs/_ext"))
@@ -76,3 +78,44 @@ def test_scripts_of_pictures_find_what_they_import() -> None:
             if isinstance(node, ast.ImportFrom) and str(node.module).startswith("dolfin_elastic"):
                 module = importlib.import_module(str(node.module))
                 assert all(hasattr(module, one.name) for one in node.names), script.name
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "run",
+        "converge beam.toml",
+        "run beam.toml --colour",
+        "info more",
+        "check a.toml b.toml c.toml",
+        "plot results --step",
+        "plot results --step two",
+        "plot results --scale large",
+        "plot results --list=yes",
+        "converge beam.toml --until tip",
+        "rnu beam.toml",
+    ],
+)
+def test_usage_errors_have_their_meaning(words: str) -> None:
+    """What click says of a command line is one of the messages, whatever its version says."""
+    with pytest.raises(ClickException) as caught:
+        app(words.split(), prog_name="dolfin-elastic", standalone_mode=False)
+    said_now = caught.value.format_message()
+    pages = [page for page in messages.pages() if page.name.startswith("usage-")]
+    texts = [text.split(said.HOLE) for page in pages for text in page.messages]
+    patterns = [".*".join(map(re.escape, pieces)) for pieces in texts]
+    fits = [one for one in patterns if re.match(one, said_now)]
+    assert fits and caught.value.exit_code == 2, said_now
+
+
+def test_notes_are_found() -> None:
+    """Notes of `check` wherever they are made: yielded, returned, appended or given a name."""
+    found = {one.text: one.code for one in said.messages()}
+    for start in (
+        "the body is … m long, and no mesh.unit is given",
+        "linear elements bend too stiffly",
+        "linear elements lock at nu = …",
+        "the file says that its lengths are in …",
+        "… of … cells are very thin",
+    ):
+        assert [code for text, code in found.items() if text.startswith(start)] == ["0"], start

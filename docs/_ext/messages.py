@@ -127,7 +127,7 @@ def _page(page: Page, known: Sequence[Message]) -> str:
     if page.cause:
         parts.append(f"In `summary.json`, `diagnosis.cause` is `{page.cause}`.")
     if codes == ["0"]:
-        parts.append("This is a warning: the run goes on.")
+        parts.append("This is a warning, or a note of `check`: the program goes on.")
     else:
         parts.append(f"Exit code: {' or '.join(codes)}, see [exit codes](../../guide/errors.md).")
     parts.append(f"Read on: [](../../{page.guide}.md). [All messages](../messages.md).")

@@ -30,6 +30,20 @@ _KINDS = re.compile(
     r"(Input|Mesh|Unit|Case|Solve|Convergence|Stability|Output|Restart|Formula|Stopped)Error"
     "|Offence|UnusedKeys"
 )
+CLICK = (
+    "Missing argument '…'.",
+    "Missing option '…'.",
+    "No such option: …",
+    "Got unexpected extra argument (…)",
+    "Got unexpected extra arguments (…)",
+    "Option '…' requires an argument.",
+    "Option '…' requires … arguments.",
+    "Option '…' does not take a value.",
+    "Invalid value for '…': …",
+)
+"""Messages of click, which reads the command line."""
+_NOTES = re.compile(r"(\w+_)?notes|notes_of|touching|_?left_out|_gaps|_coarse|place")
+"""Functions that return or yield notes of `check`."""
 HOLE = "…"
 """Stands for what is known only when the program runs."""
 
@@ -99,6 +113,11 @@ def messages() -> list[Message]:
             for text, advice in _of_call(call, function, made):
                 if re.search(r"[a-z]{2}", text):
                     found[Message(text, advice, _CODES.get(_name(call), "2"), part)] = None
+        for note in _notes(function):
+            for text in _lines(note, function.names):
+                if len(re.findall(r"[a-z]{2,}", text)) > 2:
+                    found[Message(text, "", "0", part)] = None
+    found |= dict.fromkeys(Message(text, "", "2", "cli") for text in CLICK)
     return list(found)
 
 
@@ -107,7 +126,7 @@ def _functions() -> Iterator[_Function]:
         path: ast.parse(text)
         for path in sorted((ROOT / "dolfin_elastic").rglob("*.py"))
         if re.search(
-            r"Error\(|Offence\(|UnusedKeys\(|raise |log.warning",
+            r"Error\(|Offence\(|UnusedKeys\(|raise |log.warning|note|touching",
             text := path.read_text(encoding="utf-8"),
         )
     }
@@ -135,8 +154,39 @@ def _errors(function: _Function) -> Iterator[ast.Call]:
         if isinstance(one, ast.Call) and one.args:
             name = one.func.id if isinstance(one.func, ast.Name) else ""
             validates = name == "ValueError" and function.validates
-            if _KINDS.fullmatch(name) or validates or _name(one) == "warning":
+            if _KINDS.fullmatch(name) or validates or _name(one) in ("warning", "UsageError"):
                 yield one
+
+
+def _notes(function: _Function) -> Iterator[ast.expr]:
+    """What a function says as notes: yields, returns in a list, or appends to one."""
+    returns = ast.unparse(function.node.returns) if function.node.returns else ""
+    whole = bool(_NOTES.fullmatch(function.node.name))
+    whole |= "check" in function.folder.parts and returns == "Iterator[str]"
+    for one in function.nodes:
+        said: list[ast.expr | None] = []
+        if isinstance(one, ast.Call) and _name(one) in ("append", "_noted"):
+            named = "note" in ast.unparse(one.func)
+            said = [*one.args] if whole or named else []
+        elif isinstance(one, ast.Assign) and ast.unparse(one.targets[0]) in ("note", "notes"):
+            said = _elements(one.value)
+        elif whole and isinstance(one, ast.Yield):
+            said = [one.value]
+        elif whole and isinstance(one, ast.Return) and one.value is not None:
+            said = _elements(one.value)
+        elif whole and isinstance(one, ast.ListComp):
+            said = [one.elt]
+        texts = ast.JoinedStr, ast.BinOp, ast.Constant
+        yield from (text for text in said if isinstance(text, texts))
+
+
+def _elements(value: ast.expr) -> list[ast.expr | None]:
+    """What a list or tuple holds, with or without a condition; else the value itself."""
+    if isinstance(value, ast.IfExp):
+        return [*_elements(value.body), *_elements(value.orelse)]
+    if isinstance(value, ast.List | ast.Tuple):
+        return [*value.elts]
+    return [value]
 
 
 def _made(functions: Iterable[_Function]) -> Made:

@@ -316,14 +316,17 @@ def _density_notes(where: str, law: Law) -> Iterator[str]:
         # Soft solids such as rubber, too soft for waves to tell.  Foams have pores, which no solid
         # has that keeps its volume.
         (least, compact), nu = _COMPACT, poisson(law)
-        what = ""
         if rho < _LIGHTEST:
-            what = "less than any foam weighs"
+            yield (
+                f"{where}.density: {rho:.4g} kg/m^3 is less than any foam weighs: is it "
+                f'"{rho:.4g} g/cm^3"?'
+            )
         elif rho < compact and nu > least:
-            what = f"less than any solid without pores weighs (Poisson's ratio {nu:.4g})"
-        if what:
-            meant = f'is it "{rho:.4g} g/cm^3"?' if rho < _HEAVIEST else "is a unit wrong?"
-            yield f"{where}.density: {rho:.4g} kg/m^3 is {what}: {meant}"
+            yield (
+                f"{where}.density: {rho:.4g} kg/m^3 is less than any solid without pores weighs "
+                f"(Poisson's ratio {nu:.4g}): "
+                + (f'is it "{rho:.4g} g/cm^3"?' if rho < _HEAVIEST else "is a unit wrong?")
+            )
 
 
 def _unnamed_cells(case: Case, body: Body) -> int:
@@ -381,12 +384,11 @@ def _singular_supports(case: Case, body: Body) -> Iterator[str]:
             what = "edge" if kinds[0] == "edge" else "point" if kinds == ["point"] else "nodes"
             found.setdefault(name, f"the {what} '{name}' (support[{i}])")
     if found:
-        several = len(found) > 1
-        are = "are" if several or next(iter(found.values())).startswith("the nodes") else "is"
+        plural = len(found) > 1 or next(iter(found.values())).startswith("the nodes")
         yield (
-            f"{', '.join(found.values())} {are} held: the "
-            f"reaction{'s are' if several else ' is'} exact, but the stress beside is singular, "
-            f"growing with every refinement, where {'they are' if several else 'it is'} not zero"
+            f"{', '.join(found.values())} {'are' if plural else 'is'} held: the reaction there is "
+            "exact, but the stress beside is singular, growing with every refinement, unless it "
+            "is zero"
         )
 
 

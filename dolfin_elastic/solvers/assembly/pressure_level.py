@@ -269,7 +269,7 @@ class PressureLevel:
             doubtful = "error of the mesh" in note or "slide along" in note
             log.log(logging.WARNING if doubtful else logging.INFO, "%s", note)
 
-    def _errors(self) -> list[str]:
+    def _error_notes(self) -> list[str]:
         return [
             f"{_label(name)} is nearly incompressible and has no free surface: the mean of its "
             "pressure is K times an error of the mesh, for its U(J) is not quadratic; nu = 0.5, or "
@@ -279,7 +279,7 @@ class PressureLevel:
 
     def notes(self) -> list[str]:
         """What a user should know of the enclosed bodies. Collective."""
-        found = self._errors() + [
+        found = self._error_notes() + [
             f"{body.label} is incompressible and has no free surface: its pressure is known up to "
             "a constant, and the one whose mean is zero is taken"
             for body in self.bodies
