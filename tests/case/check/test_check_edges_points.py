@@ -63,7 +63,7 @@ def test_supports_on_edges_and_points_are_singular_and_said_to_be() -> None:
     supports = [{"on": "bottom"}, {"on": ["ridge", "tip"], "displacement": [FREE, 0, FREE]}]
     notes = report(case(support=supports)).notes
     said = (
-        "the edge 'ridge' (support[1]), the point 'tip' (support[1]) are held: the reactions are "
+        "the edge 'ridge' (support[1]), the point 'tip' (support[1]) are held: the reaction there "
     )
     assert any(note.startswith(said) for note in notes)
     spring = [{"on": "bottom"}, {"on": "tip", "kind": "spring", "stiffness": [1, 1, 1]}]
