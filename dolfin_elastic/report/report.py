@@ -20,7 +20,7 @@ from dolfin_elastic.report.drawn import drawn_frames, mesh_quality, scene_of
 from dolfin_elastic.report.laws import materials_of
 from dolfin_elastic.report.page import render
 from dolfin_elastic.report.quantity import counted, listed, number, quantity, size, vector
-from dolfin_elastic.report.scene import Scene, packed
+from dolfin_elastic.report.scene import FIRST, Scene, packed
 from dolfin_elastic.report.still import Camera, colour_table
 from dolfin_elastic.report.words import Table, analysis_of, what_was_computed
 from dolfin_elastic.results.files import replace_text
@@ -142,8 +142,8 @@ def _pictures(scene: Scene | None, palette: Mapping[str, str]) -> dict[str, obje
     if scene is None:
         return {"scene": None, "stills": [], "held": "", "palette": {}, "drawn": "", "left_out": ()}
     camera = Camera(scene, palette)
-    varied = [shown for shown in scene.fields if shown.high > shown.low][:_STILLS]
-    stills = [(shown.title, camera.picture(shown)) for shown in varied]
+    varied = [one for one in scene.fields if one.name in FIRST and one.high > one.low]
+    stills = [(shown.title, camera.picture(shown)) for shown in varied[:_STILLS]]
     held = Camera(scene, palette, marks=True).picture() if scene.marks else ""
     table = colour_table()
     count, of = len(scene.triangles), scene.of

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _WIDTH, _HEIGHT, _DPI = 6.6, 4.7, 150
 """Inches of the room for the body, and pixels per inch."""
-_BAR, _LEAST = 1.1, 2.2
+_BAR, _LEAST = 1.4, 2.2
 """Inches of the colour bar with its labels, and of the smallest side of a picture."""
 _FINER = 2
 """Pixels that are computed along each side of a pixel of the picture."""
@@ -113,7 +113,7 @@ class Camera:
         if shown is not None:
             _colour_bar(figure, shown, wide / whole)
         file = io.BytesIO()
-        figure.savefig(file, dpi=_DPI, transparent=True, bbox_inches="tight", pad_inches=0.06)
+        figure.savefig(file, dpi=_DPI, transparent=True)  # the body as large beside any bar
         return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode("ascii")
 
     def lines(self) -> tuple[FloatArray, BoolArray]:
@@ -231,7 +231,7 @@ def _colour_bar(figure: Figure, shown: Shown, left: float) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
 
-    axes = figure.add_axes((left + 0.3 * (1 - left), 0.14, 0.15 * (1 - left), 0.66))
+    axes = figure.add_axes((left + 0.38 * (1 - left), 0.14, 0.11 * (1 - left), 0.66))
     ends = Normalize(shown.low / shown.factor, shown.high / shown.factor)
     colours = ListedColormap(colour_table(warm_first=shown.name in SMALL_MATTERS) / 255)
     bar = figure.colorbar(ScalarMappable(ends, colours), cax=axes)

@@ -157,7 +157,7 @@ def _place(point: Sequence[float] | str, where: str, problem: Problem) -> FloatA
             raise InputError(
                 f"there is no point '{point}'",
                 where=where,
-                expected=f"{nearest(point, {MIDDLE, *parts})} A point is {POINTS}",
+                expected=f"{nearest(point, {MIDDLE, *parts})} (a point is {POINTS})",
             )
         try:
             found = middle_of(body, [point])

@@ -207,8 +207,8 @@ def test_moments_about_several_points(folder):
         ({"lft": "middle"}, r"output.moments.lft: there is no support or contact 'lft'.*left"),
         ({"left": [0, 0]}, r"output.moments.left: 2 coordinates given, the body has 3"),
         ({"left": "midle"}, r"output.moments.left: there is no point 'midle'; .*mean 'middle'\?"),
-        ({"left": "botom"}, r"'botom'; did you mean 'bottom'\? A point is \"middle\", \[x, y, z\]"),
-        ({"left": "anchor"}, r"no point 'anchor'; known: back, bottom, .*middle.* A point is"),
+        ({"left": "botom"}, r"'botom'; did you mean 'bottom'\? \(a point is \"middle\", \[x, y, z\]"),
+        ({"left": "anchor"}, r"no point 'anchor'; known: back, bottom, .*middle.* \(a point is"),
         ({"left": 3}, r"output.moments.left: 3 is no point; expected \"middle\", .*; or a table"),
         ({"left": [0, 1, "x"]}, r"output.moments.left\[2\]: .*'x'"),
         ({"left": [0, True, 1]}, r"output.moments.left\[1\]: true is wrong"),
@@ -230,6 +230,15 @@ def test_invalid_moments_are_refused(moments, message):
     tables["support"].append({"on": "bottom", "name": "left_a"})
     with pytest.raises(InputError, match=message):
         report(Case.from_dict(tables))
+
+
+def test_a_point_that_is_an_empty_part():
+    """A surface without facets has no middle; it is no nan in the history."""
+    body = box_body(size=(1.0, 1.0, 1.0), cells=(1, 1, 1))
+    body = body.named(surfaces={"none": np.zeros(0, dtype=np.int32)})
+    problem = Problem(body, LinearElastic(E=1.0, nu=0.0), supports=[Support(on="left")], degree=1)
+    with pytest.raises(InputError, match=r"output.moments.left.a: 'none' is empty; expected \"mid"):
+        Probe(problem, {}, moments={"left": {"a": "none"}})
 
 
 def test_means_over_surfaces(folder):
