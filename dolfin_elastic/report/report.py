@@ -18,7 +18,7 @@ from dolfin_elastic.report import contents
 from dolfin_elastic.report.charts import Axis, histogram
 from dolfin_elastic.report.drawn import drawn_frames, mesh_quality, scene_of
 from dolfin_elastic.report.laws import materials_of
-from dolfin_elastic.report.page import render
+from dolfin_elastic.report.page import json_text, render
 from dolfin_elastic.report.quantity import counted, listed, number, quantity, size, vector
 from dolfin_elastic.report.scene import FIRST, Scene, packed
 from dolfin_elastic.report.still import Camera, colour_table
@@ -32,7 +32,9 @@ log = logging.getLogger("dolfin_elastic")
 LARGEST = 10_000_000
 """Bytes of a page: what goes through every mail server."""
 _PICTURES = 1_500_000
-"""Bytes of the run's own pictures in it."""
+"""Bytes of the run's own pictures in it, where there is room for them."""
+_REST = 1_500_000
+"""Letters of a page without pictures: the viewer has 580 000, charts and case the others."""
 _STILLS = 3
 """Fields of which there are fixed pictures."""
 _HASHED = 2_000_000_000
@@ -78,6 +80,7 @@ def report_contents(run: FinishedRun) -> dict[str, object]:
     palette = _palette(scene)
     sides = _extent(run, scene)
     status, kind = contents.status_of(run.summary)
+    pictures = _pictures(scene, palette)
     dim = frames[-1][1].dim if frames else (contents.model(run).get("mesh") or {}).get("dim")
     return {
         "title": str(run.case.get("title") or run.folder.resolve().name),
@@ -106,8 +109,8 @@ def report_contents(run: FinishedRun) -> dict[str, object]:
         "materials": materials_of(run.case),
         "mesh": _mesh(run, frames, sides),
         "warnings": [str(text) for text in contents.model(run).get("warnings") or []],
-        **_pictures(scene, palette),
-        "own_pictures": list(_own_pictures(run.folder)),
+        **pictures,
+        "own_pictures": list(_own_pictures(run.folder, _room(pictures))),
         "case_text": _case_text(run.case),
         "checksums": list(_checksums(run.folder)),
         "timings": _timings(run.summary),
@@ -182,15 +185,32 @@ class OwnPicture:
     url: str
 
 
-def _own_pictures(folder: Path) -> Iterator[OwnPicture]:
-    """PNG files of the folder that have room; of a series the last one."""
+def _room(pictures: Mapping[str, object]) -> int:
+    """Bytes for the run's own pictures, which a page holds as text of 4 letters for 3 bytes.
+
+    Args:
+        pictures: From `_pictures`.
+    """
+    stills = pictures["stills"]
+    assert isinstance(stills, list)
+    urls = [url for _, url in [*stills[:1], *stills]]  # the first one stands in a page twice
+    used = sum(map(len, urls)) + len(str(pictures["held"])) + len(json_text(pictures["scene"]))
+    return max(0, min(_PICTURES, (LARGEST - _REST - used) * 3 // 4))
+
+
+def _own_pictures(folder: Path, room: int) -> Iterator[OwnPicture]:
+    """PNG files of the folder that have room; of a series the last one.
+
+    Args:
+        folder: Of the run.
+        room: Bytes.
+    """
     import base64
 
     last: dict[str, Path] = {}
     for path in sorted(folder.glob("*.png")):
         stem = path.stem.rstrip("0123456789")
         last[stem if stem.endswith("_") else path.stem] = path
-    room = _PICTURES
     for path in last.values():
         try:
             data = path.read_bytes()

@@ -26,7 +26,7 @@ from dolfin_elastic.report.contents import balance_of, history_charts, last_valu
 from dolfin_elastic.report.depth import Window, look
 from dolfin_elastic.report.laws import _constants
 from dolfin_elastic.report.page import json_text
-from dolfin_elastic.report.report import LARGEST, _command, write_report
+from dolfin_elastic.report.report import LARGEST, _command, _own_pictures, _room, write_report
 from dolfin_elastic.report.scene import (
     MOST_TRIANGLES,
     Scene,
@@ -428,6 +428,19 @@ def test_fields_without_room_are_named() -> None:
     assert len(text) < 0.75 * LARGEST
     (one,) = (Scene(points, triangles, triangles[:, :2], views[:1]) for _ in range(1))
     assert len(one.fields) == 5  # there is room with one state
+
+
+def test_a_large_body_leaves_less_room_for_pictures_of_the_run(tmp_path: Path) -> None:
+    """They are what a page does without: it stays below the size that can be mailed."""
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(1_000_000))
+    small = {"scene": None, "stills": [], "held": ""}
+    assert _room(small) == 1_500_000
+    assert [one.name for one in _own_pictures(tmp_path, _room(small))] == ["a.png"]
+    large = {"scene": "x" * 6_900_000, "stills": [("", "y" * 300_000)], "held": "z" * 200_000}
+    # 10 MB less 1.5 MB of the rest, 6.9, twice 0.3 and 0.2 MB leave 0.8 MB of text.
+    assert _room(large) == pytest.approx(600_000, abs=10)
+    assert list(_own_pictures(tmp_path, _room(large))) == []
+    assert _room({**large, "scene": "x" * 9_000_000}) == 0
 
 
 def test_values_of_a_single_step(tmp_path: Path) -> None:

@@ -207,7 +207,10 @@ def test_moments_about_several_points(folder):
         ({"lft": "middle"}, r"output.moments.lft: there is no support or contact 'lft'.*left"),
         ({"left": [0, 0]}, r"output.moments.left: 2 coordinates given, the body has 3"),
         ({"left": "midle"}, r"output.moments.left: there is no point 'midle'; .*mean 'middle'\?"),
-        ({"left": "botom"}, r"'botom'; did you mean 'bottom'\? \(a point is \"middle\", \[x, y, z\]"),
+        (
+            {"left": "botom"},
+            r"'botom'; did you mean 'bottom'\? \(a point is \"middle\", \[x, y, z\]",
+        ),
         ({"left": "anchor"}, r"no point 'anchor'; known: back, bottom, .*middle.* \(a point is"),
         ({"left": 3}, r"output.moments.left: 3 is no point; expected \"middle\", .*; or a table"),
         ({"left": [0, 1, "x"]}, r"output.moments.left\[2\]: .*'x'"),
