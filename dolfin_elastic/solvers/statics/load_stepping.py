@@ -372,8 +372,8 @@ class LoadStepping:
         self._jumps += refusal == ANOTHER
         what = "buckles or tips over" if refusal == UNSTABLE else "has snapped through"
         log.warning(
-            "the body %s between %.4g and %.4g %% of the load: no stable equilibrium is near, it flows "
-            'to the next one; statics.method = "arc-length" shows the path between',
+            "the body %s between %.4g and %.4g %% of the load: no stable equilibrium is near, it "
+            'flows to the next one; statics.method = "arc-length" shows the path between',
             what,
             100 * step.t,
             100 * step.goal,
