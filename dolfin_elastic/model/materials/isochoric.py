@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import ufl
@@ -27,11 +28,18 @@ TERMS = 9
 def simo_taylor(J: Expr) -> Expr:
     """g = sign(J - 1) sqrt((J^2 - 1 - 2 ln J)/2), so that K/2 g^2 = K/4 (J^2 - 1 - 2 ln J).
 
-    With t = (J - 1)/(J + 1), J = (1 + t)/(1 - t) and ln J = 2 artanh t, it is
-    g = t sqrt(2 (2 - t)/(1 - t)^2 - 2 t s) with s = (artanh t - t)/t^3 = 1/3 + t^2/5 + t^4/7 + ...:
-    smooth at J = 1.
+    With t = (J - 1)/(J + 1) it is t times a root that is smooth at J = 1, see `_root`.
 
     Source: J. C. Simo and R. L. Taylor, Comput. Methods Appl. Mech. Eng. 35 (1982) 107.
+    """
+    return (J - 1) / (J + 1) * _root(J)
+
+
+def _root(J: Expr) -> Expr:
+    """The root g/t of `simo_taylor`.
+
+    J = (1 + t)/(1 - t) and ln J = 2 artanh t, so it is sqrt(2 (2 - t)/(1 - t)^2 - 2 t s) with
+    s = (artanh t - t)/t^3 = 1/3 + t^2/5 + t^4/7 + ...
     """
     t = (J - 1) / (J + 1)
     series: Scalar = 0.0
@@ -41,15 +49,37 @@ def simo_taylor(J: Expr) -> Expr:
     # UFL evaluates both branches: the one that is not chosen must not divide by zero.
     away = ufl.conditional(near, 1.0, t)
     s = ufl.conditional(near, series, (ufl.ln(J) / (2 * away) - 1) / away**2)
-    return t * ufl.sqrt(2 * (2 - t) / (1 - t) ** 2 - 2 * t * s)
+    return ufl.sqrt(2 * (2 - t) / (1 - t) ** 2 - 2 * t * s)
 
 
-VOLUME_STRAINS: dict[str, Callable[[Expr], Expr]] = {
-    "simo-taylor": simo_taylor,
-    "quadratic": lambda J: J - 1,
-    "log": ufl.ln,
+@dataclass(frozen=True)
+class VolumeStrain:
+    """A measure g(J) of the change of volume, with g = 0 and g' = 1 at J = 1.
+
+    Derivatives are written out: those that UFL makes of g and its conditions are many times longer.
+
+    Attributes:
+        strain: g(J).
+        slope: g'(J).
+        stress: g g', the derivative of g^2/2; like g it is NaN for J < 0 if ln J is in it.
+    """
+
+    strain: Callable[[Expr], Expr]
+    slope: Callable[[Expr], Expr | float]
+    stress: Callable[[Expr], Expr]
+
+
+# Of "simo-taylor" g g' = (J - 1/J)/2, and g' is that over g.  sqrt(J)^2 refuses J < 0.
+VOLUME_STRAINS: dict[str, VolumeStrain] = {
+    "simo-taylor": VolumeStrain(
+        simo_taylor,
+        lambda J: (J + 1) ** 2 / (2 * J * _root(J)),
+        lambda J: (J - 1) * (J + 1) / (2 * ufl.sqrt(J) ** 2),
+    ),
+    "quadratic": VolumeStrain(lambda J: J - 1, lambda J: 1.0, lambda J: J - 1),
+    "log": VolumeStrain(ufl.ln, lambda J: 1 / J, lambda J: ufl.ln(J) / J),
 }
-"""Name to g(J), with g = 0 and g' = 1 at J = 1."""
+"""Name to measure."""
 
 
 class Volumetric(SplitLaw):
@@ -72,12 +102,15 @@ class Volumetric(SplitLaw):
 
     def volume_strain(self, F: Expr) -> Expr:
         """See `VOLUME_STRAINS`."""
-        return VOLUME_STRAINS[self.volumetric](ufl.det(F))
+        return VOLUME_STRAINS[self.volumetric].strain(ufl.det(F))
 
     def volume_gradient(self, F: Expr) -> Expr:
         """g'(J) cof F."""
-        J = ufl.variable(ufl.det(F))
-        return ufl.diff(VOLUME_STRAINS[self.volumetric](J), J) * cofactor(F)
+        return VOLUME_STRAINS[self.volumetric].slope(ufl.det(F)) * cofactor(F)
+
+    def volume_stress(self, F: Expr) -> Expr:
+        """g g' cof F."""
+        return VOLUME_STRAINS[self.volumetric].stress(ufl.det(F)) * cofactor(F)
 
 
 class Isochoric(Volumetric):

@@ -166,6 +166,10 @@ class SplitLaw(Law):
         F = ufl.variable(F)
         return ufl.diff(self.volume_strain(F), F)
 
+    def volume_stress(self, F: Expr) -> Expr:
+        """Derivative of half the squared volume strain with respect to F."""
+        return self.volume_strain(F) * self.volume_gradient(F)
+
     @property
     def curved_strain(self) -> bool:
         """The volume strain is a function g(J) that is not affine."""
@@ -193,7 +197,7 @@ class SplitLaw(Law):
     def stress(self, F: Expr) -> Expr:
         """First Piola-Kirchhoff stress [Pa], part by part."""
         k = getattr(self, self.volume_modulus)
-        return self.shape_stress(F) + k * self.volume_strain(F) * self.volume_gradient(F)
+        return self.shape_stress(F) + k * self.volume_stress(F)
 
 
 def once(method: Callable[[S, Expr], T]) -> Callable[[S, Expr], T]:

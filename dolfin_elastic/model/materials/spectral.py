@@ -8,6 +8,7 @@ minutes, and eigenvectors do not exist where stretches meet, as they do at F = I
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -28,21 +29,16 @@ CRUSHED = 1e-6
 
 
 @dataclass(frozen=True)
-class Shape:
+class Shape(ABC):
     """Functions of F in which an isochoric energy of the stretches is written.
 
     Attributes:
         d: det C / q^3, q = tr C / 3; NaN where J < 0.
-        squares: Squared stretches over q, exact where they are well apart.
-        powers: Traces of the powers 0, 1, ... `ORDER` of C/q - I, for series where all are close.
-        close: UFL condition: the series hold.
     """
 
     d: Expr
-    squares: tuple[Expr, Expr, Expr]
-    powers: tuple[Scalar, ...]
-    close: Expr
 
+    @abstractmethod
     def total(self, f: Callable[[Expr], Expr], series: Sequence[Scalar]) -> Expr:
         """Sum of f over the three squared stretches, a UFL scalar.
 
@@ -50,8 +46,36 @@ class Shape:
             f: Function of one squared stretch over q.
             series: Its Taylor coefficients at 1, of the powers 0 to `ORDER`.
         """
-        near = sum(c * s for c, s in zip(series, self.powers, strict=True))
-        return ufl.conditional(self.close, near, sum(f(square) for square in self.squares))
+
+
+@dataclass(frozen=True)
+class _Apart(Shape):
+    """Where stretches are well apart.
+
+    Attributes:
+        squares: Squared stretches over q.
+    """
+
+    squares: tuple[Expr, Expr, Expr]
+
+    def total(self, f: Callable[[Expr], Expr], series: Sequence[Scalar]) -> Expr:
+        """See `Shape`."""
+        return sum(f(square) for square in self.squares)
+
+
+@dataclass(frozen=True)
+class _Close(Shape):
+    """Where all stretches are close.
+
+    Attributes:
+        powers: Traces of the powers 0, 1, ... `ORDER` of C/q - I.
+    """
+
+    powers: tuple[Scalar, ...]
+
+    def total(self, f: Callable[[Expr], Expr], series: Sequence[Scalar]) -> Expr:
+        """See `Shape`."""
+        return sum(c * s for c, s in zip(series, self.powers, strict=True))
 
 
 def _cosine(j2: Expr, j3: Expr) -> Expr:
@@ -59,7 +83,21 @@ def _cosine(j2: Expr, j3: Expr) -> Expr:
     return 4 * j3 / (2 * ufl.sqrt(ufl.max_value(j2, CLOSE) / 3)) ** 3
 
 
-def _shape(j2: Expr, j3: Expr, d: Expr, r: Expr) -> Shape:
+def _close(j2: Expr, j3: Expr, d: Expr) -> _Close:
+    """From the invariants of b = C/q - I: b^3 = j2 b + j3, Cayley and Hamilton.
+
+    Args:
+        j2: b:b/2.
+        j3: Determinant of b.
+        d: Product of the squares, 1 - j2 + j3.
+    """
+    powers: list[Scalar] = [3.0, 0.0, 2 * j2]
+    while len(powers) <= ORDER:
+        powers.append(j2 * powers[-2] + j3 * powers[-3])
+    return _Close(d, tuple(powers))
+
+
+def _apart(j2: Expr, d: Expr, r: Expr) -> _Apart:
     """From the invariants of b = C/q - I.
 
     The eigenvalues of b are p cos(theta + 2 k pi/3) with p = 2 sqrt(j2/3).  Regularised, theta is
@@ -69,8 +107,7 @@ def _shape(j2: Expr, j3: Expr, d: Expr, r: Expr) -> Shape:
 
     Args:
         j2: b:b/2.
-        j3: Determinant of b.
-        d: Product of the squares, 1 - j2 + j3.
+        d: Product of the squares.
         r: See `_cosine`.
 
     Source: O. K. Smith, Commun. ACM 4 (1961) 168 (the eigenvalues).
@@ -81,10 +118,7 @@ def _shape(j2: Expr, j3: Expr, d: Expr, r: Expr) -> Shape:
     second = 1 + p * ufl.cos(theta - 2 * math.pi / 3)
     third = 1 + p * ufl.cos(theta + 2 * math.pi / 3)
     third = ufl.conditional(ufl.lt(third, CRUSHED), d / (first * second), third)
-    powers: list[Scalar] = [3.0, 0.0, 2 * j2]
-    while len(powers) <= ORDER:  # b^3 = j2 b + j3, Cayley and Hamilton
-        powers.append(j2 * powers[-2] + j3 * powers[-3])
-    return Shape(d, (first, second, third), tuple(powers), ufl.lt(j2, CLOSE))
+    return _Apart(d, (first, second, third))
 
 
 def _invariants(F: Expr) -> tuple[Expr, Expr, Expr, Expr, Expr]:
@@ -107,12 +141,12 @@ def polar(F: Expr) -> tuple[Expr, Expr]:
     """
     b, q, j2, j3, _ = _invariants(F)
     J, root = ufl.det(F), ufl.sqrt(q)
-    shape = _shape(j2, j3, 1 - j2 + j3, _cosine(j2, j3))
-    first, second = (ufl.sqrt(square) for square in shape.squares[:2])
-    near = sum(c * s for c, s in zip(power_series(0.5), shape.powers, strict=True))
+    d = 1 - j2 + j3
+    near = _close(j2, j3, d).total(ufl.sqrt, power_series(0.5))
+    first, second = (ufl.sqrt(square) for square in _apart(j2, d, _cosine(j2, j3)).squares[:2])
     # The smallest stretch follows from the product of all, with the sign of J.
     apart = first + second + J / (root**3 * first * second)
-    x = root * ufl.conditional(shape.close, near, apart)
+    x = root * ufl.conditional(ufl.lt(j2, CLOSE), near, apart)
     I1 = 3 * q
     upper = (x * x + I1) * F - 2 * q * (F * b + F) + 2 * x * cofactor(F)
     return upper / ((x * x - I1) * x - 2 * J), x
@@ -126,7 +160,8 @@ def isochoric_energy(psi: Callable[[Shape], Expr], F: Expr) -> Expr:
         F: Deformation gradient, shape (3, 3).
     """
     _, _, j2, j3, d = _invariants(F)
-    return psi(_shape(j2, j3, d, _cosine(j2, j3)))
+    apart = psi(_apart(j2, d, _cosine(j2, j3)))
+    return ufl.conditional(ufl.lt(j2, CLOSE), psi(_close(j2, j3, d)), apart)
 
 
 def isochoric_stress(psi: Callable[[Shape], Expr], F: Expr) -> Expr:
@@ -140,13 +175,17 @@ def isochoric_stress(psi: Callable[[Shape], Expr], F: Expr) -> Expr:
     """
     b, q, *values = _invariants(F)
     j2, j3, d, r = (ufl.variable(value) for value in (*values, _cosine(values[0], values[1])))
-    energy = psi(_shape(j2, j3, d, r))
+    near, apart = psi(_close(j2, j3, d)), psi(_apart(j2, d, r))
+    near_d, apart_d = ufl.diff(near, d), ufl.diff(apart, d)
     # Where stretches meet the angle's derivatives are large, and cancel only along dr/dF = 0:
     # they are taken once, by r, and then along j2 and j3.
-    by_r, by_d = ufl.diff(energy, r), ufl.diff(energy, d)
-    safe = ufl.max_value(j2, CLOSE)
-    by_j2 = ufl.diff(energy, j2) - by_d - by_r * 1.5 * r / safe
-    by_j3 = ufl.diff(energy, j3) + by_d + by_r * 4 / (2 * ufl.sqrt(safe / 3)) ** 3
+    by_r, safe = ufl.diff(apart, r), ufl.max_value(j2, CLOSE)
+    apart_j2 = ufl.diff(apart, j2) - apart_d - by_r * 1.5 * r / safe
+    apart_j3 = apart_d + by_r * 4 / (2 * ufl.sqrt(safe / 3)) ** 3
+    # Chosen as late as can be: each condition becomes nine in the tangent.
+    close = ufl.lt(j2, CLOSE)
+    by_j2 = ufl.conditional(close, ufl.diff(near, j2) - near_d, apart_j2)
+    by_j3 = ufl.conditional(close, ufl.diff(near, j3) + near_d, apart_j3)
     Fb = F * b
     along_F = 2 / 3 * j2 * (by_j2 + by_j3) + j3 * by_j3
     return 2 / q * (by_j2 * Fb + by_j3 * (Fb * b) - along_F * F)

@@ -11,11 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 from helpers import reference_energies as reference
 from helpers.law_at_points import Point
 from helpers.laws import FREE, ROLLERS, SIZE, homogeneous, random_F, rotation
 from mpi4py import MPI
+from ufl.algorithms import expand_derivatives
 
+from dolfin_elastic.material_point.ufl_to_numpy import NumpyProgram, gradient_symbol
 from dolfin_elastic.model.materials.isochoric import VOLUME_STRAINS, Volumetric
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
@@ -95,16 +98,36 @@ def test_fibres_that_bear_compression_are_smooth():
     compare(law, STATES, 1e-11)
 
 
+SIZES = (1, 1 - 1e-12, 1 + 1e-9, 1 + 1e-5, 1.1, 0.903, 0.908, 1.104, 1.107, 0.2, 5.0)
+
+
 @pytest.mark.sample(1)
 @pytest.mark.usefixtures("serial_only")
 @pytest.mark.parametrize("volumetric", VOLUME_STRAINS)
 def test_energies_of_volume(volumetric):
     """About J = 1, where a formula for the square root of the energy would cancel, and far off."""
     law = law_of("neo-hookean-split", volumetric=volumetric)
-    sizes = (1, 1 - 1e-12, 1 + 1e-9, 1 + 1e-5, 1.1, 0.903, 0.908, 1.104, 1.107, 0.2, 5.0)
-    compare(law, {str(s): s * R for s in sizes}, 1e-11)
+    compare(law, {str(s): s * R for s in SIZES}, 1e-11)
     for kind in MATERIALS.values():
         assert not issubclass(kind, Volumetric) or "volumetric" in kind.model_fields
+
+
+@pytest.mark.usefixtures("serial_only")
+@pytest.mark.parametrize("volumetric", VOLUME_STRAINS)
+def test_derivatives_of_volume_strains(volumetric):
+    """Those that are written out, of which a pressure sees g' and a modulus g g', are g's."""
+    measure, F = VOLUME_STRAINS[volumetric], gradient_symbol()
+    J = ufl.variable(ufl.det(F))
+    g = measure.strain(J)
+    wanted = ufl.diff(g, J), g * ufl.diff(g, J), ufl.diff(ufl.diff(g, J), J)
+    found = measure.slope(J), measure.stress(J), ufl.diff(ufl.as_ufl(measure.slope(J)), J)
+    program = NumpyProgram(expand_derivatives(ufl.as_vector([*wanted, *found])), F)
+    values = program(np.array([s * I for s in SIZES])).reshape(-1, 2, 3)
+    np.testing.assert_allclose(values[:, 1], values[:, 0], rtol=1e-11, atol=1e-14)
+    refused = np.isnan(program(np.diag([-1.0, 0.7, 0.9])[None])[0, 3:5]).tolist()
+    # Of g' and of g g': where ln J is in them.
+    wrong = {"simo-taylor": [True, True], "quadratic": [False, False], "log": [False, True]}
+    assert refused == wrong[volumetric]
 
 
 # --- bars with free sides ---
