@@ -21,7 +21,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import IndexArray
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.curved import quadrature_rule
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
@@ -418,6 +418,16 @@ class FormContext:
             self.formulas.set_time(t)
         for factor, amplitude in self._amplitudes:
             factor.value = (amplitude or default).at(t)
+
+
+def formula_places(context: FormContext, parts: Parts) -> FloatArray:
+    """Points of this rank at which formulas are evaluated [m], shape (n, 3). Collective.
+
+    Args:
+        context: Of the body.
+        parts: Where the integral is taken that they stand in.
+    """
+    return _formulas(context).places(parts)
 
 
 def _formulas(context: FormContext) -> FormulaValues:

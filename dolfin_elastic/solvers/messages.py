@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.problem.loads.undefined import undefined_load
 from dolfin_elastic.problem.problem import Problem
 
 HOLD = (
@@ -148,8 +149,16 @@ def linear(reason: str) -> tuple[str, str]:
     return f"{text} ({name})", advice
 
 
-def load_not_finite(t: float) -> InputError:
-    """The error where a load has no finite value at a time [s]."""
+def load_not_finite(problem: Problem, t: float) -> InputError:
+    """The error where loads have no finite value: the formula and its place. Collective.
+
+    Args:
+        problem: Whose loads are meant.
+        t: Time [s], or load parameter.
+    """
+    found = undefined_load(problem, t)
+    if found is not None:
+        return found
     return InputError(f"a load has no finite value at t = {t:g}", where="load", expected=LOAD)
 
 

@@ -17,7 +17,7 @@ from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import CaseError
 from dolfin_elastic.core.formula import Formula
-from dolfin_elastic.core.parallel import first_of, total
+from dolfin_elastic.core.parallel import first_of
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.curved import edge_points, node_points
@@ -34,6 +34,7 @@ from dolfin_elastic.model.supports.displacement import Normal, Restraint
 from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.model.values import Component, number_at
 from dolfin_elastic.problem.loads.edges_points import owned
+from dolfin_elastic.problem.loads.undefined import least_place, no_value
 
 _HALVINGS = 60
 _ROUND_OFF = 2.0**-50
@@ -264,13 +265,10 @@ def _check_values(
 ) -> None:
     """Raises on all ranks where a formula gives no finite number. Collective."""
     for t in times if "t" in value.names else [0.0]:
-        bad = ~np.isfinite(number_at(value, X, t))
-        if total(comm, int(bad.sum())):
-            raise CaseError(
-                f"'{value.text}' has no finite value somewhere at t = {t:g}",
-                where=where,
-                expected=_EXPECTED,
-            )
+        place = least_place(value, X, t)
+        found = first_of(comm, [] if place is None else [place])
+        if found is not None:
+            raise no_value(value, where, found, t)
 
 
 def _check_poles(

@@ -21,6 +21,7 @@ from dolfin_elastic.model.loads import ConcentratedLoad, Load, LoadPoints
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.values import depends_on_time, vector_at
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
+from dolfin_elastic.problem.loads.undefined import undefined
 from dolfin_elastic.problem.material_regions import young
 from dolfin_elastic.problem.problem import Problem
 
@@ -113,12 +114,13 @@ def _load_sum(case: Case, index: int, load: Load, integrals: Integrals) -> LoadS
     if case.dynamics is None and sums and depends_on_time(load.values):
         for t in all_times(case):
             early = _resultant(load, float(t), points, integrals)
-            _check_finite(index, np.zeros(1) if early is None else early, float(t))
+            if early is not None:
+                _check_finite(index, load, points, early, float(t), integrals)
     if not sums:
         return LoadSum(name, on, None, None, max(factors))
     dim = integrals.body.dim
     time = max(sums, key=lambda t: (round(_strength(sums[t], dim), 12), -t))
-    _check_finite(index, sums[time], time)
+    _check_finite(index, load, points, sums[time], time, integrals)
     moment = () if integrals.problem.geometry == "axisymmetric" else _plain(sums[time][dim:])
     return LoadSum(name, on, _plain(sums[time][:dim]), moment, time)
 
@@ -187,11 +189,7 @@ def _resultant(
     """Force and moment about the origin, shape (dim + 3,), in a plane (3,). Collective."""
     if points is None:
         assert isinstance(load, ConcentratedLoad)
-        if load.on is None:
-            X, weights = load.samples()
-        else:
-            assert integrals.problem.nodal_loads is not None
-            X, weights = integrals.problem.nodal_loads.samples(load)
+        X, weights = _samples(load, integrals)
         sums = _force_and_moment(
             X[None], weights[None, :, None] * vector_at(load.values, X[None], t)
         )
@@ -209,6 +207,15 @@ def _resultant(
     scales = total(integrals.body.comm, np.array([lengths.sum(), (arms * lengths).sum()]))
     limits = _ROUND_OFF * np.repeat(scales, [forces.shape[-1], len(sums) - forces.shape[-1]])
     return np.where(np.abs(sums) < limits, 0.0, sums)
+
+
+def _samples(load: Load, integrals: Integrals) -> tuple[FloatArray, FloatArray]:
+    """Points of a concentrated load [m] and their weights: all by place, this rank's by name."""
+    assert isinstance(load, ConcentratedLoad)
+    if load.on is None:
+        return load.samples()
+    assert integrals.problem.nodal_loads is not None
+    return integrals.problem.nodal_loads.samples(load)
 
 
 def _force_and_moment(X: FloatArray, forces: FloatArray) -> FloatArray:
@@ -229,8 +236,20 @@ def _force_and_moment(X: FloatArray, forces: FloatArray) -> FloatArray:
     return np.asarray(np.concatenate([forces, moments], axis=-1).sum(axis=(0, 1)))
 
 
-def _check_finite(index: int, sums: FloatArray, t: float) -> None:
+def _check_finite(
+    index: int,
+    load: Load,
+    points: QuadraturePoints | None,
+    sums: FloatArray,
+    t: float,
+    integrals: Integrals,
+) -> None:
+    """Raises on all ranks where a load's resultant is not finite. Collective."""
     if not np.isfinite(sums).all():
+        X = _samples(load, integrals)[0] if points is None else points.X
+        error = undefined(integrals.body.comm, index, load, X, t)
+        if error is not None:
+            raise error
         raise CaseError(
             f"the load is not finite somewhere at t = {t:g}",
             where=f"load[{index}].value",

@@ -167,6 +167,12 @@ class PointsSpace:
             for i, value in enumerate(values):
                 part[:, i] = number_at(value, places, t).ravel()
 
+    def places(self) -> FloatArray:
+        """All points of this rank [m], shape (n, 3). Not collective."""
+        starts = range(0, len(self._points.cells), _CHUNK)
+        found = [np.zeros((0, 3)), *(self._places(start).reshape(-1, 3) for start in starts)]
+        return np.concatenate(found)
+
     def _places(self, start: int) -> FloatArray:
         """Points [m] of the entities of a chunk, shape (entities, points, 3)."""
         sets, geometry = self._points.sets, self._mesh.geometry
@@ -227,6 +233,16 @@ class FormulaValues:
         follow(self._t)
         self._timed += [follow] * timed
         return found
+
+    def places(self, parts: Parts) -> FloatArray:
+        """Points of this rank at which formulas on parts are evaluated [m], (n, 3). Collective.
+
+        Args:
+            parts: Where the integral is taken.
+        """
+        known = (space for (there, _), space in self._spaces.items() if there == parts)
+        space = next(known, None)
+        return (self._space(parts, 0) if space is None else space).places()
 
     def _space(self, parts: Parts, width: int) -> PointsSpace:
         if (parts, width) not in self._spaces:

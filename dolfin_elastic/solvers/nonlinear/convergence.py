@@ -263,7 +263,8 @@ class ConvergenceTest:
         self.predicted = 0.0
         self.take_loads()
         if not np.isfinite(self._applied):
-            raise load_not_finite(float(self._assembler.problem.t.value))
+            problem = self._assembler.problem
+            raise load_not_finite(problem, float(problem.t.value))
 
     def take_loads(self) -> None:
         """Measures the applied forces, which scalar unknowns may change. Collective."""

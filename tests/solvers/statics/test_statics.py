@@ -15,6 +15,7 @@ from dolfin_elastic import (
     Gravity,
     LinearElastic,
     NeoHookean,
+    PointForce,
     Pressure,
     Problem,
     Selector,
@@ -314,6 +315,38 @@ def test_a_formula_of_one_value_is_taken_as_it_is():
         problem = bar(loads=(push,))
         found = [displacement_at(problem, (1.0, 0.0))[0] for _ in Statics(problem, steps=2).steps()]
         np.testing.assert_allclose(-np.array(found) * E / 1e3, shares, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("loads", "said"),
+    [
+        (
+            (
+                Traction(on="right", value=[1.0, 0]),
+                Traction(on="right", value=["sqrt(y - 0.5 - t)", 0]),
+            ),
+            r"load[1].value[0]: 'sqrt(y - 0.5 - t)' has no finite value at (1, ",
+        ),
+        (
+            (Pressure(on="right", value="ln(x - 1)"),),
+            "load[0].value: 'ln(x - 1)' has no finite value at (1, ",
+        ),
+        (
+            (BodyForce(value=[0, "1e3*sqrt(0.3 - t)"]),),
+            "load[0].value[1]: '1e3*sqrt(0.3 - t)' has no finite value at t = 0.5;",
+        ),
+        (
+            (PointForce(at=[1.0, 0.0], value=["ln(y)", 0]),),
+            "load[0].value[0]: 'ln(y)' has no finite value at (1, 0) m;",
+        ),
+    ],
+)
+def test_a_load_that_is_not_finite_is_named(loads, said):
+    """Its key, formula and place, the same on every rank."""
+    with pytest.raises(InputError) as caught:
+        _ = [*Statics(bar(loads=loads), steps=2).steps()]
+    assert str(caught.value).startswith(said)
+    assert len(set(MPI.COMM_WORLD.allgather(str(caught.value)))) == 1
 
 
 def test_a_support_that_is_not_finite_is_refused_everywhere():

@@ -151,7 +151,7 @@ class StabilityMonitor:
         forces = self._assembler.reactions.loads()
         u[:] = displacement
         if total(problem.body.comm, int(np.sum(~np.isfinite(forces)))):
-            raise load_not_finite(t)
+            raise load_not_finite(problem, t)
 
     # --- restarts: keys are those of checkpoint format 3 ---
 
