@@ -23,7 +23,7 @@ from dolfin_elastic.case.tables import (
     table_of,
 )
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.schema import AlreadyRead, Record
 from dolfin_elastic.mesh import Body, EdgeSelector, PointSelector, Selector
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads import LOAD_WORDS, LOADS, Load
@@ -55,15 +55,15 @@ class ModelTables(Record):
 
     title: str = ""
     mesh: MeshTable
-    surfaces: dict[str, list[Selector]] = Field(default={})
-    regions: dict[str, list[Selector]] = Field(default={})
-    edges: dict[str, list[EdgeSelector]] = Field(default={})
-    points: dict[str, list[PointSelector]] = Field(default={})
-    materials: dict[str, Material]
-    support: list[Restraint] = Field(default=[])
-    load: list[Load] = Field(default=[])
-    contact: list[Contact] = Field(default=[])
-    tie: list[Tie] = Field(default=[])
+    surfaces: dict[str, list[AlreadyRead[Selector]]] = Field(default={})
+    regions: dict[str, list[AlreadyRead[Selector]]] = Field(default={})
+    edges: dict[str, list[AlreadyRead[EdgeSelector]]] = Field(default={})
+    points: dict[str, list[AlreadyRead[PointSelector]]] = Field(default={})
+    materials: dict[str, AlreadyRead[Material]]
+    support: list[AlreadyRead[Restraint]] = Field(default=[])
+    load: list[AlreadyRead[Load]] = Field(default=[])
+    contact: list[AlreadyRead[Contact]] = Field(default=[])
+    tie: list[AlreadyRead[Tie]] = Field(default=[])
     periodic: Periodic | None = None
 
     @field_validator("surfaces", "regions", mode="before")

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rich.box import SIMPLE_HEAD
-from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from dolfin_elastic.cli.terminal import Screen, wrapped
@@ -136,6 +135,8 @@ class ProgressBar:
     """A bar that moves, for terminals."""
 
     def __init__(self, motion: bool, screen: Screen) -> None:
+        from rich.progress import BarColumn, Progress, TextColumn
+
         self.motion, self._estimate = motion, Estimate()
         self._progress = Progress(
             BarColumn(bar_width=24),

@@ -28,11 +28,12 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    GetCoreSchemaHandler,
     ValidationError,
     model_validator,
 )
 from pydantic.fields import FieldInfo
-from pydantic_core import ErrorDetails
+from pydantic_core import ErrorDetails, core_schema
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.units import Quantity
@@ -86,6 +87,26 @@ class Record(BaseModel, metaclass=_InputErrorMeta):
                     _refuse_boolean([fields[name].annotation], name, value)
                 _refuse_non_boolean(fields[name].annotation, name, value)
         return data
+
+
+T = TypeVar("T")
+
+
+class _IsInstance:
+    """Asks of a value only whether it is of a type."""
+
+    def __get_pydantic_core_schema__(
+        self, kind: Any, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        return core_schema.is_instance_schema(kind)
+
+
+AlreadyRead = Annotated[T, _IsInstance()]
+"""A record inside another one that a validator has made of its table before.
+
+Of a plain one pydantic would make a schema inside that of the outer one, whether a case has such a
+record or not: for a whole case that takes longer than all that is read.
+"""
 
 
 def _refuse_boolean(kinds: Sequence[object], where: str, value: object) -> None:

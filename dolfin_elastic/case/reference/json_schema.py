@@ -194,7 +194,7 @@ class _Writer:
 
     def _named(self, kind: object) -> Schema:
         """One of a table of tables; of selectors one or several."""
-        inside = get_args(kind)
+        inside = [member for one in get_args(kind) for member in members_of(one)]
         found = self._value(kind)
         selects = inside and isinstance(inside[0], type) and issubclass(inside[0], Place)
         return {"anyOf": [self._value(inside[0]), found]} if selects else found
