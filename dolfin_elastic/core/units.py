@@ -80,8 +80,8 @@ _OTHER_UNITS = {
 }
 """Units that may have been meant, beside the usual ones."""
 
-_LIKE = 0.6
-"""Likeness from which on a unit may be the one that was meant."""
+_LIKE, _VERY_LIKE = 0.6, 0.75
+"""Likeness from which on a unit may be meant: in place of an unknown one, and of a known one."""
 
 LENGTHS = {**COMMON_UNITS["m"], "in": 0.0254, "ft": 0.3048, "mil": 2.54e-5, "mi": 1609.344}
 
@@ -205,7 +205,7 @@ def _from_text(text: str, unit: str) -> float:
         meant = _meant(name, unit)
         raise UnitError(f"unknown unit '{name}' in '{text}'{meant}", expected=_expected(unit))
     if not _registry().Quantity(1.0, name).is_compatible_with(unit or "dimensionless"):
-        meant = _meant(name, unit)  # to pint "kNm" is a fineness of yarn
+        meant = _meant(name, unit, _VERY_LIKE)  # to pint "kNm" is a fineness of yarn
         raise UnitError(f"'{text}' has the wrong unit{meant}", expected=_expected(unit))
     zero, size = _scale(text, name, unit)
     if zero != 0.0 and unit != "K":  # a number in kelvin is a change of temperature throughout
@@ -213,19 +213,20 @@ def _from_text(text: str, unit: str) -> float:
     return number * size * _frequency_factor(name, unit)
 
 
-def _meant(name: str, unit: str | None) -> str:
+def _meant(name: str, unit: str | None, like: float = _LIKE) -> str:
     """Question after an unknown or wrong unit: the nearest of the right dimension, if any is.
 
     Args:
         name: As it was written.
         unit: SI unit of what is expected; None: any.
+        like: Likeness from which on one is named.
     """
     wanted = {*COMMON_UNITS, *_OTHER_UNITS} if unit is None else {unit}
     tables = (COMMON_UNITS, _OTHER_UNITS)
     every = [one for key in sorted(wanted) for table in tables for one in table.get(key, ())]
     # Among those that differ in nothing but case or a missing ^, the first: MPa, not mPa.
     known = {_plain(one): one for one in reversed(every)}
-    match = get_close_matches(_plain(name), known, n=1, cutoff=_LIKE)
+    match = get_close_matches(_plain(name), known, n=1, cutoff=like)
     return f" (did you mean '{known[match[0]]}'?)" if match else ""
 
 

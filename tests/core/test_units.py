@@ -137,6 +137,8 @@ def test_refused(written: float | str, unit: str, message: str) -> None:
         ("2 MPaa", None, "MPa"),
         ("2 kNm", "Pa", "kN/m^2"),
         ("2 furlang", "K", ""),
+        ("2 m", "s", ""),  # a length, and not ms
+        ("10 mm", "m/s", ""),
     ],
 )
 def test_misspelt_units(written: str, unit: str | None, meant: str) -> None:
