@@ -39,7 +39,7 @@ class DirichletConditions:
 
     Attributes:
         values: Function whose entries at the constrained dofs are the prescribed values [m].
-        bcs: One DOLFINx condition a component, ready for assembly.
+        bcs: The DOLFINx condition of all of them, ready for assembly; empty without supports.
         dofs: Constrained entries of the local vector, owned and ghost, sorted, unrolled.
         owned: Those of them that this rank owns.
         reaction_dofs: Support's label to its owned entries: its reaction is the sum of the forces
@@ -68,7 +68,10 @@ class DirichletConditions:
         self.dofs = np.unique(dofs).astype(np.int32)
         size = V.dofmap.index_map.size_local * self._bs
         self.owned = self.dofs[self.dofs < size]
-        self.bcs = [self._condition(i) for i in range(self._bs)] if self._entries else []
+        # Entries of the whole space: that of a component has a map of all cells of its own, and of
+        # nodes DOLFINx 0.9 takes ghosts for its own (it compares them with the number of entries).
+        pair = [self.dofs, self.dofs]
+        self.bcs = [fem.dirichletbc(self.values, pair, V)] if self._entries else []
         self.reaction_dofs = {label: self._dofs_of(label, size) for label in found.labels}
         if pinned is not None:
             self.dofs, self.owned = np.sort(pinned[0]), pinned[1]
@@ -85,10 +88,6 @@ class DirichletConditions:
             x=self._x,
             dim=self._bs,
         )
-
-    def _condition(self, i: int) -> fem.DirichletBC:
-        dofs = self.dofs[self.dofs % self._bs == i]
-        return fem.dirichletbc(self.values, [dofs, dofs], self._V.sub(i))
 
     def _dofs_of(self, label: str, size: int) -> IndexArray:
         """Owned entries of the supports with this label, sorted."""

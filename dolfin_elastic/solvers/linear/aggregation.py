@@ -57,15 +57,35 @@ def coarsen(
         threshold: |A_ij| / sqrt(|A_ii| |A_jj|) of a strong connection.
         loops: Those of `block_loops`.
     """
+    P, factors = _smoothed(A, modes, diagonal, threshold, loops)
+    return Coarse(P, galerkin(A, P, loops), factors)
+
+
+def _smoothed(
+    A: BlockRows, modes: FloatArray, diagonal: Diagonal, threshold: float, loops: CFunctions
+) -> tuple[BlockRows, FloatArray]:
+    """Interpolation from the next coarser level, and its modes. Collective.
+
+    What it needs is freed with it, before the product that takes most memory.
+
+    Args:
+        A: See `coarsen`, as all others.
+        modes: Of owned nodes.
+        diagonal: That of A.
+        threshold: Of a strong connection.
+        loops: Those of `block_loops`.
+    """
     n, R, C, halo = A.rows, A.R, modes.shape[2], A.halo
-    strong, sizes = np.empty(len(A.columns), dtype=np.float32), np.zeros(n)
-    limit = np.array([threshold])
-    loops.call("connections", n, R, A.start, A.columns, A.blocks, sizes, strong, limit)
-    own = np.empty(n, dtype=np.int32)
-    count = loops.call("aggregate", n, A.start, A.columns, strong, own)
+    strong, limit = np.empty(len(A.columns), dtype=np.float32), np.array([threshold])
     tentative = np.zeros((halo.size, R, C))
     tentative[:n] = modes
-    loops.call("hold_fixed", n, R, C, A.start, A.columns, A.blocks, tentative)
+    pattern = A.start, A.columns
+    for first, rows, part in A.parts():
+        measured = (part, n, diagonal.sizes, strong, limit)
+        loops.call("connections", first, rows, R, *pattern, *measured)
+        loops.call("hold_fixed", first, rows, R, C, *pattern, part, tentative)
+    own = np.empty(n, dtype=np.int32)
+    count = loops.call("aggregate", n, A.start, A.columns, strong, own)
     everywhere = tentative.copy()
     factors, work = np.empty((count, C, C)), np.empty(2 * count)
     loops.call("orthonormalise", n, R, C, count, own, tentative, factors, work)
@@ -77,13 +97,13 @@ def coarsen(
     loops.call("count_smoothed", n, A.start, A.columns, strong, member, mark, P_start)
     columns, blocks = np.empty(P_start[-1], dtype=np.int32), np.empty((P_start[-1], R, C))
     place, step = np.full(coarse.size, -1, dtype=np.int64), np.array([SMOOTHING / diagonal.largest])
-    loops.call(
-        *("fill_smoothed", R, C, n, A.start, A.columns, A.blocks, strong, diagonal.inverse),
-        *(everywhere, _inverse_factors(factors), tentative, member),
-        *(step, place, P_start, columns, blocks),
-    )
-    P = BlockRows(P_start, columns, blocks, coarse)
-    return Coarse(P, galerkin(A, P, loops), factors)
+    turned = _inverse_factors(factors)
+    for first, rows, part in A.parts():
+        loops.call(
+            *("fill_smoothed", R, C, first, rows, *pattern, part, strong, diagonal.inverse),
+            *(everywhere, turned, tentative, member, step, place, P_start, columns, blocks),
+        )
+    return BlockRows(P_start, columns, blocks, coarse), factors
 
 
 def _inverse_factors(factors: FloatArray) -> FloatArray:
@@ -136,22 +156,24 @@ def galerkin(A: BlockRows, P: BlockRows, loops: CFunctions) -> BlockRows:
         P: Interpolation to the owned nodes of A.
         loops: Those of `block_loops`.
     """
-    n, R, C, coarse = A.rows, P.R, P.C, P.halo
+    R, C, coarse = P.R, P.C, P.halo
     start, columns, blocks, numbers = _with_ghosts(A, P)
     m, size = coarse.size, len(numbers)
-    W_start, W_columns = _product_pattern((A.start, A.columns), (start, columns), size, loops)
+    W = _product_pattern((A.start, A.columns), (start, columns), size, loops)
     transposed = _transposed(P.start, P.columns, m)
-    A_start, A_columns = _product_pattern(transposed, (W_start, W_columns), size, loops)
+    A_start, A_columns = _product_pattern(transposed, W, size, loops)
+    most = int(np.diff(W[0]).max(initial=0))
     rows = np.repeat(np.arange(m), np.diff(A_start))
     A_columns = A_columns[np.lexsort((A_columns, rows))]
+    del W, transposed, rows  # the blocks are about to take most memory
     A_blocks = np.zeros((len(A_columns), C, C))
-    most = int(np.diff(W_start).max(initial=0))
     place = np.full(size, -1, dtype=np.int32)
-    loops.call(
-        *("galerkin", R, C, n, A.start, A.columns, A.blocks, start, columns, blocks),
-        *(A_start, A_columns, A_blocks, place, np.empty(most, dtype=np.int32)),
-        np.empty((most, R, C)),
-    )
+    work = (place, np.empty(most, dtype=np.int32), np.empty((most, R, C)))
+    for first, count, part in A.parts():
+        loops.call(
+            *("galerkin", R, C, first, count, A.start, A.columns, part, start, columns, blocks),
+            *(A_start, A_columns, A_blocks, *work),
+        )
     return _summed(coarse, A_start, numbers[A_columns], A_blocks)
 
 

@@ -16,19 +16,21 @@ int64_t fill_blocks(int64_t n, int64_t R, int64_t C, const int64_t* start, const
         const double* far_values, const int32_t* node, const int32_t* far_node,
         const int8_t* component, const int8_t* far_component, int64_t* place,
         const int64_t* block_start, int32_t* block_columns, double* blocks);
-int64_t invert_diagonal(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
-        const double* blocks, double* inverse);
-int64_t connections(int64_t n, int64_t R, const int64_t* start, const int32_t* columns,
-        const double* blocks, double* diagonal, float* strong, const double* threshold);
+int64_t take_diagonal(int64_t first, int64_t n, int64_t R, const int64_t* start,
+        const int32_t* columns, const double* blocks, double* diagonal);
+int64_t invert_blocks(int64_t R, int64_t n, double* blocks);
+int64_t connections(int64_t first, int64_t n, int64_t R, const int64_t* start,
+        const int32_t* columns, const double* blocks, int64_t owned, const double* sizes,
+        float* strong, const double* threshold);
 int64_t aggregate(int64_t n, const int64_t* start, const int32_t* columns, const float* strong,
         int32_t* member);
-int64_t hold_fixed(int64_t n, int64_t R, int64_t C, const int64_t* start, const int32_t* columns,
-        const double* blocks, double* modes);
+int64_t hold_fixed(int64_t first, int64_t n, int64_t R, int64_t C, const int64_t* start,
+        const int32_t* columns, const double* blocks, double* modes);
 int64_t orthonormalise(int64_t n, int64_t R, int64_t C, int64_t aggregates, const int32_t* member,
         double* modes, double* factors, double* work);
 int64_t count_smoothed(int64_t n, const int64_t* start, const int32_t* columns,
         const float* strong, const int32_t* member, int32_t* mark, int64_t* p_start);
-int64_t fill_smoothed(int64_t R, int64_t C, int64_t n, const int64_t* start,
+int64_t fill_smoothed(int64_t R, int64_t C, int64_t first, int64_t n, const int64_t* start,
         const int32_t* columns, const double* blocks, const float* strong, const double* inverse,
         const double* modes, const double* turned, const double* tentative, const int32_t* member,
         const double* omega, int64_t* place, const int64_t* p_start, int32_t* p_columns,
@@ -36,13 +38,16 @@ int64_t fill_smoothed(int64_t R, int64_t C, int64_t n, const int64_t* start,
 int64_t product_pattern(int64_t n, const int64_t* a_start, const int32_t* a_columns,
         const int64_t* b_start, const int32_t* b_columns, int32_t* mark, int64_t* start,
         int32_t* columns, int64_t fill);
-int64_t galerkin(int64_t R, int64_t C, int64_t n, const int64_t* start, const int32_t* columns,
-        const double* blocks, const int64_t* p_start, const int32_t* p_columns,
-        const double* p_blocks, const int64_t* c_start, const int32_t* c_columns, double* coarse,
+int64_t galerkin(int64_t R, int64_t C, int64_t first, int64_t n, const int64_t* start,
+        const int32_t* columns, const double* blocks, const int64_t* p_start,
+        const int32_t* p_columns, const double* p_blocks, const int64_t* c_start,
+        const int32_t* c_columns, double* coarse,
         int32_t* place, int32_t* list, double* w);
 int64_t in_single_precision(int64_t count, int64_t R, int64_t C, const double* blocks,
         float* out);
 int64_t into_single_precision(int64_t count, int64_t R, int64_t C, double* blocks);
+int64_t product(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
+        const double* blocks, const double* x, double* y);
 int64_t smooth(int64_t R, int64_t n, const int64_t* start, const int32_t* columns, const float* a,
         const float* inverse, const double* x, const double* b, double* y);
 int64_t smooth_first(int64_t R, int64_t n, const float* inverse, const double* b, double* y);
@@ -123,13 +128,16 @@ INLINE int64_t put(int64_t r, int64_t R, int64_t C, int64_t first, int64_t last,
   return next;
 }
 
-/* The same blocks.  Of own and of other columns `component` is the one of each column. */
+/* The same blocks, of some rows.  Of own and of other columns `component` is the one of each
+   column.  Rows are counted from the first of these, entries and columns of blocks from that of
+   all, and blocks from their first. */
 int64_t fill_blocks(int64_t n, int64_t R, int64_t C, const int64_t* start, const int32_t* columns,
                     const double* values, const int64_t* far_start, const int32_t* far_columns,
                     const double* far_values, const int32_t* node, const int32_t* far_node,
                     const int8_t* component, const int8_t* far_component, int64_t* place,
                     const int64_t* block_start, int32_t* block_columns, double* blocks)
 {
+  blocks -= block_start[0] * R * C;
   for (int64_t i = 0; i < n; i++)
   {
     int64_t next = block_start[i];
@@ -145,18 +153,28 @@ int64_t fill_blocks(int64_t n, int64_t R, int64_t C, const int64_t* start, const
   return 0;
 }
 
-/* Inverse blocks of the diagonal; a direction without stiffness is left alone. */
-INLINE void invert_diagonal_(const int R, const int C, int64_t n, const int64_t* start,
-                             const int32_t* columns, const double* blocks, double* inverse)
+/* Loops that need the blocks of a matrix take n rows from `first` on, and their blocks alone. */
+
+/* Blocks of the diagonal. */
+int64_t take_diagonal(int64_t first, int64_t n, int64_t R, const int64_t* start,
+                      const int32_t* columns, const double* blocks, double* diagonal)
+{
+  blocks -= start[first] * R * R;
+  for (int64_t i = first; i < first + n; i++)
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+      if (columns[k] == i)
+        memcpy(diagonal + i * R * R, blocks + k * R * R, sizeof(double) * R * R);
+  return 0;
+}
+
+/* Their inverses; a direction without stiffness is left alone. */
+INLINE void invert_blocks_(const int R, const int C, int64_t n, double* blocks)
 {
   (void)C;
   for (int64_t i = 0; i < n; i++)
   {
-    double a[R][R], *b = inverse + i * R * R;
-    memset(a, 0, sizeof(a));
-    for (int64_t k = start[i]; k < start[i + 1]; k++)
-      if (columns[k] == i)
-        memcpy(a, blocks + k * R * R, sizeof(a));
+    double a[R][R], *b = blocks + i * R * R;
+    memcpy(a, b, sizeof(a));
     double largest = 0.0;
     for (int r = 0; r < R; r++)
       largest = fmax(largest, fabs(a[r][r]));
@@ -197,13 +215,11 @@ INLINE void invert_diagonal_(const int R, const int C, int64_t n, const int64_t*
     }
   }
 }
-int64_t invert_diagonal(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
-                        const double* blocks, double* inverse)
+int64_t invert_blocks(int64_t R, int64_t n, double* blocks)
 {
-  DISPATCH(R, R, invert_diagonal_, n, start, columns, blocks, inverse);
+  DISPATCH(R, R, invert_blocks_, n, blocks);
   return 0;
 }
-
 
 static inline double square(int64_t size, const double* block)
 {
@@ -215,20 +231,17 @@ static inline double square(int64_t size, const double* block)
 
 /* strong[k] = |A_ij|^2 / (|A_ii| |A_jj|) where that is above threshold^2, else minus that; 0 on the
    diagonal.  The diagonal of nodes of other ranks is taken to be that of node i. */
-int64_t connections(int64_t n, int64_t R, const int64_t* start, const int32_t* columns,
-                    const double* blocks, double* diagonal, float* strong,
-                    const double* threshold)
+int64_t connections(int64_t first, int64_t n, int64_t R, const int64_t* start,
+                    const int32_t* columns, const double* blocks, int64_t owned,
+                    const double* sizes, float* strong, const double* threshold)
 {
-  for (int64_t i = 0; i < n; i++)
-    for (int64_t k = start[i]; k < start[i + 1]; k++)
-      if (columns[k] == i)
-        diagonal[i] = sqrt(square(R * R, blocks + k * R * R));
-  for (int64_t i = 0; i < n; i++)
+  blocks -= start[first] * R * R;
+  for (int64_t i = first; i < first + n; i++)
     for (int64_t k = start[i]; k < start[i + 1]; k++)
     {
       const int32_t j = columns[k];
       const double s = square(R * R, blocks + k * R * R);
-      const double size = diagonal[i] * diagonal[j < n ? j : i];
+      const double size = sizes[i] * sizes[j < owned ? j : i];
       const int weak = !(s > threshold[0] * threshold[0] * size);
       strong[k] = j == i ? 0.0f : (float)(weak ? -s / size : s / size);
     }
@@ -297,10 +310,11 @@ int64_t aggregate(int64_t n, const int64_t* start, const int32_t* columns, const
 }
 
 /* Modes move no prescribed component: one whose row has no entry but on the diagonal. */
-int64_t hold_fixed(int64_t n, int64_t R, int64_t C, const int64_t* start, const int32_t* columns,
-                   const double* blocks, double* modes)
+int64_t hold_fixed(int64_t first, int64_t n, int64_t R, int64_t C, const int64_t* start,
+                   const int32_t* columns, const double* blocks, double* modes)
 {
-  for (int64_t i = 0; i < n; i++)
+  blocks -= start[first] * R * R;
+  for (int64_t i = first; i < first + n; i++)
     for (int64_t r = 0; r < R; r++)
     {
       int fixed = 1;
@@ -396,14 +410,16 @@ int64_t count_smoothed(int64_t n, const int64_t* start, const int32_t* columns,
   return 0;
 }
 
-INLINE void fill_smoothed_(const int R, const int C, int64_t n, const int64_t* start,
+INLINE void fill_smoothed_(const int R, const int C, int64_t first, int64_t n,
+                           const int64_t* start,
                            const int32_t* columns, const double* blocks, const float* strong,
                            const double* inverse, const double* modes, const double* turned,
                            const double* tentative, const int32_t* member, double omega,
                            int64_t* place, const int64_t* p_start, int32_t* p_columns,
                            double* p_blocks)
 {
-  for (int64_t i = 0; i < n; i++)
+  blocks -= start[first] * R * R;
+  for (int64_t i = first; i < first + n; i++)
   {
     if (member[i] < 0)
       continue;
@@ -457,13 +473,14 @@ INLINE void fill_smoothed_(const int R, const int C, int64_t n, const int64_t* s
     }
   }
 }
-int64_t fill_smoothed(int64_t R, int64_t C, int64_t n, const int64_t* start, const int32_t* columns,
-                      const double* blocks, const float* strong, const double* inverse,
+int64_t fill_smoothed(int64_t R, int64_t C, int64_t first, int64_t n, const int64_t* start,
+                      const int32_t* columns, const double* blocks, const float* strong,
+                      const double* inverse,
                       const double* modes, const double* turned, const double* tentative,
                       const int32_t* member, const double* omega, int64_t* place,
                       const int64_t* p_start, int32_t* p_columns, double* p_blocks)
 {
-  DISPATCH(R, C, fill_smoothed_, n, start, columns, blocks, strong, inverse, modes, turned,
+  DISPATCH(R, C, fill_smoothed_, first, n, start, columns, blocks, strong, inverse, modes, turned,
            tentative, member, omega[0], place, p_start, p_columns, p_blocks);
   return 0;
 }
@@ -492,13 +509,14 @@ int64_t product_pattern(int64_t n, const int64_t* a_start, const int32_t* a_colu
 }
 
 /* P^T A P, row by row of A: a row of A P first, then its part of each coarse row. */
-INLINE void galerkin_(const int R, const int C, int64_t n, const int64_t* start,
+INLINE void galerkin_(const int R, const int C, int64_t first, int64_t n, const int64_t* start,
                       const int32_t* columns, const double* blocks, const int64_t* p_start,
                       const int32_t* p_columns, const double* p_blocks, const int64_t* c_start,
                       const int32_t* c_columns, double* coarse, int32_t* place, int32_t* list,
                       double* w)
 {
-  for (int64_t i = 0; i < n; i++)
+  blocks -= start[first] * R * R;
+  for (int64_t i = first; i < first + n; i++)
   {
     int count = 0;
     if (p_start[i] == p_start[i + 1])
@@ -552,13 +570,38 @@ INLINE void galerkin_(const int R, const int C, int64_t n, const int64_t* start,
       place[list[s]] = -1;
   }
 }
-int64_t galerkin(int64_t R, int64_t C, int64_t n, const int64_t* start, const int32_t* columns,
-                 const double* blocks, const int64_t* p_start, const int32_t* p_columns,
-                 const double* p_blocks, const int64_t* c_start, const int32_t* c_columns,
+int64_t galerkin(int64_t R, int64_t C, int64_t first, int64_t n, const int64_t* start,
+                 const int32_t* columns, const double* blocks, const int64_t* p_start,
+                 const int32_t* p_columns, const double* p_blocks, const int64_t* c_start,
+                 const int32_t* c_columns,
                  double* coarse, int32_t* place, int32_t* list, double* w)
 {
-  DISPATCH(R, C, galerkin_, n, start, columns, blocks, p_start, p_columns, p_blocks, c_start,
+  DISPATCH(R, C, galerkin_, first, n, start, columns, blocks, p_start, p_columns, p_blocks, c_start,
            c_columns, coarse, place, list, w);
+  return 0;
+}
+
+/* y = A x */
+INLINE void product_(const int R, const int C, int64_t n, const int64_t* start,
+                     const int32_t* columns, const double* blocks, const double* x, double* y)
+{
+  for (int64_t i = 0; i < n; i++)
+  {
+    double z[R];
+    for (int r = 0; r < R; r++)
+      z[r] = 0.0;
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+      for (int r = 0; r < R; r++)
+        for (int c = 0; c < C; c++)
+          z[r] += blocks[(k * R + r) * C + c] * x[(int64_t)C * columns[k] + c];
+    for (int r = 0; r < R; r++)
+      y[i * R + r] = z[r];
+  }
+}
+int64_t product(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
+                const double* blocks, const double* x, double* y)
+{
+  DISPATCH(R, R, product_, n, start, columns, blocks, x, y);
   return 0;
 }
 

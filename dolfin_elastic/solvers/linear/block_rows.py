@@ -6,6 +6,7 @@ know the size of the blocks.  PETSc's star forest (SF) exchanges what belongs to
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -210,6 +211,10 @@ def _rows(
     return found
 
 
+PART = 8192
+"""Rows of nodes whose blocks are made at once, where a matrix has none of its own."""
+
+
 class BlockRows:
     """A matrix of blocks of rows of owned nodes.
 
@@ -218,7 +223,12 @@ class BlockRows:
         columns: Local number of the node in `halo` of each block.
         blocks: Shape (blocks, R, C).
         halo: Nodes of its columns.
+
+    Attributes:
+        whole: It has all its blocks in `blocks`.
     """
+
+    whole = True
 
     def __init__(
         self, start: IntArray, columns: IndexArray, blocks: FloatArray, halo: Halo
@@ -226,6 +236,25 @@ class BlockRows:
         self.start, self.columns, self.blocks, self.halo = start, columns, blocks, halo
         self.rows = len(start) - 1
         self.R, self.C = blocks.shape[1:]
+
+    def parts(self) -> Iterator[tuple[int, int, FloatArray]]:
+        """First row, number of rows and their blocks, for loops over the whole matrix. Local."""
+        yield 0, self.rows, self.blocks
+
+    def times(self, x: FloatArray, loops: CFunctions) -> FloatArray:
+        """The product of a square matrix, of owned nodes. Collective.
+
+        Args:
+            x: At owned nodes and ghosts.
+            loops: Those of `block_loops`.
+        """
+        y = np.empty((self.rows, self.R))
+        loops.call("product", self.R, self.rows, self.start, self.columns, self.blocks, x, y)
+        return y
+
+    def with_blocks(self) -> BlockRows:
+        """The same with all its blocks. Local."""
+        return self
 
     def take_blocks(self) -> FloatArray:
         """Hands over the blocks, as to free them; rows, columns and halo stay."""
@@ -237,8 +266,75 @@ class BlockRows:
         self.halo.destroy()
 
 
+class PetscRows(BlockRows):
+    """The blocks of an AIJ matrix, which are made a part at a time. Collective to make.
+
+    All of them would take as much memory as the matrix itself.
+
+    Args:
+        matrix: Whose rows and columns of a node follow on each other; it must outlive this.
+        R: Rows of a node.
+        C: Columns of a node.
+        loops: Those of `block_loops`.
+    """
+
+    whole = False
+
+    def __init__(self, matrix: PETSc.Mat, R: int, C: int, loops: CFunctions) -> None:
+        near, far, numbers = parts_of_aij(matrix)
+        first, last = (int(c) for c in matrix.getOwnershipRangeColumn())
+        comm, rows, owned = matrix.comm.tompi4py(), (len(near.start) - 1) // R, (last - first) // C
+        ghosts = np.unique(numbers // C).astype(np.int64)
+        halo = Halo(comm, owned, ghosts)
+        own = np.arange(last - first, dtype=np.int32)
+        node = (own // C, (owned + np.searchsorted(ghosts, numbers // C)).astype(np.int32))
+        component = ((own % C).astype(np.int8), (numbers % C).astype(np.int8))
+        start = np.empty(rows + 1, dtype=np.int64)
+        mark = np.full(halo.size, -1, dtype=np.int32)
+        pattern = (near.start, near.columns, far.start, far.columns)
+        loops.call("count_blocks", rows, R, *pattern, *node, mark, start)
+        self._petsc, self._loops, self._near, self._far = matrix, loops, near, far
+        self._where = (*node, *component, np.full(halo.size, -1, dtype=np.int64))
+        columns = np.empty(start[-1], dtype=np.int32)
+        super().__init__(start, columns, np.empty((0, R, C)), halo)
+        for _ in self.parts():  # which writes the columns
+            pass
+
+    def parts(self) -> Iterator[tuple[int, int, FloatArray]]:
+        """See `BlockRows.parts`; the blocks are valid until the next ones."""
+        R, C, near, far = self.R, self.C, self._near, self._far
+        ends = self.start[np.append(np.arange(0, self.rows, PART), self.rows)]
+        work = np.empty((int(np.diff(ends).max(initial=0)), R, C))
+        for first in range(0, self.rows, PART):
+            count = min(PART, self.rows - first)
+            blocks = work[: self.start[first + count] - self.start[first]]
+            self._loops.call(
+                *("fill_blocks", count, R, C, near.start[first * R :], near.columns, near.values),
+                *(far.start[first * R :], far.columns, far.values, *self._where),
+                *(self.start[first:], self.columns, blocks),
+            )
+            yield first, count, blocks
+
+    def with_blocks(self) -> BlockRows:
+        """See `BlockRows.with_blocks`."""
+        blocks = np.empty((self.start[-1], self.R, self.C))
+        for first, count, part in self.parts():
+            blocks[self.start[first] : self.start[first + count]] = part
+        return BlockRows(self.start, self.columns, blocks, self.halo)
+
+    def times(self, x: FloatArray, loops: CFunctions) -> FloatArray:
+        """See `BlockRows.times`; PETSc's product."""
+        right, left = self._petsc.createVecs()
+        right.array_w[:] = x[: self.rows].reshape(-1)
+        self._petsc.mult(right, left)
+        y = np.array(left.array_r).reshape(self.rows, self.R)
+        right.destroy()
+        left.destroy()
+        return y
+
+
 def from_petsc(matrix: PETSc.Mat, R: int, C: int, loops: CFunctions) -> BlockRows:
-    """The blocks of an AIJ matrix. Collective.
+    """The blocks of an AIJ matrix, all of them at once. Collective.
 
     Args:
         matrix: Whose rows and columns of a node follow on each other.
@@ -246,22 +342,4 @@ def from_petsc(matrix: PETSc.Mat, R: int, C: int, loops: CFunctions) -> BlockRow
         C: Columns of a node.
         loops: Those of `block_loops`.
     """
-    near, far, numbers = parts_of_aij(matrix)
-    first, last = (int(c) for c in matrix.getOwnershipRangeColumn())
-    comm, rows, owned = matrix.comm.tompi4py(), (len(near.start) - 1) // R, (last - first) // C
-    ghosts = np.unique(numbers // C).astype(np.int64)
-    halo = Halo(comm, owned, ghosts)
-    own = np.arange(last - first, dtype=np.int32)
-    node = (own // C, (owned + np.searchsorted(ghosts, numbers // C)).astype(np.int32))
-    component = ((own % C).astype(np.int8), (numbers % C).astype(np.int8))
-    block_start = np.empty(rows + 1, dtype=np.int64)
-    mark = np.full(halo.size, -1, dtype=np.int32)
-    pattern = (near.start, near.columns, far.start, far.columns)
-    loops.call("count_blocks", rows, R, *pattern, *node, mark, block_start)
-    columns = np.empty(block_start[-1], dtype=np.int32)
-    blocks = np.empty((block_start[-1], R, C))
-    place = np.full(halo.size, -1, dtype=np.int64)
-    entries = (near.start, near.columns, near.values, far.start, far.columns, far.values)
-    where = (*node, *component, place, block_start)
-    loops.call("fill_blocks", rows, R, C, *entries, *where, columns, blocks)
-    return BlockRows(block_start, columns, blocks, halo)
+    return PetscRows(matrix, R, C, loops).with_blocks()

@@ -14,11 +14,11 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from dolfin_elastic.core.jit import CFunctions, compile_c
-from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.types import FloatArray, IndexArray, SingleArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.linear.aggregation import coarsen, galerkin
 from dolfin_elastic.solvers.linear.block_loops import DECLARATIONS, SOURCE
-from dolfin_elastic.solvers.linear.block_rows import BlockRows, from_petsc
+from dolfin_elastic.solvers.linear.block_rows import BlockRows, PetscRows, from_petsc
 from dolfin_elastic.solvers.linear.multigrid import (
     aij,
     constrained_interpolation,
@@ -26,7 +26,13 @@ from dolfin_elastic.solvers.linear.multigrid import (
     near_null_space,
     reordered,
 )
-from dolfin_elastic.solvers.linear.smoother import Smoother, diagonal_of, in_single_precision
+from dolfin_elastic.solvers.linear.smoother import (
+    Diagonal,
+    Smoother,
+    diagonal_of,
+    in_single_precision,
+    taken_in_single_precision,
+)
 
 THRESHOLD = 0.08
 """Of a strong connection on the finest level; half of it on each coarser one (Vanek, Mandel &
@@ -44,13 +50,16 @@ class Level:
 
     Args:
         smoother: Of its matrix.
-        P: Interpolation from the next coarser level.
+        P: Interpolation from the next coarser level; its rows and columns.
+        blocks: Its blocks in single precision.
         loops: Those of `block_loops`.
     """
 
-    def __init__(self, smoother: Smoother, P: BlockRows, loops: CFunctions) -> None:
+    def __init__(
+        self, smoother: Smoother, P: BlockRows, blocks: SingleArray, loops: CFunctions
+    ) -> None:
         self.smoother, self._loops, self._coarse = smoother, loops, P.halo
-        self._P = (P.start, P.columns, in_single_precision(P.blocks, loops))
+        self._P = (P.start, P.columns, blocks)
         R, n = smoother.sizes
         self._sizes, self._c = (R, P.C, n), np.zeros((P.halo.size, P.C))
 
@@ -170,7 +179,7 @@ class Hierarchy:
     """All levels. Collective to make.
 
     Args:
-        A: Of the finest level, which loses its blocks.
+        A: Of the finest level.
         linear: Interpolation from linear to quadratic elements, where A is of these.
         modes: Rigid-body modes of the linear elements' nodes, of shape (nodes, dim, modes).
         loops: Those of `block_loops`.
@@ -184,19 +193,28 @@ class Hierarchy:
     ) -> None:
         self._levels: list[Level] = []
         self._interpolations: list[BlockRows] = []
+        finest: tuple[BlockRows, Diagonal | None, BlockRows, SingleArray] | None = None
         if linear is not None:
-            fine, A = A, galerkin(A, linear, loops)
-            self._levels.append(Level(Smoother(fine, loops), linear, loops))
+            finest = (A, None, linear, in_single_precision(linear.blocks, loops))
+            A = galerkin(A, linear, loops)
         threshold, stalled = THRESHOLD, False
         while A.halo.total * A.R > SMALL and not stalled:
             diagonal = diagonal_of(A, loops)
             coarse = coarsen(A, modes, diagonal, threshold=threshold, loops=loops)
-            self._levels.append(Level(Smoother(A, loops, diagonal), coarse.P, loops))
-            coarse.P.take_blocks()  # the level has them in single precision
+            P = taken_in_single_precision(coarse.P, loops)
+            if finest is None:
+                finest = (A, diagonal, coarse.P, P)
+            else:
+                self._levels.append(Level(Smoother(A, loops, diagonal), coarse.P, P, loops))
             self._interpolations.append(coarse.P)
             stalled = coarse.A.halo.total > SLOW * A.halo.total
             A, modes, threshold = coarse.A, coarse.modes, threshold / 2
-        small = A.halo.total * A.R <= SMALL
+            del coarse
+        if finest is not None:  # last of all: the others have become single meanwhile
+            fine, known, interpolation, P = finest
+            smoother = Smoother(fine, loops, known)
+            self._levels.insert(0, Level(smoother, interpolation, P, loops))
+        A, small = A.with_blocks(), A.halo.total * A.R <= SMALL
         self._last: Inverse | Rest = Inverse(A) if small else Rest(A, modes)
         self.sane = all(np.isfinite(level.smoother.largest) for level in self._levels)
 
@@ -253,7 +271,7 @@ class Multigrid:
         """Makes the levels, with the rigid-body modes of the current places. Collective."""
         self.reset(pc)
         dim = self._problem.body.dim
-        A = from_petsc(pc.getOperators()[1], dim, dim, self._loops)
+        A = PetscRows(pc.getOperators()[1], dim, dim, self._loops)
         self._hierarchy = Hierarchy(A, self._linear, self._modes(), self._loops)
         if not self._hierarchy.sane:
             pc.setFailedReason(PETSc.PC.FailedReason.SUBPC_ERROR)

@@ -26,10 +26,12 @@ class Diagonal:
 
     Attributes:
         inverse: Their inverses.
+        sizes: Their Frobenius norms.
         largest: Estimated eigenvalue of D^-1 A.
     """
 
     inverse: FloatArray
+    sizes: FloatArray
     largest: float
 
 
@@ -40,36 +42,31 @@ def diagonal_of(A: BlockRows, loops: CFunctions) -> Diagonal:
         A: The matrix.
         loops: Those of `block_loops`.
     """
-    inverse = _inverses(A, loops)
-    return Diagonal(inverse, _largest(A, in_single_precision(A.blocks, loops), inverse, loops))
+    blocks = np.zeros((A.rows, A.R, A.R))
+    for first, count, part in A.parts():
+        loops.call("take_diagonal", first, count, A.R, A.start, A.columns, part, blocks)
+    sizes = np.sqrt(np.einsum("irc,irc->i", blocks, blocks))
+    loops.call("invert_blocks", A.R, A.rows, blocks)
+    return Diagonal(blocks, sizes, _largest(A, blocks, loops))
 
 
-def _inverses(A: BlockRows, loops: CFunctions) -> FloatArray:
-    inverse = np.zeros((A.rows, A.R, A.R))
-    loops.call("invert_diagonal", A.R, A.rows, A.start, A.columns, A.blocks, inverse)
-    return inverse
-
-
-def _largest(A: BlockRows, single: SingleArray, inverse: FloatArray, loops: CFunctions) -> float:
+def _largest(A: BlockRows, inverse: FloatArray, loops: CFunctions) -> float:
     """Eigenvalue of D^-1 A by the power method. Collective.
 
     Args:
-        A: Whose rows, columns and halo.
-        single: Its blocks.
+        A: The matrix.
         inverse: D^-1.
         loops: Those of `block_loops`.
     """
-    scaled, halo = in_single_precision(inverse, loops), A.halo
-    everywhere, y, none = np.zeros((halo.size, A.R)), *np.zeros((2, A.rows, A.R))
+    halo = A.halo
+    everywhere = np.zeros((halo.size, A.R))
     x = everywhere[: A.rows]
     x[:] = np.random.default_rng(halo.first).normal(size=x.shape)
     size = 1.0
     for _ in range(POWERS):
         x /= size
         halo.fill(everywhere)
-        arrays = (A.start, A.columns, single, scaled, everywhere, none, y)
-        loops.call("smooth", A.R, A.rows, *arrays)
-        x -= y
+        np.einsum("irc,ic->ir", inverse, A.times(everywhere, loops), out=x)
         size = float(np.sqrt(total(halo.comm, float(np.vdot(x, x)))))
     return SAFETY * size
 
@@ -91,12 +88,11 @@ class Smoother:
 
     def __init__(self, A: BlockRows, loops: CFunctions, diagonal: Diagonal | None = None) -> None:
         self._loops, self.halo, self.sizes = loops, A.halo, (A.R, A.rows)
-        inverse = _inverses(A, loops) if diagonal is None else diagonal.inverse
-        blocks = _into_single_precision(A.take_blocks(), loops)
-        self.matrix = (A.start, A.columns, blocks)
-        known = diagonal or Diagonal(inverse, _largest(A, blocks, inverse, loops))
+        known = diagonal or diagonal_of(A, loops)
+        self.matrix = (A.start, A.columns, taken_in_single_precision(A, loops))
         self.largest = known.largest
-        self._scaled = in_single_precision(inverse, loops) * np.float32(DAMPING / self.largest)
+        self._scaled = in_single_precision(known.inverse, loops)
+        self._scaled *= np.float32(DAMPING / self.largest)
         self.x, self._y = np.zeros((A.halo.size, A.R)), np.zeros((A.rows, A.R))
 
     def from_zero(self, b: FloatArray) -> None:
@@ -123,13 +119,23 @@ def in_single_precision(blocks: FloatArray, loops: CFunctions) -> SingleArray:
     return out
 
 
-def _into_single_precision(blocks: FloatArray, loops: CFunctions) -> SingleArray:
-    """The same in the memory of the blocks, whose second half is freed. Not collective.
+def taken_in_single_precision(A: BlockRows, loops: CFunctions) -> SingleArray:
+    """The same of the blocks of a matrix, which loses them. Not collective.
+
+    In their memory, whose second half is freed, if all of them are there.
 
     Args:
-        blocks: Of shape (blocks, rows, columns); no longer used.
+        A: The matrix.
         loops: Those of `block_loops`.
     """
+    if not A.whole:
+        out = np.zeros(A.start[-1] * A.R * A.C + 1, dtype=np.float32)
+        for first, _, part in A.parts():
+            where = out[A.start[first] * A.R * A.C :]
+            loops.call("in_single_precision", *part.shape, part, where)
+        A.take_blocks()
+        return out
+    blocks = A.take_blocks()
     if not blocks.flags.owndata:
         return in_single_precision(blocks, loops)
     loops.call("into_single_precision", *blocks.shape, blocks)

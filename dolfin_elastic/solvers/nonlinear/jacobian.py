@@ -12,14 +12,22 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.timing import stage
-from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered
 
+BLOCK = 8192
+"""Cells that are evaluated at once: the values of their displacements stay in the cache of a core,
+where those of all cells would take 96 bytes a linear one."""
+
 Extreme = tuple[float, FloatArray]
 """A value and the place of its cell in the reference configuration [m]."""
+
+
+def _value(extreme: Extreme) -> float:
+    return extreme[0]
 
 
 class JacobianWatch:
@@ -39,8 +47,12 @@ class JacobianWatch:
             kind, max(problem.weak_form.rule(region) for region in problem.regions)
         )
         F = problem.weak_form.F(problem.w)
-        small = [part.cells for part in problem.regions if part.law.linear]
-        self._small = np.concatenate(small) if small else None
+        self._cells = problem.body.owned_cells()
+        self._small: BoolArray | None = None
+        if any(part.law.linear for part in problem.regions):
+            self._small = np.zeros(len(self._cells), dtype=bool)
+            for part in problem.regions:
+                self._small[part.cells] = part.law.linear
         seen = [ufl.det(F)]
         if self._small is not None:
             H = F - ufl.Identity(3)
@@ -48,8 +60,6 @@ class JacobianWatch:
         self._columns = len(seen)
         self._seen_in = compile_expression(mesh.comm, ufl.as_vector(seen), points, problem.jit)
         self._problem, self._points = problem, points
-        self._cells = problem.body.owned_cells()
-
         self._seen: FloatArray | None = None
         self._found: tuple[Extreme, Extreme] | None = None
         self._steepest: Extreme = (0.0, np.zeros(3))
@@ -84,37 +94,37 @@ class JacobianWatch:
         return fields if cell is None else np.append(fields, cell.H.value)
 
     def _evaluated(self) -> tuple[Extreme, Extreme]:
-        mesh = self._problem.body.mesh
+        """See `extremes`. Collective."""
+        low: Extreme = (np.inf, np.zeros(3))
+        high: Extreme = (-np.inf, np.zeros(3))
+        steep: Extreme = (0.0, np.zeros(3))
         with stage("assemble"):
-            found = self._seen_in.eval(mesh, self._cells)
-        found = found.reshape(len(self._cells), len(self._points), self._columns)
-        self._steepest = self._largest(found)
-        values = found[:, :, 0]
-        values[np.isnan(values)] = -np.inf  # as bad as can be, on whichever rank
-        low, high = values.min(axis=1), values.max(axis=1)
-        mine: tuple[Extreme, Extreme] = (np.inf, np.zeros(3)), (-np.inf, np.zeros(3))
-        if len(values):
-            mine = (self._at(low, int(np.argmin(low))), self._at(high, int(np.argmax(high))))
-        everywhere = mesh.comm.allgather(mine)
-        return (
-            min((low for low, _ in everywhere), key=lambda pair: pair[0]),
-            max((high for _, high in everywhere), key=lambda pair: pair[0]),
-        )
+            for first in range(0, len(self._cells), BLOCK):
+                cells = self._cells[first : first + BLOCK]
+                found = self._seen_in.eval(self._problem.body.mesh, cells)
+                found = found.reshape(len(cells), len(self._points), self._columns)
+                values = found[:, :, 0]
+                values[np.isnan(values)] = -np.inf  # as bad as can be, on whichever rank
+                least, most = values.min(axis=1), values.max(axis=1)
+                low = min(low, self._at(cells, least, int(np.argmin(least))), key=_value)
+                high = max(high, self._at(cells, most, int(np.argmax(most))), key=_value)
+                steep = max(steep, self._steepest_of(cells, found), key=_value)
+        everywhere = self._problem.body.comm.allgather((low, high, steep))
+        lows, highs, steeps = zip(*everywhere, strict=True)
+        self._steepest = max(steeps, key=_value)
+        return min(lows, key=_value), max(highs, key=_value)
 
-    def _largest(self, found: FloatArray) -> Extreme:
-        """See `steepest`. Collective."""
+    def _steepest_of(self, cells: IndexArray, found: FloatArray) -> Extreme:
+        """Largest |grad u| in those of some cells that have linear laws. Not collective."""
         if self._small is None:
             return 0.0, np.zeros(3)
-        steep = np.zeros(len(found))
-        steep[self._small] = np.nan_to_num(np.sqrt(found[self._small, :, 1].max(axis=1)))
-        mine: Extreme = (0.0, np.zeros(3))
-        if len(steep):
-            mine = self._at(steep, int(np.argmax(steep)))
-        return max(self._problem.body.comm.allgather(mine), key=lambda pair: pair[0])
+        squares = np.where(self._small[cells], found[:, :, -1].max(axis=1), 0.0)
+        steep = np.nan_to_num(np.sqrt(squares))
+        return self._at(cells, steep, int(np.argmax(steep)))
 
-    def _at(self, values: FloatArray, row: int) -> Extreme:
+    def _at(self, cells: IndexArray, values: FloatArray, row: int) -> Extreme:
         mesh = self._problem.body.mesh
-        nodes = mesh.geometry.dofmap[self._cells[row]]
+        nodes = mesh.geometry.dofmap[cells[row]]
         return float(values[row]), mesh.geometry.x[nodes].mean(axis=0)
 
 

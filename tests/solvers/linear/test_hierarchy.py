@@ -24,14 +24,14 @@ from dolfin_elastic import (
 from dolfin_elastic.core.jit import CFunctions, compile_c
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.linear import hierarchy
+from dolfin_elastic.solvers.linear import block_rows, hierarchy
 from dolfin_elastic.solvers.linear.aggregation import coarsen, galerkin
 from dolfin_elastic.solvers.linear.block_loops import DECLARATIONS, SOURCE
-from dolfin_elastic.solvers.linear.block_rows import BlockRows, from_petsc
+from dolfin_elastic.solvers.linear.block_rows import BlockRows, PetscRows, from_petsc
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.linear.hierarchy import Multigrid
 from dolfin_elastic.solvers.linear.multigrid import constrained_interpolation, mode_values
-from dolfin_elastic.solvers.linear.smoother import diagonal_of
+from dolfin_elastic.solvers.linear.smoother import diagonal_of, taken_in_single_precision
 
 ITERATIVE = LinearSettings(method="iterative")
 
@@ -115,6 +115,34 @@ def test_blocks_and_products_are_those_of_petsc(dim: int) -> None:
         assert difference(less, more) < 1e-14
         things = (same, interpolation, expected, found, petsc, more, less)
         for thing in (*things, A, P, level, coarse.P, coarse.A):
+            thing.destroy()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_rows_of_the_tangent_may_be_taken_a_few_at_a_time(
+    dim: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next level is that of all rows at once, to round-off, and so are single blocks."""
+    problem = block(4, dim=dim)
+    kernels, modes = loops(problem), mode_values(problem.unknowns.U)
+    with tangent(problem) as matrix:
+        whole = from_petsc(matrix, dim, dim, kernels)
+        monkeypatch.setattr(block_rows, "PART", 3)
+        some = PetscRows(matrix, dim, dim, kernels)
+        assert len(list(some.parts())) == -(-some.rows // 3)
+        one, other = (
+            coarsen(A, modes, diagonal_of(A, kernels), threshold=0.08, loops=kernels)
+            for A in (whole, some)
+        )
+        for a, b in ((one.P, other.P), (one.A, other.A)):
+            assert np.array_equal(a.start, b.start)
+            assert np.array_equal(a.columns, b.columns)
+            most = np.abs(a.blocks).max(initial=0.0)
+            assert np.abs(a.blocks - b.blocks).max(initial=0.0) < 1e-12 * most
+        singles = [taken_in_single_precision(A, kernels)[:-1] for A in (whole, some)]
+        count = whole.start[-1] * dim * dim  # behind them is room that the loops may read
+        assert np.array_equal(*(single[:count] for single in singles))
+        for thing in (whole, some, one.P, one.A, other.P, other.A):
             thing.destroy()
 
 
