@@ -32,6 +32,10 @@ _MIRRORED = {
 }
 
 
+_BLOCK = 16384
+"""Cells whose corners are looked at at once, in the cache of a core."""
+
+
 class Grid:
     """Points and cells of a displacement space.
 
@@ -67,6 +71,12 @@ class Grid:
         """Number of cells that this rank owns."""
         return int(self.mesh.topology.index_map(self.mesh.topology.dim).size_local)
 
+    @property
+    def number_type(self) -> type:
+        """That of the numbers of points over all ranks."""
+        few = self.V.dofmap.index_map.size_global < np.iinfo(np.int32).max
+        return np.int32 if few else np.int64
+
     def points(self) -> FloatArray:
         """Places [m] of the owned points in the reference configuration, shape (n, 3)."""
         return np.asarray(self.V.tabulate_dof_coordinates()[: self.own_points])
@@ -81,17 +91,17 @@ class Grid:
             Shape (owned cells, nodes of a cell).
         """
         local = self.local_cells()
-        index_map = self.V.dofmap.index_map
-        kind = np.int32 if index_map.size_global < np.iinfo(np.int32).max else np.int64
-        numbers = index_map.local_to_global(local.ravel().astype(np.int32))
-        return np.asarray(numbers, dtype=kind).reshape(local.shape)
+        numbers = self.V.dofmap.index_map.local_to_global(local.ravel().astype(np.int32))
+        return np.asarray(numbers, dtype=self.number_type).reshape(local.shape)
 
     def local_cells(self) -> AnyArray:
         """As `cells`, with the numbers that points have on this rank, ghosts too."""
         order = np.argsort(cpp.io.perm_vtk(self.mesh.topology.cell_type, self.nodes_per_cell))
         local = self.V.dofmap.list[: self.own_cells][:, order]
-        mirrored = signed_volumes(cell_corners(self.mesh))[: self.own_cells] < 0
-        local[mirrored] = local[mirrored][:, _MIRRORED[self.nodes_per_cell]]
+        for first in range(0, self.own_cells, _BLOCK):
+            some = np.arange(first, min(first + _BLOCK, self.own_cells), dtype=np.int32)
+            mirrored = some[signed_volumes(cell_corners(self.mesh, some)) < 0]
+            local[mirrored] = local[mirrored][:, _MIRRORED[self.nodes_per_cell]]
         return np.asarray(local)
 
     def with_ghosts(self, values: FloatArray) -> FloatArray:

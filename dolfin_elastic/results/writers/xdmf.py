@@ -169,12 +169,14 @@ def mesh_xml(grid: Grid, file: str) -> str:
         grid: Points and cells.
         file: HDF5 file with the arrays of `mesh_rows`, relative to the `.xdmf`.
     """
-    mesh = mesh_rows(grid)
-    count, nodes = mesh["cells"].shape
+    # Only their shapes and types are needed.
+    points = grid.rows("node", np.empty((0, 3)))
+    cells = grid.rows("cell", np.empty((0, grid.nodes_per_cell), dtype=grid.number_type))
+    count, nodes = cells.shape
     return (
         f'<Topology TopologyType="{grid.kind}" NumberOfElements="{count}" '
-        f'NodesPerElement="{nodes}">{item(mesh["cells"], f"{file}:/cells")}</Topology>\n'
-        f'<Geometry GeometryType="XYZ">{item(mesh["points"], f"{file}:/points")}'
+        f'NodesPerElement="{nodes}">{item(cells, f"{file}:/cells")}</Topology>\n'
+        f'<Geometry GeometryType="XYZ">{item(points, f"{file}:/points")}'
         "</Geometry>\n"
     )
 
