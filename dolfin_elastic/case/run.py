@@ -188,7 +188,10 @@ class _Run:
     ) -> States:
         """Yields what the solver yields, after it is written to all outputs. Collective."""
         probe = self.case.output.make_probe(problem)
-        probed = (probe.add_to(step) if isinstance(step, State) else step for step in steps)
+        probed = (
+            probe.add_to(step) if isinstance(step, State) and not step.between else step
+            for step in steps
+        )
         # The first state is computed before the folder is made: an error in it leaves none behind.
         first = [] if before else list(islice(probed, 1))
         lock.acquire(create=True)
@@ -197,9 +200,10 @@ class _Run:
         with open_outputs(files, problem, self.folder, saved) as writers:
             try:
                 for result in chain(first, probed):
-                    checkpoints.forget()  # the files are about to be ahead of it
-                    for writer in writers:
-                        _write(writer, result)
+                    if not (isinstance(result, State) and result.between):
+                        checkpoints.forget()  # the files are about to be ahead of it
+                        for writer in writers:
+                            _write(writer, result)
                     checkpoints.save_if_due(result, writers)
                     try:
                         yield result

@@ -29,6 +29,8 @@ _ORIGIN = 1e-12
 WIDTH = 100
 _LEAST = 0.05
 """Share of a run that is to be done before the time left can be told."""
+BETWEEN = 30.0
+"""Seconds from one line to the next, at most, of a motion whose steps are all alike."""
 FIRST_LINES = 20
 """Steps that get a line of their own in any case; later ones at most one a second."""
 
@@ -123,6 +125,9 @@ class ProgressLines:
         now = time.monotonic()
         left = self._estimate.left(state.done)
         due = self._count < FIRST_LINES or now - self._shown > 1.0 or state.done >= 1.0
+        if state.between:  # the first one tells that the run is alive
+            due = self._count == 0 or now - self._shown >= BETWEEN
+            left = left or f"  {100 * state.done:.2g} % done"
         if state.step and due:
             self._shown, self._count = now, self._count + 1
             print(f"{step_text(state, motion=self.motion)}  {left}", flush=True)

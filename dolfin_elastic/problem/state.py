@@ -124,6 +124,8 @@ class State:
         failure: Why nothing of the run so far is to be relied on, with the time of the worst; empty
             where nothing is known against it.
         done: Completed share of the whole run, 0 to 1.
+        between: It is between two states that were asked for, so no output takes it: only for a
+            checkpoint and the display of a long run.
         derived: What outputs have computed of the state, by name, so that others need not compute
             it again: the recovered stress, the estimated error.  Copies of the state share it.
     """
@@ -150,6 +152,7 @@ class State:
     audit: Audit | None = None
     failure: str = ""
     done: float = 0.0
+    between: bool = False
     derived: dict[str, object] = field(default_factory=dict, compare=False, repr=False)
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from math import ceil, floor
+from time import monotonic
 
 import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import StabilityError
-from dolfin_elastic.core.signals import raise_if_agreed
+from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.core.signals import raise_if_agreed, stop_agreed, watched
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State, StateCopy
 from dolfin_elastic.solvers.assembly.assembler import Assembler, SupportForces
@@ -27,6 +29,9 @@ STEPS_A_LOOK = 20
 
 STATES = 200
 """About as many states are yielded if no other number is asked for."""
+
+BETWEEN = 10.0
+"""Seconds without a state after which one between is yielded, for a checkpoint and the display."""
 
 _MET = 1e-9
 """Share of a time interval by which a state may come before its end."""
@@ -92,6 +97,9 @@ class Explicit:
     def run(self, saved: SavedState | None = None) -> Iterator[State]:
         """Yields the initial state and then every `every`-th one. Collective.
 
+        Where signals can stop the run, also states between them, see `State.between`: they change
+        nothing of the motion, so that it does not depend on the wall time.
+
         Args:
             saved: A `restart_state` from which the motion continues, with the state after it.
 
@@ -116,12 +124,11 @@ class Explicit:
 
     def _march(self) -> Iterator[State]:
         self._last.save(self.restart_state())
+        shown = monotonic()
         while not self._ended:
             before = self.scheme.t
             try:
                 self.step()
-                if self.scheme.steps % STEPS_A_LOOK == 0:
-                    raise_if_agreed(self.assembler.comm)
             except StabilityError as error:  # raised on all ranks
                 raise Replay(self, self._monitor, self._last).unstable_step(error) from None
             if self._due(before) or self._ended:
@@ -131,6 +138,46 @@ class Explicit:
                     self.size.check_before(self.scheme.steps)
                 self._last.save(self.restart_state())
                 yield replace(state, failure=self._monitor.failure)
+                shown = monotonic()
+            elif self._between(shown):
+                yield self._state_between()
+                raise_if_agreed(self.assembler.comm)
+                shown = monotonic()
+
+    def _between(self, shown: float) -> bool:
+        """Whether the run shall stop, or nothing was shown of it for long. Collective.
+
+        Args:
+            shown: When the last state was yielded.
+        """
+        if self.scheme.steps % STEPS_A_LOOK or not watched():
+            return False
+        comm = self.assembler.comm
+        if stop_agreed(comm):
+            return True
+        # Clocks differ between ranks: the first one decides for all.
+        return largest(comm, float(comm.rank == 0 and monotonic() - shown >= BETWEEN)) > 0
+
+    def _state_between(self) -> State:
+        """The present state as far as it is known without bringing the velocity to its time.
+
+        Raises:
+            StabilityError: It is not finite, and no state to go on from.
+        """
+        if not self.finite():
+            raise Replay(self, self._monitor, self._last).not_finite()
+        scheme = self.scheme
+        return State(
+            step=scheme.steps,
+            t=scheme.t,
+            u=self.problem.u,
+            v=self.v,
+            reason="explicit",
+            max_displacement=self.assembler.max_displacement(),
+            failure=self._monitor.failure,
+            done=scheme.t / self.end,
+            between=True,
+        )
 
     def _due(self, before: float) -> bool:
         """Whether the state is one to be yielded.
@@ -226,6 +273,7 @@ class Explicit:
         numbers = {
             "t": self.scheme.t,
             "step": self.scheme.steps,
+            "remaining": self.scheme.remaining,
             "every": self.every,
             "work": self.work.sum,
             "lookout": self._monitor.restart_state(),
@@ -246,7 +294,8 @@ class Explicit:
         self.every = numbers["every"]
         self._monitor.restore(numbers["lookout"])
         self.size.restore(numbers)
-        self.scheme.resume(float(numbers["t"]), int(numbers["step"]))
+        remaining = float(numbers.get("remaining", 0.0))  # older checkpoints are all of states
+        self.scheme.resume(float(numbers["t"]), int(numbers["step"]), remaining)
         self.work.begin(float(numbers["work"]))
 
     def destroy(self) -> None:

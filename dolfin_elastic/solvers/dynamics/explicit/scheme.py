@@ -58,7 +58,11 @@ class ExplicitScheme(ABC):
         out_of_balance: Owned entries of the forces out of balance [N]: minus the nodal forces.
         change: Change of the velocity in a step, owned entries [m/s].
         free: 1 at owned entries that no support prescribes, 0 at the others.
+        remaining: For how long the forces at the present displacement have still to accelerate the
+            body, where the velocity is behind it [s]; 0 at states.
     """
+
+    remaining = 0.0
 
     def __init__(
         self,
@@ -220,14 +224,15 @@ class ExplicitScheme(ABC):
         """Brings ghost entries of the velocity up to date."""
         self._velocity.x.scatter_forward()
 
-    def resume(self, t: float, steps: int) -> None:
+    def resume(self, t: float, steps: int, remaining: float) -> None:
         """Goes back to a state whose displacement and velocity were restored.
 
         Args:
             t: Time [s].
             steps: Number of steps done.
+            remaining: See the attribute.
         """
-        self.t, self.steps = t, steps
+        self.t, self.steps, self.remaining = t, steps, remaining
         self.problem.set_time(t)
         self.assemble_forces()
 
@@ -262,13 +267,7 @@ class CentralDifferences(ExplicitScheme):
 
     States have velocity and acceleration of their own time; where a support moves, they are the
     differences of its displacements before and after.
-
-    Attributes:
-        remaining: For how long the forces at the present displacement have still to accelerate the
-            body [s]; 0 at states.
     """
-
-    remaining = 0.0
 
     def kick_duration(self, dt: float) -> float:
         """See `ExplicitScheme`."""
@@ -286,11 +285,6 @@ class CentralDifferences(ExplicitScheme):
     def start(self) -> None:
         """See `ExplicitScheme`."""
         self.synchronise()
-
-    def resume(self, t: float, steps: int) -> None:
-        """See `ExplicitScheme`."""
-        self.remaining = 0.0
-        super().resume(t, steps)
 
     def conserved_excess(self, dt: float) -> float:
         """See `ExplicitScheme`."""

@@ -33,6 +33,7 @@ from dolfin_elastic import (
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.distribute import make_mesh
+from dolfin_elastic.solvers.dynamics.explicit import explicit
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
 from dolfin_elastic.solvers.dynamics.schemes import SCHEMES, ExplicitRow
 
@@ -252,6 +253,33 @@ def test_a_continued_run_is_the_same(kind, scheme):
         np.testing.assert_allclose(
             here / scale.clip(1e-300), there / scale.clip(1e-300), atol=1e-11
         )
+
+
+@BOTH
+def test_states_between_change_nothing(scheme, monkeypatch):
+    """In a run that can be stopped: the motion is bit by bit the same, and goes on from them."""
+    settings = {"scheme": scheme, "end": 0.08, "every": "0.03 s", "dt": 4e-4}
+    body = block()
+
+    def fields(states):
+        return [np.array([s.u.x.array, s.v.x.array, s.a.x.array]) for s in states if not s.between]
+
+    whole = fields(Dynamics(loaded(body, **PROBLEMS["all moves"]), **settings).steps())
+    monkeypatch.setattr(explicit, "watched", lambda: True)
+    monkeypatch.setattr(explicit, "BETWEEN", 0.0)
+    first, asked, saved = Dynamics(loaded(body, **PROBLEMS["all moves"]), **settings), [], None
+    for state in first.steps():
+        asked += fields([state])
+        if state.between and len(asked) == 2:
+            assert 75 < state.step < 150
+            assert state.step % explicit.STEPS_A_LOOK == 0
+            saved = through_json(first.restart_state())
+    assert len(asked) == len(whole) == 4
+    assert saved is not None
+    np.testing.assert_array_equal(asked, whole)
+    monkeypatch.undo()
+    tail = fields(Dynamics(loaded(body, **PROBLEMS["all moves"]), **settings).steps(saved))
+    np.testing.assert_array_equal(tail, whole[2:])
 
 
 @pytest.mark.long
