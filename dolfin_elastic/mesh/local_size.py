@@ -8,6 +8,7 @@ Of a CAD file Gmsh makes them so; the cells of a finished mesh are divided (`ref
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -28,6 +29,13 @@ from dolfin_elastic.mesh.selectors import Point, Selector, Size, Sphere, metres
 _ANGLE = 20.0
 MOST_CELLS = 5e7
 """Cells beyond which a mesh is not refined: a size in another unit was meant."""
+CELLS_A_SECOND = 2e4
+"""Cells with sizes that differ that Gmsh makes in a second, at most: 3000 on one core were seen."""
+_GRADED = 1.25
+"""Layers with as many cells as those with which the size grows from a face to that of the body.
+
+That is the integral of h^2/(h + 0.4 r)^3 over the distance r, with `_GROWTH` of `cad/sizes.py`.
+"""
 
 
 class LocalSize(Record):
@@ -97,7 +105,11 @@ class CadSizes:
         return [f"smaller cells: {', '.join(words)}"] if words else []
 
     def for_gmsh(
-        self, faces: CadFaces, bodies: Mapping[str, Sequence[int]], model: float
+        self,
+        faces: CadFaces,
+        bodies: Mapping[str, Sequence[int]],
+        model: float,
+        seconds: float = math.inf,
     ) -> list[LocalField]:
         """The places as `formats/cad/sizes.py` takes them. Local.
 
@@ -105,9 +117,11 @@ class CadSizes:
             faces: Of the file.
             bodies: Name of a body to its numbers.
             model: Metres per unit of length of Gmsh's model.
+            seconds: Time that Gmsh may take [s].
 
         Raises:
-            MeshError: A name does not exist, or stands for no whole faces.
+            MeshError: A name does not exist, or stands for no whole faces; or there would be more
+                cells than Gmsh can make.
         """
         unit, found = faces.unit.metres, list[LocalField]()
         for index, one in enumerate(self.sizes):
@@ -118,7 +132,8 @@ class CadSizes:
             size = metres(one.size, unit) / model
             found += [{**place, "size": size} for place in places]
             for place in places:
-                _check_count(place, size, faces, model, f"mesh.refine[{index}].size")
+                where = f"mesh.refine[{index}].size"
+                _check_count(_count(place, size, faces, model), seconds, faces, where)
         return found
 
     def _places(
@@ -208,36 +223,50 @@ NO_SIZES = CadSizes()
 """The same size everywhere."""
 
 
-def _check_count(place: LocalField, size: float, faces: CadFaces, model: float, where: str) -> None:
-    """Refuses sizes that give too many cells: a cell of edge h fills about h^3/8 (h^2/2).
+def _count(place: LocalField, size: float, faces: CadFaces, model: float) -> float:
+    """About how many cells of a size there will be: one of edge h fills about h^3/8 (h^2/2).
 
     Args:
-        place: As `CadSizes.for_gmsh` returns it; bodies are left to Gmsh's limit of time.
+        place: As `CadSizes.for_gmsh` returns it; bodies count as nothing, and are left to Gmsh's
+            limit of time.
         size: In units of the model, as the place.
         faces: Of the file.
         model: Metres per unit.
-        where: The key, for messages.
     """
     d = faces.dim
     if "faces" in place:
         areas = [faces.faces[number].area or 0.0 for number in place["faces"]]
-        amount = 2 * size * sum(areas) / model ** (d - 1)  # two layers
+        amount = (2.0 + _GRADED) * size * sum(areas) / model ** (d - 1)  # two layers
     elif "sphere" in place:
         amount = (4.2 if d == 3 else 3.2) * float(place["sphere"][3]) ** d
     elif "box" in place:
         low, high = np.split(np.array(place["box"]), 2)
         amount = float(np.prod((high - low)[:d]))
     else:
-        return
+        return 0.0
     if len(every := _samples(faces) / model):
         amount = min(amount, float(np.prod(np.ptp(every, axis=0)[:d])))
-    count = amount / size**d * (8 if d == 3 else 2)
-    if count > MOST_CELLS:
-        raise MeshError(
-            f"there would be about {count:.1g} cells of this size",
-            where=where,
-            expected=f"at most {MOST_CELLS:.0g}; lengths without a unit are in {faces.unit.name}",
-        )
+    return amount / size**d * (8 if d == 3 else 2)
+
+
+def _check_count(count: float, seconds: float, faces: CadFaces, where: str) -> None:
+    """Refuses sizes that give too many cells.
+
+    Args:
+        count: Of cells, about.
+        seconds: Time that Gmsh may take [s].
+        faces: Of the file.
+        where: The key, for messages.
+    """
+    most = min(MOST_CELLS, CELLS_A_SECOND * seconds)
+    if count <= most:
+        return
+    takes = f", for which Gmsh has {seconds:g} s (mesh.time_limit)" if most < MOST_CELLS else ""
+    raise MeshError(
+        f"there would be about {count:.2g} cells of this size",
+        where=where,
+        expected=f"at most {most:.2g}{takes}; lengths without a unit are in {faces.unit.name}",
+    )
 
 
 def _samples(faces: CadFaces) -> FloatArray:

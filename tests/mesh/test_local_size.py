@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -179,8 +180,12 @@ def test_messages_of_cad_files(folder: Path) -> None:
     ):
         body_of(folder, mesh)
     small = {**mesh, "refine": [{"on": "fillet", "size": "1 nm"}]}
-    with pytest.raises(InputError, match=r"refine\[0\]\.size: there would be about .* at most 5e"):
-        body_of(folder, small, surfaces={"fillet": {"kind": "fillet"}})
+    fillet = {"fillet": {"kind": "fillet"}}
+    many = r"refine\[0\]\.size: there would be about .* at most "
+    with pytest.raises(InputError, match=many + r"1\.2e\+07, for which Gmsh has 600 s \(mesh\."):
+        body_of(folder, small, surfaces=fillet)
+    with pytest.raises(InputError, match=many + r"5e\+07; lengths without a unit are in mm"):
+        body_of(folder, {**small, "time_limit": "1 h"}, surfaces=fillet)
     half = {"fillet": {"box": [[0, 0, 0], [9, 3, 9]]}}
     with pytest.raises(InputError, match=r"refine\[0\]\.on: .* is no whole face of the CAD file"):
         body_of(folder, mesh, surfaces=half)
@@ -236,3 +241,17 @@ def test_the_peak_at_a_fillet_is_that_of_a_mesh_that_is_fine_everywhere(folder: 
         unknowns.append(problem.num_dofs)
     assert peaks[1] == pytest.approx(peaks[0], rel=0.02)
     assert unknowns[1] < 0.6 * unknowns[0]
+
+
+def test_the_number_of_cells_is_known_before(folder: Path) -> None:
+    """Of what is refused it need only be right to a factor, 2 here; a slip in the unit is 1000."""
+    write(folder / "angle.step", angle)
+    mesh = {"file": "angle.step", "size": 4, "refine": [{"on": "fillet", "size": 0.5}]}
+    fillet = {"fillet": {"kind": "fillet"}}
+    without = body_of(folder, {**mesh, "refine": []}, surfaces=fillet).num_cells
+    more = body_of(folder, mesh, surfaces=fillet).num_cells - without
+    limit = {**mesh, "time_limit": "1 s", "refine": [{"on": "fillet", "size": 0.02}]}
+    with pytest.raises(InputError, match=r"at most 2e\+04, for which Gmsh has 1 s") as caught:
+        body_of(folder, limit, surfaces=fillet)
+    told = float(re.search(r"about (\S+) cells", str(caught.value))[1])
+    assert 1 / 2 < more * (0.5 / 0.02) ** 2 / told < 2

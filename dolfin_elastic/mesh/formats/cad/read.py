@@ -68,7 +68,7 @@ def mesh_cad(
         notes, information = gmsh.ask(
             "mesh",
             size=size,
-            local=local.for_gmsh(every, shapes["bodies"], model),
+            local=local.for_gmsh(every, shapes["bodies"], model, permission.seconds),
             curved=curved,
             dim=dim,
             **lengths,
