@@ -45,7 +45,7 @@ from dolfin_elastic.results.outputs import (
     Xdmf,
 )
 from dolfin_elastic.results.pictures import colour_bar, pictures, renderer, scene
-from dolfin_elastic.results.pictures._draw import colour_map
+from dolfin_elastic.results.pictures._draw import _lines, _silhouette, _without_jagged, colour_map
 from dolfin_elastic.results.pictures.clip import Clip
 from dolfin_elastic.results.pictures.colour_bar import make_colour_bar
 from dolfin_elastic.results.pictures.drawn_field import DrawnField
@@ -538,13 +538,13 @@ def test_a_picture_that_cannot_be_drawn(
 
 
 @pytest.mark.parametrize(
-    ("clips", "low", "high", "area"),
+    ("clips", "low", "high", "area", "edges"),
     [
-        ([Clip(0, 1.0)], 0.0, 1.0, 6.0),
-        ([Clip(0, 1.4, above=False), Clip(2, 0.5, above=True)], 1.4, 2.0, 2.8),
+        ([Clip(0, 1.0)], 0.0, 1.0, 6.0, 12.0),
+        ([Clip(0, 1.4, above=False), Clip(2, 0.5, above=True)], 1.4, 2.0, 2.8, 8.4),
     ],
 )
-def test_sections(clips: list[Clip], low: float, high: float, area: float) -> None:
+def test_sections(clips: list[Clip], low: float, high: float, area: float, edges: float) -> None:
     """Surface and section of what planes leave of a beam of 2 x 1 x 1, on any number of ranks."""
     problem = make_problem(3, degree=2, cells=1)
     painter = Painter(problem, ("displacement",))
@@ -564,6 +564,57 @@ def test_sections(clips: list[Clip], low: float, high: float, area: float) -> No
         # The camera shows what is drawn, undeformed and deformed, and nothing beside it.
         seen = window(np.vstack([x, x + one["scale"] * one["u"]]), str(one["view"]))
         np.testing.assert_allclose(one["window"], seen, rtol=0, atol=1e-12)
+        # What is left is a box: its edges are drawn, the rims of the sections among them, and
+        # nothing that the triangles of a section would add.
+        lines = _lines(one)
+        assert lines.compute_cell_sizes(area=False, volume=False)["Length"].sum() == pytest.approx(
+            edges, rel=1e-4
+        )
+        np.testing.assert_allclose(
+            lines.point_data["u"], displacement(np.asarray(lines.points).T).T, atol=0.0125
+        )
+
+
+@pytest.mark.parametrize(("aside", "turn", "kept"), [(0, 45, 60), (0.05, 45, 0), (0.05, 90, 60)])
+def test_zigzags_of_rounded_bodies_are_no_edges(aside: float, turn: float, kept: int) -> None:
+    """Where the surface turns little, short pieces with bends between them are chance.
+
+    Args:
+        aside: How much nearer to the middle of a ring of 60 points every other one is.
+        turn: Of the surface at the ring [degrees].
+        kept: Edges that are left.
+    """
+    import pyvista
+
+    around, i = np.linspace(0, 2 * np.pi, 60, endpoint=False), np.arange(60)
+    radius = 1 - aside * (i % 2)
+    ring = np.stack([radius * np.cos(around), radius * np.sin(around), 0 * around], axis=1)
+    lines = np.stack([0 * i + 2, i, (i + 1) % 60], axis=1)
+    edges = pyvista.PolyData(ring, lines=lines.ravel()).connectivity()
+    edges.cell_data["turn"] = np.full(60, float(turn))
+    assert _without_jagged(edges, 0.28).n_cells == kept
+
+
+def test_silhouettes_have_no_short_lines() -> None:
+    """The equator of two cones, but not the outline of a single face that is turned away."""
+    import pyvista
+
+    around, i = np.linspace(0, 2 * np.pi, 60, endpoint=False), np.arange(60)
+    ring = np.stack([np.cos(around), np.sin(around), 0 * around], axis=1)
+    above = np.stack([i, (i + 1) % 60, 0 * i + 60], axis=1)
+    below = np.stack([(i + 1) % 60, i, 0 * i + 61], axis=1)
+    faces = np.insert(np.vstack([above, below]), 0, 3, axis=1)
+    coarse = pyvista.PolyData(np.vstack([ring, [[0, 0, 0.4], [0, 0, -0.4]]]), faces.ravel())
+    body = coarse.subdivide(2)
+    x, triangles = np.asarray(body.points, dtype=float), body.faces.reshape(-1, 4)[:, 1:]
+    inner = int(np.flatnonzero((x[triangles, 2] > 0.05).all(axis=1))[0])
+    turned = triangles.copy()
+    turned[inner] = turned[inner][::-1]
+    for t in (triangles, turned):
+        data = {"points": x, "u": 0 * x, "scale": 1.0, "triangles": t, "value": x[:, 0]}
+        data["back"] = np.array([0.0, 0.0, 1.0])
+        assert _silhouette(data, 0.0, deformed=True).n_cells == 240 + 3 * int(t is turned)
+        assert _silhouette(data, 0.25, deformed=True).n_cells == 240
 
 
 def test_a_new_run_removes_old_pictures(folder: Path) -> None:

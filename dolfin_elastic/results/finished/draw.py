@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError, nearest
-from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads.forces import Gravity
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.pictures.clip import Clip, sections
+from dolfin_elastic.results.pictures.clip import Clip, sections, whole_scene
 from dolfin_elastic.results.pictures.obstacles import Reach, obstacle_scene
 from dolfin_elastic.results.pictures.scene import Scene, Up, label_of, up_against, window
 from dolfin_elastic.results.pictures.series import Limits, Series, film_times
@@ -152,16 +152,15 @@ def _panel(
     if frame.arrays[name].centre == "cell":
         grid = grid.cell_data_to_point_data(pass_cell_data=True)
     view, up = ("z" if run.dim == 2 else look.view), look.up or _up(run)
-    surface = _clipped(grid, look.clips, view, up)
-    points = np.asarray(surface.points, dtype=float)
-    u = np.zeros_like(points)
-    if "displacement" in surface.point_data:
-        u = np.asarray(surface.point_data["displacement"], dtype=float)
+    _check_planes(grid, look.clips)
+    skin = _skin(grid)
+    surface = _clipped(skin, grid, look.clips, view, up)
+    points, triangles, u = _moving(surface)
     moved = points + look.scale * u
     reach.take(moved)
     return {
         "points": points,
-        "triangles": surface.faces.reshape(-1, 4)[:, 1:].astype(np.int64),
+        "triangles": triangles,
         "u": u,
         "scale": look.scale,
         "view": view,
@@ -170,9 +169,19 @@ def _panel(
         "title": _headline(run, look, frame.t),
         "bare": look.bare,
         "plane": run.dim == 2,
+        **whole_scene(*_moving(skin), look.clips, view, up),
         **_values(run, surface, name),
         **(_obstacles(run, reach, frame.t) if look.obstacles else {}),
     }
+
+
+def _moving(surface: pyvista.PolyData) -> tuple[FloatArray, AnyArray, FloatArray]:
+    """Points, triangles and the displacement of the points."""
+    points = np.asarray(surface.points, dtype=float)
+    u = np.zeros_like(points)
+    if "displacement" in surface.point_data:
+        u = np.asarray(surface.point_data["displacement"], dtype=float)
+    return points, surface.faces.reshape(-1, 4)[:, 1:].astype(np.int64), u
 
 
 def _up(run: FinishedRun) -> Up:
@@ -182,12 +191,15 @@ def _up(run: FinishedRun) -> Up:
     return up_against(Gravity(**row).acceleration(run.dim) for row in rows)
 
 
-def _clipped(
-    grid: pyvista.UnstructuredGrid, clips: Sequence[Clip], view: str, up: str
-) -> pyvista.PolyData:
-    """The surface of what the clip planes leave, of triangles."""
-    ends = np.asarray(grid.bounds).reshape(3, 2)
+def _ends(grid: pyvista.DataSet) -> FloatArray:
+    """Lowest and highest coordinate along each axis [m], shape (3, 2)."""
+    ends = np.array(grid.bounds, dtype=np.float64).reshape(3, 2)
     ends[np.abs(ends) < _ROUND_OFF * grid.length] = 0.0
+    return ends
+
+
+def _check_planes(grid: pyvista.DataSet, clips: Sequence[Clip]) -> None:
+    ends = _ends(grid)
     for clip in clips:
         axis, (low, high) = "xyz"[clip.axis], ends[clip.axis]
         if low == high:
@@ -200,13 +212,29 @@ def _clipped(
                 where="--clip",
                 expected=f"between {low:.4g} and {high:.4g} m",
             )
+
+
+def _skin(grid: pyvista.UnstructuredGrid) -> pyvista.PolyData:
+    """The surface of the whole body, of triangles."""
     surface = grid.extract_surface(nonlinear_subdivision=_SUBDIVISION, pass_pointid=True)
     surface.point_data[_NODES] = (surface.point_data[_IDS] >= 0).astype(float)
+    return surface.triangulate()
+
+
+def _clipped(
+    skin: pyvista.PolyData,
+    grid: pyvista.UnstructuredGrid,
+    clips: Sequence[Clip],
+    view: str,
+    up: str,
+) -> pyvista.PolyData:
+    """The surface of what the clip planes leave, of triangles."""
     whole = grid.copy(deep=False)
     whole.point_data[_NODES] = np.ones(grid.n_points)
-    left = sections(surface.triangulate(), whole, clips, view, up)
+    left = sections(skin, whole, clips, view, up)
     if not left.n_cells:
-        sides = (f"{'xyz'[i]} = {low:.4g} to {high:.4g}" for i, (low, high) in enumerate(ends))
+        ends = enumerate(_ends(grid))
+        sides = (f"{'xyz'[i]} = {low:.4g} to {high:.4g}" for i, (low, high) in ends)
         raise InputError(
             "nothing of the body is left",
             where="--clip",

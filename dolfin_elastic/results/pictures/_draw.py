@@ -19,6 +19,8 @@ import pyvista as pv
 from matplotlib import colormaps
 from matplotlib.colors import ListedColormap
 from PIL import Image
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from vtkmodules.vtkRenderingCore import vtkActor2D, vtkPolyDataMapper2D
 
 _INK, _GHOST = "#303840", "#8a939c"
@@ -30,7 +32,14 @@ _TURBO = (0.12, 0.9)
 _OBSTACLE, _NO_VALUE = "#aab4be", "#c8c8c8"
 _SHARP = 35.0
 _VISIBLE = 2e-3
-_SHORT = 0.6
+# Least length of connected edges, and of the lines of a silhouette, over the body's diagonal.
+_SHORT, _SHORT_OUTLINE = 0.6, 0.25
+# Edges are chance whose smooth pieces are shorter than this share of the diagonal, with such bends
+# [degrees] between them, where the surface turns less than so many degrees at them.
+_JAGGED, _BEND, _BLUNT = 0.1, 40.0, 60.0
+_TURN = "turn"
+# Distance from a clip plane of what lies in it, over the body's diagonal.
+_IN_PLANE = 1e-5
 # Size of the line above the body, and how many letters of that size there is room for.
 _HEADLINE, _LETTERS = 15, 85
 # Shares of the picture's width and height that the body may fill, left of the scalar bar.
@@ -39,6 +48,8 @@ _ROOM, _SHIFT = (0.74, 0.8), 0.12
 _BARE = (0.94, 0.94)
 # Share of the body's width right of which a text beside a point would run into the bar.
 _BESIDE_BAR = 0.7
+# Pixels between a point and the text beside it.
+_ASIDE = 18
 
 Arrays: TypeAlias = Mapping[str, npt.NDArray[Any]]
 """Points, triangles, values and texts of a picture, as `pictures.Painter` writes them."""
@@ -53,19 +64,165 @@ def _surface(data: Arrays, *, deformed: bool) -> pv.PolyData:
     return mesh
 
 
-def _edges(reference: pv.PolyData, points: pv.pyvista_ndarray) -> pv.PolyData:
-    """Sharp edges of the undeformed body, drawn at other positions of its points."""
-    reference = reference.copy()
-    reference.point_data["number"] = np.arange(reference.n_points)
-    edges = reference.extract_feature_edges(
-        _SHARP, boundary_edges=True, non_manifold_edges=False, manifold_edges=False
-    )
-    if not edges.n_points:
+def _lines(data: Arrays) -> pv.PolyData:
+    """Sharp edges of the undeformed body, as clip planes leave them, and the rims of sections.
+
+    The point data "u" is their displacement.
+    """
+    cut = "whole_points" in data
+    body = _whole(data) if cut else _surface(data, deformed=False)
+    if not cut:
+        body.point_data["u"] = data["u"]
+    edges = _sharp_edges(body)
+    if not cut:
         return edges
-    edges = _without_short(edges, _SHORT * reference.length)
-    if edges.n_points:
-        edges.points = points[np.asarray(edges.point_data["number"])]
-    return edges
+    planes = _planes(data)
+    parts = [edges, *(body.slice(normal, origin) for normal, origin, _ in planes)]
+    for i, (normal, origin, above) in enumerate(planes):
+        for j, part in enumerate(parts):
+            if j != i + 1 and part.n_cells:
+                parts[j] = part.clip(normal, origin=origin, invert=above).extract_geometry()
+    return _joined([*parts, _meetings(data)])
+
+
+def _sharp_edges(body: pv.PolyData) -> pv.PolyData:
+    """Edges where a surface ends or turns, with its point data, but none of a rounded body."""
+    x, t = np.asarray(body.points, dtype=float), body.faces.reshape(-1, 4)[:, 1:]
+    normals = np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
+    sides, owner = _sides(t)
+    same = (sides[1:] == sides[:-1]).all(axis=1)
+    single = ~(np.append(same, False) | np.append(False, same))
+    first = np.flatnonzero(same)
+    cosine = np.einsum("ij,ij->i", normals[owner[first]], normals[owner[first + 1]])
+    turns = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    sharp = turns > _SHARP
+    chosen = np.concatenate([sides[first[sharp]], sides[single]])
+    if not len(chosen):
+        return pv.PolyData()
+    edges = pv.PolyData(x, lines=np.insert(chosen, 0, 2, axis=1).ravel())
+    edges.point_data["u"] = body.point_data["u"]
+    edges.cell_data[_TURN] = np.concatenate([turns[sharp], np.full(single.sum(), 180.0)])
+    edges = _without_short(edges, _SHORT * body.length)
+    return _without_jagged(edges, _JAGGED * body.length) if edges.n_cells else edges
+
+
+def _sides(t: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Sides of triangles as sorted pairs of points, equal ones in a row, and their triangles."""
+    sides = np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), axis=1)
+    order = np.lexsort(sides.T)
+    return sides[order], order % len(t)
+
+
+def _without_jagged(edges: pv.PolyData, least: float) -> pv.PolyData:
+    """Connected edges but for zigzags: those of coarse faces of a bend turn little, and often.
+
+    Args:
+        edges: From `_without_short`, with the angle by which the surface turns at each.
+        least: Mean length of the straight or smooth pieces that zigzags stay below [m].
+    """
+    ends = edges.lines.reshape(-1, 3)[:, 1:]
+    x = np.asarray(edges.points, dtype=float)
+    ahead = x[ends[:, 1]] - x[ends[:, 0]]
+    lengths = np.linalg.norm(ahead, axis=1)
+    # At each point where two edges meet: are they one smooth line?
+    points, of = ends.ravel(), np.repeat(np.arange(len(ends)), 2)
+    outward = np.stack([ahead, -ahead], axis=1).reshape(-1, 3)
+    outward /= np.maximum(np.linalg.norm(outward, axis=1), np.finfo(float).tiny)[:, None]
+    order = np.argsort(points, kind="stable")
+    _, start, count = np.unique(points[order], return_index=True, return_counts=True)
+    one, other = order[start[count == 2]], order[start[count == 2] + 1]
+    smooth = np.einsum("ij,ij->i", outward[one], outward[other]) < -np.cos(np.radians(_BEND))
+    joint = coo_matrix(
+        (np.ones(smooth.sum()), (of[one[smooth]], of[other[smooth]])), shape=(len(ends),) * 2
+    )
+    piece = connected_components(joint, directed=False)[1]
+    piece_length = np.bincount(piece, lengths)[piece]
+    chain = np.asarray(edges.cell_data["RegionId"])
+    whole = np.bincount(chain, lengths)
+    mean_length = np.bincount(chain, lengths * piece_length) / np.maximum(whole, 1e-300)
+    turn = np.asarray(edges.cell_data[_TURN])
+    mean_turn = np.bincount(chain, lengths * turn) / np.maximum(whole, 1e-300)
+    kept = (mean_length >= least) | (mean_turn >= _BLUNT)
+    return edges.extract_cells(np.flatnonzero(kept[chain])).extract_geometry()
+
+
+def _whole(data: Arrays) -> pv.PolyData:
+    """The surface of the undeformed body before it is cut."""
+    faces = np.insert(data["whole_triangles"], 0, 3, axis=1)
+    body = pv.PolyData(np.asarray(data["whole_points"], dtype=float), faces.ravel())
+    body.point_data["u"] = data["whole_u"]
+    return body
+
+
+def _planes(data: Arrays) -> list[tuple[npt.NDArray[Any], npt.NDArray[Any], bool]]:
+    """Normal and a point of each clip plane, and whether what is above it goes."""
+    if "plane_normals" not in data:
+        return []
+    rows = zip(data["plane_normals"], data["plane_origins"], data["plane_above"], strict=True)
+    return [(normal, origin, bool(above)) for normal, origin, above in rows]
+
+
+def _in_planes(data: Arrays) -> npt.NDArray[np.bool_]:
+    """Whether each point lies in each plane, shape (planes, points)."""
+    x = np.asarray(data["points"], dtype=float)
+    near = _IN_PLANE * float(np.linalg.norm(np.ptp(np.asarray(data["whole_points"]), axis=0)))
+    return np.array([np.abs((x - at) @ n) < near for n, at, _ in _planes(data)])
+
+
+def _meetings(data: Arrays) -> pv.PolyData:
+    """Lines along which sections meet."""
+    inside, t = _in_planes(data), np.asarray(data["triangles"])
+    rows: list[npt.NDArray[Any]] = [np.zeros((0, 2), dtype=np.int64)]
+    for i in range(len(inside) - 1):
+        sides, _ = _sides(t[inside[i][t].all(axis=1)])
+        rows.append(sides[inside[i + 1 :][:, sides].all(axis=2).any(axis=0)])
+    chosen = np.concatenate(rows)
+    if not len(chosen):
+        return pv.PolyData()
+    lines = pv.PolyData(
+        np.asarray(data["points"], dtype=float), lines=np.insert(chosen, 0, 2, axis=1).ravel()
+    )
+    lines.point_data["u"] = data["u"]
+    return lines
+
+
+def _joined(parts: Sequence[pv.PolyData]) -> pv.PolyData:
+    some = [part for part in parts if part.n_cells]
+    return some[0].append_polydata(*some[1:]) if len(some) > 1 else [*some, pv.PolyData()][0]
+
+
+def _moved(lines: pv.PolyData, factor: float) -> pv.PolyData:
+    """Lines at other positions of their points."""
+    lines = lines.copy()
+    if lines.n_points:
+        lines.points = np.asarray(lines.points) + factor * np.asarray(lines.point_data["u"])
+    return lines
+
+
+def _silhouette(data: Arrays, least: float, *, deformed: bool) -> pv.PolyData:
+    """Edges of the skin between faces that are seen from in front and from behind.
+
+    Sections have none: their rims are drawn.  Where the surface is seen at a grazing angle, single
+    flat faces turn away by chance; the short lines around them are left out.
+
+    Args:
+        data: What is drawn.
+        least: Length of the shortest line, over the body's diagonal.
+        deformed: Of the deformed body, not of the undeformed one.
+    """
+    mesh, t = _surface(data, deformed=deformed), np.asarray(data["triangles"])
+    if "whole_points" in data:
+        t = t[~_in_planes(data)[:, t].all(axis=2).any(axis=0)]
+    x = np.asarray(mesh.points, dtype=float)
+    ahead = np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]) @ data["back"] > 0
+    sides, owner = _sides(t)
+    turning = (sides[1:] == sides[:-1]).all(axis=1) & (ahead[owner[1:]] != ahead[owner[:-1]])
+    chosen = sides[1:][turning]
+    if not len(chosen):
+        return pv.PolyData()
+    lines = pv.PolyData(x, lines=np.insert(chosen, 0, 2, axis=1).ravel())
+    return _without_short(lines, least * mesh.length)
 
 
 def _without_short(edges: pv.PolyData, least: float) -> pv.PolyData:
@@ -94,22 +251,17 @@ def _add_body(plot: pv.Plotter, data: Arrays) -> pv.DataSetMapper:
         specular=0.06,
         show_scalar_bar=False,
     )
-    _add_lines(plot, _edges(reference, deformed.points), _INK, 3.5)
+    lines = _lines(data)
+    _add_lines(plot, _moved(lines, float(data["scale"])), _INK, 3.5)
     if not flat:
-        plot.add_silhouette(deformed, color=_INK, line_width=3.0, decimate=None)
+        _add_lines(plot, _silhouette(data, _SHORT_OUTLINE, deformed=True), _INK, 3.0)
     moved = np.abs(deformed.points - reference.points).max()
     if moved > _VISIBLE * reference.length and bool(data.get("outline", True)):
-        _add_outline(plot, reference)
+        # Edges of the undeformed body; its surface would hide the deformed one or tint it.
+        rounded = not lines.n_points
+        outline = _silhouette(data, _SHORT, deformed=False) if rounded else lines
+        _add_lines(plot, outline, _GHOST, 2.5)
     return body.mapper
-
-
-def _add_outline(plot: pv.Plotter, reference: pv.PolyData) -> None:
-    """Edges of the undeformed body; its surface would hide the deformed one or tint it."""
-    edges = _edges(reference, reference.points)
-    if edges.n_points:
-        _add_lines(plot, edges, _GHOST, 2.5)
-    else:  # a rounded body
-        plot.add_silhouette(reference, color=_GHOST, line_width=2.5, decimate=None)
 
 
 def colour_map(*, warm_first: bool = False) -> ListedColormap:
@@ -269,21 +421,25 @@ def _add_mark(plot: pv.Plotter, data: Arrays) -> None:
     across = (data["mark"] @ data["right"] - data["window"][0][0]) / np.ptp(data["window"][:, 0])
     left = bool(across > _BESIDE_BAR)
     for size, colour, ahead in ((20, "white", 0.9), (13, _INK, 0.95)):
-        place = pv.PolyData((data["mark"] + ahead * depth * data["back"])[None].astype(float))
+        place = (data["mark"] + ahead * depth * data["back"])[None].astype(float)
         plot.add_mesh(
-            place, color=colour, point_size=size, render_points_as_spheres=True, lighting=False
+            pv.PolyData(place),
+            color=colour,
+            point_size=size,
+            render_points_as_spheres=True,
+            lighting=False,
         )
-    plot.add_point_labels(
-        place,
-        [text + "  " if left else "  " + text],
-        justification_horizontal="right" if left else "left",
-        font_size=24,
-        bold=False,
-        text_color=_INK,
-        show_points=False,
-        always_visible=True,
-        shape=None,
-    )
+    pixel = 2 * plot.camera.parallel_scale / _SIZE[1]
+    beside = place[0] + (-1 if left else 1) * _ASIDE * pixel * data["right"]
+    label = plot.add_text(f" {text} ", position=(0.0, 0.0), color=_INK, font_size=12)
+    label.GetPositionCoordinate().SetCoordinateSystemToWorld()
+    label.GetPositionCoordinate().SetValue(*beside)
+    form = label.GetTextProperty()
+    form.SetVerticalJustificationToCentered()
+    if left:
+        form.SetJustificationToRight()
+    form.SetBackgroundColor(1.0, 1.0, 1.0)  # dark colours of the body would hide the letters
+    form.SetBackgroundOpacity(0.85)
 
 
 def draw(plot: pv.Plotter, sources: Sequence[str], target: str) -> None:

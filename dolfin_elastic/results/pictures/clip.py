@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dolfin_elastic.core.types import AnyArray
-from dolfin_elastic.results.pictures.scene import axes_of
+from dolfin_elastic.core.types import AnyArray, FloatArray
+from dolfin_elastic.results.pictures.scene import Scene, axes_of
 from dolfin_elastic.results.pictures.surface import Surface
 
 if TYPE_CHECKING:
@@ -66,20 +66,65 @@ def sections(
         view: See `scene.View`.
         up: Axis that is up.
     """
-    parts, planes = [surface], []
-    for clip in clips:
-        # Nodes that lie in the plane would give sections without an area.
-        place = clip.at + _ASIDE * surface.length
-        normal, origin = np.eye(3)[clip.axis], place * np.eye(3)[clip.axis]
-        planes.append({"normal": normal, "origin": origin, "invert": clip.takes_above(view, up)})
+    parts = [surface]
+    planes = _planes(surface.length, clips, view, up)
+    for normal, origin, _ in planes:
         parts.append(cells.slice(normal, origin).triangulate() if cells.n_cells else cells)
-    for i, plane in enumerate(planes):
+    for i, (normal, origin, above) in enumerate(planes):
         for j, part in enumerate(parts):
             if j != i + 1 and part.n_cells:
-                parts[j] = part.clip(**plane).extract_surface().triangulate()
+                left = part.clip(normal=normal, origin=origin, invert=above)
+                parts[j] = left.extract_surface().triangulate()
     parts = [_without_slivers(part, _SLIVER * surface.length) for part in parts if part.n_cells]
     first, *others = [part for part in parts if part.n_cells] or [surface.__class__()]
     return first.append_polydata(*others) if others else first
+
+
+def _planes(
+    length: float, clips: Sequence[Clip], view: str, up: str
+) -> list[tuple[FloatArray, FloatArray, bool]]:
+    """Normal and a point of each plane, and whether what is above it goes."""
+    # Nodes that lie in the plane would give sections without an area.
+    aside = _ASIDE * length
+    return [
+        (np.eye(3)[c.axis], (c.at + aside) * np.eye(3)[c.axis], c.takes_above(view, up))
+        for c in clips
+    ]
+
+
+def whole_scene(
+    points: FloatArray,
+    triangles: AnyArray,
+    u: FloatArray,
+    clips: Sequence[Clip],
+    view: str,
+    up: str = "z",
+) -> Scene:
+    """What the drawing process is told of a body before it is cut.
+
+    Its edges are found on the whole surface, and the rims of sections where the planes cut that:
+    triangles of sections have corners and gaps by chance, which are no edges of the body.
+
+    Args:
+        points: Of the whole surface [m], shape (n, 3).
+        triangles: Of it, shape (m, 3).
+        u: Displacement of its points [m], shape (n, 3).
+        clips: The planes.
+        view: See `scene.View`.
+        up: Axis that is up.
+    """
+    if not clips:
+        return {}
+    length = float(np.linalg.norm(np.ptp(points, axis=0)))
+    normals, origins, above = zip(*_planes(length, clips, view, up), strict=True)
+    return {
+        "whole_points": points,
+        "whole_triangles": triangles,
+        "whole_u": u,
+        "plane_normals": np.array(normals),
+        "plane_origins": np.array(origins),
+        "plane_above": np.array(above),
+    }
 
 
 def _without_slivers(part: pyvista.PolyData, size: float) -> pyvista.PolyData:

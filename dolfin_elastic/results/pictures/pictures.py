@@ -28,7 +28,7 @@ from dolfin_elastic.problem.material_regions import shear_modulus
 from dolfin_elastic.problem.state import Mode, State, plain
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import make_folder, writing
-from dolfin_elastic.results.pictures.clip import Clip, clipped
+from dolfin_elastic.results.pictures.clip import Clip, clipped, whole_scene
 from dolfin_elastic.results.pictures.drawn_field import DrawnField, with_ghosts
 from dolfin_elastic.results.pictures.obstacles import Reach, obstacle_scene
 from dolfin_elastic.results.pictures.renderer import RENDERER
@@ -464,6 +464,9 @@ class Painter:
             "window": window(np.vstack([drawn_part.points, moved]), view, up),
             "title": _headline(state, appearance),
             "plane": self.dim == 2,
+            **whole_scene(
+                whole.points, whole.triangles, whole.values["u"], appearance.clips, view, up
+            ),
             **self._values(drawn, surface),
             **(self._obstacles() if appearance.obstacles else {}),
         }
