@@ -15,6 +15,9 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 
+SOLVER_ERRORS = (PETSc.Error, SystemError)
+"""What a solver of SLEPc raises: slepc4py 3.25 raises a SystemError whose cause is PETSc's."""
+
 
 def integration_entities(mesh: Mesh, facets: IndexArray) -> IndexArray:
     """Pairs (cell, local facet) for measures over facets, one cell beside each facet.

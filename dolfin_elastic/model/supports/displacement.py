@@ -304,7 +304,8 @@ class Rotation(PrescribingSupport):
         found = np.zeros(3)
         found[: len(self.centre)] = [float(x or 0.0) for x in self.centre]  # type: ignore[arg-type]
         for i, item in enumerate(self.translation):
-            found[i] += self._scale(item, t, default) * float(_evaluated(item, np.zeros((1, 3)), t))
+            value = np.asarray(_evaluated(item, np.zeros((1, 3)), t)).item()
+            found[i] += self._scale(item, t, default) * value
         return found
 
     @cached_property
