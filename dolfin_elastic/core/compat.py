@@ -1,4 +1,4 @@
-"""What differs between DOLFINx 0.9 and 0.10/0.11, in one place."""
+"""What differs between DOLFINx 0.9 and 0.10/0.11, and the libraries beside them, in one place."""
 
 from __future__ import annotations
 
@@ -145,3 +145,17 @@ def read_meshtags(file: XDMFFile, mesh: Mesh, grid: str, attribute: str) -> Mesh
     if reads_attributes_by_name():
         return file.read_meshtags(mesh, name=grid, attribute_name=attribute)
     return file.read_meshtags(mesh, name=grid)
+
+
+def surface_of(grid: Any, **options: Any) -> Any:
+    """The faces of a PyVista grid that belong to one cell. Not collective.
+
+    From 0.46 on PyVista warns where the filter is not named, before that it cannot be named.
+
+    Args:
+        grid: The grid.
+        options: See `pyvista.DataSet.extract_surface`.
+    """
+    if "algorithm" in inspect.signature(grid.extract_surface).parameters:
+        options["algorithm"] = "dataset_surface"
+    return grid.extract_surface(**options)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dolfin_elastic.core.compat import surface_of
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
@@ -216,7 +217,7 @@ def _check_planes(grid: pyvista.DataSet, clips: Sequence[Clip]) -> None:
 
 def _skin(grid: pyvista.UnstructuredGrid) -> pyvista.PolyData:
     """The surface of the whole body, of triangles."""
-    surface = grid.extract_surface(nonlinear_subdivision=_SUBDIVISION, pass_pointid=True)
+    surface = surface_of(grid, nonlinear_subdivision=_SUBDIVISION, pass_pointid=True)
     surface.point_data[_NODES] = (surface.point_data[_IDS] >= 0).astype(float)
     return surface.triangulate()
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any, TypeAlias
@@ -77,7 +78,7 @@ def _lines(data: Arrays) -> pv.PolyData:
     if not cut:
         return edges
     planes = _planes(data)
-    parts = [edges, *(body.slice(normal, origin) for normal, origin, _ in planes)]
+    parts = [edges, *(body.slice(normal, origin=origin) for normal, origin, _ in planes)]
     for i, (normal, origin, above) in enumerate(planes):
         for j, part in enumerate(parts):
             if j != i + 1 and part.n_cells:
@@ -484,6 +485,8 @@ def main() -> None:
     # What libraries print goes to stderr: stdout carries the answers only.
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
+    # Of what newer versions deprecate: where drawing fails, its last line is what users are told.
+    warnings.simplefilter("ignore")
     plot = plotter()
     for line in sys.stdin:
         *sources, target = line.rstrip("\n").split("\t")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dolfin_elastic.core.compat import surface_of
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.results.pictures.scene import Scene, axes_of
 from dolfin_elastic.results.pictures.surface import Surface
@@ -69,12 +70,12 @@ def sections(
     parts = [surface]
     planes = _planes(surface.length, clips, view, up)
     for normal, origin, _ in planes:
-        parts.append(cells.slice(normal, origin).triangulate() if cells.n_cells else cells)
+        parts.append(cells.slice(normal, origin=origin).triangulate() if cells.n_cells else cells)
     for i, (normal, origin, above) in enumerate(planes):
         for j, part in enumerate(parts):
             if j != i + 1 and part.n_cells:
                 left = part.clip(normal=normal, origin=origin, invert=above)
-                parts[j] = left.extract_surface().triangulate()
+                parts[j] = surface_of(left).triangulate()
     parts = [_without_slivers(part, _SLIVER * surface.length) for part in parts if part.n_cells]
     first, *others = [part for part in parts if part.n_cells] or [surface.__class__()]
     return first.append_polydata(*others) if others else first
@@ -145,7 +146,7 @@ def _without_slivers(part: pyvista.PolyData, size: float) -> pyvista.PolyData:
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.max([np.linalg.norm(side, axis=1) for side in (b - a, c - b, a - c)], axis=0)
     wide = area > size * longest
-    return part if wide.all() else part.extract_cells(np.flatnonzero(wide)).extract_surface()
+    return part if wide.all() else surface_of(part.extract_cells(np.flatnonzero(wide)))
 
 
 def clipped(

@@ -16,6 +16,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
+from ctypes.util import find_library
 from pathlib import Path
 from shutil import which
 from typing import IO, cast
@@ -144,7 +145,7 @@ def _close_quietly(stream: IO[str]) -> None:
 def _display() -> tuple[subprocess.Popen[bytes] | None, dict[str, str]]:
     """A virtual display, for windows would appear on a real one, and the child's environment.
 
-    None is needed where VTK draws into memory: version 9.4 chooses EGL or OSMesa itself.
+    None is needed where VTK draws into memory, with OSMesa or EGL.
     """
     # With an MPI rank's variables the child might try to join the run.
     mine = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMIX_", "PMI_"))}
@@ -165,7 +166,12 @@ def _window_in_memory() -> str:
     from vtkmodules.vtkCommonCore import vtkVersion
 
     version = vtkVersion.GetVTKMajorVersion(), vtkVersion.GetVTKMinorVersion()
-    return "vtkOSOpenGLRenderWindow" if version >= (9, 4) else ""
+    if version < (9, 4):
+        return ""
+    # Mesa has no OSMesa from 25.1 on; VTK without it dies.
+    if find_library("OSMesa"):
+        return "vtkOSOpenGLRenderWindow"
+    return "vtkEGLRenderWindow" if find_library("EGL") else ""
 
 
 def _start_xvfb() -> tuple[subprocess.Popen[bytes], int]:
