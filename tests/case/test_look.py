@@ -18,6 +18,7 @@ from dolfin_elastic.cli.look.show import show_look
 from dolfin_elastic.core.errors import OutputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.results.body_picture import draw
+from dolfin_elastic.results.body_picture.scene import Scene
 
 COMM = MPI.COMM_WORLD
 MM = 1e-3
@@ -171,6 +172,16 @@ def test_without_a_picture_the_list_still_comes(folder: Path, monkeypatch) -> No
     text = "no picture: cannot draw a picture: no display; pyvista and Xvfb are needed"
     assert faults(found) == [text]
     assert len(found.surfaces) == 3 and not found.picture
+
+
+@pytest.mark.parametrize(("value", "up"), [("", "z"), ("value = [0, -9.81, 0]\n", "y")])
+def test_up_is_against_the_weight(folder: Path, monkeypatch, value: str, up: str) -> None:
+    """As in the pictures of the case's results."""
+    drawn: list[Scene] = []
+    monkeypatch.setattr(draw, "draw_scene", lambda scene, file: drawn.append(scene))
+    text = CASE.replace('kind = "gravity"\n', f'kind = "gravity"\n{value}')
+    look_at(case(folder, text), picture=folder / "look.png")
+    assert [scene.up for scene in drawn] == [up] * (COMM.rank == 0)
 
 
 def test_lists_of_a_finished_mesh(folder: Path) -> None:

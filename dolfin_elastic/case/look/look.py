@@ -14,7 +14,9 @@ from dolfin_elastic.case.look.scene import Drawn, drawn_of
 from dolfin_elastic.core.errors import InputError, MeshError, OutputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh import Body, read_body
+from dolfin_elastic.model.loads.forces import Gravity
 from dolfin_elastic.results.body_picture.scene import Scene, gather_scene
+from dolfin_elastic.results.pictures.scene import Up, up_against
 
 
 def look_at(
@@ -52,11 +54,19 @@ def look_at(
     title = found.case or body.source
     scene = gather_scene(body, title, legend)
     if scene is not None:
-        scene = replace(scene, symbols=drawn.symbols, obstacles=drawn.obstacles)
+        up = _up(case, body)
+        scene = replace(scene, symbols=drawn.symbols, obstacles=drawn.obstacles, up=up)
     why = on_root(comm, lambda: _why_not_drawn(scene, picture))
     if why:
         return replace(found, notes=(*found.notes, f"no picture: {why}"))
     return replace(found, picture=str(picture))
+
+
+def _up(case: Case | None, body: Body) -> Up:
+    """What is up, as in the pictures of the case's results."""
+    if case is None or body.dim == 2:
+        return "z"
+    return up_against(g.acceleration(body.dim) for g in case.load if isinstance(g, Gravity))
 
 
 def _body(

@@ -20,6 +20,8 @@ import numpy as np
 import numpy.typing as npt
 import pyvista as pv
 from scipy.ndimage import distance_transform_edt, find_objects
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 mpl.use("Agg")
 
@@ -50,8 +52,9 @@ _DARK = ("#1f5fa8", "#b8541a", "#3c7a26", "#8f6c00", "#66449e", "#12756b", "#a63
 _ARROW = 0.11
 """Length of arrows over the diagonal."""
 _SYMBOLS = {"support": "#1b7837", "load": "#b2182b", "contact": "#5e3c99"}
-_VIEWS = ((1.0, -1.25, 0.85), (-1.0, 1.25, -0.85))
 _SHARP = np.cos(np.radians(35.0))
+_SHORT = 0.25
+"""Least length of connected sharp edges over the diagonal."""
 _LEAST = 5.0
 """Half width in pixels of the visible part of a patch, from which it gets a label."""
 _THIN = 2.5
@@ -162,13 +165,26 @@ def _edges(data: Data) -> pv.PolyData:
     faces = np.array([patch["face"] for patch in data.words["patches"]])[data.patch]
     bent = np.abs(np.einsum("ij,ij->i", n[here], n[there])) < _SHARP
     known = (faces[here] > 0) & (faces[there] > 0)
-    split = np.where(known, faces[here] != faces[there], bent)
+    split = np.where(known, faces[here] != faces[there], False)
     split |= data.patch[here] != data.patch[there]
+    turning = first[bent & ~known & ~split]
+    split[np.isin(first, turning)] = _are_long(data, pairs[turning])
     single = np.ones(len(pairs), dtype=bool)
     single[first], single[first + 1] = False, False
     chosen = np.concatenate([pairs[first][split], pairs[single]])
     lines = np.insert(chosen, 0, 2, axis=1).ravel()
     return pv.PolyData(data.points, lines=lines if len(chosen) else None)
+
+
+def _are_long(data: Data, pairs: Array) -> Array:
+    """Whether connected edges are longer than those that rounded bodies have by chance."""
+    size = len(data.points)
+    ones = np.ones(len(pairs))
+    joints = coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(size, size))
+    chain = connected_components(joints, directed=False)[1][pairs[:, 0]]
+    lengths = np.linalg.norm(data.points[pairs[:, 1]] - data.points[pairs[:, 0]], axis=1)
+    long: Array = np.bincount(chain, lengths, minlength=1)[chain] >= _SHORT * data.diagonal
+    return long
 
 
 def _add_body(plot: pv.Plotter, data: Data) -> None:
@@ -258,7 +274,7 @@ def _plotter(data: Data, view: Sequence[float]) -> pv.Plotter:
 def _aim(plot: pv.Plotter, data: Data, view: Sequence[float]) -> None:
     """The whole body and its symbols fill the picture."""
     ahead = np.array(view) / np.linalg.norm(view)
-    plot.view_vector(ahead, viewup=(0, 1, 0) if data.words["plane"] else (0, 0, 1))
+    plot.view_vector(ahead, viewup=data.words["up"])
     plot.enable_parallel_projection()
     right, up = _axes(plot)
     places = [p for p in data.places if len(p)]
@@ -486,7 +502,7 @@ def draw(source: str, target: str) -> None:
         target: The PNG file.
     """
     data = Data.read(source)
-    views = ((0.0, 0.0, 1.0),) if data.words["plane"] else _VIEWS
+    views = data.words["views"]
     drawn = [_shaded(data, view) for view in views]
     rows = _legend(data)
     columns, letters = _LEGEND[len(views)]

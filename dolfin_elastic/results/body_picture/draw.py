@@ -11,6 +11,7 @@ import numpy as np
 from dolfin_elastic.results.body_picture.scene import Scene
 from dolfin_elastic.results.files import make_folder, writing
 from dolfin_elastic.results.pictures.renderer import Renderer
+from dolfin_elastic.results.pictures.scene import axes_of
 
 _PROGRAM = Path(__file__).with_name("_draw_scene.py")
 
@@ -25,9 +26,12 @@ def draw_scene(scene: Scene, file: Path) -> None:
     Raises:
         OutputError: It cannot be drawn or written.
     """
+    back, _, top = axes_of("z" if scene.plane else "isometric", "z" if scene.plane else scene.up)
     words = {
         "title": scene.title,
         "plane": scene.plane,
+        "views": [back.tolist()] if scene.plane else [back.tolist(), (-back).tolist()],
+        "up": top.tolist(),
         "patches": [{"face": p.face, "names": p.names} for p in scene.patches],
         "legend": dict(scene.legend),
         "curves": [{"label": c.label, "named": c.named} for c in scene.curves],

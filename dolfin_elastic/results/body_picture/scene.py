@@ -16,6 +16,7 @@ from dolfin_elastic.mesh.geometry.simplices import (
     outward_normals,
     prepare_facets,
 )
+from dolfin_elastic.results.pictures.scene import Up
 
 _DIVISIONS, _FEW = (3, 6), 2000
 """Divisions of the sides of curved facets: of many, and of fewer than this number."""
@@ -104,6 +105,7 @@ class Scene:
         obstacles: Of contacts.
         curves: Surfaces of a plane body.
         legend: Name of a surface to what it is for.
+        up: Axis that is up in the picture of a solid.
     """
 
     title: str
@@ -116,6 +118,7 @@ class Scene:
     obstacles: Sequence[Obstacle] = ()
     curves: Sequence[Curve] = ()
     legend: Mapping[str, str] = field(default_factory=dict)
+    up: Up = "z"
 
 
 def gather_scene(body: Body, title: str, legend: Mapping[str, str]) -> Scene | None:
