@@ -98,10 +98,28 @@ def limits_of(ends: Sequence[float | str]) -> Limits:
         found = [float(str(e).strip(" %")) if share else _number_of(e) for e in ends]
     except (InputError, ValueError):
         raise InputError("this is no range of colours", expected=expected) from None
+    if len(found) == 2 and found[0] >= found[1]:
+        raise InputError(
+            "the first end of a range of colours must be below the second", expected=expected
+        )
     whole = len(found) == 2 and found[0] < found[1]
     if not whole or (share and not 0 <= found[0] <= found[1] <= 100):
         raise InputError("this is no range of colours", expected=expected)
     return Limits((found[0], found[1]), share)
+
+
+def check_frames(fps: float, where: str) -> None:
+    """Checks that viewers show so many frames a second of a .gif.
+
+    Raises:
+        InputError: They do not.
+    """
+    if fps > _GIF:
+        raise InputError(
+            f"viewers show at most {_GIF:g} frames a second of a .gif",
+            where=where,
+            expected=f"at most {_GIF:g}, or an .mp4",
+        )
 
 
 def _number_of(value: float | str) -> float:
@@ -397,12 +415,8 @@ class Picture(Output):
             raise InputError(
                 f"'{self.file}' is no film", where=given[0], expected='file = "film.mp4", or ".gif"'
             )
-        if self.file.endswith(".gif") and (self.fps or 0) > _GIF:
-            raise InputError(
-                f"viewers show at most {_GIF:g} frames a second of a .gif",
-                where="fps",
-                expected=f"at most {_GIF:g}, or an .mp4",
-            )
+        if self.file.endswith(".gif"):
+            check_frames(self.fps or 0.0, "fps")
         return self
 
     @property

@@ -6,12 +6,13 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.errors import InputError, UnitError, nearest
 
 if TYPE_CHECKING:
     from dolfin_elastic.core.types import FloatArray
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 _FILMS = (".mp4", ".gif")
 _VIEWS = ("isometric", "x", "y", "z", "-x", "-y", "-z")
+_OUTPUT = "png, mp4 or gif; of curves png, csv, svg or pdf."
 _NUMBERS = ("history.csv", "modes.csv", "results.csv", "converge.csv", "converge.png")
 """Files of a run with the suffixes of what is written here; its pictures are named in the case."""
 
@@ -58,7 +60,8 @@ def plot(
         str | None, typer.Option("--curve", help="Columns of history.csv: x:y, or x:y,z.")
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE", help="png, mp4, gif, csv, svg.")
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help=_OUTPUT),
     ] = None,
     fps: Annotated[float, typer.Option("--fps", help="Frames a second of a film.")] = 30.0,
     speed: Annotated[
@@ -129,6 +132,7 @@ def plot(
             _write_curves(run, found, file, f"--{given[0]}")
         else:
             _check_view(view)
+            _check_positive("--scale", scale, "--scale 20", zero=True)
             look = _look(field, view, _axis(up), scale, limits, clip, plain, run, step)
             _draw(run, look, step, output, fps, speed)
 
@@ -144,16 +148,17 @@ def _draw(
     speed: float | None,
 ) -> None:
     from dolfin_elastic.results.finished.draw import draw, film
+    from dolfin_elastic.results.outputs import check_frames
 
     file = output or run.folder / f"plot_{'_'.join(look.fields)}.png"
     _check_apart(run, file)
+    # Also of a picture, for which they are nothing: who gives them expects them to be obeyed.
+    _check_positive("--fps", fps, "--fps 25")
+    if speed is not None:
+        _check_positive("--speed", speed, "--speed 0.1")
+    if file.suffix == ".gif":
+        check_frames(fps, "--fps")
     if file.suffix in _FILMS:
-        if fps <= 0 or (speed is not None and speed <= 0):
-            raise InputError(
-                "frames a second and speed must be above 0",
-                where="--fps, --speed",
-                expected="for example --fps 25",
-            )
         look = replace(look, marks=False)
         film(run, look, file, fps=fps, speed=speed or (1.0 if run.moving else 0.2))
     elif file.suffix == ".png":
@@ -162,7 +167,8 @@ def _draw(
         raise InputError(
             f"'{file.name}' is neither picture nor film",
             where="--output",
-            expected="a name that ends in .png, .mp4 or .gif",
+            expected="a name that ends in .png, .mp4 or .gif; curves (--line, --circle, --curve) "
+            "also in .csv, .svg or .pdf",
         )
     print(f"{file} written")
 
@@ -194,6 +200,24 @@ def _look(
     )
 
 
+def _check_positive(option: str, value: float, example: str, *, zero: bool = False) -> None:
+    """Refuses numbers that are no size of anything: below 0, without end, nan.
+
+    Args:
+        option: Its name.
+        value: What was given.
+        example: What would be right.
+        zero: 0 is right, too.
+    """
+    if value < 0 or (value == 0 and not zero) or not isfinite(value):
+        least = "not below 0" if zero else "above 0"
+        raise InputError(
+            f"a finite number {least} is needed, not {value:g}",
+            where=option,
+            expected=f"for example {example}",
+        )
+
+
 def _check_view(view: str) -> None:
     if view not in _VIEWS:
         raise InputError(
@@ -217,11 +241,9 @@ def _limits(text: str) -> Limits:
 
     try:
         return limits_of([part.strip() for part in text.split(":")])
-    except InputError:
+    except InputError as error:
         raise InputError(
-            f"'{text}' is no range",
-            where="--range",
-            expected="for example 0:2e8, '0:200 MPa' or 2%:98%",
+            error.what, where="--range", expected="for example 0:2e8, '0:200 MPa' or 2%:98%"
         ) from None
 
 
@@ -240,28 +262,32 @@ def _fields(run: FinishedRun, given: Sequence[str] | None, step: int) -> list[st
 
 
 def _clip(text: str) -> Clip:
+    from dolfin_elastic.core.units import to_si
     from dolfin_elastic.results.pictures.clip import Clip
 
+    expected = "for example x=0.01 or x<0.01 [m], or 'x=10 mm'"
     for sign in ("=", ">", "<"):
         axis, found, number = text.partition(sign)
         if found and axis.strip() in ("x", "y", "z"):
+            above = {"=": None, ">": True, "<": False}[sign]
             try:
-                above = {"=": None, ">": True, "<": False}[sign]
-                return Clip("xyz".index(axis.strip()), float(number), above)
-            except ValueError:
-                break
-    raise InputError(
-        f"'{text}' is no plane", where="--clip", expected="for example x=0.01, or x<0.01 [m]"
-    )
+                return Clip("xyz".index(axis.strip()), to_si(number.strip(), "m"), above)
+            except UnitError as error:
+                what = f"'{text}' is no plane: {error.what}"
+                raise InputError(what, where="--clip", expected=expected) from None
+    raise InputError(f"'{text}' is no plane", where="--clip", expected=expected)
 
 
-def _numbers(text: str, where: str, expected: str) -> list[float]:
+def _numbers(run: FinishedRun, text: str, where: str, expected: str) -> list[float]:
+    """A place of the body or a direction, with a third coordinate of 0 in a plane."""
     try:
         found = [float(part) for part in text.split(",")]
     except ValueError:
         found = []
-    if len(found) not in (2, 3):
-        raise InputError(f"'{text}' is no place", where=where, expected=expected)
+    if len(found) not in (run.dim, 3) or not all(isfinite(x) for x in found):
+        raise InputError(
+            f"'{text}' is no place in {run.dim} dimensions", where=where, expected=expected
+        )
     return [*found, 0.0][:3]
 
 
@@ -280,28 +306,28 @@ def _along(
         parts = line.split(":")
         if len(parts) != 2:
             raise InputError(f"'{line}' is no line", where="--line", expected=expected)
-        points, over = curves.line(*(_numbers(part, "--line", expected) for part in parts))
+        points, over = curves.line(*(_numbers(run, part, "--line", expected) for part in parts))
         axis = curves.Axis("distance", over, "m")
     else:
         assert circle is not None
-        points, over = _circle(circle)
+        points, over = _circle(run, circle)
         axis = curves.Axis("angle", over, "rad")
     return curves.along(run, _fields(run, field, step), points, axis, step)
 
 
-def _circle(text: str) -> tuple[FloatArray, FloatArray]:
+def _circle(run: FinishedRun, text: str) -> tuple[FloatArray, FloatArray]:
     from dolfin_elastic.results.finished import curves
 
     expected = "for example 0,0,0:0.005:z [m], the axis x, y, z or a vector"
     parts = [*text.split(":"), "z"][:3]
     try:
-        centre, radius = _numbers(parts[0], "--circle", expected), float(parts[1])
+        centre, radius = _numbers(run, parts[0], "--circle", expected), float(parts[1])
     except (ValueError, IndexError):
         raise InputError(f"'{text}' is no circle", where="--circle", expected=expected) from None
     if parts[2] in ("x", "y", "z"):
         normal = [float(name == parts[2]) for name in "xyz"]
     else:
-        normal = _numbers(parts[2], "--circle", expected)
+        normal = _numbers(run, parts[2], "--circle", expected)
     if radius <= 0 or not any(normal):
         raise InputError(f"'{text}' is no circle", where="--circle", expected=expected)
     return curves.circle(centre, radius, normal)

@@ -222,7 +222,8 @@ def draw_curves(curves: Curves, file: Path) -> None:
         same = [c.name for c in curves.curves if c.unit == curve.unit]
         place.set_ylabel(_label(same[0] if len(same) == 1 else "", prefix))
     if len(curves.curves) > 1:
-        axes.legend(handles=handles)
+        # Outside, where no curve is: of two pairs of axes matplotlib avoids the lines of one only.
+        figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3))
     axes.grid(alpha=0.3)
     axes.set_title(_plain(curves.title), fontsize=11)
     draft = file.with_name(f".{file.stem}.part{file.suffix}")
@@ -241,7 +242,8 @@ def _scaled(curves: Sequence[Axis]) -> tuple[list[FloatArray], float, str]:
 
 def _label(name: str, unit: str) -> str:
     text = _plain(label_of(name))
-    return f"{text} [{unit}]".strip() if unit else text
+    powers = unit.replace("^2", "\u00b2").replace("^3", "\u00b3")
+    return f"{text} [{powers}]".strip() if unit else text
 
 
 def _plain(text: str) -> str:

@@ -19,6 +19,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.finished.curves import (
     Axis,
     Curves,
+    _label,
     along,
     circle,
     draw_curves,
@@ -118,6 +119,12 @@ def test_at_most_two_units_in_a_picture(run: FinishedRun) -> None:
     assert (run.folder / "a.csv").read_text().startswith("load parameter,tip_x [m],load_factor,")
 
 
+def test_powers_of_units_are_raised() -> None:
+    assert _label("volume", "cm^3") == "volume [cm\u00b3]"
+    assert _label("a", "m/s^2") == "a [m/s\u00b2]"
+    assert _label("a", "") == "a"
+
+
 def test_names_with_dollars_are_no_formulas(folder: Path) -> None:
     """Two dollars begin and end a formula of matplotlib, which raises where it is none."""
     x = np.array([0.0, 1.0])
@@ -149,7 +156,7 @@ def test_ranges_as_those_of_pictures() -> None:
         ((0.0, 2e8), False),
         ((2.0, 98.0), True),
     ]
-    with pytest.raises(InputError, match="--range: ':' is no range"):
+    with pytest.raises(InputError, match="--range: this is no range of colours"):
         _limits(":")
 
 
@@ -223,8 +230,19 @@ def area(one: dict[str, Any]) -> float:
         (["--line", "0,0"], "--line: '0,0' is no line; for example 0,0,0:0.1,0,0"),
         (["--circle", "0,0,0"], "--circle: '0,0,0' is no circle; for example"),
         (["--view", "top"], "--view: there is no view 'top'"),
-        (["--range", "2:1"], "--range: '2:1' is no range"),
+        (["--clip", "x=1 kg"], "--clip: 'x=1 kg' is no plane: '1 kg' has the wrong unit"),
+        (["--clip", "x=900 cm"], "--clip: the plane x = 9 m misses the body"),
+        (["--line", "0,0,0:0.1,0"], "--line: '0.1,0' is no place in 3 dimensions; for example"),
+        (["--circle", "0,0:1:z"], "--circle: '0,0:1:z' is no circle; for example 0,0,0:0.005:z"),
+        (["--range", "2:1"], "--range: the first end of a range of colours must be below"),
+        (["--range", "a:1"], "--range: this is no range of colours; for example 0:2e8"),
+        (["--scale", "-2"], "--scale: a finite number not below 0 is needed, not -2"),
+        (["--scale", "nan"], "--scale: a finite number not below 0 is needed, not nan"),
+        (["-o", "a.mp4", "--fps", "0"], "--fps: a finite number above 0 is needed, not 0"),
+        (["-o", "a.mp4", "--speed", "-1"], "--speed: a finite number above 0 is needed, not -1"),
+        (["-o", "a.gif", "--fps", "60"], "--fps: viewers show at most 50 frames a second"),
         (["-o", "a.jpg"], "--output: 'a.jpg' is neither picture nor film"),
+        (["-o", "a.pdf"], "in .png, .mp4 or .gif; curves (--line, --circle, --curve) also in .csv"),
     ],
 )
 def test_what_cannot_be_plotted(run: FinishedRun, words: list[str], message: str) -> None:
