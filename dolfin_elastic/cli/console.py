@@ -278,7 +278,13 @@ def show_table(screen: Screen, table: Table) -> None:
 
 
 def show_end(
-    state: State, *, motion: bool, seconds: Mapping[str, float], newton: int, since: int = 0
+    state: State,
+    *,
+    motion: bool,
+    seconds: Mapping[str, float],
+    newton: int,
+    since: int = 0,
+    most: float = 0.0,
 ) -> None:
     """Prints a summary of a run.
 
@@ -288,10 +294,11 @@ def show_end(
         seconds: Time per stage, see `core/timing.py`.
         newton: Newton iterations of all steps.
         since: Step from which the run was restarted.
+        most: Largest displacement of all states [m].
     """
     screen = console()
     table = Table(box=None, show_header=False, pad_edge=True)
-    for name, value in _end_rows(state, motion):
+    for name, value in _end_rows(state, motion, most):
         table.add_row(name, value)
     iterations = f", {count(newton, 'Newton iteration')}" if newton else ""
     again = f" since step {since}" if since else ""
@@ -334,8 +341,8 @@ def count(number: int, thing: str) -> str:
     return f"{number} {thing}" + ("" if number == 1 else "s")
 
 
-def _end_rows(state: State, motion: bool) -> list[tuple[str, str]]:
-    when = " at the end" if motion else ""
+def _end_rows(state: State, motion: bool, most: float) -> list[tuple[str, str]]:
+    when = " at the end" if motion or state.max_displacement < most / 2 else ""
     rows = [(f"largest displacement{when}", f"{state.max_displacement:.5g} m")]
     for name in ("strain", "kinetic", "contact", "total", "external"):
         known = math.isfinite(state.energies.get(name, math.nan))

@@ -265,7 +265,7 @@ def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
 
     motion = displayed.case.dynamics is not None
     progress = _progress_display(motion, visible, verbose=displayed.shown.verbose)
-    state, newton, modes = None, 0, []
+    state, newton, most, modes = None, 0, 0.0, []
     try:
         with closing(displayed.states) as results:
             for result in results:
@@ -274,6 +274,7 @@ def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
                 else:
                     state = result
                     newton += state.newton
+                    most = max(most, state.max_displacement)
                     progress.show(state)
                 if result.done < 1.0 and displayed.stop.agreed(comm):
                     return INTERRUPTED
@@ -289,7 +290,12 @@ def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
         show_modes(modes, timing.totals())
     elif visible and state is not None:
         console.show_end(
-            state, motion=motion, seconds=timing.totals(), newton=newton, since=displayed.since
+            state,
+            motion=motion,
+            seconds=timing.totals(),
+            newton=newton,
+            since=displayed.since,
+            most=most,
         )
     if state is None or not state.failure:
         return 0

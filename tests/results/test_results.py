@@ -24,6 +24,7 @@ from helpers.bodies import made
 from helpers.states import COMM, displacement, make_problem, make_state
 from mpi4py import MPI
 
+from dolfin_elastic import Case, restart, run
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import InputError, OutputError
 from dolfin_elastic.core.parallel import on_root
@@ -927,3 +928,36 @@ def test_a_material_without_allowable_stress_spoils_no_neighbour() -> None:
         known = ~np.isnan(value)
         assert np.allclose(value[known], at[known]) and known[at <= 1.0].all()
         assert not known[at > 1.2].any()
+
+
+@pytest.mark.parametrize(("curve", "unloaded"), [("load-unload", True), ("ramp", False)])
+def test_the_end_of_an_unloaded_run(
+    curve: str, unloaded: bool, folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It is said, with the largest of the run; the stress of round-off has no error."""
+    case = Case.from_dict(
+        {
+            "mesh": {"box": {"size": [2, 1, 1], "cells": [2, 1, 1]}},
+            "materials": {"m": {"law": "linear-elastic", "E": "1 MPa", "nu": 0.3}},
+            "support": [{"on": "left"}],
+            "load": [{"kind": "traction", "on": "right", "value": [0, 0, -100], "curve": curve}],
+            "statics": {"steps": 4},
+        }
+    )
+    caplog.set_level("INFO", "dolfin_elastic")
+    # From the middle, where the load is largest, it goes on elsewhere.
+    states = run(case, output=folder / "a")
+    while (state := next(states)).step < 3:
+        most = state.max_displacement
+    states.close()
+    caplog.clear()
+    *_, state = restart(folder / "a")
+    found = on_root(COMM, lambda: json.loads((folder / "a/summary.json").read_text()))
+    said = on_root(COMM, lambda: [r for r in caplog.records if "is unloaded" in r.getMessage()])
+    assert (state.max_displacement < 1e-12 * most) == unloaded == bool(said)
+    assert ("error" in found) != unloaded
+    most = most if unloaded else state.max_displacement
+    largest = {"step": 2, "load_factor": 0.5} if unloaded else {"step": 4, "load_factor": 1.0}
+    assert found["largest"] == {**largest, "max_displacement": pytest.approx(most, rel=1e-9)}
+    if unloaded:
+        assert f"is {most:.5g} m in step 2 (load 50 %)" in said[0].getMessage()

@@ -21,6 +21,8 @@ from petsc4py import PETSc
 from dolfin_elastic.core import __version__, timing
 from dolfin_elastic.core.errors import SolveError
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.mesh.body import span
+from dolfin_elastic.problem.material_regions import shear_modulus
 from dolfin_elastic.problem.state import Audit, Mode, State, plain
 from dolfin_elastic.results.extremes import Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
@@ -33,6 +35,8 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
 log = logging.getLogger("dolfin_elastic")
+UNLOADED = 1e-6
+"""Share of the run's largest displacement below which a body has gone back to where it was."""
 _INTERVAL = 1.0
 """Seconds between two updates of the file."""
 _STAGES = (*timing.STAGES, "total")
@@ -90,6 +94,7 @@ class SummaryWriter:
         self._newton, self._krylov = before.get("newton", 0), before.get("krylov", 0)
         self._last: dict[str, object] = before.get("last", _NUMBERS)
         self._convergence: dict[str, dict[str, object]] = before.get("convergence", {})
+        self._largest: dict[str, Any] = before.get("largest", {})
         self._spent: dict[str, float] = before.get("timings", {})
         self._restarts: list[dict[str, object]] = before.get("restarts", [])
         if saved is not None:
@@ -117,7 +122,31 @@ class SummaryWriter:
             self._last = _numbers(state)
             self._convergence = _convergence(self._convergence, state)
             self._audits.add(state)
+            if state.v is None:
+                self._note_largest(state)
             self._save_if_due()
+
+    def _note_largest(self, state: State) -> None:
+        """Notes the largest displacement of a run in statics, with its step."""
+        if state.max_displacement > self._largest.get("max_displacement", 0.0):
+            self._largest = {
+                "step": state.step,
+                "load_factor": plain(state.load_factor),
+                "max_displacement": state.max_displacement,
+            }
+
+    def _unloaded(self, state: State) -> bool:
+        """Whether a state has nothing left of the largest of the run but round-off. Collective.
+
+        A body that is held may have stress without displacement, where it is heated or contracts:
+        it is compared to that of strains as large as the displacement over the body's size.
+        """
+        most = self._largest.get("max_displacement", 0.0)
+        if self._extremes is None or state.max_displacement >= UNLOADED * most:
+            return False
+        stiff = max(shear_modulus(part.typical) for part in self.problem.regions)
+        limit = UNLOADED * stiff * most / span(self.problem.body)
+        return self._extremes.of(state)["von_mises"].value < limit
 
     def silence(self) -> None:
         """Logs nothing of the estimated error at the end, as of a mesh that others follow."""
@@ -142,6 +171,7 @@ class SummaryWriter:
             "krylov": self._krylov,
             "last": _plain(self._last),
             "convergence": _plain(self._convergence),
+            "largest": self._largest,
             "timings": self._timings(),
             "restarts": self._restarts,
             "audits": self._audits.restart_state(),
@@ -152,7 +182,12 @@ class SummaryWriter:
         """See `Writer`; adds status, reason and the extremes of the last converged step."""
         with timing.stage("output"):
             state = self._last_state.state
-            estimate = self._estimator(state) if state and self._estimator else None
+            unloaded = state is not None and self._unloaded(state)
+            # What remains of stresses is round-off, of which there is no error to estimate.
+            wanted = None if unloaded else self._estimator
+            estimate = wanted(state) if state and wanted else None
+            if unloaded and self._logs:
+                log.info("%s", self._unloaded_text(), extra={"result": True})
             found = self._extremes.of(state) if state and self._extremes else {}
             extra: dict[str, object] = {
                 "finished": _now(),
@@ -166,6 +201,15 @@ class SummaryWriter:
                 J = [found[name].value for name in ("min_jacobian", "max_jacobian")]
                 extra["volume_change"] = max(abs(value - 1) for value in J)
             self._save(status, str(error) if error else "", extra)
+
+    def _unloaded_text(self) -> str:
+        most = self._largest
+        return (
+            "the last state is unloaded, and so are its stress and pictures; the largest "
+            f"displacement of the run\nis {most['max_displacement']:.5g} m in step "
+            f"{most['step']} (load {100 * most['load_factor']:.4g} %); another step is drawn by "
+            "dolfin-elastic plot --step"
+        )
 
     def _save(
         self, status: str, reason: str = "", extra: Mapping[str, object] | None = None
@@ -198,7 +242,12 @@ class SummaryWriter:
 
     def _numbers(self) -> dict[str, object]:
         counts = {"newton_iterations": self._newton, "krylov_iterations": self._krylov}
-        found = {"audit": self._audits.as_json(), "convergence": self._convergence}
+        found: dict[str, object] = {
+            "audit": self._audits.as_json(),
+            "convergence": self._convergence,
+        }
+        if self._largest:
+            found["largest"] = self._largest
         return {**self._last, **counts, **found, **self._of_modes()}
 
     def _of_modes(self) -> dict[str, object]:
