@@ -208,7 +208,7 @@ def locate_errors(file: str, key: str = "", *, exact: bool = True) -> Iterator[N
             raise
         if exact or error.where in ("size", "cells", "origin"):
             where = [file, within(key, error).where]
-        elif error.where.startswith("mesh.refine"):
+        elif error.where == "mesh.size" or error.where.startswith("mesh.refine"):
             where = [file, error.where]
         else:
             where = [file, key, error.where]

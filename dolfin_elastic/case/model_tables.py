@@ -170,7 +170,7 @@ def _load(row: object) -> Load:
     if isinstance(row, Load):
         return row
     table = as_table(row)
-    with _vector("value"):
+    with _vector("value"), _vector("force", '[0, 0, "-2 kN"]'):
         return class_named(LOADS, table, "kind", LOAD_WORDS)(**table)
 
 
@@ -194,13 +194,13 @@ _ROWS: Mapping[str, Callable[[object], Record]] = {
 
 
 @contextmanager
-def _vector(key: str) -> Iterator[None]:
+def _vector(key: str, example: str = "[0, 0, 1]") -> Iterator[None]:
     """Adds an example of a vector to the error where one was written as a single number."""
     try:
         yield
     except InputError as error:
         if error.where == key and error.expected == "expected a list":
-            wanted = "expected a list of one number a component, for example [0, 0, 1]"
+            wanted = f"expected a list of one number a component, for example {example}"
             raise type(error)(error.what, where=key, expected=wanted) from None
         raise
 

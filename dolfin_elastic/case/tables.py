@@ -26,7 +26,7 @@ from dolfin_elastic.core.schema import (
     quoted,
     within,
 )
-from dolfin_elastic.core.units import Time, to_si
+from dolfin_elastic.core.units import MESH_UNITS, Time, to_si
 from dolfin_elastic.mesh import (
     Body,
     box_body,
@@ -138,12 +138,11 @@ class MeshTable(Record):
     @field_validator("unit")
     @classmethod
     def _is_length(cls, unit: str | None) -> str | None:
-        try:
-            to_si("1 m" if unit is None else f"1 {unit}" if unit.strip() else "no unit", "m")
-        except UnitError:
+        if unit is not None and unit not in MESH_UNITS:
             raise UnitError(
-                f"'{unit}' is no unit of length", expected='expected for example "mm"'
-            ) from None
+                f"'{unit}' is no unit of length of a mesh",
+                expected=nearest_first(unit, MESH_UNITS),
+            )
         return unit
 
     @model_validator(mode="after")

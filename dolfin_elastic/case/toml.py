@@ -187,6 +187,10 @@ _UNQUOTED = re.compile(r"(?!true\b|false\b|inf\b|nan\b)[A-Za-z_]\w+|[*/^()]|\d\s
 """What a value has outside quotes if it is a text."""
 
 
+_VALUE = re.compile(r"[-+.\d\"'\[{]|true\b|false\b")
+"""The begin of a value."""
+
+
 def _syntax(message: str, text: str) -> str:
     """A syntax error of `tomllib`, what to write, and the line with a caret under the column.
 
@@ -206,6 +210,8 @@ def _syntax(message: str, text: str) -> str:
     shown = text.splitlines()[line - 1].replace("\t", " ")
     if re.search(r"\d$", shown[: column - 1]) and re.match(r",\d", shown[column - 1 :]):
         what = "a decimal point is needed in place of the comma"
+    elif found[1] == "Unclosed array" and _VALUE.match(shown[column - 1 :]):
+        what = "a comma is missing in the list"
     elif _unquoted(shown):
         what += '; texts, values with units and formulas stand in quotes: "1 MPa", "2*x"'
     return f"line {line}: {what}\n    {shown}\n    {' ' * (column - 1)}^"

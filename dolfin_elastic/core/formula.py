@@ -21,6 +21,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -41,6 +42,8 @@ from dolfin_elastic.core.types import FloatArray, Scalar
 
 MAX_LENGTH = 1000
 MAX_DEPTH = 100
+_SLIP = 0.75
+"""Likeness from which on a name before brackets is a function: "coss", but not "mix"."""
 _SHALLOW = f"at most {MAX_DEPTH} operations deep"
 
 Tree: TypeAlias = float | str | tuple[str, list[Any]]
@@ -379,7 +382,9 @@ class _Reader:
 
     def _call(self, name: str, node: ast.expr, args: list[ast.expr]) -> Tree:
         if name not in FUNCTIONS:
-            known = name in self.allowed or name in CONSTANTS
+            # Texts may allow any name, so that a function with a slip in it looks like a factor.
+            slips = get_close_matches(name, FUNCTIONS, n=1, cutoff=_SLIP)
+            known = (name in self.allowed or name in CONSTANTS) and not slips
             what = f"'{name}' is not a function" if known else f"unknown function '{name}'"
             hint = f"write {name}*(...)" if known else nearest(name, FUNCTIONS)
             raise self._fault(what, node, hint)

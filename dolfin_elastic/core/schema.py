@@ -51,7 +51,7 @@ class _InputErrorMeta(ModelMetaclass):
         try:
             return super().__call__(*args, **kwargs)
         except ValidationError as error:
-            raise input_error(cast(type[BaseModel], cls), error) from None
+            raise input_error(cast(type[BaseModel], cls), error, kwargs) from None
 
 
 class Record(BaseModel, metaclass=_InputErrorMeta):
@@ -142,12 +142,15 @@ def _validates_itself(metadata: Iterable[object]) -> bool:
     return any(isinstance(one, Quantity | BeforeValidator) for one in metadata)
 
 
-def input_error(record: type[BaseModel], error: ValidationError) -> InputError:
+def input_error(
+    record: type[BaseModel], error: ValidationError, given: Mapping[str, Any]
+) -> InputError:
     """The first fault of a pydantic error as one message: dotted key, what, expected.
 
     Args:
         record: What was to be made.
         error: Why it could not be.
+        given: Of what, as the user wrote it.
     """
     faults = [(dotted_path(record, fault["loc"]), fault) for fault in error.errors()]
     path, fault = min(faults, key=_rank)
@@ -163,8 +166,25 @@ def input_error(record: type[BaseModel], error: ValidationError) -> InputError:
     if fault["type"] == "value_error" and ours is None:
         return InputError(str(_inner(fault)), where=path)
     names_input = ours is not None and isinstance(fault["input"], str)
-    what = ours.what if ours is not None and names_input else f"{quoted(fault['input'])} is wrong"
+    if ours is not None and names_input:
+        return InputError(ours.what, where=path, expected=_accepted(same))
+    what = f"{quoted(_written(given, fault))} is wrong"
     return InputError(what, where=path, expected=_accepted(same))
+
+
+def _written(given: object, fault: ErrorDetails) -> object:
+    """The value of a fault as the user wrote it, with its unit: "-2 kPa" and not -2000.
+
+    Pydantic's location has names of union members and of validators, too, which are no keys.
+    """
+    if not isinstance(fault["input"], float):
+        return fault["input"]
+    found = given
+    for part in fault["loc"]:
+        inside: Any = range(len(found)) if isinstance(found, list | tuple) else found
+        if isinstance(inside, Mapping | range) and part in inside:
+            found = cast(Any, found)[part]
+    return found if isinstance(found, str) else fault["input"]
 
 
 def _inner(fault: ErrorDetails) -> object:
@@ -228,7 +248,12 @@ def _accepted(faults: Sequence[ErrorDetails]) -> str:
     for fault in faults:
         choices = re.findall(r"'([^']*)'", str(fault.get("ctx", {}).get("expected", "")))
         if fault["type"] == "literal_error" and choices and isinstance(fault["input"], str):
-            return nearest(fault["input"], choices)
+            near = nearest(fault["input"], choices)
+            # "y-" is "-y" and no "y".
+            turned = next((one for one in choices if sorted(one) == sorted(fault["input"])), "")
+            if turned and f"'{turned}'" not in near:
+                return f"did you mean '{turned}'? known: {', '.join(choices)}"
+            return near
     wanted = dict.fromkeys(_phrase(fault) for fault in faults)
     return "expected " + " or ".join(wanted)
 

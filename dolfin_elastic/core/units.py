@@ -85,6 +85,10 @@ _LIKE, _VERY_LIKE = 0.6, 0.75
 
 LENGTHS = {**COMMON_UNITS["m"], "in": 0.0254, "ft": 0.3048, "mil": 2.54e-5, "mi": 1609.344}
 
+_METRIC = ("m", "mm", "cm", "dm", "km", "um", "µm", "μm", "nm")
+MESH_UNITS = (*_METRIC, "in", "inch", "ft", "mil", "yd", "mi")
+"""Units in which meshes come; any other length is more likely a slip."""
+
 
 @dataclass(frozen=True)
 class LengthUnit:

@@ -84,7 +84,7 @@ def read_body(
     if edge is not None and not edge > 0:
         raise MeshError(
             f"the size of the elements must be positive, not {size}",
-            where=path.name,
+            where="mesh.size",
             expected='for example "2 mm"',
         )
 

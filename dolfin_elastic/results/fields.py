@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import ufl
 from ufl.core.expr import Expr
@@ -176,6 +176,29 @@ def _kirchhoff(law: Law, F: Expr) -> Expr:
     return P if law.linear else kinematics.kirchhoff_from_first(P, F)
 
 
+FIBRE_FIELDS = {"fibre": 0, "fibre_strain": 0, "fibre_stretch": 0, "fibre2": 1, "fibre2_strain": 1}
+"""Fields of a material direction, and which one."""
+
+
+def _written_fibre(law: Law, number: int) -> object:
+    """A material direction as it was given; None without one."""
+    inner: Law | ModifiedLaw = law
+    while isinstance(inner, ModifiedLaw):
+        inner = inner.law
+    names = inner.directions[number : number + 1]
+    return getattr(inner, names[0], None) if names else None
+
+
+def has_fibre(law: Law, number: int) -> bool:
+    """Whether a material has a direction.
+
+    Args:
+        law: Law of the material.
+        number: 0 or 1: the first or second of its directions.
+    """
+    return _written_fibre(law, number) is not None
+
+
 def _fibre(law: Law, number: int) -> Expr | None:
     """Unit vector of a material direction in the reference configuration; None without one.
 
@@ -183,11 +206,7 @@ def _fibre(law: Law, number: int) -> Expr | None:
         law: Law of the material.
         number: 0 or 1: the first or second of its directions.
     """
-    inner: Law | ModifiedLaw = law
-    while isinstance(inner, ModifiedLaw):
-        inner = inner.law
-    names = inner.directions[number : number + 1]
-    value = getattr(inner, names[0], None) if names else None
+    value: Any = _written_fibre(law, number)
     return None if value is None else direction(value)
 
 

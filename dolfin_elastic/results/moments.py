@@ -136,7 +136,7 @@ def _check_label(label: str, problem: Problem) -> None:
         raise InputError(
             f"there is no support or contact '{label}'",
             where=where,
-            expected=nearest(label, held),
+            expected=nearest(label, held) if held else "nothing holds the body: write [[support]]",
         )
     if label in {motion.label for motion in problem.dirichlet.rigid_motions}:
         raise InputError(

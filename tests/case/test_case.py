@@ -291,12 +291,14 @@ MISTAKES = {
     "unit no length": (
         'unit = "mm"',
         'unit = "kg"',
-        "mesh.unit: 'kg' is no unit of length; expected for example \"mm\"",
+        "mesh.unit: 'kg' is no unit of length of a mesh; known: m, mm, cm, dm, km, um, µm, "
+        "μm, nm, in, inch, ft, mil, yd, mi",
     ),
     "unit nonsense": (
         'unit = "mm"',
         'unit = "qq"',
-        "mesh.unit: 'qq' is no unit of length; expected for example \"mm\"",
+        "mesh.unit: 'qq' is no unit of length of a mesh; known: m, mm, cm, dm, km, um, µm, "
+        "μm, nm, in, inch, ft, mil, yd, mi",
     ),
     "degree": (
         "degree = 1",
@@ -511,6 +513,12 @@ MISTAKES = {
         '[[load]]\nkind = "gravity"\n[statics]',
         "materials.steel.density: this key is missing; load[1] (gravity) needs it, for "
         'example "1100 kg/m^3"',
+    ),
+    "unit for surveyors": (
+        'unit = "mm"',
+        'unit = "furlong"',
+        "mesh.unit: 'furlong' is no unit of length of a mesh; known: m, mm, cm, dm, km, um, µm, "
+        "μm, nm, in, inch, ft, mil, yd, mi",
     ),
     "toml closing bracket": (
         'fields = ["displacement"]',
@@ -873,3 +881,49 @@ def test_materials_fill_what_others_leave() -> None:
     problem = case.make_problem(case.read_body())
     cells = {part.name: COMM.allreduce(len(part.cells)) for part in problem.regions}
     assert cells == {"steel": 6, "rubber": 6}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("size = [2, 1, 1]", "size = [2 1, 1]", ": a comma is missing in the list\n"),
+        (
+            "[statics]",
+            '[[load]]\nkind = "traction"\non = "right"\nforce = "-2 kN"\n[statics]',
+            'load[1].force: "-2 kN" is wrong; expected a list of one number a component, for '
+            'example [0, 0, "-2 kN"]',
+        ),
+        (
+            'fields = ["displacement"]',
+            'fields = ["displacement"]\npictures = [{view = "y-"}]',
+            "output.pictures[0].view: \"y-\" is wrong; did you mean '-y'? known: isometric, x, y, "
+            "z, -x, -y, -z",
+        ),
+        (
+            'fields = ["displacement"]',
+            'fields = ["fibre_strain"]',
+            "output.fields[0]: no material has a first direction of fibres; leave the field out, "
+            "or a law with fibres",
+        ),
+    ],
+    ids=["comma", "force", "view", "fibre"],
+)
+def test_slips(folder: Path, old: str, new: str, message: str) -> None:
+    assert old in GOOD
+    assert message in message_of(folder, GOOD.replace(old, new, 1))
+
+
+def test_moments_without_any_support(folder: Path) -> None:
+    support = '[[support]]\non = "left"\ndisplacement = [0, 0, 0]\n'
+    assert support in GOOD
+    text = GOOD.replace(support, "") + 'moments = {bolts = "middle"}\n'
+    told = "there is no support or contact 'bolts'; nothing holds the body: write [[support]]"
+    assert message_of(folder, text) == f"case.toml: output.moments.bolts: {told}"
+
+
+def test_bounds_are_told_with_the_unit_that_was_written() -> None:
+    table = {"law": "guccione", "C": "-2 kPa", "bf": 8, "bt": 3, "bfs": 4, "fibre": [1, 0, 0]}
+    with pytest.raises(InputError, match=r'\.C: "-2 kPa" is wrong; expected a number above 0'):
+        Case.from_dict(
+            {"mesh": {"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}}, "materials": {"m": table}}
+        )

@@ -96,6 +96,7 @@ def test_a_long_formula_is_shown_in_part(terms: int) -> None:
         ("sin()", "a value is missing before ')'\n    sin()\n        ^"),
         ("sin", "'sin' is a function; write sin(...)\n    sin\n    ^"),
         ("sni(x)", "unknown function 'sni'; did you mean 'sin'?\n    sni(x)\n    ^"),
+        ("coss(2)", "unknown function 'coss'; did you mean 'cos'?\n    coss(2)\n    ^"),
         ("x(2)", "'x' is not a function; write x*(...)\n    x(2)\n    ^"),
         ("atan2(x)", "atan2 takes 2 arguments, 1 given\n    atan2(x)\n    ^"),
         ("min(x)", "min takes 2 or more arguments, 1 given\n    min(x)\n    ^"),

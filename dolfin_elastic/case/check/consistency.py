@@ -23,7 +23,7 @@ from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.problem.material_regions import volume_modulus
-from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.fields import FIBRE_FIELDS, FIELDS, has_fibre
 
 
 def check(case: Case, body: Body) -> tuple[str, ...]:
@@ -279,6 +279,15 @@ def _check_fields(case: Case) -> None:
                 f"the law of '{without_energy[0]}' has no strain energy",
                 where=where,
                 expected="leave the field out",
+            )
+        number = FIBRE_FIELDS.get(name)
+        if number is not None and not any(
+            has_fibre(material.law, number) for material in case.materials.values()
+        ):
+            raise CaseError(
+                f"no material has a {('first', 'second')[number]} direction of fibres",
+                where=where,
+                expected="leave the field out, or a law with fibres",
             )
         if name == "safety_factor" and all(
             material.law.allowable is None for material in case.materials.values()

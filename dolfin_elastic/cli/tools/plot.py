@@ -54,7 +54,8 @@ def plot(
         str | None, typer.Option("--line", help="Field along x0,y0,z0:x1,y1,z1.")
     ] = None,
     circle: Annotated[
-        str | None, typer.Option("--circle", help="Field around x,y,z:radius:axis.")
+        str | None,
+        typer.Option("--circle", help="Field around x,y,z:radius:axis, from x (about x: y)."),
     ] = None,
     curve: Annotated[
         str | None, typer.Option("--curve", help="Columns of history.csv: x:y, or x:y,z.")
