@@ -111,6 +111,10 @@ def limits_of(ends: Sequence[float | str]) -> Limits:
 def check_frames(fps: float, where: str) -> None:
     """Checks that viewers show so many frames a second of a .gif.
 
+    Args:
+        fps: Frames a second.
+        where: The key or option that says so.
+
     Raises:
         InputError: They do not.
     """

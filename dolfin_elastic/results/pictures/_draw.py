@@ -52,7 +52,8 @@ _BESIDE_BAR = 0.7
 # Pixels between a point and the text beside it.
 _ASIDE = 18
 
-Arrays: TypeAlias = Mapping[str, npt.NDArray[Any]]
+Array: TypeAlias = npt.NDArray[Any]
+Arrays: TypeAlias = Mapping[str, Array]
 """Points, triangles, values and texts of a picture, as `pictures.Painter` writes them."""
 
 
@@ -108,7 +109,7 @@ def _sharp_edges(body: pv.PolyData) -> pv.PolyData:
     return _without_jagged(edges, _JAGGED * body.length) if edges.n_cells else edges
 
 
-def _sides(t: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+def _sides(t: Array) -> tuple[Array, Array]:
     """Sides of triangles as sorted pairs of points, equal ones in a row, and their triangles."""
     sides = np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), axis=1)
     order = np.lexsort(sides.T)
@@ -156,7 +157,7 @@ def _whole(data: Arrays) -> pv.PolyData:
     return body
 
 
-def _planes(data: Arrays) -> list[tuple[npt.NDArray[Any], npt.NDArray[Any], bool]]:
+def _planes(data: Arrays) -> list[tuple[Array, Array, bool]]:
     """Normal and a point of each clip plane, and whether what is above it goes."""
     if "plane_normals" not in data:
         return []
@@ -174,7 +175,7 @@ def _in_planes(data: Arrays) -> npt.NDArray[np.bool_]:
 def _meetings(data: Arrays) -> pv.PolyData:
     """Lines along which sections meet."""
     inside, t = _in_planes(data), np.asarray(data["triangles"])
-    rows: list[npt.NDArray[Any]] = [np.zeros((0, 2), dtype=np.int64)]
+    rows: list[Array] = [np.zeros((0, 2), dtype=np.int64)]
     for i in range(len(inside) - 1):
         sides, _ = _sides(t[inside[i][t].all(axis=1)])
         rows.append(sides[inside[i + 1 :][:, sides].all(axis=2).any(axis=0)])
