@@ -142,9 +142,7 @@ def _validates_itself(metadata: Iterable[object]) -> bool:
     return any(isinstance(one, Quantity | BeforeValidator) for one in metadata)
 
 
-def input_error(
-    record: type[BaseModel], error: ValidationError, given: Mapping[str, Any]
-) -> InputError:
+def input_error(record: type[BaseModel], error: ValidationError, given: object) -> InputError:
     """The first fault of a pydantic error as one message: dotted key, what, expected.
 
     Args:
@@ -181,9 +179,10 @@ def _written(given: object, fault: ErrorDetails) -> object:
         return fault["input"]
     found = given
     for part in fault["loc"]:
-        inside: Any = range(len(found)) if isinstance(found, list | tuple) else found
-        if isinstance(inside, Mapping | range) and part in inside:
-            found = cast(Any, found)[part]
+        if isinstance(found, list | tuple):
+            found = dict(enumerate(found))
+        if isinstance(found, Mapping):
+            found = found.get(part, found)
     return found if isinstance(found, str) else fault["input"]
 
 

@@ -94,7 +94,7 @@ class SummaryWriter:
         self._newton, self._krylov = before.get("newton", 0), before.get("krylov", 0)
         self._last: dict[str, object] = before.get("last", _NUMBERS)
         self._convergence: dict[str, dict[str, object]] = before.get("convergence", {})
-        self._largest: dict[str, Any] = before.get("largest", {})
+        self._largest: dict[str, float] = before.get("largest", {})
         self._spent: dict[str, float] = before.get("timings", {})
         self._restarts: list[dict[str, object]] = before.get("restarts", [])
         if saved is not None:

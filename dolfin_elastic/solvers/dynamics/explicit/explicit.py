@@ -9,6 +9,7 @@ from time import monotonic
 
 import numpy as np
 from dolfinx import fem
+from mpi4py import MPI
 
 from dolfin_elastic.core.errors import StabilityError
 from dolfin_elastic.core.parallel import largest
@@ -35,6 +36,21 @@ BETWEEN = 10.0
 
 _MET = 1e-9
 """Share of a time interval by which a state may come before its end."""
+
+
+def _due_between(comm: MPI.Comm, shown: float) -> bool:
+    """Whether the run shall stop, or nothing was shown of it for long. Collective.
+
+    Args:
+        comm: The ranks of the run.
+        shown: When the last state was yielded.
+    """
+    if not watched():
+        return False
+    if stop_agreed(comm):
+        return True
+    # Clocks differ between ranks: the first one decides for all.
+    return largest(comm, float(comm.rank == 0 and monotonic() - shown >= BETWEEN)) > 0
 
 
 class Explicit:
@@ -124,7 +140,7 @@ class Explicit:
 
     def _march(self) -> Iterator[State]:
         self._last.save(self.restart_state())
-        shown = monotonic()
+        shown, comm = monotonic(), self.assembler.comm
         while not self._ended:
             before = self.scheme.t
             try:
@@ -139,24 +155,10 @@ class Explicit:
                 self._last.save(self.restart_state())
                 yield replace(state, failure=self._monitor.failure)
                 shown = monotonic()
-            elif self._between(shown):
+            elif self.scheme.steps % STEPS_A_LOOK == 0 and _due_between(comm, shown):
                 yield self._state_between()
-                raise_if_agreed(self.assembler.comm)
+                raise_if_agreed(comm)
                 shown = monotonic()
-
-    def _between(self, shown: float) -> bool:
-        """Whether the run shall stop, or nothing was shown of it for long. Collective.
-
-        Args:
-            shown: When the last state was yielded.
-        """
-        if self.scheme.steps % STEPS_A_LOOK or not watched():
-            return False
-        comm = self.assembler.comm
-        if stop_agreed(comm):
-            return True
-        # Clocks differ between ranks: the first one decides for all.
-        return largest(comm, float(comm.rank == 0 and monotonic() - shown >= BETWEEN)) > 0
 
     def _state_between(self) -> State:
         """The present state as far as it is known without bringing the velocity to its time.
