@@ -9,9 +9,9 @@ configuration coincide: its Cauchy stress.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import ufl
 from ufl.core.expr import Expr
@@ -180,7 +180,7 @@ FIBRE_FIELDS = {"fibre": 0, "fibre_strain": 0, "fibre_stretch": 0, "fibre2": 1, 
 """Fields of a material direction, and which one."""
 
 
-def _written_fibre(law: Law, number: int) -> object:
+def _written_fibre(law: Law, number: int) -> Expr | Sequence[float] | None:
     """A material direction as it was given; None without one."""
     inner: Law | ModifiedLaw = law
     while isinstance(inner, ModifiedLaw):
@@ -206,7 +206,7 @@ def _fibre(law: Law, number: int) -> Expr | None:
         law: Law of the material.
         number: 0 or 1: the first or second of its directions.
     """
-    value: Any = _written_fibre(law, number)
+    value = _written_fibre(law, number)
     return None if value is None else direction(value)
 
 
