@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from dolfinx import cpp, fem
@@ -14,6 +15,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+
+if TYPE_CHECKING:
+    import pyvista
 
 SOLVER_ERRORS = (PETSc.Error, SystemError)
 """What a solver of SLEPc raises: slepc4py 3.25 raises a SystemError whose cause is PETSc's."""
@@ -147,15 +151,19 @@ def read_meshtags(file: XDMFFile, mesh: Mesh, grid: str, attribute: str) -> Mesh
     return file.read_meshtags(mesh, name=grid)
 
 
-def surface_of(grid: Any, **options: Any) -> Any:
+def surface_of(
+    grid: pyvista.DataSet, *, nonlinear_subdivision: int = 1, pass_pointid: bool = False
+) -> pyvista.PolyData:
     """The faces of a PyVista grid that belong to one cell. Not collective.
 
     From 0.46 on PyVista warns where the filter is not named, before that it cannot be named.
 
     Args:
         grid: The grid.
-        options: See `pyvista.DataSet.extract_surface`.
+        nonlinear_subdivision: Into how many parts edges of quadratic cells are cut, see PyVista.
+        pass_pointid: Whether its points know their numbers in the grid.
     """
-    if "algorithm" in inspect.signature(grid.extract_surface).parameters:
-        options["algorithm"] = "dataset_surface"
-    return grid.extract_surface(**options)
+    extract = grid.extract_surface
+    if "algorithm" in inspect.signature(extract).parameters:
+        extract = partial(extract, algorithm="dataset_surface")
+    return extract(nonlinear_subdivision=nonlinear_subdivision, pass_pointid=pass_pointid)
