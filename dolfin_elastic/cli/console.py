@@ -341,7 +341,7 @@ def count(number: int, thing: str) -> str:
     return f"{number} {thing}" + ("" if number == 1 else "s")
 
 
-def _end_rows(state: State, motion: bool, most: float) -> list[tuple[str, str]]:
+def _end_rows(state: State, motion: bool, most: float = 0.0) -> list[tuple[str, str]]:
     when = " at the end" if motion or state.max_displacement < most / 2 else ""
     rows = [(f"largest displacement{when}", f"{state.max_displacement:.5g} m")]
     for name in ("strain", "kinetic", "contact", "total", "external"):
