@@ -190,6 +190,9 @@ _UNQUOTED = re.compile(r"(?!true\b|false\b|inf\b|nan\b)[A-Za-z_]\w+|[*/^()]|\d\s
 _VALUE = re.compile(r"[-+.\d\"'\[{]|true\b|false\b")
 """The begin of a value."""
 
+_BEGIN = re.compile(r"\s*(\[\[?[\w.\"' -]+\]\]?\s*(#.*)?$|(\"[^\"]*\"|'[^']*')\s*=)")
+"""The line of a heading, or of a key in quotes: what was open before it should be closed."""
+
 
 def _syntax(message: str, text: str) -> str:
     """A syntax error of `tomllib`, what to write, and the line with a caret under the column.
@@ -210,7 +213,11 @@ def _syntax(message: str, text: str) -> str:
     shown = text.splitlines()[line - 1].replace("\t", " ")
     if re.search(r"\d$", shown[: column - 1]) and re.match(r",\d", shown[column - 1 :]):
         what = "a decimal point is needed in place of the comma"
-    elif found[1] == "Unclosed array" and _VALUE.match(shown[column - 1 :]):
+    elif (
+        found[1] == "Unclosed array"
+        and _VALUE.match(shown[column - 1 :])
+        and not _BEGIN.match(shown)
+    ):
         what = "a comma is missing in the list"
     elif _unquoted(shown):
         what += '; texts, values with units and formulas stand in quotes: "1 MPa", "2*x"'

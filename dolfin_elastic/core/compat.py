@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +21,16 @@ from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 if TYPE_CHECKING:
     import pyvista
 
-SOLVER_ERRORS = (PETSc.Error, SystemError)
-"""What a solver of SLEPc raises: slepc4py 3.25 raises a SystemError whose cause is PETSc's."""
+
+@contextmanager
+def petsc_errors() -> Iterator[None]:
+    """Raises PETSc's error where slepc4py 3.25 has wrapped it in a SystemError."""
+    try:
+        yield
+    except SystemError as error:
+        if isinstance(error.__cause__, PETSc.Error):
+            raise error.__cause__ from None
+        raise
 
 
 def integration_entities(mesh: Mesh, facets: IndexArray) -> IndexArray:

@@ -31,10 +31,10 @@ MOST_CELLS = 5e7
 """Cells beyond which a mesh is not refined: a size in another unit was meant."""
 CELLS_A_SECOND = 2e4
 """Cells with sizes that differ that Gmsh makes in a second, at most: 3000 on one core were seen."""
-_GRADED = 1.25
+_GRADED = {2: 2.5, 3: 1.25}
 """Layers with as many cells as those with which the size grows from a face to that of the body.
 
-That is the integral of h^2/(h + 0.4 r)^3 over the distance r, with `_GROWTH` of `cad/sizes.py`.
+That is the integral of h^(d-1)/(h + 0.4 r)^d over the distance r, with `_GROWTH` of `cad/sizes.py`.
 """
 
 
@@ -236,7 +236,7 @@ def _count(place: LocalField, size: float, faces: CadFaces, model: float) -> flo
     d = faces.dim
     if "faces" in place:
         areas = [faces.faces[number].area or 0.0 for number in place["faces"]]
-        amount = (2.0 + _GRADED) * size * sum(areas) / model ** (d - 1)  # two layers
+        amount = (2.0 + _GRADED[d]) * size * sum(areas) / model ** (d - 1)  # two layers
     elif "sphere" in place:
         amount = (4.2 if d == 3 else 3.2) * float(place["sphere"][3]) ** d
     elif "box" in place:

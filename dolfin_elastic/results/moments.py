@@ -107,6 +107,8 @@ def columns_of_moments(points: ReferencePoints, problem: Problem) -> list[Column
             has other components than the body, two columns have one name, or nothing has a moment.
     """
     found: list[ColumnsOfMoment] = []
+    # Those of rigid surfaces are columns in any case.
+    taken = {f"moment_{motion.label}" for motion in problem.dirichlet.rigid_motions}
     for label, named in points.items():
         _check_label(label, problem)
         for name, point in named.items():
@@ -114,12 +116,13 @@ def columns_of_moments(points: ReferencePoints, problem: Problem) -> list[Column
             stem = f"moment_{label}_{name}" if name else f"moment_{label}"
             axes = "xyz" if problem.body.dim == 3 else "z"
             columns = tuple(f"{stem}_{axis}" for axis in axes)
-            if any(columns[0] in other.names for other in found):
+            if stem in taken:
                 raise InputError(
                     f"there are two moments called '{columns[0]}'",
                     where=where,
                     expected="give the point another name",
                 )
+            taken.add(stem)
             found.append(ColumnsOfMoment(label, columns, _place(point, where, problem)))
     return found
 

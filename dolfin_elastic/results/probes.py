@@ -382,7 +382,11 @@ class Probe:
         return np.asarray(shape @ function.x.array.reshape(-1, self.dim)[nodes])
 
     def numbers(self, state: State) -> dict[str, float]:
-        """Column of the history to value, "POINT_x" ... of the displacement, else "POINT_FIELD"."""
+        """Column of the history to value, "POINT_x" ... of the displacement, else "POINT_FIELD".
+
+        Raises:
+            InputError: A probe has the name of a column of moments.
+        """
         found = {
             column: float(value)
             for name, components in self(state).items()
@@ -392,7 +396,10 @@ class Probe:
             for name, part in self._counted.items():
                 found |= columns_of(name, part(state), plain=name in self._plain)
         for moment in self._moments:
-            found |= moment(state)
+            columns = moment(state)
+            if twice := found.keys() & columns.keys():
+                raise duplicate_column(min(twice))
+            found |= columns
         return found
 
     def add_to(self, state: State) -> State:

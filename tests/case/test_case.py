@@ -14,6 +14,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case, read_case
 from dolfin_elastic.case.check import check, report
+from dolfin_elastic.case.run import run
 from dolfin_elastic.cli.tools.new import Kind, template
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root
@@ -525,6 +526,11 @@ MISTAKES = {
         'fields = ["displacement"',
         "the list has no closing bracket ] (at end of document)",
     ),
+    "toml closing bracket before a heading": (
+        '"1 MPa"]',
+        '"1 MPa"',
+        "line 21: the list has no closing bracket ]\n    [statics]\n    ^",
+    ),
 }
 
 
@@ -534,6 +540,15 @@ def test_mistake(folder: Path, name: str) -> None:
     old, new, message = MISTAKES[name]
     assert old in GOOD
     assert message_of(folder, GOOD.replace(old, new, 1)) == f"case.toml: {message}"
+
+
+def test_a_load_that_ends_is_found_by_the_run(folder: Path) -> None:
+    """Its resultant is not listed then, but a run begins: it may end before that time."""
+    ends = MOTION.replace('"1 MPa"', '"1e3*sqrt(0.45 - t)"')
+    states = run(case_of(folder, ends))
+    assert [next(states).step for _ in range(4)] == [0, 1, 2, 3]
+    with pytest.raises(InputError, match=r"load\[0\]\.value\[2\]: '1e3.* no finite value at t = "):
+        list(states)
 
 
 MOTION = GOOD.replace("nu = 0.3", "nu = 0.3\ndensity = 7850").replace(

@@ -235,6 +235,14 @@ def test_invalid_moments_are_refused(moments, message):
         report(Case.from_dict(tables))
 
 
+def test_a_probe_with_the_name_of_a_moment(folder):
+    """Neither of them takes the place of the other."""
+    twins = {"probes": {"moment_left_bolt": [0, 0, 0]}, "moments": {"left": {"bolt": "middle"}}}
+    with pytest.raises(InputError, match="moment_left_bolt_x"):
+        list(run(Case.from_dict(block(**twins)), output=folder / "out"))
+    assert not (folder / "out").exists()
+
+
 def test_a_point_that_is_an_empty_part():
     """A surface without facets has no middle; it is no nan in the history."""
     body = box_body(size=(1.0, 1.0, 1.0), cells=(1, 1, 1))

@@ -268,7 +268,8 @@ def _check_values(
         place = least_place(value, X, t)
         found = first_of(comm, [] if place is None else [place])
         if found is not None:
-            raise no_value(value, where, found, t)
+            error = no_value(value, where, found, t)
+            raise CaseError(error.what, where=error.where, expected=error.expected)
 
 
 def _check_poles(

@@ -329,7 +329,7 @@ def _circle(run: FinishedRun, text: str) -> tuple[FloatArray, FloatArray]:
         normal = [float(name == parts[2]) for name in "xyz"]
     else:
         normal = _numbers(run, parts[2], "--circle", expected)
-    if radius <= 0 or not any(normal):
+    if not 0 < radius < float("inf") or not any(normal):
         raise InputError(f"'{text}' is no circle", where="--circle", expected=expected)
     return curves.circle(centre, radius, normal)
 

@@ -206,7 +206,7 @@ class SummaryWriter:
         most = self._largest
         return (
             "the last state is unloaded, and so are its stress and pictures; the largest "
-            f"displacement of the run\nis {most['max_displacement']:.5g} m in step "
+            f"displacement of the run is {most['max_displacement']:.5g} m in step "
             f"{most['step']} (load {100 * most['load_factor']:.4g} %); another step is drawn by "
             "dolfin-elastic plot --step"
         )

@@ -16,6 +16,7 @@ import numpy as np
 from petsc4py import PETSc
 from slepc4py import SLEPc
 
+from dolfin_elastic.core.compat import petsc_errors
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
@@ -278,7 +279,8 @@ class Stability:
         start.array_w[self.assembler.displacement_dofs] = start_vector(self.assembler)
         self.assembler.remove_constrained(start)
         eps.setInitialSpace(start)
-        eps.solve()
+        with petsc_errors():
+            eps.solve()
         start.destroy()
         if not eps.getConverged():
             return None

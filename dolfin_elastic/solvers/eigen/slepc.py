@@ -21,7 +21,7 @@ import numpy as np
 from petsc4py import PETSc
 from slepc4py import SLEPc
 
-from dolfin_elastic.core.compat import SOLVER_ERRORS
+from dolfin_elastic.core.compat import petsc_errors
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
@@ -143,8 +143,8 @@ def failing() -> Iterator[None]:
     """
     try:
         yield
-    except SOLVER_ERRORS as error:
-        reason = str(error.__cause__ or error).strip().splitlines()[-1].split("] ", 1)[-1]
+    except PETSc.Error as error:
+        reason = str(error).strip().splitlines()[-1].split("] ", 1)[-1]
         raise ConvergenceError(
             f"the eigenvalue solver has failed: {reason}",
             advice='solver.method = "direct", more memory (more ranks), a coarser mesh',
@@ -315,7 +315,8 @@ def solve(eps: SLEPc.EPS) -> None:
     comm = eps.comm.tompi4py()
     raise_if_agreed(comm)
     eps.setStoppingTest(_stops)
-    eps.solve()
+    with petsc_errors():
+        eps.solve()
     if eps.getConvergedReason() == SLEPc.EPS.ConvergedReason.CONVERGED_USER:
         raise_if_agreed(comm)
 
