@@ -50,7 +50,7 @@ from dolfin_elastic.solvers.statics.settings import StaticsSettings
 PAGES = {
     path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
     for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-    if not {"_build", "generated", "messages"} & {*path.parts}
+    if not {"_build", "generated", "messages"} & {*path.relative_to(ROOT).parts}
 }
 GUIDE = "".join(text for name, text in PAGES.items() if name.startswith("docs/guide/"))
 """What people have written about the keys; the pages in docs/reference/ are made from the code."""

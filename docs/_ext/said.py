@@ -162,7 +162,7 @@ def _notes(function: _Function) -> Iterator[ast.expr]:
     """What a function says as notes: yields, returns in a list, or appends to one."""
     returns = ast.unparse(function.node.returns) if function.node.returns else ""
     whole = bool(_NOTES.fullmatch(function.node.name))
-    whole |= "check" in function.folder.parts and returns == "Iterator[str]"
+    whole |= "check" in function.folder.relative_to(ROOT).parts and returns == "Iterator[str]"
     for one in function.nodes:
         said: list[ast.expr | None] = []
         if isinstance(one, ast.Call) and _name(one) in ("append", "_noted"):

@@ -20,7 +20,7 @@ DEMOS = sorted((ROOT / "demos").glob("*/*.toml"))
 PAGES = [
     path
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
-    if not {"_build", "generated", "messages"} & {*path.parts}
+    if not {"_build", "generated", "messages"} & {*path.relative_to(ROOT).parts}
 ]
 CASE = """
 [mesh]
