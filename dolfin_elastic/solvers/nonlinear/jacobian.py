@@ -25,9 +25,17 @@ where those of all cells would take 96 bytes a linear one."""
 Extreme = tuple[float, FloatArray]
 """A value and the place of its cell in the reference configuration [m]."""
 
+Extremes = tuple[Extreme, Extreme, Extreme]
+"""Smallest and largest det F, and largest |grad u| in cells of linear laws."""
+
 
 def _value(extreme: Extreme) -> float:
     return extreme[0]
+
+
+def _extremes(found: list[Extremes]) -> Extremes:
+    lows, highs, steeps = zip(*found, strict=True)
+    return min(lows, key=_value), max(highs, key=_value), max(steeps, key=_value)
 
 
 class JacobianWatch:
@@ -95,30 +103,33 @@ class JacobianWatch:
 
     def _evaluated(self) -> tuple[Extreme, Extreme]:
         """See `extremes`. Collective."""
-        low: Extreme = (np.inf, np.zeros(3))
-        high: Extreme = (-np.inf, np.zeros(3))
-        steep: Extreme = (0.0, np.zeros(3))
+        found: list[Extremes] = []  # one on each rank that has cells
         with stage("assemble"):
             for first in range(0, len(self._cells), BLOCK):
                 cells = self._cells[first : first + BLOCK]
-                found = self._seen_in.eval(self._problem.body.mesh, cells)
-                found = found.reshape(len(cells), len(self._points), self._columns)
-                values = found[:, :, 0]
-                values[np.isnan(values)] = -np.inf  # as bad as can be, on whichever rank
-                least, most = values.min(axis=1), values.max(axis=1)
-                low = min(low, self._at(cells, least, int(np.argmin(least))), key=_value)
-                high = max(high, self._at(cells, most, int(np.argmax(most))), key=_value)
-                steep = max(steep, self._steepest_of(cells, found), key=_value)
-        everywhere = self._problem.body.comm.allgather((low, high, steep))
-        lows, highs, steeps = zip(*everywhere, strict=True)
-        self._steepest = max(steeps, key=_value)
-        return min(lows, key=_value), max(highs, key=_value)
+                seen = self._seen_in.eval(self._problem.body.mesh, cells)
+                seen = seen.reshape(len(cells), len(self._points), self._columns)
+                found = [_extremes([*found, self._of(cells, seen)])]
+        everywhere = self._problem.body.comm.allgather(found)
+        low, high, self._steepest = _extremes([one for rank in everywhere for one in rank])
+        return low, high
 
-    def _steepest_of(self, cells: IndexArray, found: FloatArray) -> Extreme:
+    def _of(self, cells: IndexArray, seen: FloatArray) -> Extremes:
+        """The extremes of some cells, of which there is one at least. Not collective."""
+        values = seen[:, :, 0]
+        values[np.isnan(values)] = -np.inf  # as bad as can be, on whichever rank
+        least, most = values.min(axis=1), values.max(axis=1)
+        return (
+            self._at(cells, least, int(np.argmin(least))),
+            self._at(cells, most, int(np.argmax(most))),
+            self._steepest_of(cells, seen),
+        )
+
+    def _steepest_of(self, cells: IndexArray, seen: FloatArray) -> Extreme:
         """Largest |grad u| in those of some cells that have linear laws. Not collective."""
         if self._small is None:
             return 0.0, np.zeros(3)
-        squares = np.where(self._small[cells], found[:, :, -1].max(axis=1), 0.0)
+        squares = np.where(self._small[cells], seen[:, :, -1].max(axis=1), 0.0)
         steep = np.nan_to_num(np.sqrt(squares))
         return self._at(cells, steep, int(np.argmax(steep)))
 

@@ -35,6 +35,7 @@ from dolfin_elastic.problem.state import Audit, State
 from dolfin_elastic.results.outputs import History, Summary
 from dolfin_elastic.solvers.assembly.assembler import Assembler, Reactions
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor
+from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 
 COMM = MPI.COMM_WORLD
 E, NU = 1e6, 0.3
@@ -138,6 +139,16 @@ def test_bar_in_tension():
     assert last.energy == pytest.approx(last.work, rel=1e-11)
     J = (1 + strain) * (1 - NU * strain) ** 2
     assert (last.min_jacobian, last.max_jacobian) == pytest.approx((J, J), rel=1e-12)
+
+
+def test_where_det_f_is_no_number_a_cell_is_named() -> None:
+    """The origin is no place of a body that lies beside it."""
+    body = box_body(size=(2, 1, 1), cells=(2, 1, 1), origin=(5, 5, 5))
+    problem = block(body=body)
+    problem.u.x.array[:] = np.nan
+    for value, place in JacobianWatch(problem).extremes():
+        assert value == -np.inf
+        assert ((place > 5) & (place < (7, 6, 6))).all()
 
 
 def test_load_that_is_on_from_the_start(said):
