@@ -124,17 +124,6 @@ class SkewConstraints:
         """The part of vectors that the constraints leave free; see `constrained_part`."""
         return np.asarray(values - self.constrained_part(values))
 
-    def resultants(self, out: FloatArray) -> dict[str, FloatArray]:
-        """Support's label to this rank's sum of its forces [N].
-
-        Args:
-            out: Forces out of balance at the owned nodes [N], of shape (count, dim).
-        """
-        found: dict[str, FloatArray] = {}
-        for support, _, forces in self.reactions(out):
-            found[support.label] = found.get(support.label, 0.0) + forces.sum(axis=0)
-        return found
-
     def reactions(
         self, out: FloatArray
     ) -> Iterator[tuple[PrescribingSupport | RigidMotion, IndexArray, FloatArray]]:

@@ -246,26 +246,13 @@ class Ties:
 
     # --- all ties ---
 
-    def resultants(self, out_of_balance: FloatArray) -> dict[str, FloatArray]:
-        """Label to the force on the tied side of each tie by the other [N]. Collective.
-
-        Args:
-            out_of_balance: Nodal forces out of balance of bodies that are not tied, owned entries.
-        """
-        found: dict[str, FloatArray] = {}
-        for label, dofs, shares in self.passed_forces(out_of_balance):
-            force = np.bincount(dofs % self._dim, shares, minlength=self._dim)
-            whole: FloatArray = total(self.comm, np.asarray(force, dtype=np.float64))
-            found[label] = np.asarray(found.get(label, 0.0) + whole)
-        return found
-
     def passed_forces(
         self, out_of_balance: FloatArray
     ) -> Iterator[tuple[str, IndexArray, FloatArray]]:
         """Label, owned tied entries and the forces on them by the other side [N], tie by tie.
 
         Args:
-            out_of_balance: See `resultants`.
+            out_of_balance: Nodal forces out of balance of bodies that are not tied, owned entries.
         """
         for surface, passed in zip(self.surfaces, self._passed, strict=True):
             yield surface.label, surface.dofs, passed * out_of_balance[surface.dofs]

@@ -233,8 +233,6 @@ class Residual:
         reaction_norm: Norm of its prescribed entries [N].
         restraint_norm: Norm of the forces of springs and contact at the last residual [N].
         tied_nodal: Forces of ties on the entries that they tie, at the last assembly [N].
-        tie_forces: Label of each tie to the force on its tied side by the other, at the last
-            assembly [N].
         gap: Largest |x - g| over prescribed dofs at the last residual [m].
     """
 
@@ -243,11 +241,7 @@ class Residual:
     ) -> None:
         self._dofs, self.form, self._tangent, self._reactions = dofs, form, tangent, reactions
         self.vector, self._lift = dofs.ghosted_vector(), dofs.ghosted_vector()
-        self.tie_forces: dict[str, FloatArray] = {}
         self.tied_nodal: FloatArray = np.zeros(0 if dofs.ties is None else len(dofs.ties.tied))
-        if dofs.ties is not None:
-            zero = np.zeros(len(dofs.displacement_dofs))
-            self.tie_forces = dofs.ties.resultants(zero)
         self.free_norm = self.reaction_norm = self.restraint_norm = self.gap = 0.0
 
     @property
@@ -262,9 +256,7 @@ class Residual:
         self._reactions.add_point_loads(self.vector.array, -1.0)
         self.vector.scatter_reverse(la.InsertMode.add)
         if self._dofs.ties is not None:
-            forces = self.owned[self._dofs.displacement_dofs]
-            self.tie_forces = self._dofs.ties.resultants(forces)
-            self.tied_nodal = forces[self._dofs.ties.tied]
+            self.tied_nodal = self.owned[self._dofs.displacement_dofs][self._dofs.ties.tied]
             self.owned[:] = self._dofs.collect(self.owned)
 
     def evaluate(self, x: PETSc.Vec, f: PETSc.Vec, *, target: FloatArray | None = None) -> None:
@@ -489,34 +481,28 @@ class SupportForces:
             forces: Out-of-balance nodal forces, owned entries [N]; by default the residual as it
                 was assembled last.
         """
-        forces = self._assembler.residual.owned if forces is None else forces
-        restraints = self._assembler.reactions.by_label()
-        found = self._assembler.resultants(forces)
-        for label, nodal in restraints.items():
-            resultant = self._comm.allreduce(nodal.sum(axis=0), op=MPI.SUM)
-            found[label] = found.get(label, 0.0) + resultant
-        found |= self._assembler.residual.tie_forces
-        return found, self._moments(forces, restraints) if self._about else {}
-
-    def _moments(
-        self, forces: FloatArray, restraints: Mapping[str, FloatArray]
-    ) -> dict[str, Moment]:
         x = self._X
         if self._moves:
             x = x + self._problem.u.x.array[: x.size].reshape(x.shape)
-        sums = {label: np.zeros(3 if self._dim == 3 else 1) for label in self._about}
-        for label, nodes, acting in self._acting(forces, restraints):
-            if label in sums:  # not what a user's own virtual work does
-                sums[label] += moment_of(x[nodes] - self._about[label], acting).sum(axis=0)
-        whole = total(self._comm, np.array(list(sums.values())))
-        return {
-            label: Moment(value, about)
-            for (label, about), value in zip(self._about.items(), whole, strict=True)
+        resultants: dict[str, FloatArray] = {}
+        moments = {label: np.zeros(3 if self._dim == 3 else 1) for label in self._about}
+        forces = self._assembler.residual.owned if forces is None else forces
+        for label, nodes, acting in self._acting(forces):
+            resultants[label] = resultants.get(label, 0.0) + acting.sum(axis=0)
+            if label in moments:  # not what a user's own virtual work does
+                moments[label] += moment_of(x[nodes] - self._about[label], acting).sum(axis=0)
+        whole = self._over_ranks(moments)
+        return self._over_ranks(resultants), {
+            label: Moment(whole[label], about) for label, about in self._about.items()
         }
 
-    def _acting(
-        self, forces: FloatArray, restraints: Mapping[str, FloatArray]
-    ) -> Iterator[tuple[str, IndexArray, FloatArray]]:
+    def _over_ranks(self, sums: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        """Sums over all ranks, which have the same labels. Collective."""
+        if not sums:
+            return {}
+        return dict(zip(sums, total(self._comm, np.array(list(sums.values()))), strict=True))
+
+    def _acting(self, forces: FloatArray) -> Iterator[tuple[str, IndexArray, FloatArray]]:
         """Label, owned nodes, and forces on them of this rank, shape (nodes, dim)."""
         nodal = np.array(forces[self._assembler.displacement_dofs])
         dirichlet, ties = self._problem.dirichlet, self._problem.ties
@@ -526,7 +512,7 @@ class SupportForces:
             out = nodal.reshape(-1, self._dim)[skew.nodes[: skew.count]]
             for support, nodes, along in skew.reactions(out):
                 yield support.label, nodes, along
-        for label, rows in restraints.items():
+        for label, rows in self._assembler.reactions.by_label().items():
             nodes = np.flatnonzero(np.any(rows != 0.0, axis=1)).astype(np.int32)
             yield label, nodes, rows[nodes]
         if ties is not None:

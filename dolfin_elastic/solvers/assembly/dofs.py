@@ -51,8 +51,7 @@ class ConstrainedDofs:
         nodes = np.empty(0, np.int32) if self.skew is None else self.skew.nodes
         self.ties = None if displacement_fixed else problem.ties
         entries = (nodes[:, None] * self._dim + np.arange(self._dim)).astype(np.int32)
-        self._skew_nodes = nodes[: 0 if self.skew is None else self.skew.count]
-        self.skew_dofs = unknowns.mixed_dofs(entries[: len(self._skew_nodes)])
+        self.skew_dofs = unknowns.mixed_dofs(entries[: 0 if self.skew is None else self.skew.count])
         if problem.w is problem.u:
             self._values, self.bcs = dirichlet.values, dirichlet.bcs
             lifted: list[fem.DirichletBC] = [fem.dirichletbc(self._values, nodes)]
@@ -220,21 +219,3 @@ class ConstrainedDofs:
         step.array_w[self.fixed_pressures] = 0.0
         if self.skew is not None:
             step.array_w[self.skew_dofs] = self.skew.free_part(step.array_r[self.skew_dofs])
-
-    def resultants(self, forces: FloatArray) -> dict[str, FloatArray]:
-        """Sum of nodal forces at each support's prescribed dofs, by label [N]. Collective.
-
-        Args:
-            forces: Owned entries of all unknowns [N].
-        """
-        forces = forces[self.displacement_dofs]
-        supports = self.problem.dirichlet.reaction_dofs
-        local = np.zeros((len(supports), self._dim))
-        for row, dofs in zip(local, supports.values(), strict=True):
-            np.add.at(row, dofs % self._dim, forces[dofs])
-        if self.skew is not None:
-            along = self.skew.resultants(forces.reshape(-1, self._dim)[self._skew_nodes])
-            for k, label in enumerate(supports):
-                local[k] += along.get(label, 0.0)
-        sums = self.comm.allreduce(local, op=MPI.SUM)
-        return dict(zip(supports, sums, strict=True))
