@@ -58,8 +58,7 @@ def cell_gradients(nodes: FloatArray, degree: int, points: FloatArray) -> FloatA
         Shape (n, points, gdim, tdim).
     """
     tdim = points.shape[1]
-    table = np.asarray(_element(tdim, degree).tabulate(1, points), dtype=np.float64)
-    slopes = table[1 : tdim + 1, :, :, 0].transpose(2, 1, 0)  # by node, point and direction
+    slopes = _slopes(tdim, degree, points).transpose(1, 0, 2)  # by node, point and direction
     rows = nodes.transpose(0, 2, 1).reshape(-1, nodes.shape[1])  # one product, not one a cell
     found = (rows @ slopes.reshape(len(slopes), -1)).reshape(-1, nodes.shape[2], len(points), tdim)
     return found.transpose(0, 2, 1, 3)
@@ -89,9 +88,13 @@ def shape_gradients(mesh: Mesh, points: FloatArray) -> FloatArray:
     Returns:
         Shape (points, nodes of a cell, dim), contiguous.
     """
-    d = mesh.topology.dim
-    table = np.asarray(_element(d, mesh.geometry.cmap.degree).tabulate(1, points), dtype=np.float64)
-    return np.ascontiguousarray(table[1 : d + 1, :, :, 0].transpose(1, 2, 0))
+    return np.ascontiguousarray(_slopes(mesh.topology.dim, mesh.geometry.cmap.degree, points))
+
+
+def _slopes(dim: int, degree: int, points: FloatArray) -> FloatArray:
+    """Gradients of shape functions of a reference simplex, shape (points, nodes, dim)."""
+    table = np.asarray(_element(dim, degree).tabulate(1, points), dtype=np.float64)
+    return table[1 : dim + 1, :, :, 0].transpose(1, 2, 0)
 
 
 def cell_jacobians(mesh: Mesh, points: FloatArray, cells: IndexArray | None = None) -> FloatArray:

@@ -89,19 +89,27 @@ def parts_of_aij(matrix: PETSc.Mat) -> tuple[Compressed, Compressed, IntArray]:
         none = np.empty(0)
         empty = Compressed(np.zeros(rows + 1, np.int64), none.astype(np.int32), none)
         return _compressed(matrix.handle, rows), empty, none.astype(np.int64)
-    own, others, numbers = ctypes.c_void_p(), ctypes.c_void_p(), ctypes.c_void_p()
-    _check(
-        _library().MatMPIAIJGetSeqAIJ(
-            ctypes.c_void_p(matrix.handle),
-            *(ctypes.byref(pointer) for pointer in (own, others, numbers)),
-        )
-    )
-    assert own.value is not None
-    assert others.value is not None
-    far = _compressed(others.value, rows)
+    own, others, numbers = _sequential(matrix)
+    far = _compressed(others, rows)
     count = int(far.columns.max(initial=-1)) + 1
     columns = _view(numbers, count, PETSc.IntType).astype(np.int64)
-    return _compressed(own.value, rows), far, columns
+    return _compressed(own, rows), far, columns
+
+
+def _sequential(matrix: PETSc.Mat) -> tuple[int, int, ctypes.c_void_p]:
+    """Handles of the two matrices of which one of several ranks consists; see `parts_of_aij`.
+
+    Not collective.
+
+    Returns:
+        That of owned columns, that of others, and where the global numbers of the latter stand.
+    """
+    own, others, numbers = (ctypes.c_void_p() for _ in range(3))
+    handle, places = ctypes.c_void_p(matrix.handle), (own, others, numbers)
+    _check(_library().MatMPIAIJGetSeqAIJ(handle, *(ctypes.byref(place) for place in places)))
+    assert own.value is not None
+    assert others.value is not None
+    return own.value, others.value, numbers
 
 
 def _compressed(handle: int, rows: int) -> Compressed:
@@ -142,17 +150,9 @@ def overwrite_aij(matrix: PETSc.Mat, own: FloatArray, others: FloatArray) -> Non
     if matrix.getType() == "seqaij":
         _overwrite(matrix.handle, own)
     else:
-        diagonal, off_diagonal = ctypes.c_void_p(), ctypes.c_void_p()
-        handle = ctypes.c_void_p(matrix.handle)
-        _check(
-            _library().MatMPIAIJGetSeqAIJ(
-                handle, ctypes.byref(diagonal), ctypes.byref(off_diagonal), None
-            )
-        )
-        assert diagonal.value is not None
-        assert off_diagonal.value is not None
-        _overwrite(diagonal.value, own)
-        _overwrite(off_diagonal.value, others)
+        owned, further, _ = _sequential(matrix)
+        _overwrite(owned, own)
+        _overwrite(further, others)
     matrix.stateIncrease()
     matrix.assemble()
 
