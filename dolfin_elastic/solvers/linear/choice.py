@@ -182,8 +182,9 @@ def petsc_multigrid(options: PetscOptions, users: PetscOptions, degree: int) -> 
     Returns:
         Options to be changed; none where the user gives no options of levels.
     """
-    [*ours] = (name for name, value in options.items() if value == BLOCKS["pc_type"])
-    prefix = ours[0].removesuffix("pc_type") if ours else ""
+    kind = "pc_type"
+    ours = [n for n, value in options.items() if n.endswith(kind) and value == BLOCKS[kind]]
+    prefix = ours[0].removesuffix(kind) if ours else ""
     shaping = tuple(prefix + name for name in ("pc_gamg_", "pc_mg_", "mg_levels_", "mg_coarse_"))
     if not ours or not any(name.startswith(shaping) for name in users):
         return {}
