@@ -200,14 +200,14 @@ def check_file(
         raise MeshError(fault, where=path.name)
     if path.stat().st_size == 0:
         raise MeshError("the file is empty", where=path.name, expected="save the mesh anew")
-    is_cad = path.suffix.lower() in CAD
-    if size is not None and not is_cad:
+    cad = is_cad(path)
+    if size is not None and not cad:
         raise MeshError(
             "mesh.size is given, but this file is a finished mesh",
             where=path.name,
             expected=f"size is for {', '.join(CAD)}",
         )
-    if curved and not is_cad:
+    if curved and not cad:
         raise MeshError(
             "mesh.curved is given, but this file is a finished mesh",
             where=path.name,
@@ -216,11 +216,11 @@ def check_file(
     if join is not None and path.suffix.lower() not in SHAPES:
         raise MeshError(
             "bodies are to be joined or not, but this file is a finished mesh"
-            if not is_cad
+            if not cad
             else "a .geo file joins its bodies itself",
             where=path.name,
             expected=f"join is for {', '.join(SHAPES)}"
-            + ("; in a .geo file write Coherence; or BooleanFragments" if is_cad else ""),
+            + ("; in a .geo file write Coherence; or BooleanFragments" if cad else ""),
         )
 
 

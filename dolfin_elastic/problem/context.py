@@ -433,10 +433,10 @@ def formula_places(context: FormContext, parts: Parts) -> FloatArray:
 def _formulas(context: FormContext) -> FormulaValues:
     """The context's values of formulas, which plain problems have not."""
     if context.formulas is None:
-        degrees = {"region": context.weight_degree}
 
         def points(parts: Parts) -> IntegralPoints:
-            return context.measures.points(parts, degrees.get(parts.kind, 2 * context.order))
+            degree = context.weight_degree if parts.kind == "region" else 2 * context.order
+            return context.measures.points(parts, degree)
 
         context.formulas = FormulaValues(context.body.mesh, points, float(context.t.value))
     return context.formulas

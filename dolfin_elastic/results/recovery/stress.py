@@ -328,7 +328,6 @@ class NodalMeans:
 
     def __init__(self, V: fem.FunctionSpace, width: int) -> None:
         self._map, self._nodes = V.dofmap.index_map, V.dofmap.list
-        self._comm = V.mesh.comm
         self._work = la.vector(self._map, width + 1)
         self._table = self._work.array.reshape(-1, width + 1)
 
