@@ -224,15 +224,11 @@ def mesh_quality(
     Raises:
         InputError: The mesh's file is missing or damaged.
     """
-    from dolfin_elastic.results.finished.xdmf import read_array
+    from dolfin_elastic.results.finished.xdmf import damaged, read_array
 
     frame = frames[-1][1]
     cells, x = read_array(run.folder, frame.cells), read_array(run.folder, frame.points)
     corners = np.asarray(x[cells[:, : frame.dim + 1], : frame.dim], dtype=np.float64)
     if not math.isfinite(float(np.abs(corners).max(initial=0.0))):
-        raise InputError(
-            "points of the mesh are not finite",
-            where=str(Path(run.folder)),
-            expected="the files as the run has left them",
-        )
+        raise damaged("points of the mesh are not finite", str(Path(run.folder)))
     return qualities(corners), np.abs(signed_volumes(corners))

@@ -15,6 +15,7 @@ import numpy as np
 
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.report.quantity import scaled_unit
+from dolfin_elastic.results.derived.spectral import von_mises
 from dolfin_elastic.results.fields import FIELDS, SAFEST
 from dolfin_elastic.results.pictures.scene import SMALL_MATTERS, label_of
 
@@ -305,16 +306,10 @@ def node_values(
     }
     for name in ("cauchy_stress", "cauchy_stress_cell"):
         if name in rows and not any(one.startswith("von_mises") for one in found):
-            found["von_mises"] = _von_mises(rows[name])
+            found["von_mises"] = von_mises(rows[name])[:, 0]
     if allowable and "safety_factor" not in found and "von_mises" in found:
         found["safety_factor"] = allowable / np.maximum(found["von_mises"], allowable / SAFEST)
     return found
-
-
-def _von_mises(stress: FloatArray) -> FloatArray:
-    """Of tensors, row by row, shape (n, 9)."""
-    deviator = stress - np.outer(stress[:, [0, 4, 8]].mean(axis=1), np.eye(3))
-    return np.asarray(np.sqrt(1.5) * np.linalg.norm(deviator, axis=1))
 
 
 def chosen_frames(count: int, nodes: int) -> list[int]:

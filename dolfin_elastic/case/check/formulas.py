@@ -268,8 +268,7 @@ def _check_values(
         place = least_place(value, X, t)
         found = first_of(comm, [] if place is None else [place])
         if found is not None:
-            error = no_value(value, where, found, t)
-            raise CaseError(error.what, where=error.where, expected=error.expected)
+            raise no_value(value, where, found, t)
 
 
 def _check_poles(

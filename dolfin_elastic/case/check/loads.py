@@ -249,7 +249,7 @@ def _check_finite(
         X = _samples(load, integrals)[0] if points is None else points.X
         error = undefined(integrals.body.comm, index, load, X, t)
         if error is not None:
-            raise CaseError(error.what, where=error.where, expected=error.expected)
+            raise error
         raise CaseError(
             f"the load is not finite somewhere at t = {t:g}",
             where=f"load[{index}].value",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from mpi4py import MPI
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import CaseError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import first_of
 from dolfin_elastic.core.types import FloatArray
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
 
-def undefined_load(problem: Problem, t: float) -> InputError | None:
+def undefined_load(problem: Problem, t: float) -> CaseError | None:
     """The error about the first formula of a load without a finite value. Collective.
 
     Args:
@@ -48,7 +48,7 @@ def _places(problem: Problem, load: Load) -> FloatArray:
     return formula_places(problem.context, load.domain)[:, : problem.body.dim]
 
 
-def undefined(comm: MPI.Comm, index: int, load: Load, X: FloatArray, t: float) -> InputError | None:
+def undefined(comm: MPI.Comm, index: int, load: Load, X: FloatArray, t: float) -> CaseError | None:
     """The error about a formula of one load without a finite value. Collective.
 
     Args:
@@ -98,7 +98,7 @@ def least_place(formula: Formula, X: FloatArray, t: float) -> tuple[float, ...] 
     return min((tuple(float(x) + 0.0 for x in row.round(12)) for row in bad), default=None)
 
 
-def no_value(formula: Formula, where: str, place: tuple[float, ...], t: float) -> InputError:
+def no_value(formula: Formula, where: str, place: tuple[float, ...], t: float) -> CaseError:
     """The error about a formula without a finite value.
 
     Args:
@@ -109,7 +109,7 @@ def no_value(formula: Formula, where: str, place: tuple[float, ...], t: float) -
     """
     at = [f"({', '.join(f'{x:.6g}' for x in place)}) m"] if formula.names & PLACE else []
     at += [f"t = {t:g}"] if "t" in formula.names or not at else []
-    return InputError(
+    return CaseError(
         f"'{formula.text}' has no finite value at {' at '.join(at)}",
         where=where,
         expected="a formula that gives a number at every place and time it acts on",

@@ -1,4 +1,4 @@
-"""Functions of the principal values and directions of tensors, of many points at once.
+"""Functions of tensors and of their principal values and directions, of many points at once.
 
 They are evaluated in NumPy from the tensor's components: eigenvalues and eigenvectors written in
 UFL take FFCx minutes, and their closed forms lose half of the digits where two values are close.
@@ -70,6 +70,15 @@ def tresca(rows: FloatArray) -> FloatArray:
     """
     values = principal_values(rows)
     return values[:, :1] - values[:, 2:]
+
+
+def von_mises(rows: FloatArray) -> FloatArray:
+    """Von Mises stress, sqrt(3/2) times the norm of the deviator of a stress; shape (n, 1).
+
+    Source: R. von Mises, Nachr. Ges. Wiss. Goettingen, Math.-Phys. Kl. (1913) 582.
+    """
+    deviator = rows - np.outer(rows[:, [0, 4, 8]].mean(axis=1), np.eye(3))
+    return np.asarray(np.sqrt(1.5) * np.linalg.norm(deviator, axis=1, keepdims=True))
 
 
 def _right_cauchy_green(rows: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads.forces import Gravity
+from dolfin_elastic.results.derived.spectral import von_mises
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.pictures.clip import Clip, sections, whole_scene
@@ -270,9 +271,7 @@ def shown(data: Mapping[str, FloatArray], name: str) -> FloatArray:
         name: Of the field.
     """
     if name == "von_mises" and "cauchy_stress" in data:
-        stress = np.asarray(data["cauchy_stress"], dtype=float).reshape(-1, 3, 3)
-        mean = np.trace(stress, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
-        return np.asarray(np.sqrt(1.5 * np.sum((stress - mean) ** 2, axis=(1, 2))))
+        return von_mises(np.asarray(data["cauchy_stress"], dtype=float))[:, 0]
     values = np.asarray(data[name], dtype=float)
     return values if values.ndim == 1 else np.asarray(np.linalg.norm(values, axis=1))
 

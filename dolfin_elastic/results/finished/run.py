@@ -14,7 +14,7 @@ import numpy as np
 from dolfin_elastic.core.errors import InputError, nearest_file
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.finished.units import column_unit
-from dolfin_elastic.results.finished.xdmf import Frame, read_frames, read_grid
+from dolfin_elastic.results.finished.xdmf import Frame, damaged, read_frames, read_grid
 
 if TYPE_CHECKING:
     import pyvista
@@ -138,15 +138,9 @@ def _read_json(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise InputError(
-            f"cannot be read: {error}", where=str(path), expected="the file as the run has left it"
-        ) from None
+        raise damaged(f"cannot be read: {error}", str(path)) from None
     if not isinstance(found, dict):
-        raise InputError(
-            "this is no summary of a run",
-            where=str(path),
-            expected="the file as the run has left it",
-        )
+        raise damaged("this is no summary of a run", str(path))
     return found
 
 
@@ -158,9 +152,7 @@ def _read_history(path: Path) -> dict[str, FloatArray]:
         with path.open(encoding="utf-8", newline="") as file:
             head, *rows = [*csv.reader(file)] or [[]]
     except (OSError, ValueError, csv.Error) as error:
-        raise InputError(
-            f"cannot be read: {error}", where=str(path), expected="the file as the run has left it"
-        ) from None
+        raise damaged(f"cannot be read: {error}", str(path)) from None
     # The last row may be in the making.
     whole = [row for row in rows if len(row) == len(head)]
     columns = {name: [row[i] for row in whole] for i, name in enumerate(head)}

@@ -68,6 +68,16 @@ class Frame:
         return _CELLS[self.kind][1]
 
 
+def damaged(what: str, where: str) -> InputError:
+    """The error about a file of results that is not as the run has written it.
+
+    Args:
+        what: What is wrong with it.
+        where: The file, and what of it.
+    """
+    return InputError(what, where=where, expected="the files as the run has left them")
+
+
 def read_frames(path: Path) -> list[Frame]:
     """The steps of an XDMF file; none if there is no file.
 
@@ -141,10 +151,8 @@ def read_array(folder: Path, stored: Stored) -> AnyArray:
             expected="keep results.xdmf and the folder results_data together",
         ) from None
     if found.shape != stored.shape:
-        raise InputError(
-            f"it has the shape {found.shape}, not {stored.shape}",
-            where=f"{path}:/{stored.name}",
-            expected="the files as the run has left them",
+        raise damaged(
+            f"it has the shape {found.shape}, not {stored.shape}", f"{path}:/{stored.name}"
         )
     return found
 
@@ -160,11 +168,7 @@ def read_grid(folder: Path, frame: Frame) -> pyvista.UnstructuredGrid:
 
     cells, points = read_array(folder, frame.cells), read_array(folder, frame.points)
     if cells.size and not 0 <= cells.min() <= cells.max() < len(points):
-        raise InputError(
-            "cells have nodes that are not there",
-            where=str(folder / frame.cells.file),
-            expected="the files as the run has left them",
-        )
+        raise damaged("cells have nodes that are not there", str(folder / frame.cells.file))
     kinds = np.full(len(cells), _CELLS[frame.kind][0], dtype=np.uint8)
     rows = np.insert(cells.astype(np.int64), 0, cells.shape[1], axis=1)
     grid = pv.UnstructuredGrid(rows.ravel(), kinds, points)
@@ -176,10 +180,6 @@ def read_grid(folder: Path, frame: Frame) -> pyvista.UnstructuredGrid:
         count, data = sizes[stored.centre]
         values = read_array(folder, stored)
         if len(values) != count:
-            raise InputError(
-                f"'{name}' has {len(values)} values, not {count}",
-                where=str(folder),
-                expected="the files as the run has left them",
-            )
+            raise damaged(f"'{name}' has {len(values)} values, not {count}", str(folder))
         data[name] = values[:, 0] if values.shape[1] == 1 else values
     return grid

@@ -57,10 +57,34 @@ Arrays: TypeAlias = Mapping[str, Array]
 """Points, triangles, values and texts of a picture, as `pictures.Painter` writes them."""
 
 
+def _triangulated(points: Array, triangles: Array) -> pv.PolyData:
+    return pv.PolyData(points, np.insert(triangles, 0, 3, axis=1).ravel())
+
+
+def _segments(points: Array, pairs: Array) -> pv.PolyData:
+    """Lines between pairs of points; nothing without pairs."""
+    if not len(pairs):
+        return pv.PolyData()
+    return pv.PolyData(points, lines=np.insert(pairs, 0, 2, axis=1).ravel())
+
+
+def _chosen(edges: pv.PolyData, which: npt.NDArray[np.bool_]) -> pv.PolyData:
+    return edges.extract_cells(np.flatnonzero(which)).extract_geometry()
+
+
+def _normals(x: Array, t: Array) -> Array:
+    """Normals of triangles, twice as long as their areas."""
+    return np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]])
+
+
+def _unit(vectors: Array) -> Array:
+    lengths = np.linalg.norm(vectors, axis=1)
+    return np.asarray(vectors / np.maximum(lengths, np.finfo(float).tiny)[:, None])
+
+
 def _surface(data: Arrays, *, deformed: bool) -> pv.PolyData:
     points = data["points"] + (float(data["scale"]) * data["u"] if deformed else 0.0)
-    faces = np.insert(data["triangles"], 0, 3, axis=1)
-    mesh = pv.PolyData(points, faces.ravel())
+    mesh = _triangulated(points, data["triangles"])
     if "names" not in data:
         mesh.point_data["value"] = data["value"]
     return mesh
@@ -90,8 +114,7 @@ def _lines(data: Arrays) -> pv.PolyData:
 def _sharp_edges(body: pv.PolyData) -> pv.PolyData:
     """Edges where a surface ends or turns, with its point data, but none of a rounded body."""
     x, t = np.asarray(body.points, dtype=float), body.faces.reshape(-1, 4)[:, 1:]
-    normals = np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
+    normals = _unit(_normals(x, t))
     sides, owner = _sides(t)
     same = (sides[1:] == sides[:-1]).all(axis=1)
     single = ~(np.append(same, False) | np.append(False, same))
@@ -99,10 +122,9 @@ def _sharp_edges(body: pv.PolyData) -> pv.PolyData:
     cosine = np.einsum("ij,ij->i", normals[owner[first]], normals[owner[first + 1]])
     turns = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     sharp = turns > _SHARP
-    chosen = np.concatenate([sides[first[sharp]], sides[single]])
-    if not len(chosen):
-        return pv.PolyData()
-    edges = pv.PolyData(x, lines=np.insert(chosen, 0, 2, axis=1).ravel())
+    edges = _segments(x, np.concatenate([sides[first[sharp]], sides[single]]))
+    if not edges.n_cells:
+        return edges
     edges.point_data["u"] = body.point_data["u"]
     edges.cell_data[_TURN] = np.concatenate([turns[sharp], np.full(single.sum(), 180.0)])
     edges = _without_short(edges, _SHORT * body.length)
@@ -129,8 +151,7 @@ def _without_jagged(edges: pv.PolyData, least: float) -> pv.PolyData:
     lengths = np.linalg.norm(ahead, axis=1)
     # At each point where two edges meet: are they one smooth line?
     points, of = ends.ravel(), np.repeat(np.arange(len(ends)), 2)
-    outward = np.stack([ahead, -ahead], axis=1).reshape(-1, 3)
-    outward /= np.maximum(np.linalg.norm(outward, axis=1), np.finfo(float).tiny)[:, None]
+    outward = _unit(np.stack([ahead, -ahead], axis=1).reshape(-1, 3))
     order = np.argsort(points, kind="stable")
     _, start, count = np.unique(points[order], return_index=True, return_counts=True)
     one, other = order[start[count == 2]], order[start[count == 2] + 1]
@@ -146,13 +167,12 @@ def _without_jagged(edges: pv.PolyData, least: float) -> pv.PolyData:
     turn = np.asarray(edges.cell_data[_TURN])
     mean_turn = np.bincount(chain, lengths * turn) / np.maximum(whole, 1e-300)
     kept = (mean_length >= least) | (mean_turn >= _BLUNT)
-    return edges.extract_cells(np.flatnonzero(kept[chain])).extract_geometry()
+    return _chosen(edges, kept[chain])
 
 
 def _whole(data: Arrays) -> pv.PolyData:
     """The surface of the undeformed body before it is cut."""
-    faces = np.insert(data["whole_triangles"], 0, 3, axis=1)
-    body = pv.PolyData(np.asarray(data["whole_points"], dtype=float), faces.ravel())
+    body = _triangulated(np.asarray(data["whole_points"], dtype=float), data["whole_triangles"])
     body.point_data["u"] = data["whole_u"]
     return body
 
@@ -179,13 +199,9 @@ def _meetings(data: Arrays) -> pv.PolyData:
     for i in range(len(inside) - 1):
         sides, _ = _sides(t[inside[i][t].all(axis=1)])
         rows.append(sides[inside[i + 1 :][:, sides].all(axis=2).any(axis=0)])
-    chosen = np.concatenate(rows)
-    if not len(chosen):
-        return pv.PolyData()
-    lines = pv.PolyData(
-        np.asarray(data["points"], dtype=float), lines=np.insert(chosen, 0, 2, axis=1).ravel()
-    )
-    lines.point_data["u"] = data["u"]
+    lines = _segments(np.asarray(data["points"], dtype=float), np.concatenate(rows))
+    if lines.n_cells:
+        lines.point_data["u"] = data["u"]
     return lines
 
 
@@ -217,14 +233,11 @@ def _silhouette(data: Arrays, least: float, *, deformed: bool) -> pv.PolyData:
     if "whole_points" in data:
         t = t[~_in_planes(data)[:, t].all(axis=2).any(axis=0)]
     x = np.asarray(mesh.points, dtype=float)
-    ahead = np.cross(x[t[:, 1]] - x[t[:, 0]], x[t[:, 2]] - x[t[:, 0]]) @ data["back"] > 0
+    ahead = _normals(x, t) @ data["back"] > 0
     sides, owner = _sides(t)
     turning = (sides[1:] == sides[:-1]).all(axis=1) & (ahead[owner[1:]] != ahead[owner[:-1]])
-    chosen = sides[1:][turning]
-    if not len(chosen):
-        return pv.PolyData()
-    lines = pv.PolyData(x, lines=np.insert(chosen, 0, 2, axis=1).ravel())
-    return _without_short(lines, least * mesh.length)
+    lines = _segments(x, sides[1:][turning])
+    return _without_short(lines, least * mesh.length) if lines.n_cells else lines
 
 
 def _without_short(edges: pv.PolyData, least: float) -> pv.PolyData:
@@ -233,7 +246,7 @@ def _without_short(edges: pv.PolyData, least: float) -> pv.PolyData:
     chains = np.asarray(edges.cell_data["RegionId"])
     lengths = np.asarray(edges.compute_cell_sizes(area=False, volume=False)["Length"])
     long = np.bincount(chains, lengths)[chains] >= least
-    return edges.extract_cells(np.flatnonzero(long)).extract_geometry()
+    return _chosen(edges, long)
 
 
 def _add_body(plot: pv.Plotter, data: Arrays) -> pv.DataSetMapper:
@@ -401,8 +414,7 @@ def _add_obstacles(plot: pv.Plotter, data: Arrays) -> None:
     """Rigid obstacles, in grey that lets the body be seen."""
     if "obstacle_points" not in data or not len(data["obstacle_points"]):
         return
-    faces = np.insert(data["obstacle_triangles"], 0, 3, axis=1)
-    mesh = pv.PolyData(data["obstacle_points"], faces.ravel())
+    mesh = _triangulated(data["obstacle_points"], data["obstacle_triangles"])
     if bool(data["plane"]):
         _add_lines(plot, mesh.extract_feature_edges(boundary_edges=True), _GHOST, 4.0)
         return
@@ -462,7 +474,7 @@ def _panel(plot: pv.Plotter, source: str) -> npt.NDArray[np.uint8]:
     plot.suppress_rendering = True  # until the scene is complete
     plot.clear()
     plot.enable_lightkit()
-    _aim(plot, data)  # before the silhouette, which depends on the camera
+    _aim(plot, data)  # before the mark, whose text stands so many pixels beside it
     mapper = _add_body(plot, data)
     _add_obstacles(plot, data)
     _add_mark(plot, data)

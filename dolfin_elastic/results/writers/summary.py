@@ -24,7 +24,7 @@ from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.material_regions import shear_modulus
 from dolfin_elastic.problem.state import Audit, Mode, State, plain
-from dolfin_elastic.results.extremes import Extremes
+from dolfin_elastic.results.extremes import Extreme, Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.peaks import find_peaks
@@ -135,18 +135,22 @@ class SummaryWriter:
                 "max_displacement": state.max_displacement,
             }
 
-    def _unloaded(self, state: State) -> bool:
+    def _unloaded(self, state: State, extremes: Mapping[str, Extreme]) -> bool:
         """Whether a state has nothing left of the largest of the run but round-off. Collective.
 
         A body that is held may have stress without displacement, where it is heated or contracts:
         it is compared to that of strains as large as the displacement over the body's size.
+
+        Args:
+            state: The last one.
+            extremes: Its extremes; without them nothing is known.
         """
         most = self._largest.get("max_displacement", 0.0)
-        if self._extremes is None or state.max_displacement >= UNLOADED * most:
+        if not extremes or state.max_displacement >= UNLOADED * most:
             return False
         stiff = max(shear_modulus(part.typical) for part in self.problem.regions)
         limit = UNLOADED * stiff * most / span(self.problem.body)
-        return self._extremes.of(state)["von_mises"].value < limit
+        return extremes["von_mises"].value < limit
 
     def silence(self) -> None:
         """Logs nothing of the estimated error at the end, as of a mesh that others follow."""
@@ -182,13 +186,13 @@ class SummaryWriter:
         """See `Writer`; adds status, reason and the extremes of the last converged step."""
         with timing.stage("output"):
             state = self._last_state.state
-            unloaded = state is not None and self._unloaded(state)
+            found = self._extremes.of(state) if state and self._extremes else {}
+            unloaded = state is not None and self._unloaded(state, found)
             # What remains of stresses is round-off, of which there is no error to estimate.
             wanted = None if unloaded else self._estimator
             estimate = wanted(state) if state and wanted else None
             if unloaded and self._logs:
                 log.info("%s", self._unloaded_text(), extra={"result": True})
-            found = self._extremes.of(state) if state and self._extremes else {}
             extra: dict[str, object] = {
                 "finished": _now(),
                 "extremes": {name: asdict(extreme) for name, extreme in found.items()},

@@ -40,7 +40,7 @@ from dolfin_elastic.solvers.linear.choice import (
 from dolfin_elastic.solvers.linear.hierarchy import Multigrid
 from dolfin_elastic.solvers.linear.multigrid import PMultigrid, rigid_body_modes
 from dolfin_elastic.solvers.messages import eigenvalues
-from dolfin_elastic.solvers.petsc.options import Options
+from dolfin_elastic.solvers.petsc.options import Options, cause_of
 
 DIRECT_LIMIT = {2: 600_000, 3: 100_000}
 """Unknowns up to which is factorised by default: more than in statics, for each of the factors
@@ -144,9 +144,8 @@ def failing() -> Iterator[None]:
     try:
         yield
     except PETSc.Error as error:
-        reason = str(error).strip().splitlines()[-1].split("] ", 1)[-1]
         raise ConvergenceError(
-            f"the eigenvalue solver has failed: {reason}",
+            f"the eigenvalue solver has failed: {cause_of(error)}",
             advice='solver.method = "direct", more memory (more ranks), a coarser mesh',
         ) from None
 

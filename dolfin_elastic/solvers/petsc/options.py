@@ -15,6 +15,11 @@ from dolfin_elastic.solvers.petsc.c_api import option_used
 log = logging.getLogger("dolfin_elastic")
 
 
+def cause_of(error: PETSc.Error) -> str:
+    """What PETSc says has gone wrong, without where in its code."""
+    return str(error).strip().splitlines()[-1].split("] ", 1)[-1]
+
+
 class Options:
     """PETSc options that are in the database only while a solver works.
 
@@ -103,7 +108,7 @@ class Options:
         except PETSc.Error as error:
             if not self.users or error.ierr in _NO_OPTION:
                 raise
-            cause = str(error).strip().splitlines()[-1].split("] ", 1)[-1]
+            cause = cause_of(error)
             blamed = [name for name, value in self.users.items() if f" {value} " in cause]
             names = blamed or list(self.users)
             given = ", ".join(f"-{name} {self.users[name]}" for name in names)
