@@ -157,7 +157,7 @@ def _sent(comm: MPI.Comm, shape: tuple[int, int], start: int, read: Read | None)
     if read is not None:
         try:
             part[:] = read(start, start + shape[0])
-        except (OSError, ValueError, KeyError) as caught:
+        except Exception as caught:  # whatever h5py makes of a damaged file
             error = MeshError(f"it cannot be read: {caught}")
     agree(comm, error)
     comm.Bcast(part)

@@ -180,6 +180,7 @@ def test_what_is_refused(folder: Path) -> None:
     assert not [one for one in folder.iterdir() if one.name.endswith(".part")]
 
 
+MANY = '<Information Name="uncovered" Value="rim">many</Information>'
 DAMAGES = (
     ('Value="point"', 'Value="place"', "'tip' is a part of kind 'place'; region, surface, "),
     ('Dimensions="1 1"', 'Dimensions="x"', "an array has the Dimensions 'x'"),
@@ -187,6 +188,9 @@ DAMAGES = (
     ("/point_0<", "/points<", "point 'tip' has the shape .* and the type float64"),
     ("/point_0<", "/point_7<", "the point 'tip' cannot be read"),
     ("/point_0<", "/far<", "the point 'tip' has points that do not exist; numbers from 0 to"),
+    ("/region_0<", "/folder<", "the region 'soft part': it cannot be read: "),
+    ("/region_0<", "/far<", "the region 'soft part': it cannot be read: .*reshape"),
+    ("<Topology", MANY + "<Topology", "facets do not cover 'many' nodes of 'rim'; a whole number"),
 )
 """What is changed in the file, and what is said of it."""
 
@@ -199,6 +203,7 @@ def test_damaged_files_say_where(folder: Path) -> None:
     def add_far_points() -> None:
         with h5py.File(folder / "two.h5", "a") as file:
             file["far"] = np.array([[999]])
+            file.create_group("folder")
 
     made(add_far_points)
     for old, new, said in DAMAGES:

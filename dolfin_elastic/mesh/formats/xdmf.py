@@ -16,14 +16,22 @@ from mpi4py import MPI
 from dolfin_elastic.core.compat import read_meshtags, reads_attributes_by_name
 from dolfin_elastic.core.errors import MeshError, not_shown
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import build_body, make_mesh
-from dolfin_elastic.mesh.fields import MeshField, distribute_rows
+from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.mesh.formats.cleaning import check_distributed, straight
 from dolfin_elastic.mesh.formats.raw import RawMesh, assemble
-from dolfin_elastic.mesh.formats.xdmf_named import Names, dimensions, kind_of, named, names_in
+from dolfin_elastic.mesh.formats.xdmf_named import (
+    Names,
+    dimensions,
+    distributed,
+    kind_of,
+    named,
+    names_in,
+    place_of,
+)
 from dolfin_elastic.mesh.geometry.simplices import prepare_edges, vertex_nodes
 
 _DIMS = {
@@ -75,6 +83,14 @@ class _Contents:
     order: int = 0
     names: Names = field(default_factory=Names)
 
+    def shared(self, dim: int | None) -> bool:
+        """Whether all ranks read the file in shares.
+
+        Args:
+            dim: See `read_xdmf`.
+        """
+        return bool(self.grid) and self.spatial == self.dim and (dim or self.dim) == self.dim
+
 
 def read_xdmf(
     path: Path,
@@ -101,11 +117,7 @@ def read_xdmf(
     contents = on_root(comm, lambda: _contents(path))
     if straight_cells and contents.order != 1:
         return build_body(lambda: _straight(path, dim), comm=comm, unit=unit, source=path.name)
-    if (
-        not contents.grid
-        or contents.spatial != contents.dim
-        or (dim or contents.dim) != contents.dim
-    ):
+    if not contents.shared(dim):
         return build_body(lambda: _by_meshio(path, dim), comm=comm, unit=unit, source=path.name)
     try:
         with XDMFFile(comm, str(path), "r") as file:
@@ -167,8 +179,7 @@ def is_shared(path: Path, dim: int | None) -> bool:
         path: The .xdmf file.
         dim: See `read_xdmf`.
     """
-    found = _contents(path)
-    return bool(found.grid) and found.spatial == found.dim and (dim or found.dim) == found.dim
+    return _contents(path).shared(dim)
 
 
 def _tags(grid: ElementTree.Element) -> list[_Tags]:
@@ -201,12 +212,11 @@ def _data(main: ElementTree.Element, functions: list[ElementTree.Element]) -> li
 def _one(attribute: ElementTree.Element, usual: str) -> _Data | None:
     centre = {"Cell": "cell", "Node": "point"}.get(attribute.get("Center", "Node"))
     item = attribute.find("DataItem")
-    place = (item.text or "").strip() if item is not None else ""
-    if centre is None or item is None or not place:
+    if centre is None or item is None or not (item.text or "").strip():
         return None
     if centre == "cell" and item.get("NumberType", item.get("DataType", usual)) != "Float":
         return None  # numbers of regions
-    file, _, path = place.partition(":")
+    file, path = place_of(item)
     rows, *columns = dimensions(item)
     width = int(np.prod(columns, dtype=np.int64))
     return _Data(attribute.get("Name", ""), centre, file, path, (rows, width))  # type: ignore[arg-type]
@@ -219,23 +229,8 @@ def _rows(grid: ElementTree.Element, part: str) -> int:
 
 def _field(body: Body, path: Path, data: _Data) -> MeshField:
     """Reads a field on rank 0, in pieces. Collective."""
-    import h5py
-
-    def read(start: int, stop: int) -> FloatArray:
-        """Some rows of the field, of shape (stop - start, width).
-
-        Args:
-            start: The first row.
-            stop: The row after the last one.
-        """
-        with h5py.File(path.parent / data.file, "r") as file:
-            rows = np.asarray(file[data.path][start:stop], dtype=np.float64)
-        return rows.reshape(stop - start, data.shape[1])
-
     try:
-        return distribute_rows(
-            body.mesh, data.centre, data.shape, read if body.comm.rank == 0 else None
-        )
+        return distributed(body, data.centre, data.shape, path.parent / data.file, data.path)
     except MeshError as error:
         raise MeshError(f"the field '{data.name}': {error}") from None
 
@@ -255,8 +250,7 @@ def _width(grid: ElementTree.Element) -> int:
 def _data_files(path: Path, root: ElementTree.Element) -> None:
     for item in root.iter("DataItem"):
         if item.get("Format") == "HDF" and item.text:
-            name = item.text.strip().rpartition(":")[0] or item.text.strip()
-            name = name.split(":")[0]
+            name, _ = place_of(item)
             if not (path.parent / name).is_file():
                 raise MeshError(
                     f"its data file '{name}' is not beside it",

@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 from xml.etree import ElementTree
 
 import numpy as np
@@ -32,7 +32,7 @@ from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import Permutation, left_out, local_parts
-from dolfin_elastic.mesh.fields import distribute_rows
+from dolfin_elastic.mesh.fields import MeshField, distribute_rows
 from dolfin_elastic.mesh.formats.raw import RawMesh
 
 if TYPE_CHECKING:
@@ -76,8 +76,8 @@ class Names:
 
     parts: tuple[NamedPart, ...] = ()
     notes: tuple[str, ...] = ()
-    uncovered: Mapping[str, int] | None = None
-    incomplete: Mapping[str, str] | None = None
+    uncovered: Mapping[str, int] = field(default_factory=dict)
+    incomplete: Mapping[str, str] = field(default_factory=dict)
 
 
 # --- reading ---
@@ -93,6 +93,65 @@ def dimensions(item: ElementTree.Element) -> tuple[int, ...]:
     if not shape or min(shape) < 0:
         raise MeshError(f"an array has the Dimensions '{text}'", expected="for example '100 3'")
     return shape
+
+
+def _count(name: str, text: str) -> int:
+    """Number of nodes of a set that facets do not cover. Local."""
+    if not text.strip().isdecimal():
+        raise MeshError(
+            f"facets do not cover '{text}' nodes of '{name}'", expected="a whole number of nodes"
+        )
+    return int(text)
+
+
+def place_of(item: ElementTree.Element) -> tuple[str, str]:
+    """The HDF5 file that has an array, and its path in there. Local."""
+    file, _, path = (item.text or "").strip().partition(":")
+    return file, path
+
+
+def hdf_rows(file: Path, path: str, start: int = 0, stop: int | None = None) -> AnyArray:
+    """Some rows of an array. Local.
+
+    Args:
+        file: The HDF5 file.
+        path: Of the array in it.
+        start: The first row.
+        stop: The row after the last one; None: all of them.
+    """
+    import h5py
+
+    with h5py.File(file, "r") as data:
+        return np.asarray(data[path][start:stop])
+
+
+def distributed(
+    body: Body, centre: Literal["cell", "point"], shape: tuple[int, int], file: Path, path: str
+) -> MeshField:
+    """A field whose rows rank 0 reads in pieces. Collective.
+
+    Args:
+        body: Read from the same file.
+        centre: What the rows belong to.
+        shape: Rows and columns of the whole array; it may have more dimensions.
+        file: The HDF5 file.
+        path: Of the array in it.
+
+    Raises:
+        MeshError: It cannot be read, or has another number of rows.
+    """
+
+    def read(start: int, stop: int) -> FloatArray:
+        """Some rows, of shape (stop - start, columns).
+
+        Args:
+            start: The first row.
+            stop: The row after the last one.
+        """
+        rows = np.asarray(hdf_rows(file, path, start, stop), dtype=np.float64)
+        return rows.reshape(stop - start, shape[1])
+
+    return distribute_rows(body.mesh, centre, shape, read if body.comm.rank == 0 else None)
 
 
 def kind_of(element: ElementTree.Element) -> str:
@@ -112,7 +171,7 @@ def names_in(root: ElementTree.Element) -> Names:
     return Names(
         tuple(parts),
         tuple(value for name, value, _ in said if name == "note"),
-        {value: int(text) for name, value, text in said if name == "uncovered"},
+        {value: _count(value, text) for name, value, text in said if name == "uncovered"},
         {value: text for name, value, text in said if name == "incomplete"},
     )
 
@@ -136,14 +195,14 @@ def named(body: Body, path: Path, names: Names) -> Body:
         path: The `.xdmf` file.
         names: What it says of its parts.
     """
-    if not names.parts and not names.notes and not names.incomplete:
+    if names == Names():
         return body
-    points, dim = body.mesh.geometry.index_map().size_global, body.dim
-    tables = on_root(body.comm, lambda: _tables(path, names.parts, points, dim))
+    count, dim = body.mesh.geometry.index_map().size_global, body.dim
+    tables = on_root(body.comm, lambda: _tables(path, names.parts, count, dim))
     surfaces, edges, points, lost = local_parts(
         body.mesh, tables["surface"], tables["edge"], tables["point"]
     )
-    incomplete = {**lost, **(names.incomplete or {})}
+    incomplete = {**lost, **names.incomplete}
     regions = {part.name: _region(body, path, part) for part in names.parts if _is_region(part)}
     whole = [
         {name: rows for name, rows in parts.items() if name not in incomplete}
@@ -152,7 +211,7 @@ def named(body: Body, path: Path, names: Names) -> Body:
     body = body.named(regions=whole[0], surfaces=whole[1], edges=whole[2], points=whole[3])
     return replace(
         body,
-        uncovered=names.uncovered or {},
+        uncovered=names.uncovered,
         incomplete=incomplete,
         notes=(*body.notes, *names.notes, *left_out(incomplete)),
     )
@@ -172,8 +231,7 @@ def _part(kind: str, element: ElementTree.Element) -> NamedPart:
     item = element.find("DataItem" if kind == "region" else "Topology/DataItem")
     if item is None or not item.text:
         raise MeshError(f"the {kind} '{element.get('Name')}' has no array")
-    file, _, path = item.text.strip().partition(":")
-    return NamedPart(kind, element.get("Name", ""), file, path, dimensions(item)[0])
+    return NamedPart(kind, element.get("Name", ""), *place_of(item), dimensions(item)[0])
 
 
 def _tables(
@@ -195,7 +253,10 @@ def _tables(
         if part.kind not in widths:
             known = ", ".join(("region", *widths))
             raise MeshError(f"'{part.name}' is a part of kind '{part.kind}'", expected=known)
-        rows = _rows(path, part)
+        try:
+            rows = hdf_rows(path.parent / part.file, part.path)
+        except (OSError, KeyError, TypeError, ValueError) as error:
+            raise MeshError(f"the {part.kind} '{part.name}' cannot be read: {error}") from None
         if rows.dtype.kind not in "iu" or rows.shape != (part.rows, widths[part.kind]):
             raise MeshError(
                 f"the array of the {part.kind} '{part.name}' has the shape {rows.shape} and the "
@@ -212,40 +273,10 @@ def _tables(
     return found
 
 
-def _rows(path: Path, part: NamedPart, start: int = 0, stop: int | None = None) -> AnyArray:
-    """Some rows of the array of a part.
-
-    Args:
-        path: The `.xdmf` file.
-        part: The part.
-        start: The first row.
-        stop: The row after the last one; None: all of them.
-    """
-    import h5py
-
-    try:
-        with h5py.File(path.parent / part.file, "r") as file:
-            return np.asarray(file[part.path][start:stop])
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise MeshError(f"the {part.kind} '{part.name}' cannot be read: {error}") from None
-
-
 def _region(body: Body, path: Path, part: NamedPart) -> AnyArray:
     """Local cells of a region, read on rank 0 in pieces. Collective."""
-
-    def read(start: int, stop: int) -> FloatArray:
-        """Some of the marks, shape (stop - start, 1).
-
-        Args:
-            start: The first cell.
-            stop: The cell after the last one.
-        """
-        return _rows(path, part, start, stop).astype(np.float64).reshape(-1, 1)
-
     try:
-        marks = distribute_rows(
-            body.mesh, "cell", (part.rows, 1), read if body.comm.rank == 0 else None
-        )
+        marks = distributed(body, "cell", (part.rows, 1), path.parent / part.file, part.path)
     except MeshError as error:
         raise MeshError(f"the region '{part.name}': {error}") from None
     return np.flatnonzero(marks.values[:, 0]).astype(np.int32)
