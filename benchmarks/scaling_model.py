@@ -16,6 +16,9 @@ from dataclasses import dataclass, field
 COARSE = 500
 """Unknowns that multigrid solves directly."""
 
+COUNTS = 0.0005
+"""Share of a run from which on a part is worth a line."""
+
 STOPS = 0.75
 """A part stops scaling where twice the ranks do not take it below this share of its time."""
 
@@ -151,7 +154,7 @@ class Model:
     def stops(self, ranks: int, dofs: float) -> list[str]:
         """Parts that count and stop scaling, see `STOPS`."""
         found, double = self.seconds(ranks, dofs), self.seconds(2 * ranks, dofs)
-        least = 0.0005 * sum(found.values())
+        least = COUNTS * sum(found.values())
         return [name for name, s in found.items() if s > least and double[name] > STOPS * s]
 
     def memory(self, ranks: int, dofs: float) -> dict[str, float]:

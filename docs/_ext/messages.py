@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,19 +86,19 @@ def write(folder: Path) -> str:
         The tables of all messages, by the part of the program.
     """
     folder.mkdir(exist_ok=True)
-    known, every = messages(), pages()
-    by_text = defaultdict(list)
-    for one in known:
+    every, by_text = pages(), defaultdict[str, list[Message]](list)
+    for one in messages():
         by_text[one.text].append(one)
     for page in every:
         file = folder / f"{page.name}.md"
-        text = _page(page, [one for text in page.messages for one in by_text[text]])
+        text = _page(page, [one for text in page.messages for one in by_text.get(text, ())])
         if not file.exists() or file.read_text(encoding="utf-8") != text:
             file.write_text(text, encoding="utf-8")
+    names = {page.name for page in every}
     for file in folder.glob("*.md"):
-        if file.stem not in {page.name for page in every}:
+        if file.stem not in names:
             file.unlink()
-    return _tables(known, every)
+    return _tables(by_text, every)
 
 
 def _page(page: Page, known: Sequence[Message]) -> str:
@@ -138,22 +138,18 @@ def _sentence(text: str) -> str:
     return text[0].upper() + text[1:].rstrip(".") + "."
 
 
-def _tables(known: Iterable[Message], every: Iterable[Page]) -> str:
+def _tables(by_text: Mapping[str, Sequence[Message]], every: Iterable[Page]) -> str:
     rows: dict[str, set[str]] = defaultdict(set)
     others, causes = set(), set()
-    found = defaultdict(list)
-    for one in known:
-        found[one.text].append(one)
     for page in every:
-        for text in page.messages:
+        for text in page.messages or (page.title,):
             link = f"[{code(text)}](messages/{page.name}.md)"
-            for one in found[text]:
+            for one in by_text.get(text, ()):
                 rows[f"`{one.part}`"].add(f"| {link} | {cell(one.advice)} | {one.code} |")
-            if not found[text] and not page.cause:
+            if page.cause:
+                causes.add(f"| {link} | `{page.cause}`: {cell(page.do)} | 3 |")
+            elif text not in by_text:
                 others.add(f"| {link} | {cell(page.do)} | 2 |")
-        for text in (page.messages or (page.title,)) if page.cause else ():
-            link = f"[{code(text)}](messages/{page.name}.md)"
-            causes.add(f"| {link} | `{page.cause}`: {cell(page.do)} | 3 |")
     parts = [*sorted(rows.items()), ("In several parts", others), ("Diagnoses", causes)]
     head = "| message | what to do | code |\n|---|---|---|"
     return "\n\n".join(f"## {part}\n\n{_table(head, sorted(one))}" for part, one in parts) + "\n"
