@@ -33,7 +33,8 @@ int64_t add_errors(int64_t count, const int32_t* cells, const int32_t* geometry,
                    double* difference);
 """
 
-# DIM, DEGREE, NG geometry nodes and ND nodes of a cell, NS sampling points and NM monomials.
+# DIM, DEGREE, NG geometry nodes and ND nodes of a cell, NS sampling points, NM monomials, and at
+# most WIDEST columns.
 SOURCE = r"""
 #include <math.h>
 #include <stdint.h>
@@ -264,7 +265,7 @@ int64_t add_errors(int64_t count, const int32_t* cells, const int32_t* geometry,
                    int64_t stride, int64_t first, int64_t step, const double* raw, double* found,
                    double* difference)
 {
-  double off[64];
+  double off[WIDEST];
   for (int64_t n = 0; n < count; n++)
   {
     const double* at_nodes = recovered + n * ND * width;

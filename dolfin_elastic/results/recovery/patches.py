@@ -117,6 +117,7 @@ class Patches:
                 "ND": len(nodes),
                 "NS": len(samples),
                 "NM": len(self._powers),
+                "WIDEST": _WIDEST,
             },
             jit_options or options(V.mesh.comm),
         )
