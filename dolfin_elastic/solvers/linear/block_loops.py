@@ -699,8 +699,8 @@ int64_t smooth(int64_t R, int64_t n, const int64_t* start, const int32_t* column
 }
 
 /* y = S b */
-INLINE void first_(const int R, const int C, int64_t n, const float* inverse, const double* b,
-                   double* y)
+INLINE void smooth_first_(const int R, const int C, int64_t n, const float* inverse,
+                          const double* b, double* y)
 {
   for (int64_t i = 0; i < n; i++)
   {
@@ -716,7 +716,7 @@ INLINE void first_(const int R, const int C, int64_t n, const float* inverse, co
 }
 int64_t smooth_first(int64_t R, int64_t n, const float* inverse, const double* b, double* y)
 {
-  DISPATCH(R, R, first_, n, inverse, b, y);
+  DISPATCH(R, R, smooth_first_, n, inverse, b, y);
   return 0;
 }
 
@@ -728,8 +728,8 @@ INLINE void restrict_(const int R, const int C, int64_t n, const int64_t* start,
 {
   for (int64_t i = 0; i < n; i++)
   {
-    double r[4 > R ? 4 : R];
-    for (int k = 0; k < (4 > R ? 4 : R); k++)
+    double r[R];
+    for (int k = 0; k < R; k++)
       r[k] = 0.0;
     row_times(R, R, start[i], start[i + 1], columns, a, x, r);
     for (int k = 0; k < R; k++)
