@@ -14,7 +14,7 @@ from helpers.decks import COMM, box, made, quadratic
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.errors import MeshError, OutputError
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.mesh import Body, mesh_statistics, read_body
 from dolfin_elastic.mesh.formats.convert import convert_mesh
@@ -155,6 +155,11 @@ def test_the_unit_stays(folder: Path) -> None:
     body = read_body(folder / "cube.xdmf")
     assert mesh_statistics(body).volume == pytest.approx(1e-9)
     same(read_body(folder / "cube.unv"), body)
+    text = on_root(COMM, (folder / "cube.xdmf").read_text)  # before it is overwritten
+    for value in ("mm", "0.0", "nan", "-0.001"):
+        made(partial((folder / "cube.xdmf").write_text, text.replace('"0.001"', f'"{value}"')))
+        with pytest.raises(MeshError, match=f"cube.xdmf: the unit of length has '{value}' metres"):
+            read_body(folder / "cube.xdmf")
 
 
 def test_what_is_refused(folder: Path) -> None:
@@ -198,7 +203,7 @@ DAMAGES = (
 def test_damaged_files_say_where(folder: Path) -> None:
     made(lambda: two_boxes(folder / "two.msh", 1))
     convert_mesh(folder / "two.msh", folder / "two.xdmf")
-    text = (folder / "two.xdmf").read_text()
+    text = on_root(COMM, (folder / "two.xdmf").read_text)  # before it is overwritten
 
     def add_far_points() -> None:
         with h5py.File(folder / "two.h5", "a") as file:

@@ -177,14 +177,32 @@ def names_in(root: ElementTree.Element) -> Names:
 
 
 def unit_of_xdmf(path: Path) -> LengthUnit | None:
-    """The unit of length that a converted mesh states. Local; None where it states none."""
+    """The unit of length that a converted mesh states. Local; None where it states none.
+
+    Raises:
+        MeshError: It is no length.
+    """
     try:
         for _, element in ElementTree.iterparse(path):
             if element.tag == "Information" and element.get("Name") == _UNIT:
-                return LengthUnit.of(float(element.get("Value", "")), stated=True)
-    except (ElementTree.ParseError, ValueError):
+                return _unit(element.get("Value", ""), path)
+    except ElementTree.ParseError:
         pass  # the reader says what is wrong
     return None
+
+
+def _unit(text: str, path: Path) -> LengthUnit:
+    try:
+        metres = float(text)
+    except ValueError:
+        metres = np.nan
+    if not (np.isfinite(metres) and metres > 0.0):
+        raise MeshError(
+            f"the unit of length has '{text}' metres",
+            where=path.name,
+            expected="a positive number, for example 0.001",
+        )
+    return LengthUnit.of(metres, stated=True)
 
 
 def named(body: Body, path: Path, names: Names) -> Body:
