@@ -157,7 +157,9 @@ def input_error(record: type[BaseModel], error: ValidationError, given: object) 
     path, fault = min(inside, key=_rank, default=(path, fault))
     same = [other for place, other in faults if place == path]
     ours = next((e for f in same if isinstance(e := _inner(f), InputError)), None)
-    if ours is not None and len(same) == 1:
+    told = sum(isinstance(_inner(one), InputError) for one in same)
+    # A table was meant for the one member of a union that has keys, as in "one table or a list".
+    if ours is not None and (len(same) == 1 or (told == 1 and isinstance(fault["input"], dict))):
         return within(path, ours)
     if fault["type"] == "missing":
         return InputError("this key is missing", where=path)

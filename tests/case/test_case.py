@@ -92,6 +92,11 @@ MISTAKES = {
         "support[0]: unknown key 'dispacement'; did you mean 'displacement'?",
     ),
     "output key": ("fields =", "field =", "output: unknown key 'field'; did you mean 'fields'?"),
+    "key of one table or a list of them": (
+        "[output]",
+        "[output]\npictures = [{file = 'a.png', clip = {normal = [0, 1, 0]}}]",
+        "output.pictures[0].clip: unknown key 'normal'; known: at, keep, plane",
+    ),
     "law": (
         '"linear-elastic"',
         '"linear-elastik"',
