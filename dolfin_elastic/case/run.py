@@ -46,6 +46,7 @@ from dolfin_elastic.results.outputs import FORMATS, History, Modes, Output, Summ
 from dolfin_elastic.results.writer import ModeWriter, Writer
 from dolfin_elastic.results.writers.modes import clear as clear_modes
 from dolfin_elastic.solvers.nonlinear.contact import warn_of_untouched
+from dolfin_elastic.solvers.petsc.heap import give_back
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.analysis import Solver
@@ -202,6 +203,7 @@ class _Run:
                 for result in chain(first, probed):
                     if not (isinstance(result, State) and result.between):
                         checkpoints.forget()  # the files are about to be ahead of it
+                        give_back()  # what solving needed for the moment
                         for writer in writers:
                             _write(writer, result)
                     checkpoints.save_if_due(result, writers)

@@ -24,7 +24,7 @@ J. Numer. Meth. Eng. 10 (1976) 243.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, permutations
 
@@ -154,12 +154,29 @@ class Patches:
         Returns:
             Coefficients at the vertices of the cells, shape (vertices, monomials, columns).
         """
-        width, size = values.shape[2], len(self._powers)
-        if not total(self._mesh.comm, float(np.any(values))):  # as of a body at rest
-            return np.zeros((len(self._used), size, width))
-        arguments = (self._samples, *self._frames, width, np.ascontiguousarray(values))
-        right = self._summed(size * width, "add_moments", arguments).reshape(-1, size, width)
+        return self.fit_parts(values.shape[2], values.__getitem__)
+
+    def fit_parts(self, width: int, values: Callable[[slice], FloatArray]) -> FloatArray:
+        """As `fit`, of values that are made for some cells at a time. Collective.
+
+        Args:
+            width: Number of columns.
+            values: Of one of `parts`, shape (cells, sampling points, columns). Not collective.
+        """
+        size = len(self._powers)
+        sums = np.zeros((len(self._used), size * width))
+        for part in self.parts():
+            found = np.ascontiguousarray(values(part))
+            if found.any():  # else as of a body at rest
+                cells, corners = self.cells[part], self._corners[part]
+                where = (len(cells), cells, *self._geometry, self._samples, corners)
+                others = (self._centres, self._size, width, found)
+                self._loops.call("add_moments", *where, *others, sums)
+        right = self._over_ranks(sums).reshape(-1, size, width)
+        if not total(self._mesh.comm, float(right.any())):
+            return right
         fitted = np.asarray(self._solve @ right)
+        del sums, right  # which are as large
         for extrapolation in self._rounds:
             self._extrapolate(fitted, extrapolation)
         return fitted
@@ -328,13 +345,19 @@ class Patches:
 
     def _extrapolate(self, fitted: FloatArray, step: _Extrapolation) -> None:
         """Fills in the polynomials of one round."""
-        sums, width = np.zeros_like(fitted), fitted.shape[1] * fitted.shape[2]
+        rows, width = np.flatnonzero(step.new), fitted.shape[1] * fitted.shape[2]
+        place = np.empty(len(fitted), dtype=np.int32)
+        place[rows] = np.arange(len(rows), dtype=np.int32)
+        sums = np.zeros((len(rows), *fitted.shape[1:]))
         for a, b in permutations(range(self._dim + 1), 2):
             to, of = step.corners[:, a], step.corners[:, b]
             both = step.new[to] & step.known[of]
-            np.add.at(sums, to[both], self._shift(fitted[of[both]], of[both], to[both]))
-        sums = self._over_ranks(sums.reshape(len(sums), width)).reshape(fitted.shape)
-        fitted[step.new] = sums[step.new] / step.count[step.new, None, None]
+            np.add.at(sums, place[to[both]], self._shift(fitted[of[both]], of[both], to[both]))
+        if self._mesh.comm.size > 1:
+            table = np.zeros((len(fitted), width))
+            table[rows] = sums.reshape(-1, width)
+            sums = self._over_ranks(table)[rows].reshape(sums.shape)
+        fitted[rows] = sums / step.count[rows, None, None]
 
     def _shift(self, polynomials: FloatArray, of: IndexArray, to: IndexArray) -> FloatArray:
         """Polynomials about some vertices as polynomials about others.

@@ -219,7 +219,7 @@ class RegionStress:
             other values are NaN.
         """
         if fitted is None:
-            fitted = self.patches.fit(self.samples())
+            fitted = self.patches.fit_parts(self._width, self._sampled)
         means = NodalMeans(self._problem.V, fitted.shape[2])
         for part in self.patches.parts():
             means.add(self.patches, part, self.patches.at_nodes(fitted, part))
@@ -229,8 +229,11 @@ class RegionStress:
         """Values of the finite element solution at the sampling points. Not collective."""
         values = np.empty((len(self.cells), self._samples, self._width))
         for part in self.chunks():
-            values[part] = self._evaluated(part)[:, : self._samples]
+            values[part] = self._sampled(part)
         return values
+
+    def _sampled(self, part: slice) -> FloatArray:
+        return self._evaluated(part)[:, : self._samples]
 
     def chunks(self) -> list[slice]:
         """The cells in parts whose values need little memory."""

@@ -33,6 +33,7 @@ from dolfin_elastic.solvers.linear.smoother import (
     in_single_precision,
     taken_in_single_precision,
 )
+from dolfin_elastic.solvers.petsc.heap import give_back
 
 THRESHOLD = 0.08
 """Of a strong connection on the finest level; half of it on each coarser one (Vanek, Mandel &
@@ -273,6 +274,7 @@ class Multigrid:
         dim = self._problem.body.dim
         A = PetscRows(pc.getOperators()[1], dim, dim, self._loops)
         self._hierarchy = Hierarchy(A, self._linear, self._modes(), self._loops)
+        give_back()  # what making them needed for the moment
         if not self._hierarchy.sane:
             pc.setFailedReason(PETSc.PC.FailedReason.SUBPC_ERROR)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -182,14 +183,14 @@ def test_a_probe_at_a_node_reads_the_field_there() -> None:
 def test_outputs_share_one_recovery(monkeypatch: pytest.MonkeyPatch) -> None:
     """The stress of a state is recovered once in each of two regions, that of the next anew."""
     problem, state = loaded(MPI.COMM_WORLD)
-    calls: list[str] = []
-    recover = RegionStress.samples
+    calls: list[int] = []
+    fit = Patches.fit_parts
 
-    def counted(part: RegionStress) -> FloatArray:
-        calls.append(part.region.name)
-        return recover(part)
+    def counted(patches: Patches, width: int, values: Callable[[slice], FloatArray]) -> FloatArray:
+        calls.append(width)
+        return fit(patches, width, values)
 
-    monkeypatch.setattr(RegionStress, "samples", counted)
+    monkeypatch.setattr(Patches, "fit_parts", counted)
     fields, summary = Evaluator(problem, ["von_mises", "pressure"]), Extremes(problem)
     estimator = ErrorEstimator(problem)
     first = fields(state)["von_mises"]
