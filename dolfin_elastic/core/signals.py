@@ -55,6 +55,7 @@ class Stop:
         self._last: Callable[[], object] = lambda: None
         self._last_words = last_words
         _handle(ENDING, self._request_stop)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)  # see `ignore_more`
         signal.signal(signal.SIGUSR1, self._request_checkpoint)
         _current.append(self)
 
@@ -213,6 +214,8 @@ def ignore_more() -> None:
     """
     if _current and _current[-1].asked:
         _handle(ENDING, signal.SIG_IGN)
+        # PETSc gives SIGTERM its default again while it ends.
+        signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
 
 
 def _handle(
