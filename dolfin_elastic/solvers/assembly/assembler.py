@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import ufl
@@ -21,6 +22,7 @@ from dolfin_elastic.problem.state import Moment
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, TangentMatrix
+from dolfin_elastic.solvers.assembly.symmetric.matrix import SymmetricMatrix
 from dolfin_elastic.solvers.assembly.tied import TiedMatrix
 from dolfin_elastic.solvers.assembly.two_stage.form import (
     TwoStageForm,
@@ -127,32 +129,68 @@ class Tangent:
     Args:
         dofs: The unknowns and what is prescribed of them.
         form: The compiled bilinear form.
+        iterated: Only products and the diagonal are asked for, until `to_entries`: where it can
+            be, it is then kept as `SymmetricBlocks`.
 
     Attributes:
         form: The compiled bilinear form.
         matrix: The tangent; owned here.
     """
 
-    def __init__(self, dofs: ConstrainedDofs, form: BilinearForm) -> None:
+    def __init__(self, dofs: ConstrainedDofs, form: BilinearForm, *, iterated: bool) -> None:
         self._dofs, self.form = dofs, form
-        skew = dofs.skew
-        with stage("assemble"):
-            fixed = None if dofs.level is None else (dofs.fixed_pressures, dofs.level.pivots)
-            self._assembled = (
-                TangentMatrix(form, fixed=fixed)
-                if skew is None
-                else TangentMatrix(form, dofs.skew_dofs, skew.P[: skew.count], fixed=fixed)
-            )
         self._tied: TiedMatrix | None = None
-        self.matrix = self._assembled.petsc
+        self._shift: float | None = None
+        self._scale = 0.0
+        with stage("assemble"):
+            self._assembled: TangentMatrix | SymmetricMatrix
+            if iterated and isinstance(form, TwoStageForm) and _can_be_halved(dofs, form):
+                self._assembled = SymmetricMatrix(dofs.problem, form)
+            else:
+                self._assembled = self._by_entries()
+        self._take(self._assembled.petsc)
+
+    def _by_entries(self) -> TangentMatrix:
+        dofs, skew = self._dofs, self._dofs.skew
+        fixed = None if dofs.level is None else (dofs.fixed_pressures, dofs.level.pivots)
+        if skew is None:
+            return TangentMatrix(self.form, fixed=fixed)
+        return TangentMatrix(self.form, dofs.skew_dofs, skew.P[: skew.count], fixed=fixed)
+
+    def _take(self, matrix: PETSc.Mat) -> None:
+        self.matrix, dofs = matrix, self._dofs
         if dofs.ties is not None:
             self._tied = TiedMatrix(dofs.problem, self.matrix, dofs.displacement_dofs)
             self.matrix = self._tied.matrix
-        self._shift: float | None = None
-        self._scale = 0.0
         if dofs.problem.symmetric:
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
+
+    def to_entries(self) -> None:
+        """Makes `matrix` another one, of PETSc's entries, as it was assembled. Collective.
+
+        Factorisations need it; who holds the old one has to take the new one.
+        """
+        if isinstance(self._assembled, SymmetricMatrix):
+            old, self._assembled = self._assembled, self._by_entries()
+            self._take(self._assembled.petsc)
+            self._renew(0.0)
+            old.destroy()
+
+    @contextmanager
+    def entries(self) -> Iterator[PETSc.Mat]:
+        """The tangent as it is, as a matrix of PETSc's entries, which factorisations need.
+
+        Collective.
+        """
+        if not isinstance(self._assembled, SymmetricMatrix):
+            yield self.matrix
+            return
+        matrix = self._assembled.aij()
+        try:
+            yield matrix
+        finally:
+            matrix.destroy()
 
     def assemble(self, x: PETSc.Vec, shift: float = 0.0, *, unit: float | None = None) -> None:
         """Assembles the tangent into `matrix`, unless neither it nor the shift can have changed.
@@ -174,6 +212,9 @@ class Tangent:
             self._shift = shift
 
     def _renew(self, unit: float) -> None:
+        if isinstance(self._assembled, SymmetricMatrix):
+            self._assembled.assemble(self._dofs.bcs)
+            return
         self._assembled.assemble(self._dofs.bcs, unit=unit)
         if self._tied is not None:
             self._tied.renew()
@@ -208,6 +249,18 @@ class Tangent:
         if self._tied is not None:
             self._tied.destroy()
         self._assembled.destroy()
+
+
+def _can_be_halved(dofs: ConstrainedDofs, form: TwoStageForm) -> bool:
+    """Whether moduli alone make a symmetric tangent, whose prescribed entries are not combined.
+
+    Args:
+        dofs: The unknowns and what is prescribed of them.
+        form: The tangent.
+    """
+    problem = dofs.problem
+    combined = (dofs.skew, dofs.ties, problem.cell)
+    return form.is_of_moduli and problem.symmetric and all(x is None for x in combined)
 
 
 class Residual:
@@ -341,6 +394,7 @@ class Assembler(ConstrainedDofs):
         extra: Terms added to the residual, for example inertia.
         extra_tangent: Their contribution to the tangent.
         displacement_fixed: All displacements are prescribed: only the scalar fields are unknown.
+        iterated: See `Tangent`.
 
     Attributes:
         residual: Out-of-balance forces.
@@ -357,6 +411,7 @@ class Assembler(ConstrainedDofs):
         extra: ufl.Form | None = None,
         extra_tangent: ufl.Form | None = None,
         displacement_fixed: bool = False,
+        iterated: bool = False,
     ) -> None:
         super().__init__(problem, displacement_fixed=displacement_fixed)
         weak_form = problem.weak_form
@@ -368,7 +423,7 @@ class Assembler(ConstrainedDofs):
         self.cell = None if problem.cell is None else CellStress(problem)
         self.pressures = problem.unknowns.count("pressure")
         self.reactions = Reactions(self, found[1] if loads else None, by_label, self.cell)
-        self.tangent = Tangent(self, _tangent(problem, extra_tangent))
+        self.tangent = Tangent(self, _tangent(problem, extra_tangent), iterated=iterated)
         self.residual = Residual(self, found[0], self.tangent, self.reactions)
 
     def check_volumes(self) -> None:

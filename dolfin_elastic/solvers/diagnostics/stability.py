@@ -216,9 +216,10 @@ class Stability:
         self._symmetric = bool(assembler.problem.symmetric)
         self._ksp = PETSc.KSP().create(self.comm)
         self._ksp.setOptionsPrefix("elastic_doctor_")
-        self._ksp.setOperators(assembler.tangent.matrix)
         self._ksp.setType("preonly")
-        self.sound, self.negative = self._factorise(), None
+        with assembler.tangent.entries() as matrix:
+            self._ksp.setOperators(matrix)
+            self.sound, self.negative = self._factorise(), None
         if self.sound and self._symmetric:
             self.negative = negative_pivots(self._ksp.getPC(), assembler)
 

@@ -12,8 +12,12 @@ import numpy as np
 
 from dolfin_elastic.core.jit import CFunctions
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
-from dolfin_elastic.solvers.linear.block_rows import BlockRows, Halo
+from dolfin_elastic.solvers.linear.block_rows import BlockRows
 from dolfin_elastic.solvers.linear.smoother import Diagonal
+from dolfin_elastic.solvers.petsc.halo import Halo
+
+LANES = 8
+"""Most entries of a row of a block, as loops in C need it for their work."""
 
 SMOOTHING = 1.4
 """Step of the smoothing of the interpolation, over the largest eigenvalue of D^-1 A."""
@@ -168,13 +172,21 @@ def galerkin(A: BlockRows, P: BlockRows, loops: CFunctions) -> BlockRows:
     del W, transposed, rows  # the blocks are about to take most memory
     A_blocks = np.zeros((len(A_columns), C, C))
     place = np.full(size, -1, dtype=np.int32)
-    work = (place, np.empty(most, dtype=np.int32), np.empty((most, R, C)))
+    work = (place, np.empty(most, dtype=np.int32), np.empty((most, R, LANES)))
+    side = coarse.owners(numbers) if A.symmetric else np.arange(size)
     for first, count, part in A.parts():
         loops.call(
             *("galerkin", R, C, first, count, A.start, A.columns, part, start, columns, blocks),
-            *(A_start, A_columns, A_blocks, *work),
+            *(A_start, A_columns, A_blocks, side, numbers, *work),
         )
-    return _summed(coarse, A_start, numbers[A_columns], A_blocks)
+    result = _summed(coarse, A_start, numbers[A_columns], A_blocks)
+    if A.symmetric:
+        room = np.empty(result.rows, dtype=np.int64)
+        arrays = (result.start, result.columns, room, result.blocks)
+        if loops.call("mirror", C, result.rows, *arrays) < 0:
+            raise RuntimeError("the rows of a symmetric matrix do not fit its columns")
+        result.symmetric = True
+    return result
 
 
 def _product_pattern(

@@ -41,8 +41,10 @@ int64_t product_pattern(int64_t n, const int64_t* a_start, const int32_t* a_colu
 int64_t galerkin(int64_t R, int64_t C, int64_t first, int64_t n, const int64_t* start,
         const int32_t* columns, const double* blocks, const int64_t* p_start,
         const int32_t* p_columns, const double* p_blocks, const int64_t* c_start,
-        const int32_t* c_columns, double* coarse,
+        const int32_t* c_columns, double* coarse, const int64_t* side, const int64_t* numbers,
         int32_t* place, int32_t* list, double* w);
+int64_t mirror(int64_t C, int64_t n, const int64_t* start, const int32_t* columns, int64_t* next,
+        double* blocks);
 int64_t in_single_precision(int64_t count, int64_t R, int64_t C, const double* blocks,
         float* out);
 int64_t into_single_precision(int64_t count, int64_t R, int64_t C, double* blocks);
@@ -54,6 +56,10 @@ int64_t smooth_first(int64_t R, int64_t n, const float* inverse, const double* b
 int64_t restrict_residual(int64_t R, int64_t C, int64_t n, const int64_t* start,
         const int32_t* columns, const float* a, const double* x, const double* b,
         const int64_t* p_start, const int32_t* p_columns, const float* p, double* coarse);
+int64_t correct(int64_t R, int64_t n, const float* inverse, const double* x, const double* b,
+        double* y);
+int64_t restrict_vector(int64_t R, int64_t C, int64_t n, const int64_t* p_start,
+        const int32_t* p_columns, const float* p, const double* r, double* coarse);
 int64_t prolong(int64_t R, int64_t C, int64_t n, const int64_t* p_start, const int32_t* p_columns,
         const float* p, const double* e, double* x);
 """
@@ -508,13 +514,93 @@ int64_t product_pattern(int64_t n, const int64_t* a_start, const int32_t* a_colu
   return 0;
 }
 
-/* P^T A P, row by row of A: a row of A P first, then its part of each coarse row. */
+/* Rows of C entries as vectors of L lanes, of which the others are zero.  The last row is read from
+   before it, as nothing may stand behind it. */
+#define ROWS_AS_LANES(L, integers, lanes)                                                          \
+  typedef double lanes __attribute__((vector_size(8 * L), aligned(8)));                            \
+  typedef int64_t integers __attribute__((vector_size(8 * L)));                                    \
+  INLINE integers turned_##lanes(int by)                                                           \
+  {                                                                                                \
+    integers from;                                                                                 \
+    for (int c = 0; c < L; c++)                                                                    \
+      from[c] = (c + by) % L;                                                                      \
+    return from;                                                                                   \
+  }                                                                                                \
+  INLINE lanes row_of_##lanes(const int C, const double* rows, int row, int last)                  \
+  {                                                                                                \
+    integers inside;                                                                               \
+    for (int c = 0; c < L; c++)                                                                    \
+      inside[c] = c < C ? -1 : 0;                                                                  \
+    const double* at = rows + row * C - (row == last ? L - C : 0);                                 \
+    lanes read = *(const lanes*)at;                                                                \
+    if (row == last)                                                                               \
+      read = __builtin_shuffle(read, turned_##lanes(L - C));                                       \
+    return (lanes)((integers)read & inside);                                                       \
+  }                                                                                                \
+  /* w += a p, of which w has rows of L entries */                                                 \
+  INLINE void add_product_##lanes(const int R, const int C, const double* a, const double* p,      \
+                                  double* w)                                                       \
+  {                                                                                                \
+    lanes sum[R];                                                                                  \
+    for (int r = 0; r < R; r++)                                                                    \
+      sum[r] = *(lanes*)(w + r * L);                                                               \
+    for (int q = 0; q < R; q++)                                                                    \
+    {                                                                                              \
+      const lanes row = row_of_##lanes(C, p, q, R - 1);                                            \
+      for (int r = 0; r < R; r++)                                                                  \
+        sum[r] += a[r * R + q] * row;                                                              \
+    }                                                                                              \
+    for (int r = 0; r < R; r++)                                                                    \
+      *(lanes*)(w + r * L) = sum[r];                                                               \
+  }                                                                                                \
+  /* out += p^T w; each row writes over what the one before has written behind its end */          \
+  INLINE void add_transposed_##lanes(const int R, const int C, const double* p, const double* w,   \
+                                     double* out)                                                  \
+  {                                                                                                \
+    lanes sum[C], row[R];                                                                          \
+    for (int r = 0; r < R; r++)                                                                    \
+      row[r] = *(const lanes*)(w + r * L);                                                         \
+    for (int a = 0; a < C; a++)                                                                    \
+    {                                                                                              \
+      sum[a] = row_of_##lanes(C, out, a, C - 1);                                                   \
+      for (int r = 0; r < R; r++)                                                                  \
+        sum[a] += p[r * C + a] * row[r];                                                           \
+    }                                                                                              \
+    for (int a = 0; a < C - 1; a++)                                                                \
+      *(lanes*)(out + a * C) = sum[a];                                                             \
+    integers both;                                                                                 \
+    for (int c = 0; c < L; c++)                                                                    \
+      both[c] = c < L - C ? c + 2 * C - L : L + c - (L - C);                                       \
+    *(lanes*)(out + C * C - L) = __builtin_shuffle(sum[C - 2], sum[C - 1], both);                  \
+  }
+ROWS_AS_LANES(4, integers4, lanes4)
+ROWS_AS_LANES(8, integers8, lanes8)
+
+INLINE void add_product(const int R, const int C, const double* a, const double* p, double* w)
+{
+  if (C > 4)
+    add_product_lanes8(R, C, a, p, w);
+  else
+    add_product_lanes4(R, C, a, p, w);
+}
+
+INLINE void add_transposed(const int R, const int C, const double* p, const double* w, double* out)
+{
+  if (C > 4)
+    add_transposed_lanes8(R, C, p, w, out);
+  else
+    add_transposed_lanes4(R, C, p, w, out);
+}
+
+/* P^T A P, row by row of A: a row of A P first, then its part of each coarse row.  Between nodes
+   of the same rank, which are those of the same `side`, only the blocks from the diagonal on. */
 INLINE void galerkin_(const int R, const int C, int64_t first, int64_t n, const int64_t* start,
                       const int32_t* columns, const double* blocks, const int64_t* p_start,
                       const int32_t* p_columns, const double* p_blocks, const int64_t* c_start,
-                      const int32_t* c_columns, double* coarse, int32_t* place, int32_t* list,
-                      double* w)
+                      const int32_t* c_columns, double* coarse, const int64_t* side,
+                      const int64_t* numbers, int32_t* place, int32_t* list, double* w)
 {
+  const int64_t size = R * (C > 4 ? 8 : 4);
   blocks -= start[first] * R * R;
   for (int64_t i = first; i < first + n; i++)
   {
@@ -531,25 +617,21 @@ INLINE void galerkin_(const int R, const int C, int64_t first, int64_t n, const 
         {
           place[g] = count;
           list[count] = g;
-          memset(w + (int64_t)count * R * C, 0, sizeof(double) * R * C);
+          memset(w + count * size, 0, sizeof(double) * size);
           count++;
         }
-        double* s = w + (int64_t)place[g] * R * C;
-        const double* p = p_blocks + l * R * C;
-        for (int r = 0; r < R; r++)
-          for (int q = 0; q < R; q++)
-            for (int c = 0; c < C; c++)
-              s[r * C + c] += a[r * R + q] * p[q * C + c];
+        add_product(R, C, a, p_blocks + l * R * C, w + place[g] * size);
       }
     }
     for (int64_t l = p_start[i]; l < p_start[i + 1]; l++)
     {
       const int32_t g = p_columns[l];
-      const double* p = p_blocks + l * R * C;
       for (int s = 0; s < count; s++)
       {
         int64_t low = c_start[g], high = c_start[g + 1];
         const int32_t column = list[s];
+        if (side[column] == side[g] && numbers[column] < numbers[g])
+          continue;
         while (high - low > 1)
         {
           const int64_t middle = (low + high) / 2;
@@ -558,12 +640,7 @@ INLINE void galerkin_(const int R, const int C, int64_t first, int64_t n, const 
           else
             high = middle;
         }
-        double* out = coarse + low * C * C;
-        const double* v = w + (int64_t)s * R * C;
-        for (int a = 0; a < C; a++)
-          for (int r = 0; r < R; r++)
-            for (int b = 0; b < C; b++)
-              out[a * C + b] += p[r * C + a] * v[r * C + b];
+        add_transposed(R, C, p_blocks + l * R * C, w + s * size, coarse + low * C * C);
       }
     }
     for (int s = 0; s < count; s++)
@@ -573,11 +650,34 @@ INLINE void galerkin_(const int R, const int C, int64_t first, int64_t n, const 
 int64_t galerkin(int64_t R, int64_t C, int64_t first, int64_t n, const int64_t* start,
                  const int32_t* columns, const double* blocks, const int64_t* p_start,
                  const int32_t* p_columns, const double* p_blocks, const int64_t* c_start,
-                 const int32_t* c_columns,
-                 double* coarse, int32_t* place, int32_t* list, double* w)
+                 const int32_t* c_columns, double* coarse, const int64_t* side,
+                 const int64_t* numbers, int32_t* place, int32_t* list, double* w)
 {
   DISPATCH(R, C, galerkin_, first, n, start, columns, blocks, p_start, p_columns, p_blocks, c_start,
-           c_columns, coarse, place, list, w);
+           c_columns, coarse, side, numbers, place, list, w);
+  return 0;
+}
+
+/* Blocks between owned nodes below the diagonal, from those above; `next` is room for n. */
+int64_t mirror(int64_t C, int64_t n, const int64_t* start, const int32_t* columns, int64_t* next,
+               double* blocks)
+{
+  for (int64_t i = 0; i < n; i++)
+    for (next[i] = start[i]; next[i] < start[i + 1] && columns[next[i]] >= n;)
+      next[i]++;
+  for (int64_t i = 0; i < n; i++)
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+    {
+      const int32_t j = columns[k];
+      if (j <= i || j >= n)
+        continue;
+      const int64_t e = next[j]++;
+      if (e == start[j + 1] || columns[e] != i)
+        return -1;
+      for (int64_t r = 0; r < C; r++)
+        for (int64_t c = 0; c < C; c++)
+          blocks[(e * C + c) * C + r] = blocks[(k * C + r) * C + c];
+    }
   return 0;
 }
 
@@ -671,6 +771,39 @@ INLINE void row_times(const int R, const int C, int64_t first, int64_t last,
   }
 }
 
+/* z + S r */
+INLINE void add_scaled(const int R, const float* inverse, const double* r, double* z)
+{
+  for (int c = 0; c < R; c++)
+    for (int k = 0; k < R; k++)
+      z[k] += inverse[c * R + k] * r[c];
+}
+
+/* y = x + S (b - y), where y is A x */
+INLINE void correct_(const int R, const int C, int64_t n, const float* inverse, const double* x,
+                     const double* b, double* y)
+{
+  (void)C;
+  for (int64_t i = 0; i < n; i++)
+  {
+    double r[R], z[R];
+    for (int k = 0; k < R; k++)
+    {
+      r[k] = b[i * R + k] - y[i * R + k];
+      z[k] = x[i * R + k];
+    }
+    add_scaled(R, inverse + i * R * R, r, z);
+    for (int k = 0; k < R; k++)
+      y[i * R + k] = z[k];
+  }
+}
+int64_t correct(int64_t R, int64_t n, const float* inverse, const double* x, const double* b,
+                double* y)
+{
+  DISPATCH(R, R, correct_, n, inverse, x, b, y);
+  return 0;
+}
+
 /* y = x + S (b - A x) */
 INLINE void smooth_(const int R, const int C, int64_t n, const int64_t* start,
                     const int32_t* columns, const float* a, const float* inverse, const double* x,
@@ -720,8 +853,40 @@ int64_t smooth_first(int64_t R, int64_t n, const float* inverse, const double* b
   return 0;
 }
 
+/* coarse += P^T r, of one node */
+INLINE void restrict_node(const int R, const int C, int64_t first, int64_t last,
+                          const int32_t* p_columns, const float* p, const double* r,
+                          double* coarse)
+{
+  for (int64_t l = first; l < last; l++)
+  {
+    double* out = coarse + (int64_t)C * p_columns[l];
+    for (int c = 0; c < C; c++)
+    {
+      double s = 0.0;
+      for (int k = 0; k < R; k++)
+        s += (double)p[(l * C + c) * R + k] * r[k];
+      out[c] += s;
+    }
+  }
+}
+
+/* coarse += P^T r */
+INLINE void restrict_(const int R, const int C, int64_t n, const int64_t* p_start,
+                      const int32_t* p_columns, const float* p, const double* r, double* coarse)
+{
+  for (int64_t i = 0; i < n; i++)
+    restrict_node(R, C, p_start[i], p_start[i + 1], p_columns, p, r + i * R, coarse);
+}
+int64_t restrict_vector(int64_t R, int64_t C, int64_t n, const int64_t* p_start,
+                        const int32_t* p_columns, const float* p, const double* r, double* coarse)
+{
+  DISPATCH(R, C, restrict_, n, p_start, p_columns, p, r, coarse);
+  return 0;
+}
+
 /* coarse += P^T (b - A x) */
-INLINE void restrict_(const int R, const int C, int64_t n, const int64_t* start,
+INLINE void restrict_residual_(const int R, const int C, int64_t n, const int64_t* start,
                       const int32_t* columns, const float* a, const double* x, const double* b,
                       const int64_t* p_start, const int32_t* p_columns, const float* p,
                       double* coarse)
@@ -734,17 +899,7 @@ INLINE void restrict_(const int R, const int C, int64_t n, const int64_t* start,
     row_times(R, R, start[i], start[i + 1], columns, a, x, r);
     for (int k = 0; k < R; k++)
       r[k] = b[i * R + k] - r[k];
-    for (int64_t l = p_start[i]; l < p_start[i + 1]; l++)
-    {
-      double* out = coarse + (int64_t)C * p_columns[l];
-      for (int c = 0; c < C; c++)
-      {
-        double s = 0.0;
-        for (int k = 0; k < R; k++)
-          s += (double)p[(l * C + c) * R + k] * r[k];
-        out[c] += s;
-      }
-    }
+    restrict_node(R, C, p_start[i], p_start[i + 1], p_columns, p, r, coarse);
   }
 }
 int64_t restrict_residual(int64_t R, int64_t C, int64_t n, const int64_t* start,
@@ -752,7 +907,7 @@ int64_t restrict_residual(int64_t R, int64_t C, int64_t n, const int64_t* start,
                           const int64_t* p_start, const int32_t* p_columns, const float* p,
                           double* coarse)
 {
-  DISPATCH(R, C, restrict_, n, start, columns, a, x, b, p_start, p_columns, p, coarse);
+  DISPATCH(R, C, restrict_residual_, n, start, columns, a, x, b, p_start, p_columns, p, coarse);
   return 0;
 }
 

@@ -171,6 +171,25 @@ def _iterative(problem: Problem, symmetric: bool) -> dict[str, PetscValue]:
     return krylov | BLOCKS
 
 
+HARMLESS = (
+    *("snes_monitor", "snes_max_it", "snes_view", "snes_converged_reason", "log_"),
+    *("ksp_monitor", "ksp_max_it", "ksp_view", "ksp_converged_reason", "ksp_rtol", "ksp_atol"),
+)
+"""Beginnings of options that ask the tangent for nothing but products."""
+
+
+def in_blocks(choice: Choice, users: PetscOptions) -> bool:
+    """Whether the tangent is asked for products and its blocks alone. Not collective.
+
+    Args:
+        choice: Of the linear solver.
+        users: PETSc options of the user, without prefix.
+    """
+    by_cg = choice.options.get("ksp_type") == "cg"
+    ours = choice.options.get("pc_type") == BLOCKS["pc_type"]
+    return by_cg and ours and all(name.startswith(HARMLESS) for name in users)
+
+
 def petsc_multigrid(options: PetscOptions, users: PetscOptions, degree: int) -> PetscOptions:
     """PETSc's multigrid in place of ours, where options of the user shape it.
 

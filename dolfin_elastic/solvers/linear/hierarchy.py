@@ -16,9 +16,10 @@ from petsc4py import PETSc
 from dolfin_elastic.core.jit import CFunctions, compile_c
 from dolfin_elastic.core.types import FloatArray, IndexArray, SingleArray
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
 from dolfin_elastic.solvers.linear.aggregation import coarsen, galerkin
 from dolfin_elastic.solvers.linear.block_loops import DECLARATIONS, SOURCE
-from dolfin_elastic.solvers.linear.block_rows import BlockRows, PetscRows, from_petsc
+from dolfin_elastic.solvers.linear.block_rows import BlockRows, PetscRows, SymmetricRows, from_petsc
 from dolfin_elastic.solvers.linear.multigrid import (
     aij,
     constrained_interpolation,
@@ -29,6 +30,7 @@ from dolfin_elastic.solvers.linear.multigrid import (
 from dolfin_elastic.solvers.linear.smoother import (
     Diagonal,
     Smoother,
+    SymmetricSmoother,
     diagonal_of,
     in_single_precision,
     taken_in_single_precision,
@@ -75,8 +77,7 @@ class Level:
         """
         self.smoother.from_zero(b)
         self._c[:] = 0.0
-        arrays = (*self.smoother.matrix, self.smoother.x, b, *self._P, self._c)
-        self._loops.call("restrict_residual", *self._sizes, *arrays)
+        self.smoother.restrict(b, self._P, self._c)
         self._coarse.collect(self._c)
         return self._c[: self._coarse.owned]
 
@@ -100,7 +101,7 @@ class Level:
 
     def destroy(self) -> None:
         """Frees PETSc's objects. Collective."""
-        self.smoother.halo.destroy()
+        self.smoother.destroy()
 
 
 class Inverse:
@@ -213,7 +214,8 @@ class Hierarchy:
             del coarse
         if finest is not None:  # last of all: the others have become single meanwhile
             fine, known, interpolation, P = finest
-            smoother = Smoother(fine, loops, known)
+            kind = SymmetricSmoother if isinstance(fine, SymmetricRows) else Smoother
+            smoother = kind(fine, loops, known)
             self._levels.insert(0, Level(smoother, interpolation, P, loops))
         A, small = A.with_blocks(), A.halo.total * A.R <= SMALL
         self._last: Inverse | Rest = Inverse(A) if small else Rest(A, modes)
@@ -230,6 +232,11 @@ class Hierarchy:
             return self._last.solve(b)
         level = self._levels[k]
         return level.ascend(b, self.cycle(level.descend(b), k + 1))
+
+    def renew(self) -> None:
+        """Makes the finest level follow a tangent that has changed. Collective."""
+        for level in self._levels[:1]:
+            level.smoother.renew()
 
     def __str__(self) -> str:
         return ", ".join(map(str, self._levels))
@@ -272,7 +279,13 @@ class Multigrid:
         """Makes the levels, with the rigid-body modes of the current places. Collective."""
         self.reset(pc)
         dim = self._problem.body.dim
-        A = PetscRows(pc.getOperators()[1], dim, dim, self._loops)
+        matrix = pc.getOperators()[1]
+        half = matrix.getPythonContext() if matrix.getType() == "python" else None
+        A: BlockRows = (
+            SymmetricRows(half)
+            if isinstance(half, SymmetricBlocks)
+            else PetscRows(matrix, dim, dim, self._loops)
+        )
         self._hierarchy = Hierarchy(A, self._linear, self._modes(), self._loops)
         give_back()  # what making them needed for the moment
         if not self._hierarchy.sane:
@@ -300,6 +313,7 @@ class Multigrid:
             y: The solution, which is written.
         """
         assert self._hierarchy is not None
+        self._hierarchy.renew()
         b = x.array_r.reshape(-1, self._problem.body.dim)
         y.array_w[:] = self._hierarchy.cycle(b).reshape(-1)
 

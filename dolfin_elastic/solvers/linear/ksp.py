@@ -187,6 +187,7 @@ class LinearSolver:
         if problem.num_dofs > LAST_DIRECT[problem.body.dim]:
             return False
         log.info("the iterative solver failed (%s): factorising", in_words(reason))
+        self._assembler.tangent.to_entries()
         self._options.update(factorising(problem.symmetric))
         with self._options.in_force(), self._options.input_errors():
             self.set_up()

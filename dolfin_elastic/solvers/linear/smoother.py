@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
 from dolfin_elastic.core.jit import CFunctions
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import FloatArray, SingleArray
-from dolfin_elastic.solvers.linear.block_rows import BlockRows
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray, SingleArray
+from dolfin_elastic.solvers.linear.block_rows import BlockRows, SymmetricRows
+
+Interpolation: TypeAlias = tuple[IntArray, IndexArray, SingleArray]
+"""Where rows begin, columns, and blocks in single precision."""
 
 DAMPING = 1.7
 """Step of block Jacobi, over the largest eigenvalue of D^-1 A."""
@@ -18,6 +22,9 @@ SAFETY = 1.05
 """Factor of that eigenvalue after `POWERS` steps of the power method."""
 
 POWERS = 12
+
+MORE_POWERS = 4
+"""The same from the vector of an earlier tangent."""
 
 
 @dataclass(frozen=True)
@@ -28,46 +35,52 @@ class Diagonal:
         inverse: Their inverses.
         sizes: Their Frobenius norms.
         largest: Estimated eigenvalue of D^-1 A.
+        vector: Of that eigenvalue, at owned nodes and ghosts, of any length.
     """
 
     inverse: FloatArray
     sizes: FloatArray
     largest: float
+    vector: FloatArray
 
 
-def diagonal_of(A: BlockRows, loops: CFunctions) -> Diagonal:
+def diagonal_of(A: BlockRows, loops: CFunctions, vector: FloatArray | None = None) -> Diagonal:
     """The diagonal of a matrix, which stays as it is. Collective.
 
     Args:
         A: The matrix.
         loops: Those of `block_loops`.
+        vector: That of a similar matrix, which is overwritten.
     """
-    blocks = np.zeros((A.rows, A.R, A.R))
-    for first, count, part in A.parts():
-        loops.call("take_diagonal", first, count, A.R, A.start, A.columns, part, blocks)
+    blocks = A.diagonal(loops)
     sizes = np.sqrt(np.einsum("irc,irc->i", blocks, blocks))
     loops.call("invert_blocks", A.R, A.rows, blocks)
-    return Diagonal(blocks, sizes, _largest(A, blocks, loops))
+    steps = MORE_POWERS
+    if vector is None:
+        steps, vector = POWERS, np.zeros((A.halo.size, A.R))
+        own = vector[: A.rows]
+        own[:] = np.random.default_rng(A.halo.first).normal(size=own.shape)
+    return Diagonal(blocks, sizes, _largest(A, blocks, loops, vector, steps), vector)
 
 
-def _largest(A: BlockRows, inverse: FloatArray, loops: CFunctions) -> float:
+def _largest(
+    A: BlockRows, inverse: FloatArray, loops: CFunctions, vector: FloatArray, steps: int
+) -> float:
     """Eigenvalue of D^-1 A by the power method. Collective.
 
     Args:
         A: The matrix.
         inverse: D^-1.
         loops: Those of `block_loops`.
+        vector: Where to start; the last one is left there.
+        steps: How many.
     """
-    halo = A.halo
-    everywhere = np.zeros((halo.size, A.R))
-    x = everywhere[: A.rows]
-    x[:] = np.random.default_rng(halo.first).normal(size=x.shape)
-    size = 1.0
-    for _ in range(POWERS):
+    x, size = vector[: A.rows], 1.0
+    for _ in range(steps):
         x /= size
-        halo.fill(everywhere)
-        np.einsum("irc,ic->ir", inverse, A.times(everywhere, loops), out=x)
-        size = float(np.sqrt(total(halo.comm, float(np.vdot(x, x)))))
+        A.halo.fill(vector)
+        np.einsum("irc,ic->ir", inverse, A.times(vector, loops), out=x)
+        size = float(np.sqrt(total(A.halo.comm, float(np.vdot(x, x)))))
     return SAFETY * size
 
 
@@ -81,30 +94,95 @@ class Smoother:
 
     Attributes:
         halo: Nodes that a rank's rows refer to.
-        matrix: First block, columns and blocks of each node's rows.
+        sizes: Rows of a block, and owned nodes.
         largest: Estimated eigenvalue of D^-1 A.
         x: The iterate, of owned and other nodes.
     """
 
     def __init__(self, A: BlockRows, loops: CFunctions, diagonal: Diagonal | None = None) -> None:
         self._loops, self.halo, self.sizes = loops, A.halo, (A.R, A.rows)
-        known = diagonal or diagonal_of(A, loops)
-        self.matrix = (A.start, A.columns, taken_in_single_precision(A, loops))
-        self.largest = known.largest
-        self._scaled = in_single_precision(known.inverse, loops)
-        self._scaled *= np.float32(DAMPING / self.largest)
+        self._scale(diagonal or diagonal_of(A, loops))
+        self._take(A)
         self.x, self._y = np.zeros((A.halo.size, A.R)), np.zeros((A.rows, A.R))
+
+    def _scale(self, diagonal: Diagonal) -> None:
+        self.largest, self._vector = diagonal.largest, diagonal.vector
+        self._scaled = in_single_precision(diagonal.inverse, self._loops)
+        self._scaled *= np.float32(DAMPING / self.largest)
+
+    def _take(self, A: BlockRows) -> None:
+        self._matrix = (A.start, A.columns, taken_in_single_precision(A, self._loops))
 
     def from_zero(self, b: FloatArray) -> None:
         """The first iterate, from zero. Collective."""
         self._loops.call("smooth_first", *self.sizes, self._scaled, b, self.x)
         self.halo.fill(self.x)
 
+    def restrict(self, b: FloatArray, P: Interpolation, coarse: FloatArray) -> None:
+        """Adds P^T (b - A x). Local.
+
+        Args:
+            b: Right-hand side, of owned nodes.
+            P: Interpolation.
+            coarse: At all coarse nodes here, is added to.
+        """
+        (R, n), C = self.sizes, coarse.shape[1]
+        self._loops.call("restrict_residual", R, C, n, *self._matrix, self.x, b, *P, coarse)
+
     def once_more(self, b: FloatArray) -> FloatArray:
         """The next iterate, of owned nodes; valid until the next call. Collective."""
         self.halo.fill(self.x)
-        self._loops.call("smooth", *self.sizes, *self.matrix, self._scaled, self.x, b, self._y)
+        self._loops.call("smooth", *self.sizes, *self._matrix, self._scaled, self.x, b, self._y)
         return self._y
+
+    def renew(self) -> None:
+        """Follows a matrix that is not its own; any other is kept as it was. Collective."""
+
+    def destroy(self) -> None:
+        """Frees PETSc's objects. Collective."""
+        self.halo.destroy()
+
+
+class SymmetricSmoother(Smoother):
+    """The same for a tangent by half of its blocks, which stays where it is. Collective to make.
+
+    So it smooths with the tangent of the moment, though coarser levels may be older: a cycle is
+    positive definite as long as its smoother converges for the matrix of the finest level.
+
+    Args:
+        A: The matrix.
+        loops: Those of `block_loops`.
+        diagonal: That of A, where it is known.
+    """
+
+    def _take(self, A: BlockRows) -> None:
+        assert isinstance(A, SymmetricRows)
+        self._half, self._version = A.half, A.half.version
+
+    def restrict(self, b: FloatArray, P: Interpolation, coarse: FloatArray) -> None:
+        """See `Smoother.restrict`."""
+        self._half.times(self.x, self._y, rounded=True)
+        np.subtract(b, self._y, out=self._y)
+        (R, n), C = self.sizes, coarse.shape[1]
+        self._loops.call("restrict_vector", R, C, n, *P, self._y, coarse)
+
+    def once_more(self, b: FloatArray) -> FloatArray:
+        """See `Smoother.once_more`."""
+        self.halo.fill(self.x)
+        self._half.times(self.x, self._y, rounded=True)
+        self._loops.call("correct", *self.sizes, self._scaled, self.x, b, self._y)
+        return self._y
+
+    def renew(self) -> None:
+        """See `Smoother.renew`."""
+        if self._version == self._half.version:
+            return
+        self._version = self._half.version
+        vector = self._vector if np.isfinite(self.largest) else None
+        self._scale(diagonal_of(SymmetricRows(self._half), self._loops, vector))
+
+    def destroy(self) -> None:
+        """See `Smoother.destroy`: the halo is the tangent's."""
 
 
 def in_single_precision(blocks: FloatArray, loops: CFunctions) -> SingleArray:

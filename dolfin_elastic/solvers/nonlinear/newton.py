@@ -144,7 +144,14 @@ class Newton:
 
     def fall_back(self) -> bool:
         """Goes to a more robust linear solver, if there is one. Collective."""
-        return self.linear.fall_back(self.result.reason)
+        return self._fall_back(self.result.reason)
+
+    def _fall_back(self, reason: str) -> bool:
+        found = self.linear.fall_back(reason)
+        if self._owns and self.bordered is None and self._matrix != self.assembler.tangent.matrix:
+            self._matrix = self.assembler.tangent.matrix  # of entries, to be factorised
+            self.snes.setJacobian(self._tangent, self._matrix)
+        return found
 
     def line_searches(self) -> tuple[str, ...]:
         """Line searches to try in turn, by PETSc's names.
@@ -351,9 +358,7 @@ class Newton:
         self.assembler.tangent.assemble(x, 0.0 if self._inertia is None else self._inertia.factor)
         x.destroy()
         self.take_tangent(self.assembler.tangent.matrix)
-        while self.ksp.getType() != saved["linear"] and self.linear.fall_back(
-            "before the checkpoint"
-        ):
+        while self.ksp.getType() != saved["linear"] and self._fall_back("before the checkpoint"):
             with self.options.in_force():
                 self.ksp.setFromOptions()
 

@@ -16,7 +16,7 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
 from dolfin_elastic.solvers.breakpoints import driven_by_formula
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_no_rigid_motion
-from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
+from dolfin_elastic.solvers.linear.choice import LinearSettings, choose, in_blocks
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
@@ -82,7 +82,7 @@ class Statics:
             log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
         log.info("%s", self.choice.why)
         with ExitStack() as owned:
-            assembler = Assembler(self.problem)
+            assembler = Assembler(self.problem, iterated=in_blocks(self.choice, self.petsc))
             owned.callback(assembler.destroy)
             if self.problem.mixed:
                 PressureLevel(self.problem).report()

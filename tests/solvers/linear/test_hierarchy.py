@@ -94,13 +94,19 @@ def difference(one: PETSc.Mat, other: PETSc.Mat) -> float:
     return float(one.norm() / size)
 
 
+@pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("dim", [2, 3])
-def test_blocks_and_products_are_those_of_petsc(dim: int) -> None:
-    """A itself and P^T A P, for aggregates and from linear to quadratic elements: to round-off."""
+def test_blocks_and_products_are_those_of_petsc(dim: int, symmetric: bool) -> None:
+    """A itself and P^T A P, for aggregates and from linear to quadratic elements: to round-off.
+
+    Of a symmetric matrix half of P^T A P is taken from the other half.
+    """
     problem = block(2, dim=dim, degree=2)
     kernels, space = loops(problem), problem.unknowns.linear_space()
     with tangent(problem) as matrix:
         A = from_petsc(matrix, dim, dim, kernels)
+        assert A.symmetric  # as PETSc was told
+        A.symmetric = symmetric
         same = to_petsc(A)
         assert difference(same, matrix) < 1e-15
         interpolation = constrained_interpolation(problem, space)

@@ -27,6 +27,7 @@ from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.linear import hierarchy
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.nonlinear.convergence import ConvergenceTest, Tolerance
 
@@ -35,9 +36,9 @@ FREE = "free"
 NH = NeoHookean(E=E, nu=NU)
 
 
-def block(law: Law, **more: Any) -> Problem:
+def block(law: Law, *, finer: int = 1, **more: Any) -> Problem:
     """A block that is pulled and sheared at its right end."""
-    body = rectangle_body(size=(1.0, 0.6), cells=(4, 3))
+    body = rectangle_body(size=(1.0, 0.6), cells=(4 * finer, 3 * finer))
     return Problem(
         body,
         law,
@@ -304,14 +305,20 @@ def test_what_petsc_refuses_inside_a_solve_is_one_message(case: str, motion: boo
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_a_factorisation_in_place_of_a_failed_solver_is_renewed(caplog):
-    """Falling back, Newton's method is as quick as with the direct solver from the start."""
+@pytest.mark.parametrize("options", [{"pc_gamg_threshold": 0.01}, {}], ids=["entries", "blocks"])
+def test_a_factorisation_in_place_of_a_failed_solver_is_renewed(options, caplog, monkeypatch):
+    """Falling back, Newton's method is as quick as with the direct solver from the start.
+
+    Also from a tangent by the half of its blocks, which nothing factorises.
+    """
     mumps, linear = LinearSettings(method="direct"), LinearSettings(method="iterative")
-    # GAMG: of a small body our own multigrid is an inverse, and done in one iteration.
-    way, failing = {"first_step": 0.25}, {"ksp_max_it": 1, "pc_gamg_threshold": 0.01}
-    direct = [s.newton for s in Statics(block(NH), linear=mumps, **way).steps()]
+    monkeypatch.setattr(hierarchy, "SMALL", 200)  # else an inverse, and done in one iteration
+    way, failing = {"first_step": 0.25}, {"ksp_max_it": 1, **options}
+    problem = block(NH, finer=4)
+    direct = [s.newton for s in Statics(problem, linear=mumps, **way).steps()]
+    problem = block(NH, finer=4)
     with caplog.at_level(logging.INFO, logger="dolfin_elastic"):
-        fallen = [s.newton for s in Statics(block(NH), linear=linear, petsc=failing, **way).steps()]
+        fallen = [s.newton for s in Statics(problem, linear=linear, petsc=failing, **way).steps()]
     assert fallen == direct
     if MPI.COMM_WORLD.rank == 0:
         assert any("factorising" in record.getMessage() for record in caplog.records)

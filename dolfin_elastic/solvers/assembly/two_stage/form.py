@@ -21,11 +21,12 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.jit import compile_c, compile_expression, compile_forms
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.weak_form import UNUSED
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, Conditions
+from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
 from dolfin_elastic.solvers.assembly.two_stage.kernel import DECLARATIONS, SOURCE
 
 BLOCK = 262144
@@ -72,7 +73,8 @@ def tangent_of_surroundings(problem: Problem) -> ufl.Form:
 def moduli(problem: Problem, region: MaterialRegion) -> Expr:
     """What `kernel` contracts with shape functions, times the measure's weight.
 
-    dP/dF of shape (dim, dim, dim, dim) [Pa]; where a pressure is unknown, too, it is followed in a
+    For each pair of components i and k of the displacement, i <= k where the tangent is symmetric,
+    dP_iJ/dF_kL of shape (dim, dim) [Pa]; where a pressure is unknown, too, these are followed in a
     row by dP/dp (dim, dim), dg/dF (dim, dim) unless the tangent is symmetric, and dg/dp, with the
     pressure's equation g = 0.  The unknown of the pressure is a length, see `Unknowns`.
 
@@ -86,10 +88,17 @@ def moduli(problem: Problem, region: MaterialRegion) -> Expr:
 
 
 def _of_displacement(problem: Problem, region: MaterialRegion) -> Expr:
-    weak_form, n = problem.weak_form, range(problem.body.dim)
+    weak_form = problem.weak_form
     F = ufl.variable(weak_form.F(problem.w))
     A = ufl.diff(weak_form.response(region, problem.w).stress(F), F)
-    return ufl.as_tensor([[[[A[i, J, k, L] for L in n] for k in n] for J in n] for i in n])
+    return ufl.as_vector(_in_a_row(problem, A))
+
+
+def _in_a_row(problem: Problem, A: Expr) -> list[Expr]:
+    """See `moduli`: of A = dP/dF."""
+    n = range(problem.body.dim)
+    pairs = [(i, k) for i in n for k in n if i <= k or not problem.symmetric]
+    return [A[i, J, k, L] for i, k in pairs for J in n for L in n]
 
 
 def _mixed(problem: Problem, region: MaterialRegion) -> Expr:
@@ -99,7 +108,7 @@ def _mixed(problem: Problem, region: MaterialRegion) -> Expr:
     p = ufl.variable(problem.unknowns.auxiliary("pressure", problem.w))
     P = weak_form.response(region, problem.w, pressure=p).stress(F)
     A = ufl.diff(P, F)
-    found = [A[i, J, k, L] for i in n for J in n for k in n for L in n]
+    found = _in_a_row(problem, A)
     if region.compliance is None:
         rows = 1 if problem.symmetric else 2
         found += [ufl.as_ufl(0.0)] * (rows * len(n) ** 2)
@@ -119,6 +128,9 @@ class TwoStageForm(BilinearForm):
     Args:
         problem: Whose tangent.
         rest: What it has beside that of the internal forces; may be empty.
+
+    Attributes:
+        is_of_moduli: There is nothing beside it, and the displacement is the only unknown.
     """
 
     def __init__(self, problem: Problem, rest: ufl.Form) -> None:
@@ -129,13 +141,14 @@ class TwoStageForm(BilinearForm):
         found = compile_forms(problem.body.comm, forms, problem.jit)
         super().__init__(found[0])
         self._rest = None if rest.empty() else found[1]
+        self.is_of_moduli = rest.empty() and W is problem.V
         self._terms = [_Term(problem, region) for region in problem.regions]
         self._nodes = _nodes(problem)
         corners = np.ascontiguousarray(mesh.geometry.dofmap, dtype=np.int32)
         self._elements = (corners, mesh.geometry.x, self._nodes)
         self._dim, self._displacements = problem.body.dim, problem.V.dofmap.list.shape[1]
         self._start: IntArray = np.empty(0, dtype=np.int64)
-        self._places: IntArray = np.empty(0, dtype=np.uint16)
+        self._places: IntArray = np.empty(0, dtype=np.uint16)  # of pairs of nodes, or of halves
 
     def assemble(self, matrix: la.MatrixCSR, bcs: Conditions) -> None:
         """See `BilinearForm.assemble`."""
@@ -145,7 +158,7 @@ class TwoStageForm(BilinearForm):
             cpp.fem.insert_diagonal(matrix._cpp_object, space, conditions, 1.0)
         else:
             fem.assemble_matrix(matrix, self._rest, list(bcs))
-        if not len(self._places):
+        if self._places.ndim != 3:
             self._find_places(matrix)
         fixed = _marked(bcs, len(self._start) - 1)
         places = (fixed, self._start, self._places, matrix.data)
@@ -153,6 +166,28 @@ class TwoStageForm(BilinearForm):
             for cells, values in term.blocks(term.cells):
                 arrays = (*self._elements, values, *term.tables, *places)
                 term.code.call("add_tangent", len(cells), cells, *arrays)
+
+    def assemble_half(self, blocks: SymmetricBlocks, bcs: Conditions) -> None:
+        """Assembles the tangent by the half of its blocks, where it `is_of_moduli`. Local.
+
+        Args:
+            blocks: Are overwritten; those of rows of other ranks are not yet sent there.
+            bcs: Whose rows and columns are left out.
+        """
+        n, far = blocks.halo.owned, blocks.far
+        pattern = (n, blocks.start, blocks.columns)
+        if self._places.ndim != 2:
+            pairs = self._displacements * (self._displacements + 1) // 2
+            self._places = np.zeros((len(self._nodes), pairs), dtype=np.uint16)
+            self._find("find_upper_places", *pattern)
+        blocks.clear()
+        fixed = _marked(bcs, self._dim * blocks.halo.size)
+        places = (fixed, self._places, n, blocks.start, blocks.high, blocks.low)
+        for term in self._terms:
+            for cells, values in term.blocks(term.cells):
+                arrays = (*self._elements, values, *term.tables, *places)
+                others = (far.start, far.columns, far.blocks)
+                term.code.call("add_half", len(cells), cells, *arrays, *others)
 
     def lift(self, out: FloatArray, bcs: Conditions, values: FloatArray, w: FloatArray) -> None:
         """See `BilinearForm.lift`."""
@@ -178,9 +213,12 @@ class TwoStageForm(BilinearForm):
         self._start = matrix.indptr.astype(np.int64)
         self._places = np.zeros((cells, nodes, nodes), dtype=np.uint16)
         columns = np.ascontiguousarray(matrix.indices, dtype=np.int32)
+        self._find("find_places", self._start, columns)
+
+    def _find(self, loop: str, *pattern: int | AnyArray) -> None:
         for term in self._terms:
-            where = (self._nodes, self._start, columns, self._places)
-            missing = term.code.call("find_places", len(term.cells), term.cells, *where)
+            where = (self._nodes, *pattern, self._places)
+            missing = term.code.call(loop, len(term.cells), term.cells, *where)
             if missing >= 0:
                 raise RuntimeError(f"the matrix has no place for the tangent of cell {missing}")
 

@@ -16,6 +16,8 @@ Analysis (2008), 8.6.
 
 from __future__ import annotations
 
+from dolfin_elastic.solvers.assembly.symmetric.loops import ADDING
+
 DECLARATIONS = """
 int64_t find_places(int64_t count, const int32_t* cells, const int32_t* nodes,
                     const int64_t* start, const int32_t* columns, uint16_t* places);
@@ -24,6 +26,14 @@ int64_t add_tangent(int64_t count, const int32_t* cells, const int32_t* corners,
                     const double* pressures, const double* geometry_tables, const double* weights,
                     const int8_t* fixed, const int64_t* start, const uint16_t* places,
                     double* values);
+int64_t find_upper_places(int64_t count, const int32_t* cells, const int32_t* nodes, int64_t owned,
+                    const int64_t* start, const int32_t* columns, uint16_t* places);
+int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
+                 const int32_t* nodes, const double* moduli, const double* tables,
+                 const double* pressures, const double* geometry_tables, const double* weights,
+                 const int8_t* fixed, const uint16_t* places, int64_t owned, const int64_t* start,
+                 float* high, float* low, const int64_t* far_start, const int32_t* far_columns,
+                 double* far_blocks);
 int64_t add_product(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
                     const int32_t* nodes, const double* moduli, const double* tables,
                     const double* pressures, const double* geometry_tables, const double* weights,
@@ -31,17 +41,22 @@ int64_t add_product(int64_t count, const int32_t* cells, const int32_t* corners,
 """
 
 # All sizes are known to the compiler, which unrolls and vectorises the innermost loops.
-SOURCE = r"""
+SOURCE = (
+    r"""
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
-
+"""
+    + ADDING
+    + r"""
 /* A cell's nodes are ND of the displacement, of DIM unknowns in a row each, and NP of the pressure.
    `nodes` has the first unknown of each. */
 #define NODES (ND + NP)
 #define SQUARE (DIM * DIM)
+#define UPPER (ND * (ND + 1) / 2)
 #define COUPLINGS (NP == 0 ? 0 : SYMMETRIC ? 1 : 2)
-#define MODULI (SQUARE * SQUARE + COUPLINGS * SQUARE + (NP > 0))
+#define STIFFNESSES (SYMMETRIC ? DIM * (DIM + 1) / 2 * SQUARE : SQUARE * SQUARE)
+#define MODULI (STIFFNESSES + COUPLINGS * SQUARE + (NP > 0))
 
 /* Place of node b's first column within the rows of node a, for all pairs of a cell's nodes.
    Columns are sorted within a row; the rows of a node have the same columns. */
@@ -122,12 +137,12 @@ static inline void add_stiffness(const double* restrict A, double g[DIM][NDP], d
                                  double K[DIM][DIM][ND][NDP])
 {
   for (int i = 0; i < DIM; i++)
-    for (int k = SYMMETRIC ? i : 0; k < DIM; k++)
+    for (int k = SYMMETRIC ? i : 0; k < DIM; k++, A += SQUARE)
     {
       double h[DIM][NDP];
       for (int J = 0; J < DIM; J++)
       {
-        const double* row = A + ((i * DIM + J) * DIM + k) * DIM;
+        const double* row = A + J * DIM;
         for (int b = 0; b < NDP; b++)
         {
           double sum = 0.0;
@@ -177,7 +192,7 @@ static inline void element(const int32_t* corners, const double* x, const double
   {
     const double volume = weights[q] * gradients(y, geometry_tables + q * NG * DIM,
                                                  tables + q * DIM * NDP, g);
-    const double *A = moduli + q * MODULI, *G = A + SQUARE * SQUARE;
+    const double *A = moduli + q * MODULI, *G = A + STIFFNESSES;
     const double *M = pressures + q * NP;
     add_stiffness(A, g, volume, T->K);
     if (NP == 0)
@@ -262,6 +277,86 @@ int64_t add_tangent(int64_t count, const int32_t* cells, const int32_t* corners,
   return 0;
 }
 
+/* Place of the block of nodes a <= b of a cell in the row of the lower one, where at least one is
+   owned; see `symmetric`. */
+int64_t find_upper_places(int64_t count, const int32_t* cells, const int32_t* nodes, int64_t owned,
+                          const int64_t* start, const int32_t* columns, uint16_t* places)
+{
+  for (int64_t n = 0; n < count; n++)
+  {
+    uint16_t* place = places + (int64_t)cells[n] * UPPER;
+    for (int a = 0; a < ND; a++)
+      for (int b = a; b < ND; b++, place++)
+      {
+        const int32_t* node = nodes + (int64_t)cells[n] * NODES;
+        const int32_t one = node[a] / DIM, two = node[b] / DIM;
+        const int32_t row = one < two ? one : two, column = one < two ? two : one;
+        if (row >= owned)
+          continue;
+        int64_t k = start[row];
+        while (k < start[row + 1] && columns[k] != column)
+          k++;
+        if (k == start[row + 1] || k - start[row] > UINT16_MAX)
+          return cells[n];
+        *place = (uint16_t)(k - start[row]);
+      }
+  }
+  return -1;
+}
+
+/* Adds the block of nodes a and b to the row of a ghost. */
+static void add_far(const struct tangent* T, int a, int b, int32_t row, int32_t column,
+                    const int64_t* far_start, const int32_t* far_columns, double* far_blocks)
+{
+  for (int64_t k = far_start[row]; k < far_start[row + 1]; k++)
+    if (far_columns[k] == column)
+      for (int i = 0; i < DIM; i++)
+        for (int j = 0; j < DIM; j++)
+          far_blocks[k * SQUARE + i * DIM + j] += T->K[i][j][a][b];
+}
+
+/* Adds half of a symmetric tangent: see `symmetric` for where its blocks stand. */
+int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
+                 const int32_t* nodes, const double* moduli, const double* tables,
+                 const double* pressures, const double* geometry_tables, const double* weights,
+                 const int8_t* fixed, const uint16_t* places, int64_t owned, const int64_t* start,
+                 float* high, float* low, const int64_t* far_start, const int32_t* far_columns,
+                 double* far_blocks)
+{
+  struct tangent T __attribute__((aligned(64)));
+  for (int64_t n = 0; n < count; n++)
+  {
+    const int64_t c = cells[n];
+    const int32_t* node = nodes + c * NODES;
+    const uint16_t* place = places + c * UPPER;
+    element(corners + c * NG, x, moduli + n * NQ * MODULI, tables, pressures, geometry_tables,
+            weights, &T);
+    drop_fixed(fixed, node, &T);
+    for (int a = 0; a < ND; a++)
+      for (int b = a; b < ND; b++, place++)
+      {
+        const int32_t one = node[a] / DIM, two = node[b] / DIM;
+        const int p = one < two ? a : b, q = one < two ? b : a;
+        const int32_t row = node[p] / DIM;
+        if (row < owned)
+        {
+          const int64_t k = (start[row] + *place) * SQUARE;
+          double block[SQUARE];
+          for (int j = 0; j < DIM; j++)
+            for (int i = 0; i < DIM; i++)
+              block[j * DIM + i] = T.K[i][j][p][q];
+          for (int e = 0; e < SQUARE; e++)
+            add_split(high + k + e, low + k + e, block[e]);
+        }
+        if (one >= owned)
+          add_far(&T, a, b, one - owned, two, far_start, far_columns, far_blocks);
+        if (two >= owned && a != b)
+          add_far(&T, b, a, two - owned, one, far_start, far_columns, far_blocks);
+      }
+  }
+  return 0;
+}
+
 int64_t add_product(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
                     const int32_t* nodes, const double* moduli, const double* tables,
                     const double* pressures, const double* geometry_tables, const double* weights,
@@ -299,3 +394,4 @@ int64_t add_product(int64_t count, const int32_t* cells, const int32_t* corners,
   return 0;
 }
 """
+)

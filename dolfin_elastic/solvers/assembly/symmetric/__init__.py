@@ -1,0 +1,1 @@
+"""A symmetric tangent by the half of its blocks."""

@@ -1,0 +1,240 @@
+"""A symmetric tangent by the half of its blocks, as a matrix of PETSc.
+
+An AIJ matrix has 12 bytes for each entry, and multigrid a copy of it in single precision.  Half of
+the blocks, each entry as two numbers of single precision, of which the smoother reads the first
+alone, take 4 bytes an entry for both.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from dolfinx import fem
+from petsc4py import PETSc
+
+from dolfin_elastic.core.jit import CFunctions, compile_c
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray, SingleArray
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.symmetric.loops import DECLARATIONS, SOURCE
+from dolfin_elastic.solvers.petsc.halo import Halo, RowsOfOthers
+
+
+class SymmetricBlocks:
+    """The blocks, and what PETSc calls of a matrix of type "python". Collective to make.
+
+    Args:
+        problem: Whose displacement is the only unknown.
+        form: Compiled bilinear form, for its sparsity.
+
+    Attributes:
+        halo: Nodes of a rank's rows and columns.
+        dim: Rows of a block.
+        start: Where each owned node's row begins, and the last one ends.
+        columns: Local number of the node of each block; see `loops` for which are there.
+        high: The blocks in single precision, column by column, and room for one entry more.
+        low: What they lack.
+        version: Grows with each change.
+    """
+
+    def __init__(self, problem: Problem, form: fem.Form) -> None:
+        self.dim, self.version = problem.body.dim, 0
+        self.loops: CFunctions = compile_c(
+            problem.body.comm, DECLARATIONS, SOURCE, {"DIM": self.dim}, problem.jit
+        )
+        pattern = fem.create_sparsity_pattern(form)
+        pattern.finalize()
+        columns, offsets = pattern.graph
+        nodes = pattern.column_index_map()
+        n = nodes.size_local
+        self.halo = Halo(problem.body.comm, n, np.asarray(nodes.ghosts, dtype=np.int64))
+        row = np.repeat(np.arange(n, dtype=np.int32), np.diff(offsets[: n + 1]))
+        kept = columns[: len(row)] >= row
+        self.columns: IndexArray = columns[: len(row)][kept]
+        self.start: IntArray = np.append(0, np.cumsum(np.bincount(row[kept], minlength=n)))
+        size = len(self.columns) * self.dim**2
+        self.high: SingleArray = np.zeros(size + 1, dtype=np.float32)
+        self.low: SingleArray = np.zeros(size + 1, dtype=np.float32)
+        ghosts = offsets[n:]
+        self.far = FarRows(self, ghosts - ghosts[0], columns[ghosts[0] :].copy())
+        self._x = np.zeros((self.halo.size, self.dim)) if self.halo.comm.size > 1 else None
+
+    def clear(self) -> None:
+        """All blocks become zero. Local."""
+        self.high[:] = 0.0
+        self.low[:] = 0.0
+        self.far.blocks[:] = 0.0
+
+    def assembled(self, prescribed: IndexArray) -> None:
+        """Adds what other ranks have for rows of this one; what was kept is out of date.
+
+        Collective.
+
+        Args:
+            prescribed: Owned entries whose diagonal is one.
+        """
+        self.far.collect()
+        ones = np.ones(len(prescribed))
+        self.loops.call(
+            *("put_diagonal", len(prescribed), prescribed, ones, self.start, self.high, self.low)
+        )
+        self.version += 1
+
+    def times(self, x: FloatArray, y: FloatArray, *, rounded: bool = False) -> None:
+        """y = A x. Local.
+
+        Args:
+            x: At owned nodes and ghosts.
+            y: At owned nodes.
+            rounded: Of the blocks in single precision.
+        """
+        rows = (self.halo.owned, self.start, self.columns, self.high)
+        if rounded:
+            self.loops.call("rounded_product", *rows, x, y)
+        else:
+            self.loops.call("product", *rows, self.low, x, y)
+
+    def diagonal_blocks(self) -> FloatArray:
+        """The first block of each row, shape (nodes, R, R). Local."""
+        first, shape = self.start[:-1], (-1, self.dim, self.dim)
+        high, low = (x[:-1].reshape(shape)[first] for x in (self.high, self.low))
+        return np.add(high, low, dtype=np.float64)
+
+    def aij(self) -> PETSc.Mat:
+        """The same as an AIJ matrix, which the caller destroys. Collective."""
+        dim, n, halo = self.dim, self.halo.owned, self.halo
+        start, columns, source = self.in_full()
+        blocks = np.empty((start[-1], dim, dim))
+        arrays = (start, columns, source, self.high, self.low, blocks)
+        self.loops.call("rows_in_full", 0, n, *arrays)
+        row = np.repeat(np.arange(n), np.diff(start))
+        order = np.lexsort((halo.globally(columns), row))
+        begins = np.zeros((n, dim), dtype=np.int64)
+        begins[:] = dim * dim * start[:-1, None] + dim * np.diff(start)[:, None] * np.arange(dim)
+        numbers = halo.globally(columns)[order, None] * dim + np.arange(dim)
+        entries, places = np.empty(blocks.size), np.empty(blocks.size, dtype=PETSc.IntType)
+        within = dim * (np.arange(len(columns)) - start[row])
+        for r in range(dim):
+            at = (begins[row, r] + within)[:, None] + np.arange(dim)
+            places[at], entries[at] = numbers, blocks[order, r]
+        rows = np.append(begins.reshape(-1), blocks.size).astype(PETSc.IntType)
+        sizes = ((n * dim, None),) * 2
+        matrix = PETSc.Mat().createAIJ(
+            sizes, bsize=dim, comm=halo.comm, csr=(rows, places, entries)
+        )
+        matrix.assemble()
+        return matrix
+
+    def in_full(self) -> tuple[IntArray, IndexArray, IndexArray]:
+        """Where rows of all blocks begin, their columns, and where each block stands. Local."""
+        n = self.halo.owned
+        start = np.empty(n + 1, dtype=np.int64)
+        self.loops.call("count_in_full", n, self.start, self.columns, start)
+        columns, source = (np.empty(start[-1], dtype=np.int32) for _ in range(2))
+        room = np.empty(n, dtype=np.int64)
+        arrays = (self.start, self.columns, start, room, columns, source)
+        self.loops.call("columns_in_full", n, *arrays)
+        return start, columns, source
+
+    # --- what PETSc calls ---
+
+    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """y = A x. Collective.
+
+        Args:
+            matrix: PETSc's.
+            x: A vector.
+            y: The product, which is written.
+        """
+        values = x.array_r
+        if self._x is not None:
+            self._x[: self.halo.owned] = values.reshape(-1, self.dim)
+            self.halo.fill(self._x)
+            values = self._x
+        self.times(values, y.array_w)
+
+    def multTranspose(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """See `mult`: the matrix is symmetric. Collective."""
+        self.mult(matrix, x, y)
+
+    def getDiagonal(self, matrix: PETSc.Mat, diagonal: PETSc.Vec) -> None:
+        """Entries of the diagonal. Not collective.
+
+        Args:
+            matrix: PETSc's.
+            diagonal: Is written.
+        """
+        arrays = (self.start, self.high, self.low, diagonal.array_w)
+        self.loops.call("take_diagonal", self.halo.owned, *arrays)
+
+    def setDiagonal(self, matrix: PETSc.Mat, diagonal: PETSc.Vec, mode: object = None) -> None:
+        """Overwrites the diagonal. Not collective.
+
+        Args:
+            matrix: PETSc's.
+            diagonal: Its entries.
+            mode: PETSc's, which always overwrites.
+        """
+        entries = np.arange(self.dim * self.halo.owned, dtype=np.int32)
+        arrays = (entries, diagonal.array_r, self.start, self.high, self.low)
+        self.loops.call("put_diagonal", len(entries), *arrays)
+        self.version += 1
+
+    def destroy(self, matrix: PETSc.Mat) -> None:
+        """Frees PETSc's objects. Collective."""
+        self.far.destroy()
+        self.halo.destroy()
+
+
+class FarRows:
+    """What this rank has for rows of other ranks. Collective to make.
+
+    Args:
+        of: The matrix.
+        start: Where the row of each ghost begins, and the last one ends.
+        columns: Local number of the node of each block.
+
+    Attributes:
+        start: As given.
+        columns: As given.
+        blocks: Shape (blocks, R, R), row by row.
+    """
+
+    def __init__(self, of: SymmetricBlocks, start: IntArray, columns: IndexArray) -> None:
+        self._of, self.start, self.columns = of, start, columns
+        self.blocks = np.zeros((len(columns), of.dim, of.dim))
+        halo = of.halo
+        without = np.zeros(halo.size + 1, dtype=np.int64)  # those of owned nodes
+        without[halo.owned : halo.owned + len(start)] = start
+        without[halo.owned + len(start) :] = start[-1]
+        self._exchange = RowsOfOthers(halo, without)
+        self._places = self._found(self._exchange.bring(halo.globally(columns)))
+
+    def _found(self, columns: IntArray) -> IntArray:
+        """Where blocks of owned rows stand; -1 where only the other half is there.
+
+        Args:
+            columns: Global number of the node of each.
+        """
+        of, halo = self._of, self._of.halo
+        nodes = np.repeat(self._exchange.nodes, np.diff(self._exchange.start)).astype(np.int64)
+        order = np.argsort(halo.ghosts)
+        own = (columns >= halo.first) & (columns < halo.first + halo.owned)
+        among = np.searchsorted(halo.ghosts[order], np.where(own, 0, columns))
+        local = np.where(own, columns - halo.first, 0)
+        if len(order):
+            local = np.where(own, local, halo.owned + order[np.minimum(among, len(order) - 1)])
+        row = np.repeat(np.arange(halo.owned), np.diff(of.start))
+        key, wanted = row * halo.size + of.columns, nodes * halo.size + local
+        found = np.searchsorted(key, wanted)
+        here = key[np.minimum(found, len(key) - 1)] == wanted if len(key) else found < 0
+        if not (here | (own & (local < nodes))).all():
+            raise RuntimeError("the matrix has no place for a block of another rank")
+        return np.where(here, found, -1).astype(np.int64)
+
+    def collect(self) -> None:
+        """Adds the blocks to the rows of their owners. Collective."""
+        of, blocks = self._of, self._exchange.bring(self.blocks)
+        of.loops.call("add_blocks", len(blocks), self._places, blocks, of.high, of.low)
+
+    def destroy(self) -> None:
+        """Frees PETSc's object. Collective."""
+        self._exchange.destroy()
