@@ -462,6 +462,7 @@ def _close(writers: Iterable[Writer], ending: tuple[str, object]) -> None:
         ending: Status and cause. An error of closing is raised only if the run itself had none.
     """
     fault: OutputError | None = None
+    give_back()  # what the solver held
     for writer in writers:
         try:
             writer.close(*ending)

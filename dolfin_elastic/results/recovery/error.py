@@ -213,13 +213,12 @@ class _RegionError:
 
     def __call__(self) -> _Found:
         """The error of the state that is in the unknowns."""
-        patches, samples = self.part.patches, self.part.samples()
-        fitted = patches.fit(samples)
+        patches, fitted = self.part.patches, self.part.fitted()
         sums = np.empty((len(self.part.cells), 4))
         recovered, difference = (NodalMeans(self._V, 6) for _ in range(2))
         for part in self.part.chunks():
             at_nodes = patches.at_nodes(fitted, part)
-            raw = self.part.raw(part, samples)
+            raw = self.part.raw(part)
             sums[part], off = patches.errors(part, self._rule, at_nodes, raw)
             difference.add(patches, part, off)
             recovered.add(patches, part, np.ascontiguousarray(at_nodes[..., :6]))
@@ -241,11 +240,12 @@ class _RegionError:
         Args:
             squares: Integral of its square over each cell, and volume of the cell.
         """
-        sums = self.part.patches.sums(squares)
-        corners = np.sqrt(_LARGEST * sums[..., 0] / sums[..., 1])
-        values = np.concatenate([corners, corners[:, self._edges].max(axis=2)], axis=1)
-        means = NodalMeans(self._V, 1)
-        means.add(self.part.patches, slice(0, len(values)), values[..., None])
+        found, means = self.part.patches.sums(squares), NodalMeans(self._V, 1)
+        for part in self.part.chunks():
+            sums = found(part)
+            corners = np.sqrt(_LARGEST * sums[..., 0] / sums[..., 1])
+            values = np.concatenate([corners, corners[:, self._edges].max(axis=2)], axis=1)
+            means.add(self.part.patches, part, values[..., None])
         return means.owned()[:, 0]
 
 

@@ -32,19 +32,23 @@ _WEAKEST = 0.95
 _FACES: tuple[Face, Face, Face] = ("free", "held", "roller")
 
 
-def material_corners(problem: Problem, facets: FloatArray, alike: FloatArray) -> BoolArray:
+def material_corners(
+    problem: Problem, facets: FloatArray, whole: FloatArray, some: FloatArray
+) -> BoolArray:
     """Local edges of the mesh (vertices in the plane) that are singular so. Collective.
 
     Args:
         problem: The problem that is solved.
         facets: Number of boundary facets at each of them.
-        alike: Which of these are free, held, or held in some directions, shape (edges, 3).
+        whole: Which of these are held.
+        some: Which are held in some directions.
     """
     singular = np.zeros(len(facets), dtype=bool)
     if len(problem.regions) < 2:
         return singular
     angles = np.round(_angles(problem, len(facets)) / _STEP).astype(int)
-    whole, straight = round(2 * np.pi / _STEP), round(np.pi / _STEP)
+    alike = np.column_stack([facets - whole - some, whole, some])
+    around, straight = round(2 * np.pi / _STEP), round(np.pi / _STEP)
     margin = round(_MARGIN / _STEP)
     chosen = np.flatnonzero(((angles > 0).sum(axis=1) == 2) & ((facets == 2) | (facets == 0)))
     face = np.where(facets == 0, -1, np.where(alike.max(axis=1) == 2, alike.argmax(axis=1), -2))
@@ -53,7 +57,7 @@ def material_corners(problem: Problem, facets: FloatArray, alike: FloatArray) ->
         regions = np.flatnonzero(key[1:])
         sizes = key[1:][regions]
         inside = key[0] == -1
-        bent = np.abs(sizes - straight).max() > margin and abs(sizes.sum() - whole) <= margin
+        bent = np.abs(sizes - straight).max() > margin and abs(sizes.sum() - around) <= margin
         if key[0] == -2 or (inside and not bent):
             continue
         wedges = [_wedge(problem, r, float(s * _STEP)) for r, s in zip(regions, sizes, strict=True)]

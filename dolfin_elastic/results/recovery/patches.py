@@ -175,26 +175,29 @@ class Patches:
         right = self._over_ranks(sums).reshape(-1, size, width)
         if not total(self._mesh.comm, float(right.any())):
             return right
-        fitted = np.asarray(self._solve @ right)
-        del sums, right  # which are as large
+        del sums
+        for first in range(0, len(right), _CHUNK):  # in place: both would be large
+            some = slice(first, first + _CHUNK)
+            right[some] = self._solve[some] @ right[some]
         for extrapolation in self._rounds:
-            self._extrapolate(fitted, extrapolation)
-        return fitted
+            self._extrapolate(right, extrapolation)
+        return right
 
-    def sums(self, values: FloatArray) -> FloatArray:
+    def sums(self, values: FloatArray) -> Callable[[slice], FloatArray]:
         """Sums of values of cells over the patches of their corners. Collective.
 
         Args:
             values: Shape (cells, columns).
 
         Returns:
-            Shape (cells, corners, columns).
+            Those of one of `parts`, shape (cells, corners, columns). Local.
         """
         table = np.zeros((len(self._used), values.shape[1]))
         for column, row in enumerate(values.T):
-            shares = np.repeat(row, self._dim + 1)
-            table[:, column] = np.bincount(self._corners.ravel(), shares, len(table))
-        return self._over_ranks(table)[self._corners]
+            for corners in self._corners.T:
+                table[:, column] += np.bincount(corners, row, len(table))
+        summed = self._over_ranks(table)
+        return lambda part: np.asarray(summed[self._corners[part]])
 
     def add_at_nodes(
         self, cells: slice, nodes: IndexArray, values: FloatArray, sums: FloatArray

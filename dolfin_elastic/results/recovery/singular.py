@@ -105,10 +105,11 @@ def singular_places(problem: Problem) -> SingularPlaces:
         *(f"the edge of the contact '{pair.label}'" for pair in pairs),
     ]
     sums = _sums_at_ridges(problem, held, labels)
-    rims = _classify(sums, problem, (len(labels), len(pairs)))
     (count, whole, some) = sums[:, 6:9].T
-    alike = np.column_stack([count - whole - some, whole, some])
-    singular = np.column_stack([material_corners(problem, count, alike), rims])
+    singular = np.zeros((len(sums), 2 + len(labels) + len(pairs)), dtype=bool)
+    singular[:, 0] = material_corners(problem, count, whole, some)
+    outside = np.flatnonzero(count > 0)
+    singular[outside, 1:] = _classify(sums[outside], problem, (len(labels), len(pairs)))
     V = problem.V
     marks = la.vector(V.dofmap.index_map, len(reasons))
     table = marks.array.reshape(-1, len(reasons))
@@ -219,7 +220,8 @@ def _sums_at_ridges(
             number = numbers[ridge[0], ridge[-1]] if dim == 3 else ridge[0]
             ridges.append(around[cells[rows], number])
             values.append(np.concatenate([frames, facts[rows]], axis=1))
-    table += sums_by_row(np.concatenate(ridges), np.concatenate(values), len(table))
+    touched, rows = np.unique(np.concatenate(ridges), return_inverse=True)
+    table[touched] = sums_by_row(rows, np.concatenate(values), len(touched))
     work.scatter_reverse(la.InsertMode.add)
     work.scatter_forward()
     assert body.dim == dim

@@ -219,11 +219,15 @@ class RegionStress:
             other values are NaN.
         """
         if fitted is None:
-            fitted = self.patches.fit_parts(self._width, self._sampled)
+            fitted = self.fitted()
         means = NodalMeans(self._problem.V, fitted.shape[2])
         for part in self.patches.parts():
             means.add(self.patches, part, self.patches.at_nodes(fitted, part))
         return means.owned()
+
+    def fitted(self) -> FloatArray:
+        """Polynomials of the stress of the state, see `Patches.fit`. Collective."""
+        return self.patches.fit_parts(self._width, self._sampled)
 
     def samples(self) -> FloatArray:
         """Values of the finite element solution at the sampling points. Not collective."""
@@ -252,15 +256,12 @@ class RegionStress:
         rows = raw.first + raw.step * np.arange(self._points)
         return np.asarray(raw.values[:, rows])
 
-    def raw(self, part: slice, samples: FloatArray | None = None) -> RawValues:
+    def raw(self, part: slice) -> RawValues:
         """As `at_points`; where they are the same at all points of a cell, once. Not collective.
 
         Args:
             part: One of `chunks`.
-            samples: Values at the sampling points, if they are known.
         """
-        if self._constant and samples is not None:
-            return RawValues(samples[part], 0, 0)
         values = self._evaluated(part)
         return RawValues(values, 0, 0) if self._constant else RawValues(values, self._samples, 1)
 

@@ -6,13 +6,11 @@ M. Adams, M. Brezina, J. Hu and R. Tuminaro, J. Comput. Phys. 188 (2003) 593, fo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from dolfin_elastic.core.jit import CFunctions
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
-from dolfin_elastic.solvers.linear.block_rows import BlockRows
+from dolfin_elastic.solvers.linear.block_rows import BlockRows, HalfRows
 from dolfin_elastic.solvers.linear.smoother import Diagonal
 from dolfin_elastic.solvers.petsc.halo import Halo
 
@@ -27,32 +25,18 @@ FLAT = 0.03
 good as lie on a line."""
 
 
-@dataclass(frozen=True)
-class Coarse:
-    """The next coarser level.
-
-    Attributes:
-        P: Interpolation from it.
-        A: Its matrix P^T A P.
-        modes: Its rigid-body modes, of shape (nodes, modes, modes).
-    """
-
-    P: BlockRows
-    A: BlockRows
-    modes: FloatArray
-
-
-def coarsen(
+def smoothed_interpolation(
     A: BlockRows,
     modes: FloatArray,
     diagonal: Diagonal,
     *,
     threshold: float,
     loops: CFunctions,
-) -> Coarse:
-    """Aggregates nodes that are strongly connected, and makes their rigid-body modes unknowns.
+) -> tuple[BlockRows, FloatArray]:
+    """Interpolation from the next coarser level, and its rigid-body modes. Collective.
 
-    Collective.  Aggregates end at the boundaries of ranks; smoothing crosses them.
+    Nodes that are strongly connected are aggregated, and the rigid-body modes of an aggregate are
+    unknowns.  Aggregates end at the boundaries of ranks; smoothing crosses them.
 
     Args:
         A: The matrix.
@@ -60,24 +44,9 @@ def coarsen(
         diagonal: That of A.
         threshold: |A_ij| / sqrt(|A_ii| |A_jj|) of a strong connection.
         loops: Those of `block_loops`.
-    """
-    P, factors = _smoothed(A, modes, diagonal, threshold, loops)
-    return Coarse(P, galerkin(A, P, loops), factors)
 
-
-def _smoothed(
-    A: BlockRows, modes: FloatArray, diagonal: Diagonal, threshold: float, loops: CFunctions
-) -> tuple[BlockRows, FloatArray]:
-    """Interpolation from the next coarser level, and its modes. Collective.
-
-    What it needs is freed with it, before the product that takes most memory.
-
-    Args:
-        A: See `coarsen`, as all others.
-        modes: Of owned nodes.
-        diagonal: That of A.
-        threshold: Of a strong connection.
-        loops: Those of `block_loops`.
+    Returns:
+        P, whose coarse matrix `galerkin` makes, and modes of shape (nodes, modes, modes).
     """
     n, R, C, halo = A.rows, A.R, modes.shape[2], A.halo
     strong, limit = np.empty(len(A.columns), dtype=np.float32), np.array([threshold])
@@ -169,24 +138,22 @@ def galerkin(A: BlockRows, P: BlockRows, loops: CFunctions) -> BlockRows:
     most = int(np.diff(W[0]).max(initial=0))
     rows = np.repeat(np.arange(m), np.diff(A_start))
     A_columns = A_columns[np.lexsort((A_columns, rows))]
+    side = coarse.owners(numbers) if A.symmetric else np.arange(size)
+    if A.symmetric:
+        kept = (side[rows] != side[A_columns]) | (numbers[rows] <= numbers[A_columns])
+        A_columns = A_columns[kept]
+        A_start = np.concatenate([[0], np.cumsum(np.bincount(rows[kept], minlength=m))])
     del W, transposed, rows  # the blocks are about to take most memory
     A_blocks = np.zeros((len(A_columns), C, C))
     place = np.full(size, -1, dtype=np.int32)
     work = (place, np.empty(most, dtype=np.int32), np.empty((most, R, LANES)))
-    side = coarse.owners(numbers) if A.symmetric else np.arange(size)
     for first, count, part in A.parts():
         loops.call(
             *("galerkin", R, C, first, count, A.start, A.columns, part, start, columns, blocks),
             *(A_start, A_columns, A_blocks, side, numbers, *work),
         )
-    result = _summed(coarse, A_start, numbers[A_columns], A_blocks)
-    if A.symmetric:
-        room = np.empty(result.rows, dtype=np.int64)
-        arrays = (result.start, result.columns, room, result.blocks)
-        if loops.call("mirror", C, result.rows, *arrays) < 0:
-            raise RuntimeError("the rows of a symmetric matrix do not fit its columns")
-        result.symmetric = True
-    return result
+    found = _summed(coarse, A_start, numbers[A_columns], A_blocks)
+    return HalfRows(*found, loops) if A.symmetric else BlockRows(*found)
 
 
 def _product_pattern(
@@ -240,7 +207,9 @@ def _transposed(start: IntArray, columns: IndexArray, size: int) -> tuple[IntArr
     return begins.astype(np.int64), rows[np.argsort(columns, kind="stable")]
 
 
-def _summed(halo: Halo, start: IntArray, columns: IntArray, blocks: FloatArray) -> BlockRows:
+def _summed(
+    halo: Halo, start: IntArray, columns: IntArray, blocks: FloatArray
+) -> tuple[IntArray, IndexArray, FloatArray, Halo]:
     """Adds the parts of rows that several ranks have. Collective.
 
     Args:
@@ -248,6 +217,9 @@ def _summed(halo: Halo, start: IntArray, columns: IntArray, blocks: FloatArray) 
         start: Where their rows begin, and the last one ends.
         columns: Global column of each block.
         blocks: Shape (blocks, C, C).
+
+    Returns:
+        Where rows begin, local columns, blocks, and the nodes.
     """
     owned = halo.owned
     rows = np.repeat(np.arange(owned, dtype=np.int32), np.diff(start[: owned + 1]))
@@ -268,4 +240,4 @@ def _summed(halo: Halo, start: IntArray, columns: IntArray, blocks: FloatArray) 
     own = (columns >= halo.first) & (columns < halo.first + owned)
     result = Halo(halo.comm, owned, np.unique(columns[~own]))
     begins = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=owned))]).astype(np.int64)
-    return BlockRows(begins, result.local(columns), blocks, result)
+    return begins, result.local(columns), blocks, result

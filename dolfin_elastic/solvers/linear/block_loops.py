@@ -7,7 +7,11 @@ precision, which halves what is read from memory, and vectors double.
 
 from __future__ import annotations
 
-DECLARATIONS = """
+from dolfin_elastic.solvers.assembly.symmetric.loops import HALVES, HALVES_DECLARATIONS
+
+DECLARATIONS = (
+    HALVES_DECLARATIONS
+    + """
 int64_t count_blocks(int64_t n, int64_t R, const int64_t* start, const int32_t* columns,
         const int64_t* far_start, const int32_t* far_columns, const int32_t* node,
         const int32_t* far_node, int32_t* mark, int64_t* block_start);
@@ -43,8 +47,6 @@ int64_t galerkin(int64_t R, int64_t C, int64_t first, int64_t n, const int64_t* 
         const int32_t* p_columns, const double* p_blocks, const int64_t* c_start,
         const int32_t* c_columns, double* coarse, const int64_t* side, const int64_t* numbers,
         int32_t* place, int32_t* list, double* w);
-int64_t mirror(int64_t C, int64_t n, const int64_t* start, const int32_t* columns, int64_t* next,
-        double* blocks);
 int64_t in_single_precision(int64_t count, int64_t R, int64_t C, const double* blocks,
         float* out);
 int64_t into_single_precision(int64_t count, int64_t R, int64_t C, double* blocks);
@@ -62,17 +64,23 @@ int64_t restrict_vector(int64_t R, int64_t C, int64_t n, const int64_t* p_start,
         const int32_t* p_columns, const float* p, const double* r, double* coarse);
 int64_t prolong(int64_t R, int64_t C, int64_t n, const int64_t* p_start, const int32_t* p_columns,
         const float* p, const double* e, double* x);
+int64_t rows_of_half(int64_t R, int64_t first, int64_t count, const int64_t* full,
+        const int32_t* full_columns, const int32_t* source, const double* half, double* blocks);
+int64_t product_of_half(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
+        const double* half, const double* x, double* y);
+int64_t rounded_product_of_half(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
+        const float* half, const double* x, double* y);
 """
+)
 
-SOURCE = r"""
+SOURCE = (
+    r"""
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
-
-#define INLINE static inline __attribute__((always_inline))
-
-typedef float float4 __attribute__((vector_size(16), aligned(4)));
-typedef double double4 __attribute__((vector_size(32), aligned(8)));
+"""
+    + HALVES
+    + r"""
 
 /* Sizes of blocks are constants of the inlined functions. */
 #define DISPATCH(R, C, f, ...)                                                                     \
@@ -658,29 +666,6 @@ int64_t galerkin(int64_t R, int64_t C, int64_t first, int64_t n, const int64_t* 
   return 0;
 }
 
-/* Blocks between owned nodes below the diagonal, from those above; `next` is room for n. */
-int64_t mirror(int64_t C, int64_t n, const int64_t* start, const int32_t* columns, int64_t* next,
-               double* blocks)
-{
-  for (int64_t i = 0; i < n; i++)
-    for (next[i] = start[i]; next[i] < start[i + 1] && columns[next[i]] >= n;)
-      next[i]++;
-  for (int64_t i = 0; i < n; i++)
-    for (int64_t k = start[i]; k < start[i + 1]; k++)
-    {
-      const int32_t j = columns[k];
-      if (j <= i || j >= n)
-        continue;
-      const int64_t e = next[j]++;
-      if (e == start[j + 1] || columns[e] != i)
-        return -1;
-      for (int64_t r = 0; r < C; r++)
-        for (int64_t c = 0; c < C; c++)
-          blocks[(e * C + c) * C + r] = blocks[(k * C + r) * C + c];
-    }
-  return 0;
-}
-
 /* y = A x */
 INLINE void product_(const int R, const int C, int64_t n, const int64_t* start,
                      const int32_t* columns, const double* blocks, const double* x, double* y)
@@ -924,4 +909,147 @@ int64_t prolong(int64_t R, int64_t C, int64_t n, const int64_t* p_start, const i
   DISPATCH(R, C, prolong_, n, p_start, p_columns, p, e, x);
   return 0;
 }
+
+/* The blocks of some rows of a matrix by the half of its blocks, see `symmetric.loops`. */
+int64_t rows_of_half(int64_t R, int64_t first, int64_t count, const int64_t* full,
+                     const int32_t* full_columns, const int32_t* source, const double* half,
+                     double* blocks)
+{
+  for (int64_t i = first; i < first + count; i++)
+    for (int64_t p = full[i]; p < full[i + 1]; p++, blocks += R * R)
+    {
+      const double* a = half + (int64_t)source[p] * R * R;
+      if (full_columns[p] >= i)
+        memcpy(blocks, a, sizeof(double) * R * R);
+      else
+        for (int64_t r = 0; r < R; r++)
+          for (int64_t c = 0; c < R; c++)
+            blocks[r * R + c] = a[c * R + r];
+    }
+  return 0;
+}
+
+/* y = A x with blocks in double precision, row by row. */
+INLINE void product_of_half_(const int R, const int C, int64_t n, const int64_t* start,
+                             const int32_t* columns, const double* half, const double* x,
+                             double* y)
+{
+  (void)C;
+  memset(y, 0, sizeof(double) * R * n);
+  for (int64_t i = 0; i < n; i++)
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+    {
+      const int64_t j = columns[k];
+      const double* a = half + k * R * R;
+      double t[R];
+      for (int c = 0; c < R; c++)
+        t[c] = 0.0;
+      for (int r = 0; r < R; r++)
+      {
+        double s = 0.0;
+        for (int c = 0; c < R; c++)
+        {
+          s += a[r * R + c] * x[j * R + c];
+          t[c] += a[r * R + c] * x[i * R + r];
+        }
+        y[i * R + r] += s;
+      }
+      if (j > i && j < n)
+        for (int c = 0; c < R; c++)
+          y[j * R + c] += t[c];
+    }
+}
+int64_t product_of_half(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
+                        const double* half, const double* x, double* y)
+{
+  DISPATCH(R, R, product_of_half_, n, start, columns, half, x, y);
+  return 0;
+}
+
+typedef float float8 __attribute__((vector_size(32), aligned(4)));
+
+/* Sums of the entries of each of six. */
+INLINE lanes8 sums_of_six(const lanes8* p)
+{
+  const lanes8 none = {0.0};
+  const integers8 even = {0, 8, 2, 10, 4, 12, 6, 14}, odd = {1, 9, 3, 11, 5, 13, 7, 15};
+  const integers8 first = {0, 1, 8, 9, 4, 5, 12, 13}, second = {2, 3, 10, 11, 6, 7, 14, 15};
+  const integers8 below = {0, 1, 2, 3, 8, 9, 10, 11}, above = {4, 5, 6, 7, 12, 13, 14, 15};
+  const lanes8 a = __builtin_shuffle(p[0], p[1], even) + __builtin_shuffle(p[0], p[1], odd);
+  const lanes8 b = __builtin_shuffle(p[2], p[3], even) + __builtin_shuffle(p[2], p[3], odd);
+  const lanes8 c = __builtin_shuffle(p[4], p[5], even) + __builtin_shuffle(p[4], p[5], odd);
+  const lanes8 d = __builtin_shuffle(a, b, first) + __builtin_shuffle(a, b, second);
+  const lanes8 e = __builtin_shuffle(c, none, first) + __builtin_shuffle(c, none, second);
+  return __builtin_shuffle(d, e, below) + __builtin_shuffle(d, e, above);
+}
+
+/* y += A x with blocks of 6x6.  Columns are read as eight: behind the last block two more are
+   there. */
+INLINE void multiply_six(int64_t n, const int64_t* start, const int32_t* columns,
+                         const float* half, const double* x, double* y)
+{
+  for (int64_t i = 0; i < n; i++)
+  {
+    const double* z = x + 6 * i;
+    const lanes8 own = {z[0], z[1], z[2], z[3], z[4], z[5], 0.0, 0.0};
+    lanes8 s = {0.0}, t = {0.0}, p[6];
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+    {
+      const int64_t j = columns[k];
+      const float* a = half + k * 36;
+      for (int c = 0; c < 6; c += 2)
+      {
+        const lanes8 one = __builtin_convertvector(*(const float8*)(a + c * 6), lanes8);
+        const lanes8 two = __builtin_convertvector(*(const float8*)(a + c * 6 + 6), lanes8);
+        s += one * x[6 * j + c];
+        t += two * x[6 * j + c + 1];
+        p[c] = one * own;
+        p[c + 1] = two * own;
+      }
+      if (j > i && j < n)
+      {
+        const lanes8 sum = sums_of_six(p);
+        *(double4*)(y + 6 * j) += __builtin_shufflevector(sum, sum, 0, 1, 2, 3);
+        *(double2*)(y + 6 * j + 4) += __builtin_shufflevector(sum, sum, 4, 5);
+      }
+    }
+    s += t;
+    for (int r = 0; r < 6; r++)
+      y[6 * i + r] += s[r];
+  }
+}
+
+/* y = A x with blocks in single precision, column by column. */
+INLINE void rounded_product_of_half_(const int R, const int C, int64_t n, const int64_t* start,
+                                     const int32_t* columns, const float* half, const double* x,
+                                     double* y)
+{
+  (void)C;
+  memset(y, 0, sizeof(double) * R * n);
+  if (R == 6)
+    multiply_six(n, start, columns, half, x, y);
+  else if (R == 3)
+    multiply_three(0, n, start, columns, half, half, x, y);
+  else
+    for (int64_t i = 0; i < n; i++)
+      for (int64_t k = start[i]; k < start[i + 1]; k++)
+      {
+        const int64_t j = columns[k];
+        for (int c = 0; c < R; c++)
+          for (int r = 0; r < R; r++)
+          {
+            const double a = half[(k * R + c) * R + r];
+            y[i * R + r] += a * x[j * R + c];
+            if (j > i && j < n)
+              y[j * R + c] += a * x[i * R + r];
+          }
+      }
+}
+int64_t rounded_product_of_half(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
+                                const float* half, const double* x, double* y)
+{
+  DISPATCH(R, R, rounded_product_of_half_, n, start, columns, half, x, y);
+  return 0;
+}
 """
+)

@@ -6,19 +6,21 @@ the blocks.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 from petsc4py import PETSc
 
 from dolfin_elastic.core.jit import CFunctions
-from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
-from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray, SingleArray
+from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks, in_full
 from dolfin_elastic.solvers.petsc.c_api import parts_of_aij
 from dolfin_elastic.solvers.petsc.halo import Halo
 
-PART = 8192
-"""Rows of nodes whose blocks are made at once, where a matrix has none of its own."""
+PART = 1_000_000
+"""Entries of the rows whose blocks are made at once, where a matrix has none in full: 8 MB."""
 
 
 class BlockRows:
@@ -96,13 +98,46 @@ class BlockRows:
         self.halo.destroy()
 
 
+def in_single_precision(blocks: FloatArray, loops: CFunctions) -> SingleArray:
+    """Blocks column by column, and room that the loops may read. Not collective.
+
+    Args:
+        blocks: Shape (blocks, R, C).
+        loops: Those of `block_loops`.
+    """
+    out = np.zeros(blocks.size + 2, dtype=np.float32)
+    loops.call("in_single_precision", *blocks.shape, blocks, out)
+    return out
+
+
+def into_single_precision(blocks: FloatArray, loops: CFunctions) -> SingleArray:
+    """The same, in the memory of the blocks where it is theirs alone. Not collective.
+
+    Both at once would take half as much again.
+
+    Args:
+        blocks: Shape (blocks, R, C); lost.
+        loops: Those of `block_loops`.
+    """
+    if not blocks.flags.owndata:
+        return in_single_precision(blocks, loops)
+    loops.call("into_single_precision", *blocks.shape, blocks)
+    blocks.resize((blocks.size // 2 + 1,), refcheck=False)  # with room
+    return blocks.view(np.float32)
+
+
 def _rooms(A: BlockRows) -> Iterator[tuple[int, int, FloatArray]]:
     """First row and number of rows of each part, and room for its blocks, the same for all."""
-    ends = A.start[np.append(np.arange(0, A.rows, PART), A.rows)]
+    most = max(1, PART * A.rows // max(1, A.start[-1] * A.R * A.C))
+    ends = A.start[np.append(np.arange(0, A.rows, most), A.rows)]
     work = np.empty((int(np.diff(ends).max(initial=0)), A.R, A.C))
-    for first in range(0, A.rows, PART):
-        count = min(PART, A.rows - first)
+    for first in range(0, A.rows, most):
+        count = min(most, A.rows - first)
         yield first, count, work[: A.start[first + count] - A.start[first]]
+
+
+Times: TypeAlias = Callable[[FloatArray, FloatArray], object]
+"""Writes A x to its second argument, of owned nodes; x is of owned nodes and ghosts."""
 
 
 class PetscRows(BlockRows):
@@ -162,6 +197,53 @@ class PetscRows(BlockRows):
         return y
 
 
+class HalfRows(BlockRows):
+    """A symmetric matrix by the half of its blocks, as `symmetric.loops` says. Local to make.
+
+    Rows in full are made a part at a time.
+
+    Args:
+        start: Where each node's blocks begin, and the last one ends.
+        columns: Local number of the node in `halo` of each block.
+        blocks: Shape (blocks, R, R).
+        halo: Nodes of its columns.
+        loops: Those of `block_loops`.
+    """
+
+    whole, symmetric = False, True
+
+    def __init__(
+        self,
+        start: IntArray,
+        columns: IndexArray,
+        blocks: FloatArray,
+        halo: Halo,
+        loops: CFunctions,
+    ) -> None:
+        self._half, self._loops = (start, columns), loops
+        full, every, self._source = in_full(start, columns, loops)
+        super().__init__(full, every, blocks, halo)
+
+    def parts(self) -> Iterator[tuple[int, int, FloatArray]]:
+        """See `BlockRows.parts`; the blocks are valid until the next ones."""
+        pattern = (self.start, self.columns, self._source, self.blocks)
+        for first, count, blocks in _rooms(self):
+            self._loops.call("rows_of_half", self.R, first, count, *pattern, blocks)
+            yield first, count, blocks
+
+    def times(self, x: FloatArray, loops: CFunctions) -> FloatArray:
+        """See `BlockRows.times`."""
+        y = np.empty((self.rows, self.R))
+        loops.call("product_of_half", self.R, self.rows, *self._half, self.blocks, x, y)
+        return y
+
+    def rounded_times(self) -> Times:
+        """Products in single precision, which take the blocks over. Local."""
+        loops, sizes = self._loops, (self.R, self.rows)
+        matrix = (*self._half, into_single_precision(self.take_blocks(), loops))
+        return partial(loops.call, "rounded_product_of_half", *sizes, *matrix)
+
+
 class SymmetricRows(BlockRows):
     """The blocks of a symmetric tangent, which are made a part at a time. Collective to make.
 
@@ -172,7 +254,7 @@ class SymmetricRows(BlockRows):
     whole, symmetric = False, True
 
     def __init__(self, half: SymmetricBlocks) -> None:
-        start, columns, self._source = half.in_full()
+        start, columns, self._source = in_full(half.start, half.columns, half.loops)
         super().__init__(start, columns, np.empty((0, half.dim, half.dim)), half.halo)
         self.half = half
 
@@ -192,6 +274,10 @@ class SymmetricRows(BlockRows):
         y = np.empty((self.rows, self.R))
         self.half.times(x, y, rounded=True)
         return y
+
+    def rounded_times(self) -> Times:
+        """See `HalfRows.rounded_times`; those of the tangent of the moment."""
+        return partial(self.half.times, rounded=True)
 
     def _halo_of_its_own(self) -> Halo:
         return Halo(self.halo.comm, self.halo.owned, self.halo.ghosts)

@@ -9,6 +9,8 @@ A cycle is V(1, 1) with damped block Jacobi: Briggs, Henson & McCormick, A Multi
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
@@ -17,9 +19,15 @@ from dolfin_elastic.core.jit import CFunctions, compile_c
 from dolfin_elastic.core.types import FloatArray, IndexArray, SingleArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
-from dolfin_elastic.solvers.linear.aggregation import coarsen, galerkin
+from dolfin_elastic.solvers.linear.aggregation import galerkin, smoothed_interpolation
 from dolfin_elastic.solvers.linear.block_loops import DECLARATIONS, SOURCE
-from dolfin_elastic.solvers.linear.block_rows import BlockRows, PetscRows, SymmetricRows, from_petsc
+from dolfin_elastic.solvers.linear.block_rows import (
+    BlockRows,
+    PetscRows,
+    SymmetricRows,
+    from_petsc,
+    in_single_precision,
+)
 from dolfin_elastic.solvers.linear.multigrid import (
     aij,
     constrained_interpolation,
@@ -30,9 +38,8 @@ from dolfin_elastic.solvers.linear.multigrid import (
 from dolfin_elastic.solvers.linear.smoother import (
     Diagonal,
     Smoother,
-    SymmetricSmoother,
     diagonal_of,
-    in_single_precision,
+    smoother_of,
     taken_in_single_precision,
 )
 from dolfin_elastic.solvers.petsc.heap import give_back
@@ -183,7 +190,8 @@ class Hierarchy:
     Args:
         A: Of the finest level.
         linear: Interpolation from linear to quadratic elements, where A is of these.
-        modes: Rigid-body modes of the linear elements' nodes, of shape (nodes, dim, modes).
+        modes: Makes the rigid-body modes of the linear elements' nodes, of shape (nodes, dim,
+            modes), which are kept no longer than they are needed.
         loops: Those of `block_loops`.
 
     Attributes:
@@ -191,7 +199,11 @@ class Hierarchy:
     """
 
     def __init__(
-        self, A: BlockRows, linear: BlockRows | None, modes: FloatArray, loops: CFunctions
+        self,
+        A: BlockRows,
+        linear: BlockRows | None,
+        modes: Callable[[], FloatArray],
+        loops: CFunctions,
     ) -> None:
         self._levels: list[Level] = []
         self._interpolations: list[BlockRows] = []
@@ -199,26 +211,27 @@ class Hierarchy:
         if linear is not None:
             finest = (A, None, linear, in_single_precision(linear.blocks, loops))
             A = galerkin(A, linear, loops)
-        threshold, stalled = THRESHOLD, False
+        near, threshold, stalled = modes(), THRESHOLD, False
         while A.halo.total * A.R > SMALL and not stalled:
             diagonal = diagonal_of(A, loops)
-            coarse = coarsen(A, modes, diagonal, threshold=threshold, loops=loops)
-            P = taken_in_single_precision(coarse.P, loops)
+            P, near = smoothed_interpolation(A, near, diagonal, threshold=threshold, loops=loops)
+            give_back()  # what that needed; the product needs most of all
+            coarse = galerkin(A, P, loops)
+            blocks = taken_in_single_precision(P, loops)
+            give_back()
             if finest is None:
-                finest = (A, diagonal, coarse.P, P)
+                finest = (A, diagonal, P, blocks)
             else:
-                self._levels.append(Level(Smoother(A, loops, diagonal), coarse.P, P, loops))
-            self._interpolations.append(coarse.P)
-            stalled = coarse.A.halo.total > SLOW * A.halo.total
-            A, modes, threshold = coarse.A, coarse.modes, threshold / 2
+                self._levels.append(Level(smoother_of(A, loops, diagonal), P, blocks, loops))
+            self._interpolations.append(P)
+            stalled = coarse.halo.total > SLOW * A.halo.total
+            A, threshold = coarse, threshold / 2
             del coarse
         if finest is not None:  # last of all: the others have become single meanwhile
-            fine, known, interpolation, P = finest
-            kind = SymmetricSmoother if isinstance(fine, SymmetricRows) else Smoother
-            smoother = kind(fine, loops, known)
-            self._levels.insert(0, Level(smoother, interpolation, P, loops))
+            fine, known, P, blocks = finest
+            self._levels.insert(0, Level(smoother_of(fine, loops, known), P, blocks, loops))
         A, small = A.with_blocks(), A.halo.total * A.R <= SMALL
-        self._last: Inverse | Rest = Inverse(A) if small else Rest(A, modes)
+        self._last: Inverse | Rest = Inverse(A) if small else Rest(A, near)
         self.sane = all(np.isfinite(level.smoother.largest) for level in self._levels)
 
     def cycle(self, b: FloatArray, k: int = 0) -> FloatArray:
@@ -278,6 +291,7 @@ class Multigrid:
     def setUp(self, pc: PETSc.PC) -> None:
         """Makes the levels, with the rigid-body modes of the current places. Collective."""
         self.reset(pc)
+        give_back()  # what outputs needed: this is where most memory is in use
         dim = self._problem.body.dim
         matrix = pc.getOperators()[1]
         half = matrix.getPythonContext() if matrix.getType() == "python" else None
@@ -286,7 +300,7 @@ class Multigrid:
             if isinstance(half, SymmetricBlocks)
             else PetscRows(matrix, dim, dim, self._loops)
         )
-        self._hierarchy = Hierarchy(A, self._linear, self._modes(), self._loops)
+        self._hierarchy = Hierarchy(A, self._linear, self._modes, self._loops)
         give_back()  # what making them needed for the moment
         if not self._hierarchy.sane:
             pc.setFailedReason(PETSc.PC.FailedReason.SUBPC_ERROR)

@@ -10,7 +10,13 @@ import numpy as np
 from dolfin_elastic.core.jit import CFunctions
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray, SingleArray
-from dolfin_elastic.solvers.linear.block_rows import BlockRows, SymmetricRows
+from dolfin_elastic.solvers.linear.block_rows import (
+    BlockRows,
+    HalfRows,
+    SymmetricRows,
+    in_single_precision,
+    into_single_precision,
+)
 
 Interpolation: TypeAlias = tuple[IntArray, IndexArray, SingleArray]
 """Where rows begin, columns, and blocks in single precision."""
@@ -143,25 +149,16 @@ class Smoother:
         self.halo.destroy()
 
 
-class SymmetricSmoother(Smoother):
-    """The same for a tangent by half of its blocks, which stays where it is. Collective to make.
-
-    So it smooths with the tangent of the moment, though coarser levels may be older: a cycle is
-    positive definite as long as its smoother converges for the matrix of the finest level.
-
-    Args:
-        A: The matrix.
-        loops: Those of `block_loops`.
-        diagonal: That of A, where it is known.
-    """
+class HalvedSmoother(Smoother):
+    """The same for a matrix by the half of its blocks. Collective to make."""
 
     def _take(self, A: BlockRows) -> None:
-        assert isinstance(A, SymmetricRows)
-        self._half, self._version = A.half, A.half.version
+        assert isinstance(A, HalfRows | SymmetricRows)
+        self._times = A.rounded_times()
 
     def restrict(self, b: FloatArray, P: Interpolation, coarse: FloatArray) -> None:
         """See `Smoother.restrict`."""
-        self._half.times(self.x, self._y, rounded=True)
+        self._times(self.x, self._y)
         np.subtract(b, self._y, out=self._y)
         (R, n), C = self.sizes, coarse.shape[1]
         self._loops.call("restrict_vector", R, C, n, *P, self._y, coarse)
@@ -169,32 +166,45 @@ class SymmetricSmoother(Smoother):
     def once_more(self, b: FloatArray) -> FloatArray:
         """See `Smoother.once_more`."""
         self.halo.fill(self.x)
-        self._half.times(self.x, self._y, rounded=True)
+        self._times(self.x, self._y)
         self._loops.call("correct", *self.sizes, self._scaled, self.x, b, self._y)
         return self._y
 
+
+class TangentSmoother(HalvedSmoother):
+    """The same for a tangent, which stays where it is. Collective to make.
+
+    So it smooths with the tangent of the moment, though coarser levels may be older: a cycle is
+    positive definite as long as its smoother converges for the matrix of the finest level.
+
+    Args:
+        A: The tangent.
+        loops: Those of `block_loops`.
+        diagonal: That of A, where it is known.
+    """
+
+    def _take(self, A: BlockRows) -> None:
+        assert isinstance(A, SymmetricRows)
+        super()._take(A)
+        self._tangent, self._version = A.half, A.half.version
+
     def renew(self) -> None:
         """See `Smoother.renew`."""
-        if self._version == self._half.version:
+        if self._version == self._tangent.version:
             return
-        self._version = self._half.version
+        self._version = self._tangent.version
         vector = self._vector if np.isfinite(self.largest) else None
-        self._scale(diagonal_of(SymmetricRows(self._half), self._loops, vector))
+        self._scale(diagonal_of(SymmetricRows(self._tangent), self._loops, vector))
 
     def destroy(self) -> None:
         """See `Smoother.destroy`: the halo is the tangent's."""
 
 
-def in_single_precision(blocks: FloatArray, loops: CFunctions) -> SingleArray:
-    """Blocks column by column, and room that the loops may read. Not collective.
-
-    Args:
-        blocks: Of shape (blocks, rows, columns).
-        loops: Those of `block_loops`.
-    """
-    out = np.zeros(blocks.size + 1, dtype=np.float32)
-    loops.call("in_single_precision", *blocks.shape, blocks, out)
-    return out
+def smoother_of(A: BlockRows, loops: CFunctions, diagonal: Diagonal | None = None) -> Smoother:
+    """The smoother that fits a matrix; see `Smoother`. Collective."""
+    kinds: dict[type[BlockRows], type[Smoother]]
+    kinds = {SymmetricRows: TangentSmoother, HalfRows: HalvedSmoother}
+    return kinds.get(type(A), Smoother)(A, loops, diagonal)
 
 
 def taken_in_single_precision(A: BlockRows, loops: CFunctions) -> SingleArray:
@@ -213,9 +223,4 @@ def taken_in_single_precision(A: BlockRows, loops: CFunctions) -> SingleArray:
             loops.call("in_single_precision", *part.shape, part, where)
         A.take_blocks()
         return out
-    blocks = A.take_blocks()
-    if not blocks.flags.owndata:
-        return in_single_precision(blocks, loops)
-    loops.call("into_single_precision", *blocks.shape, blocks)
-    blocks.resize((blocks.size // 2 + 1,), refcheck=False)  # room for one entry more
-    return blocks.view(np.float32)
+    return into_single_precision(A.take_blocks(), loops)

@@ -6,6 +6,7 @@ import gc
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from dolfin_elastic.core.jit import CFunctions, compile_c
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear import block_rows, hierarchy
-from dolfin_elastic.solvers.linear.aggregation import coarsen, galerkin
+from dolfin_elastic.solvers.linear.aggregation import galerkin, smoothed_interpolation
 from dolfin_elastic.solvers.linear.block_loops import DECLARATIONS, SOURCE
 from dolfin_elastic.solvers.linear.block_rows import BlockRows, PetscRows, from_petsc
 from dolfin_elastic.solvers.linear.choice import LinearSettings
@@ -68,8 +69,16 @@ def loops(problem: Problem) -> CFunctions:
     return compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
 
 
+def coarsen(A: BlockRows, modes: FloatArray, threshold: float, kernels: CFunctions) -> Any:
+    """The next coarser level: interpolation, matrix and modes."""
+    diagonal = diagonal_of(A, kernels)
+    P, found = smoothed_interpolation(A, modes, diagonal, threshold=threshold, loops=kernels)
+    return SimpleNamespace(P=P, A=galerkin(A, P, kernels), modes=found)
+
+
 def to_petsc(A: BlockRows) -> PETSc.Mat:
     """The same as a matrix of PETSc; by its insertion, block by block."""
+    A = A.with_blocks()
     comm, first = A.halo.comm, A.halo.first
     if (A.rows, A.R) != (A.halo.owned, A.C):
         first = sum(comm.allgather(A.rows)[: comm.rank])
@@ -114,8 +123,7 @@ def test_blocks_and_products_are_those_of_petsc(dim: int, symmetric: bool) -> No
         level = galerkin(A, P, kernels)
         expected, found = matrix.ptap(interpolation), to_petsc(level)
         assert difference(found, expected) < 1e-14
-        diagonal = diagonal_of(level, kernels)
-        coarse = coarsen(level, mode_values(space), diagonal, threshold=0.01, loops=kernels)
+        coarse = coarsen(level, mode_values(space), 0.01, kernels)
         petsc = to_petsc(coarse.P)
         more, less = expected.ptap(petsc), to_petsc(coarse.A)
         assert difference(less, more) < 1e-14
@@ -133,13 +141,10 @@ def test_rows_of_the_tangent_may_be_taken_a_few_at_a_time(
     kernels, modes = loops(problem), mode_values(problem.unknowns.U)
     with tangent(problem) as matrix:
         whole = from_petsc(matrix, dim, dim, kernels)
-        monkeypatch.setattr(block_rows, "PART", 3)
+        monkeypatch.setattr(block_rows, "PART", 200)
         some = PetscRows(matrix, dim, dim, kernels)
-        assert len(list(some.parts())) == -(-some.rows // 3)
-        one, other = (
-            coarsen(A, modes, diagonal_of(A, kernels), threshold=0.08, loops=kernels)
-            for A in (whole, some)
-        )
+        assert len(list(some.parts())) > 1
+        one, other = (coarsen(A, modes, 0.08, kernels) for A in (whole, some))
         for a, b in ((one.P, other.P), (one.A, other.A)):
             assert np.array_equal(a.start, b.start)
             assert np.array_equal(a.columns, b.columns)
@@ -163,7 +168,7 @@ def test_rigid_bodies_are_interpolated(dim: int, threshold: float) -> None:
     kernels, modes = loops(problem), mode_values(problem.unknowns.U)
     with tangent(problem) as matrix:
         A = from_petsc(matrix, dim, dim, kernels)
-        coarse = coarsen(A, modes, diagonal_of(A, kernels), threshold=threshold, loops=kernels)
+        coarse = coarsen(A, modes, threshold, kernels)
         assert 1 < coarse.A.halo.total < A.halo.total / 4
         P, count = to_petsc(coarse.P), modes.shape[2]
         x, y = P.createVecs()

@@ -101,7 +101,7 @@ class SymmetricBlocks:
     def aij(self) -> PETSc.Mat:
         """The same as an AIJ matrix, which the caller destroys. Collective."""
         dim, n, halo = self.dim, self.halo.owned, self.halo
-        start, columns, source = self.in_full()
+        start, columns, source = in_full(self.start, self.columns, self.loops)
         blocks = np.empty((start[-1], dim, dim))
         arrays = (start, columns, source, self.high, self.low, blocks)
         self.loops.call("rows_in_full", 0, n, *arrays)
@@ -122,17 +122,6 @@ class SymmetricBlocks:
         )
         matrix.assemble()
         return matrix
-
-    def in_full(self) -> tuple[IntArray, IndexArray, IndexArray]:
-        """Where rows of all blocks begin, their columns, and where each block stands. Local."""
-        n = self.halo.owned
-        start = np.empty(n + 1, dtype=np.int64)
-        self.loops.call("count_in_full", n, self.start, self.columns, start)
-        columns, source = (np.empty(start[-1], dtype=np.int32) for _ in range(2))
-        room = np.empty(n, dtype=np.int64)
-        arrays = (self.start, self.columns, start, room, columns, source)
-        self.loops.call("columns_in_full", n, *arrays)
-        return start, columns, source
 
     # --- what PETSc calls ---
 
@@ -179,7 +168,8 @@ class SymmetricBlocks:
         self.version += 1
 
     def destroy(self, matrix: PETSc.Mat) -> None:
-        """Frees PETSc's objects. Collective."""
+        """Frees the blocks, which others may still refer to, and PETSc's objects. Collective."""
+        self.high = self.low = np.empty(0, dtype=np.float32)
         self.far.destroy()
         self.halo.destroy()
 
@@ -238,3 +228,22 @@ class FarRows:
     def destroy(self) -> None:
         """Frees PETSc's object. Collective."""
         self._exchange.destroy()
+
+
+def in_full(
+    start: IntArray, columns: IndexArray, loops: CFunctions
+) -> tuple[IntArray, IndexArray, IndexArray]:
+    """Where rows of all blocks begin, their columns, and where each block stands. Local.
+
+    Args:
+        start: Where rows of half of them begin, and the last one ends.
+        columns: Their columns.
+        loops: With those of `HALVES`.
+    """
+    n = len(start) - 1
+    full = np.empty(n + 1, dtype=np.int64)
+    loops.call("count_in_full", n, start, columns, full)
+    every, source = (np.empty(full[-1], dtype=np.int32) for _ in range(2))
+    room = np.empty(n, dtype=np.int64)
+    loops.call("columns_in_full", n, start, columns, full, room, every, source)
+    return full, every, source
