@@ -40,7 +40,6 @@ from dolfin_elastic.solvers.audit.offences import (
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.contact import contact_gap_error
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrains
-from dolfin_elastic.solvers.petsc.heap import give_back
 
 FORCE_TOLERANCE = 1e-6
 """Unbalanced share of the forces up to which they balance: a hundred times what Newton's method
@@ -393,7 +392,6 @@ class PathEnergyCheck:
 
         Its nodal forces are assembled already, in `Assembler.residual`.
         """
-        give_back()  # what finding the equilibrium needed: energies need room, too
         a = self._assembler
         forces = a.residual.owned + a.reactions.loads() + a.reactions.restraints()
         forces, moved = forces[a.displacement_dofs], a.problem.w.x.array[a.displacement_dofs].copy()

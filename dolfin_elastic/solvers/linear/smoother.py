@@ -201,7 +201,13 @@ class TangentSmoother(HalvedSmoother):
 
 
 def smoother_of(A: BlockRows, loops: CFunctions, diagonal: Diagonal | None = None) -> Smoother:
-    """The smoother that fits a matrix; see `Smoother`. Collective."""
+    """The smoother that fits a matrix. Collective.
+
+    Args:
+        A: The matrix, which the smoother takes over.
+        loops: Those of `block_loops`.
+        diagonal: That of A, where it is known.
+    """
     kinds: dict[type[BlockRows], type[Smoother]]
     kinds = {SymmetricRows: TangentSmoother, HalfRows: HalvedSmoother}
     return kinds.get(type(A), Smoother)(A, loops, diagonal)
