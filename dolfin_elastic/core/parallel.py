@@ -1,4 +1,7 @@
-"""Reductions, and errors that all ranks raise together so that none waits for one that failed."""
+"""Reductions, exchanges of rows, and errors that all ranks raise together.
+
+Then none waits for one that failed.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,11 @@ import pickle
 from collections.abc import Callable, Iterable
 from typing import TypeVar, cast
 
+import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic.core.together import end_all_at_exceptions
+from dolfin_elastic.core.types import AnyArray, IntArray
 
 T = TypeVar("T")
 
@@ -117,3 +122,42 @@ def first_of(comm: MPI.Comm, mine: Iterable[T]) -> T | None:
     """
     own = min(mine, default=None)  # type: ignore[type-var]
     return min((one for one in comm.allgather(own) if one is not None), default=None)
+
+
+class RankExchange:
+    """Sends rows of an array to other ranks, and rows back.  All of it is collective.
+
+    Args:
+        comm: The ranks.
+        to: Destination rank of each of this rank's rows, shape (rows,).
+    """
+
+    def __init__(self, comm: MPI.Comm, to: AnyArray) -> None:
+        self._comm = comm
+        self._order = np.argsort(to, kind="stable")
+        self._sent = np.bincount(to, minlength=comm.size).astype(np.int64)
+        self._received = np.empty_like(self._sent)
+        comm.Alltoall(self._sent, self._received)
+
+    @property
+    def received(self) -> int:
+        """Number of rows that this rank receives."""
+        return int(self._received.sum())
+
+    def send(self, rows: AnyArray) -> AnyArray:
+        """The rows that this rank receives, in the order of their ranks. Collective."""
+        return self._exchange(np.ascontiguousarray(rows[self._order]), self._sent, self._received)
+
+    def send_back(self, rows: AnyArray) -> AnyArray:
+        """Sends received rows back, into their order before `send`. Collective."""
+        found = self._exchange(np.ascontiguousarray(rows), self._received, self._sent)
+        put = np.empty_like(found)
+        put[self._order] = found
+        return put
+
+    def _exchange(self, rows: AnyArray, sent: IntArray, received: IntArray) -> AnyArray:
+        columns = rows.shape[1]
+        found = np.empty((int(received.sum()), columns), dtype=rows.dtype)
+        given = [rows, (sent * columns).tolist()]
+        self._comm.Alltoallv(given, [found, (received * columns).tolist()])
+        return found

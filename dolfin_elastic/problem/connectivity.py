@@ -37,7 +37,7 @@ class ConnectedBodies:
         dofmap = problem.unknowns.U.dofmap
         self._plain = np.asarray(problem.V.dofmap.list)
         self._dofs, self._map = np.asarray(dofmap.list), dofmap.index_map
-        self.places = problem.V.tabulate_dof_coordinates()[:, : problem.body.dim]
+        self.places = problem.places[:, : problem.body.dim]
         own = self._components_here()
         self.count, numbers = self._joined(own)
         self.of_node: IntArray = numbers[own]
@@ -69,6 +69,8 @@ class ConnectedBodies:
 
     def _number_by_place(self) -> None:
         """Numbers the bodies by where they are, then by their cells: the same on any ranks."""
+        if self.count == 1:
+            return
         middle, cells = self._middles()
         step = 1e-9 * max(float(np.max(np.abs(middle), initial=0.0)), np.finfo(float).tiny)
         order = np.lexsort([-cells, *np.round(middle / step).T[::-1]])

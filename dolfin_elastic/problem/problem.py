@@ -80,6 +80,8 @@ class Problem:
     Attributes:
         u: The displacement [m]; solvers change it through `w`.
         w: All unknowns: the displacement and, in some problems, scalar fields beside it.
+        places: Of the local nodes of the displacement in the reference configuration [m], shape
+            (nodes, 3).
         thickness: Of a plane body [m]; 1 of others.
         cavities: Hollow spaces with a pressure.
         context: Measures, fields and amplitudes from which loads and supports make their forms.
@@ -144,6 +146,8 @@ class Problem:
             pinned = self.unknowns.pinned
         self.V, self.u = self.unknowns.V, self.unknowns.u
         self.W, self.w, self.v = self.unknowns.W, self.unknowns.w, self.unknowns.v
+        self.places: FloatArray = self.V.tabulate_dof_coordinates()
+        self.places.flags.writeable = False
         self._scale_unknowns()
         depth = None if thickness == 1.0 else Constant(body.mesh, float(thickness))
         self.measures = Measures(
@@ -159,7 +163,7 @@ class Problem:
         self.context = FormContext(body, self.unknowns, self.regions, self.measures, self.geometry)
         self.constant, self.t, self.X = self.context.constant, self.context.t, self.context.X
         self.dirichlet = DirichletConditions(
-            body, self.V, self.supports, axis=axisymmetric, pinned=pinned
+            body, self.V, self.places, self.supports, axis=axisymmetric, pinned=pinned
         )
         self.ties: Ties | None = None
         if ties:

@@ -203,7 +203,7 @@ def node_at(problem: Problem, place: Sequence[float], where: str) -> IndexArray:
         InputError: There is none.
     """
     own, dim = problem.V.dofmap.index_map.size_local, problem.body.dim
-    x = problem.V.tabulate_dof_coordinates()[:own, :dim]
+    x = problem.places[:own, :dim]
     distance = np.linalg.norm(x - np.array(place[:dim]), axis=1)
     first = int(np.argmin(distance)) if own else -1
     mine = (float(distance[first]), problem.body.comm.rank, tuple(x[first])) if own else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -384,6 +385,20 @@ def test_box_and_rectangle() -> None:
         "top": 4,
     }
     assert mesh_statistics(plate).volume == pytest.approx(2)
+
+
+@pytest.mark.parametrize("cells", [(36, 12, 10), (96, 36)])
+def test_boxes_are_shared_in_layers(cells: tuple[int, ...]) -> None:
+    """The longest edge can be cut in two and in three: equal shares, with one layer between."""
+    dim = len(cells)
+    topology = box_body(size=[1.0] * dim, cells=cells).mesh.topology
+    ranks = MPI.COMM_WORLD.size
+    own = [topology.index_map(i).size_local for i in (dim, 0)]
+    count = MPI.COMM_WORLD.allgather(own)
+    assert [n for n, _ in count] == [math.factorial(dim) * math.prod(cells) // ranks] * ranks
+    assert sum(n for _, n in count) == math.prod(n + 1 for n in cells)
+    shared = MPI.COMM_WORLD.allreduce(topology.index_map(0).num_ghosts)
+    assert shared == (ranks - 1) * math.prod(n + 1 for n in cells[1:])
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,8 @@ class _Walk:
         self._dim, self._volumes, comm = mesh.topology.dim, volumes, mesh.comm
         mesh.topology.create_connectivity(self._dim, 0)
         self._loops = compile_c(comm, DECLARATIONS, SOURCE, {"DIM": self._dim}, options(comm))
-        self._map, self._alone = mesh.topology.index_map(0), comm.size == 1
+        self._alone = comm.size == 1
+        self._sums = la.vector(mesh.topology.index_map(0), 8 if self._dim == 3 else 4)
         self._vertices = mesh.topology.connectivity(self._dim, 0).array
         self._upper = [(i, j) for j in range(self._dim) for i in range(j + 1)]
         nodes = mesh.geometry.dofmap
@@ -96,17 +97,16 @@ class _Walk:
 
     def _rows(self) -> FloatArray:
         """Zeros for all local vertices."""
-        return np.zeros((self._map.size_local + self._map.num_ghosts, 8 if self._dim == 3 else 4))
+        return np.zeros((len(self._sums.array) // self._sums.block_size, self._sums.block_size))
 
     def _gathered(self, values: FloatArray) -> FloatArray:
         """Sums over the ranks of rows of the vertices."""
         if self._alone:
             return values
-        sums = la.vector(self._map, values.shape[1])
-        sums.array[:] = values.ravel()
-        sums.scatter_reverse(la.InsertMode.add)
-        sums.scatter_forward()
-        return np.array(sums.array).reshape(values.shape)
+        self._sums.array[:] = values.ravel()
+        self._sums.scatter_reverse(la.InsertMode.add)
+        self._sums.scatter_forward()
+        return np.array(self._sums.array).reshape(values.shape)
 
     def added(self, cells: IndexArray, tensors: FloatArray) -> FloatArray:
         """Rows of the vertices: means of tensors that are given as integrals over cells.

@@ -32,6 +32,7 @@ class DirichletConditions:
     Args:
         body: The mesh and its names.
         V: Space of the displacement.
+        places: Of its local nodes [m], shape (nodes, 3).
         supports: All supports; springs and dashpots are ignored.
         axis: The body is axisymmetric: the radial displacement of nodes on the axis is zero.
         pinned: Of a periodic cell, which has no supports: local entries that are unknowns of its
@@ -52,6 +53,7 @@ class DirichletConditions:
         self,
         body: Body,
         V: fem.FunctionSpace,
+        places: FloatArray,
         supports: Sequence[Restraint],
         *,
         axis: bool = False,
@@ -59,8 +61,8 @@ class DirichletConditions:
     ) -> None:
         self.values = fem.Function(V)
         self._V, self._bs = V, V.dofmap.index_map_bs
-        self._x = without_round_off(V.tabulate_dof_coordinates(), span(body))
-        found = PrescribedComponents(body, V, supports, axisymmetric=axis)
+        self._x = without_round_off(places, span(body))
+        found = PrescribedComponents(body, V, places, supports, axisymmetric=axis)
         self.rigid_motions, off_axis = found.rigid_motions, found.off_axis
         self.skew = self._skew(found, off_axis)
         self._entries = found.along_axes(~off_axis)

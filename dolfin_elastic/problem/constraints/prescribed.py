@@ -104,6 +104,7 @@ class PrescribedComponents:
     Args:
         body: The mesh and its names.
         V: Space of the displacement.
+        places: Of its local nodes [m], shape (nodes, 3).
         supports: All supports; springs and dashpots are ignored.
         axisymmetric: The radial displacement of nodes on the axis is zero.
 
@@ -120,12 +121,13 @@ class PrescribedComponents:
         self,
         body: Body,
         V: fem.FunctionSpace,
+        places: FloatArray,
         supports: Sequence[Restraint],
         *,
         axisymmetric: bool,
     ) -> None:
         self._body, self._V, self._axisymmetric = body, V, axisymmetric
-        self._x, self._dim = V.tabulate_dof_coordinates(), V.dofmap.index_map_bs
+        self._x, self._dim = places, V.dofmap.index_map_bs
         self.components: list[PrescribedComponent] = []
         self.rigid_motions: list[RigidMotion] = []
         labels = []

@@ -8,16 +8,15 @@ for facets of a round interface meet at angles, too.
 
 from __future__ import annotations
 
-from math import comb
 from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import la
 
-from dolfin_elastic.core.types import BoolArray, FloatArray
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.simplices import cell_corners
 from dolfin_elastic.problem.material_regions import poisson, shear_modulus
-from dolfin_elastic.results.recovery.patches import cell_edges
+from dolfin_elastic.results.recovery.ridges import cell_ridges
 from dolfin_elastic.results.recovery.wedge import Face, Wedge, stress_exponent
 
 if TYPE_CHECKING:
@@ -33,12 +32,17 @@ _FACES: tuple[Face, Face, Face] = ("free", "held", "roller")
 
 
 def material_corners(
-    problem: Problem, facets: FloatArray, whole: FloatArray, some: FloatArray
+    problem: Problem,
+    angles: FloatArray,
+    facets: FloatArray,
+    whole: FloatArray,
+    some: FloatArray,
 ) -> BoolArray:
-    """Local edges of the mesh (vertices in the plane) that are singular so. Collective.
+    """Which edges (vertices in the plane) are singular so. Local.
 
     Args:
         problem: The problem that is solved.
+        angles: That each region fills at each of them, shape (edges, regions) [rad].
         facets: Number of boundary facets at each of them.
         whole: Which of these are held.
         some: Which are held in some directions.
@@ -46,7 +50,7 @@ def material_corners(
     singular = np.zeros(len(facets), dtype=bool)
     if len(problem.regions) < 2:
         return singular
-    angles = np.round(_angles(problem, len(facets)) / _STEP).astype(int)
+    angles = np.round(angles / _STEP).astype(int)
     alike = np.column_stack([facets - whole - some, whole, some])
     around, straight = round(2 * np.pi / _STEP), round(np.pi / _STEP)
     margin = round(_MARGIN / _STEP)
@@ -73,31 +77,66 @@ def _wedge(problem: Problem, region: int, angle: float) -> Wedge:
     return Wedge(angle, shear_modulus(law), kappa)
 
 
-def _angles(problem: Problem, count: int) -> FloatArray:
-    """Angle that each region fills at each local edge, shape (edges, regions) [rad]. Collective.
+def angles_at_interfaces(problem: Problem) -> tuple[IndexArray, IndexArray, FloatArray]:
+    """Angles of cells at their edges (vertices in the plane) where materials may meet. Collective.
 
     Args:
         problem: The problem that is solved.
-        count: Number of local edges (vertices in the plane).
+
+    Returns:
+        A row for each cell and each edge whose ends touch several regions: cell; local edge of that
+        cell; and its angle, in the column of its region [rad].
     """
     mesh, dim = problem.body.mesh, problem.body.dim
-    corners = cell_corners(mesh)
-    around = mesh.topology.connectivity(dim, dim - 2).array.reshape(-1, comb(dim + 1, dim - 1))
     width = len(problem.regions)
-    work = la.vector(mesh.topology.index_map(dim - 2), width)
-    table = work.array.reshape(count, width)
-    for number, ridge in enumerate(cell_edges(dim) if dim == 3 else np.arange(3)[:, None]):
-        a, b = (k for k in range(dim + 1) if k not in ridge)
-        foot = corners[:, ridge[0]]
-        arms = [corners[:, k] - foot for k in (a, b)]
-        if dim == 3:
-            along = corners[:, ridge[1]] - foot
-            along /= np.linalg.norm(along, axis=1, keepdims=True)
-            arms = [arm - np.sum(arm * along, axis=1, keepdims=True) * along for arm in arms]
-        lengths = np.linalg.norm(arms[0], axis=1) * np.linalg.norm(arms[1], axis=1)
-        angle = np.arccos(np.clip(np.sum(arms[0] * arms[1], axis=1) / lengths, -1.0, 1.0))
-        for region, part in enumerate(problem.regions):
-            np.add.at(table[:, region], around[part.cells, number], angle[part.cells])
+    if width < 2:
+        none = np.empty(0, dtype=np.int32)
+        return none, none, np.empty((0, width))
+    vertices = mesh.topology.connectivity(dim, 0).array.reshape(-1, dim + 1)
+    shared = _touch_several(problem, vertices)
+    found_cells, found_numbers, values = [], [], []
+    for region, part in enumerate(problem.regions):
+        several = shared[vertices[part.cells]]
+        for number, ridge in enumerate(cell_ridges(dim)):
+            cells = part.cells[several[:, ridge].all(axis=1)]
+            table = np.zeros((len(cells), width))
+            table[:, region] = _angle(cell_corners(mesh, cells), ridge)
+            found_cells.append(cells)
+            found_numbers.append(np.full(len(cells), number, dtype=np.int32))
+            values.append(table)
+    return np.concatenate(found_cells), np.concatenate(found_numbers), np.concatenate(values)
+
+
+def _touch_several(problem: Problem, vertices: IndexArray) -> BoolArray:
+    """Which local vertices cells of several regions share, on any ranks. Collective.
+
+    Args:
+        problem: The problem that is solved.
+        vertices: Of the local cells, shape (cells, corners).
+    """
+    width = len(problem.regions)
+    work = la.vector(problem.body.mesh.topology.index_map(0), width)
+    table = work.array.reshape(-1, width)
+    for region, part in enumerate(problem.regions):
+        table[vertices[part.cells].ravel(), region] = 1.0
     work.scatter_reverse(la.InsertMode.add)
     work.scatter_forward()
-    return np.asarray(table)
+    return np.asarray(np.count_nonzero(table, axis=1) > 1)
+
+
+def _angle(corners: FloatArray, ridge: IntArray) -> FloatArray:
+    """Angle of cells at one of their edges (vertices in the plane) [rad], shape (cells,).
+
+    Args:
+        corners: Shape (cells, corners, dim).
+        ridge: Corners of the edge.
+    """
+    a, b = (k for k in range(corners.shape[1]) if k not in ridge)
+    foot = corners[:, ridge[0]]
+    arms = [corners[:, k] - foot for k in (a, b)]
+    if len(ridge) == 2:
+        along = corners[:, ridge[1]] - foot
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        arms = [arm - np.sum(arm * along, axis=1, keepdims=True) * along for arm in arms]
+    lengths = np.linalg.norm(arms[0], axis=1) * np.linalg.norm(arms[1], axis=1)
+    return np.asarray(np.arccos(np.clip(np.sum(arms[0] * arms[1], axis=1) / lengths, -1.0, 1.0)))

@@ -28,7 +28,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, permutations
 
-import basix
 import numpy as np
 from dolfinx import fem, la
 
@@ -36,7 +35,9 @@ from dolfin_elastic.core.jit import JitOptions, compile_c, options
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.curved import quadrature_rule, shape_functions
+from dolfin_elastic.mesh.geometry.simplices import vertex_nodes
 from dolfin_elastic.results.recovery.loops import DECLARATIONS, SOURCE
+from dolfin_elastic.results.recovery.ridges import cell_edges
 
 _CHUNK = 2048
 """Cells that are treated at once, which bounds the memory."""
@@ -58,32 +59,6 @@ def sampling_points(dim: int, degree: int) -> FloatArray:
         degree: Of the displacement.
     """
     return quadrature_rule(dim, 1 if degree == 1 else 2)[0]
-
-
-def cell_edges(dim: int) -> IntArray:
-    """Corners at the ends of each edge of a cell, shape (edges, 2).
-
-    Args:
-        dim: 2: triangle, 3: tetrahedron.
-    """
-    kind = (basix.CellType.triangle, basix.CellType.tetrahedron)[dim - 2]
-    return np.array(basix.topology(kind)[1], dtype=np.int64)
-
-
-def sums_by_row(rows: IndexArray, values: FloatArray, count: int) -> FloatArray:
-    """Sums of the values that belong to each row of a table, shape (count, columns).
-
-    Args:
-        rows: Row of each value, any shape.
-        values: The same shape and (columns,).
-        count: Number of rows.
-    """
-    flat, table = rows.reshape(-1), values.reshape(rows.size, values.shape[-1])
-    # Not by a sparse matrix: importing scipy takes longer.
-    found = np.empty((count, table.shape[1]))
-    for column in range(table.shape[1]):
-        found[:, column] = np.bincount(flat, table[:, column], minlength=count)
-    return found
 
 
 class Patches:
@@ -271,10 +246,8 @@ class Patches:
 
     def _vertex_places(self) -> FloatArray:
         """Places of the used vertices, shape (vertices, dim)."""
-        places = np.zeros((len(self._used), self._dim))
-        nodes = self._mesh.geometry.dofmap[self.cells, : self._dim + 1]
-        places[self._corners.ravel()] = self._mesh.geometry.x[nodes.ravel(), : self._dim]
-        return places
+        nodes = vertex_nodes(self._mesh)[self._used]
+        return np.ascontiguousarray(self._mesh.geometry.x[nodes, : self._dim])
 
     # --- sums over patches ---
 

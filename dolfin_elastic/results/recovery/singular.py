@@ -29,8 +29,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
-from math import comb
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,8 +44,8 @@ from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.supports.springs import Spring
 from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.material_regions import poisson, young
-from dolfin_elastic.results.recovery.interfaces import material_corners
-from dolfin_elastic.results.recovery.patches import cell_edges, sums_by_row
+from dolfin_elastic.results.recovery.interfaces import angles_at_interfaces, material_corners
+from dolfin_elastic.results.recovery.ridges import Ridges, cell_ridges
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
@@ -104,18 +102,24 @@ def singular_places(problem: Problem) -> SingularPlaces:
         *(f"the rim of the support '{label}'" for label in labels),
         *(f"the edge of the contact '{pair.label}'" for pair in pairs),
     ]
-    sums = _sums_at_ridges(problem, held, labels)
+    outer = _at_surface(problem, held, labels)
+    inner = angles_at_interfaces(problem)
+    cells, numbers = np.append(outer[0], inner[0]), np.append(outer[1], inner[1])
+    ridges, width = Ridges(problem.body.mesh, cells, numbers), outer[2].shape[1]
+    values = np.zeros((len(cells), width + inner[2].shape[1]))
+    values[: len(outer[0]), :width], values[len(outer[0]) :, width:] = outer[2], inner[2]
+    sums, angles = np.split(ridges.sums(values), [width], axis=1)
     (count, whole, some) = sums[:, 6:9].T
-    singular = np.zeros((len(sums), 2 + len(labels) + len(pairs)), dtype=bool)
-    singular[:, 0] = material_corners(problem, count, whole, some)
+    singular = np.zeros((ridges.count, 2 + len(labels) + len(pairs)), dtype=bool)
+    singular[:, 0] = material_corners(problem, angles, count, whole, some)
     outside = np.flatnonzero(count > 0)
     singular[outside, 1:] = _classify(sums[outside], problem, (len(labels), len(pairs)))
     V = problem.V
     marks = la.vector(V.dofmap.index_map, len(reasons))
     table = marks.array.reshape(-1, len(reasons))
-    ridges, nodes = _nodes_of_ridges(V, np.asarray(singular.any(axis=1)))
+    nodes = ridges.nodes(V)
     for column in range(singular.shape[1]):
-        table[nodes[singular[ridges, column]], 1 + column] = 1.0
+        table[nodes[singular[:, column]], 1 + column] = 1.0
     for column, label in enumerate(labels):
         names = [n for s in held if s.label == label for n in s.surfaces]
         table[_nodes_of_edges_and_points(problem, names), 3 + column] = 1.0
@@ -125,24 +129,6 @@ def singular_places(problem: Problem) -> SingularPlaces:
     marks.scatter_reverse(la.InsertMode.add)
     marks.scatter_forward()
     return SingularPlaces(tuple(reasons), _with_neighbours(V, table))
-
-
-def _nodes_of_ridges(V: fem.FunctionSpace, chosen: BoolArray) -> tuple[IndexArray, IndexArray]:
-    """Local nodes of edges of the mesh (vertices in the plane), as seen from each cell. Local.
-
-    Args:
-        V: Space whose nodes they are.
-        chosen: Which of the local edges.
-
-    Returns:
-        Edges, shape (n,), and the nodes of each, shape (n, nodes of an edge).
-    """
-    dim, layout = V.mesh.topology.dim, V.dofmap.dof_layout
-    count = comb(dim + 1, dim - 1)
-    around = V.mesh.topology.connectivity(dim, dim - 2).array.reshape(-1, count)
-    closure = np.array([layout.entity_closure_dofs(dim - 2, i) for i in range(count)])
-    cells, number = np.nonzero(chosen[around])
-    return around[cells, number], V.dofmap.list[cells[:, None], closure[number]]
 
 
 def _with_neighbours(V: fem.FunctionSpace, table: FloatArray) -> BoolArray:
@@ -177,7 +163,7 @@ def _nearest_nodes(problem: Problem, points: IndexArray) -> IndexArray:
     """Local nodes of the space at nodes of the geometry. Not collective."""
     if not len(points):
         return np.empty(0, dtype=np.int32)
-    x, places = problem.V.tabulate_dof_coordinates(), problem.body.mesh.geometry.x[points]
+    x, places = problem.places, problem.body.mesh.geometry.x[points]
     found = [int(np.argmin(np.sum((x - place) ** 2, axis=1))) for place in places]
     return np.array(found, dtype=np.int32)
 
@@ -185,47 +171,37 @@ def _nearest_nodes(problem: Problem, points: IndexArray) -> IndexArray:
 # --- edges of the boundary ---
 
 
-def _sums_at_ridges(
+def _at_surface(
     problem: Problem, held: Sequence[Restraint], labels: Sequence[str]
-) -> FloatArray:
-    """Sums over the boundary facets at each edge (vertex in the plane). Collective.
+) -> tuple[IndexArray, IndexArray, FloatArray]:
+    """What boundary facets tell about their edges (vertices in the plane). Collective.
 
     Returns:
-        Of each local edge the sums of outward normals (3), of directions into the facets (3), of 1,
-        of facets that are held in all and in some directions, of those of each support, those that
-        press each obstacle and those that might, and of Poisson's ratio.
+        A row for each facet and edge of it: cell; local edge of that cell; and the outward normal
+        (3), direction into the facet (3), 1, whether the facet is held in all and in some
+        directions, by each support, whether it presses each obstacle and might, Poisson's ratio.
     """
     body, mesh = problem.body, problem.body.mesh
     dim = mesh.topology.dim
     facets = boundary_facets(mesh)
-    mesh.topology.create_entities(dim - 2)
-    mesh.topology.create_connectivity(dim, dim - 2)
     cells, local = cells_beside_facets(mesh, facets)
     facts = np.column_stack(
         [np.ones(len(facets)), *_held(problem, held, labels, facets), _nu(problem, cells)]
     )
-    index_map = mesh.topology.index_map(dim - 2)
-    work = la.vector(index_map, 6 + facts.shape[1])
-    table = work.array.reshape(-1, 6 + facts.shape[1])
-    around = mesh.topology.connectivity(dim, dim - 2).array.reshape(-1, comb(dim + 1, dim - 1))
-    numbers = {(int(a), int(b)): i for i, (a, b) in enumerate(cell_edges(dim))}
-    ridges, values = [], []
+    found_cells, found_numbers, values = [], [], []
     for facet in range(dim + 1):
         rows = np.flatnonzero(local == facet)
         nodes = mesh.geometry.x[mesh.geometry.dofmap[cells[rows]], :dim]
-        corners = [k for k in range(dim + 1) if k != facet]
-        for ridge in combinations(corners, dim - 1):
-            other = next(k for k in corners if k not in ridge)
-            frames = _frames(nodes, mesh.geometry.cmap.degree, facet, ridge, other)
-            number = numbers[ridge[0], ridge[-1]] if dim == 3 else ridge[0]
-            ridges.append(around[cells[rows], number])
+        for number, ridge in enumerate(cell_ridges(dim)):
+            if facet in ridge:
+                continue
+            other = next(k for k in range(dim + 1) if k != facet and k not in ridge)
+            frames = _frames(nodes, mesh.geometry.cmap.degree, facet, tuple(ridge), other)
+            found_cells.append(cells[rows])
+            found_numbers.append(np.full(len(rows), number, dtype=np.int32))
             values.append(np.concatenate([frames, facts[rows]], axis=1))
-    touched, rows = np.unique(np.concatenate(ridges), return_inverse=True)
-    table[touched] = sums_by_row(rows, np.concatenate(values), len(touched))
-    work.scatter_reverse(la.InsertMode.add)
-    work.scatter_forward()
     assert body.dim == dim
-    return np.asarray(table)
+    return np.concatenate(found_cells), np.concatenate(found_numbers), np.concatenate(values)
 
 
 def _frames(
@@ -263,7 +239,7 @@ def _frames(
 def _held(
     problem: Problem, held: Sequence[Restraint], labels: Sequence[str], facets: IndexArray
 ) -> list[FloatArray]:
-    """For boundary facets, 0 or 1: see `_sums_at_ridges`."""
+    """For boundary facets, 0 or 1: see `_at_surface`."""
     body, dim = problem.body, problem.body.dim
     bits = np.zeros(len(facets), dtype=np.int64)
     by = np.zeros((len(labels), len(facets)))
@@ -354,7 +330,7 @@ def _classify(sums: FloatArray, problem: Problem, sources: tuple[int, int]) -> B
     """Which edges are re-entrant, and which are the rim of what holds the body; see the module.
 
     Args:
-        sums: See `_sums_at_ridges`.
+        sums: Sums of the values of `_at_surface`.
         problem: The problem that is solved.
         sources: Number of supports, and of contacts.
 

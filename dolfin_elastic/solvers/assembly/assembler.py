@@ -517,7 +517,7 @@ class SupportForces:
         self._comm, self._dim = body.comm, body.dim
         self._moves = configuration_of_moments(self._problem) != "reference"
         size = V.dofmap.index_map.size_local
-        self._X = V.tabulate_dof_coordinates()[:size, : self._dim]
+        self._X = self._problem.places[:size, : self._dim]
         self._about: dict[str, FloatArray] = {}
         if self._problem.geometry != "axisymmetric" and self._problem.cell is None:
             self._about = {

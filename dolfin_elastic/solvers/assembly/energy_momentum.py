@@ -58,7 +58,7 @@ class LumpedMass:
     def __init__(self, problem: Problem, v: fem.Function, mass: FloatArray) -> None:
         self._problem, self._v = problem, v
         self._mass = mass.reshape(-1, problem.V.dofmap.index_map_bs)
-        self._X = problem.V.tabulate_dof_coordinates()[: len(self._mass)]
+        self._X = problem.places[: len(self._mass)]
 
     def measure(self) -> tuple[float, FloatArray, FloatArray]:
         """Kinetic energy [J], linear [kg m/s] and angular [kg m^2/s] momentum. Collective."""

@@ -95,9 +95,7 @@ class EquilibriumAuditor:
     def __init__(self, problem: Problem, assembler: Assembler, watch: JacobianWatch) -> None:
         self._problem, self._assembler, self._watch = problem, assembler, watch
         self._comm, self._dim = problem.body.comm, problem.body.dim
-        self._X = problem.V.tabulate_dof_coordinates()[
-            : len(assembler.displacement_dofs) // self._dim
-        ]
+        self._X = problem.places[: len(assembler.displacement_dofs) // self._dim]
         self._moment_frame = configuration_of_moments(problem)
         self._previous: _Previous | None = None
         self._work = self._stored = self._round_off_share = 0.0

@@ -242,7 +242,7 @@ def _of_term(problem: Problem, name: str, work: ufl.Form) -> Fault | None:
     bad_ones = int(total(problem.body.comm, int(bad.sum())))
     if not bad_ones:
         return None
-    places = problem.V.tabulate_dof_coordinates()[: len(bad), : problem.body.dim][bad]
+    places = problem.places[: len(bad), : problem.body.dim][bad]
     place = first_of(problem.body.comm, map(plain, places)) or ()
     at = f"at {count(bad_ones, 'node')} near {coordinates(place)} m"
     return Fault(f"{name} is not finite {at}", place, load=True)

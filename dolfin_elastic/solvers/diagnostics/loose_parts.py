@@ -69,7 +69,7 @@ def _motions(assembler: Assembler, inside: BoolArray) -> tuple[list[str], tuple[
     problem, comm = assembler.problem, assembler.comm
     dim, own = problem.body.dim, problem.V.dofmap.index_map.size_local
     inside = inside[:own]
-    x = problem.V.tabulate_dof_coordinates()[:own, :dim]
+    x = problem.places[:own, :dim]
     now = x + problem.u.x.array[: own * dim].reshape(-1, dim)
     mine = total(comm, np.array([inside.sum(), *x[inside].sum(axis=0), *now[inside].sum(axis=0)]))
     centre = mine[1 + dim :] / mine[0]

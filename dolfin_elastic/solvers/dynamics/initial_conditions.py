@@ -266,7 +266,7 @@ def support_jumps(
         change: Change by the supports, owned entries.
         least: Differences up to this are none.
     """
-    x, dim = problem.V.tabulate_dof_coordinates(), problem.body.dim
+    x, dim = problem.places, problem.body.dim
     for label, rows in _by_support(problem, change):
         sizes = np.linalg.norm(rows, axis=1)
         most = largest(problem.body.comm, float(np.max(sizes, initial=0.0)))

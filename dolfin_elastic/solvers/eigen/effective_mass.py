@@ -134,7 +134,7 @@ def _places(problem: Problem) -> FloatArray:
     """Present places of the owned nodes [m]; with small-strain laws the undeformed ones."""
     dim = problem.body.dim
     own = len(problem.unknowns.displacement_dofs) // dim
-    x = problem.V.tabulate_dof_coordinates()[:own, :dim]
+    x = problem.places[:own, :dim]
     if problem.context.linear:
         return np.asarray(x)
     return np.asarray(x + problem.u.x.array[: own * dim].reshape(-1, dim))

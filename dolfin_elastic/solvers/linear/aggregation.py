@@ -228,15 +228,12 @@ def _summed(
         assert others.nodes is not None
         count = start[owned]
         rows = np.concatenate([rows, np.repeat(others.nodes, np.diff(others.start))])
-        columns = np.concatenate([columns[:count], others.columns])
-        order = np.lexsort((columns, rows))
-        rows, columns = rows[order], columns[order]
-        new = np.ones(len(rows), dtype=bool)
-        new[1:] = (rows[1:] != rows[:-1]) | (columns[1:] != columns[:-1])
-        blocks = np.concatenate([blocks[:count], others.blocks])[order]
-        first = np.flatnonzero(new)
-        blocks = np.add.reduceat(blocks, first, axis=0) if len(first) else blocks
-        rows, columns = rows[first], columns[first]
+        keys = rows * np.int64(halo.total) + np.concatenate([columns[:count], others.columns])
+        keys, places = np.unique(keys, return_inverse=True)
+        own_blocks, blocks = blocks[:count], np.zeros((len(keys), *blocks.shape[1:]))
+        blocks[places[:count]] = own_blocks
+        np.add.at(blocks, places[count:], others.blocks)
+        rows, columns = (keys // halo.total).astype(np.int32), keys % halo.total
     own = (columns >= halo.first) & (columns < halo.first + owned)
     result = Halo(halo.comm, owned, np.unique(columns[~own]))
     begins = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=owned))]).astype(np.int64)

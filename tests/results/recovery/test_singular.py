@@ -19,6 +19,7 @@ from dolfin_elastic import (
     Statics,
     Support,
     Traction,
+    box_body,
     name_parts,
     rectangle_body,
 )
@@ -157,6 +158,36 @@ def interface_on(comm: MPI.Comm) -> Any:
 def test_the_same_on_any_ranks() -> None:
     found = [on_ranks(count, interface_on) for count in SIZES]
     assert found[0] == pytest.approx([found[0][0], 1.75, 0.75, 2.25, 1.0])
+    for other in found[1:]:
+        assert other == pytest.approx(found[0])
+
+
+def stack_on(comm: MPI.Comm) -> Any:
+    """Two materials one on the other, held below: singular nodes, and what they span."""
+    body = name_parts(
+        box_body(comm=comm, size=(1.0, 1.0, 1.0), cells=(4, 4, 4)),
+        regions={
+            "low": Selector(box=[[0, 0, 0], [1, 1, 0.5]]),
+            "high": Selector(box=[[0, 0, 0.5], [1, 1, 1]]),
+        },
+    )
+    laws = {name: LinearElastic(E=E, nu=0.3) for name, E in (("low", 1e3), ("high", 1e4))}
+    problem = Problem(body, laws, degree=2, supports=[Support(on="bottom")])
+    places = singular_places(problem)
+    x = problem.places[: len(places.near)]
+    found = []
+    for reason in ("an edge where materials meet", "the rim of the support 'bottom'"):
+        near = np.concatenate(comm.allgather(x[places.near[:, places.reasons.index(reason)]]))
+        found += [len(near), *near.min(axis=0), *near.max(axis=0), *np.abs(near - 0.5).sum(axis=0)]
+    return found
+
+
+def test_edges_in_space_the_same_on_any_ranks() -> None:
+    """Those of the interface and of the support, along the four sides of the block: nodes of the
+    cells that touch them, of one layer below and one above, or of one above."""
+    found = [on_ranks(count, stack_on) for count in SIZES]
+    assert found[0][1:7] == pytest.approx([0, 0, 0.25, 1, 1, 0.75])
+    assert found[0][11:17] == pytest.approx([0, 0, 0, 1, 1, 0.25])
     for other in found[1:]:
         assert other == pytest.approx(found[0])
 

@@ -189,7 +189,7 @@ class Replay:
         mine: tuple[float, Place] = (-1.0, ())
         if nodes:
             node = int(np.argmax(far))
-            mine = float(far[node]), plain(problem.V.tabulate_dof_coordinates()[node, :dim])
+            mine = float(far[node]), plain(problem.places[node, :dim])
         return max(problem.body.comm.allgather(mine))
 
     # --- why ---
@@ -230,5 +230,5 @@ class Replay:
         dim = problem.body.dim
         forces = assembler.residual.owned.reshape(-1, dim)
         bad = ~np.isfinite(forces).all(axis=1)
-        places = problem.V.tabulate_dof_coordinates()[: len(forces), :dim][bad]
+        places = problem.places[: len(forces), :dim][bad]
         return first_of(problem.body.comm, map(plain, places)) or ()
