@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from dolfinx import cpp, fem
 from dolfinx.fem import petsc as _fem_petsc
+from dolfinx.graph import adjacencylist
 from dolfinx.io import XDMFFile
 from dolfinx.mesh import GhostMode, Mesh, MeshTags, create_cell_partitioner
 from mpi4py import MPI
@@ -87,6 +88,16 @@ def cell_partitioner(mode: GhostMode) -> Any:
         return create_cell_partitioner(mode)
     except TypeError:
         return create_cell_partitioner(mode, 2)
+
+
+def adjacency(rows: IndexArray) -> Any:
+    """DOLFINx's list of links, as many of each, for its C++ functions: 0.10 wraps it for Python.
+
+    Args:
+        rows: Shape (n, links).
+    """
+    found = adjacencylist(rows)
+    return getattr(found, "_cpp_object", found)
 
 
 def make_index_map(

@@ -1,7 +1,4 @@
-"""Reductions, exchanges of rows, and errors that all ranks raise together.
-
-Then none waits for one that failed.
-"""
+"""Reductions, exchange of rows, and errors that all ranks raise together so that none waits."""
 
 from __future__ import annotations
 
@@ -125,7 +122,7 @@ def first_of(comm: MPI.Comm, mine: Iterable[T]) -> T | None:
 
 
 class RankExchange:
-    """Sends rows of an array to other ranks, and rows back.  All of it is collective.
+    """Sends rows of an array to other ranks, and rows back. All of it is collective.
 
     Args:
         comm: The ranks.

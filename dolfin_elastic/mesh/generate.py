@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
-from dolfinx.graph import adjacencylist
 from dolfinx.mesh import CellType, GhostMode, create_box, create_rectangle
 from mpi4py import MPI
 
+from dolfin_elastic.core.compat import adjacency
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
@@ -26,6 +25,8 @@ _THINNEST = 1e-7
 
 _FEW = 1000
 """Little cubes of a rank below which a box is shared as other meshes are."""
+_UNEVEN = 0.03
+"""Most by which a share of a box may be larger than the mean."""
 
 _SIDES = {
     2: ("left", "right", "bottom", "top"),
@@ -168,8 +169,8 @@ def _check_extremes(size: Sequence[float], cells: Sequence[int], scale: float) -
         )
 
 
-def _partitioner(comm: MPI.Comm, count: Sequence[int]) -> Callable[..., Any] | None:
-    """How a box is shared by ranks: at planes between its little cubes, balanced to one layer.
+def _partitioner(comm: MPI.Comm, count: Sequence[int]) -> Callable[..., object] | None:
+    """How ranks share a box: by recursive coordinate bisection of its little cubes.
 
     No graph of its cells is made: that takes two fifths of the time of the whole mesh.
 
@@ -178,42 +179,67 @@ def _partitioner(comm: MPI.Comm, count: Sequence[int]) -> Callable[..., Any] | N
         count: Number of little cubes (squares) along each edge.
 
     Returns:
-        None where DOLFINx's own way is as good: on one rank, and for so few cubes that layers of
-        them are uneven shares.
+        None where DOLFINx's own way is better: where a graph takes no time, and where layers of
+        cubes make uneven shares.
     """
-    if comm.size == 1 or math.prod(count) < _FEW * comm.size:
+    total = math.prod(count)
+    if comm.size == 1 or total < _FEW * comm.size:
+        return None
+    if _largest_share(np.array(count), comm.size) * comm.size > (1 + _UNEVEN) * total:
         return None
 
-    def ranks_of(
-        comm: MPI.Comm, parts: int, kinds: Sequence[CellType], cells: Sequence[IntArray]
-    ) -> Any:
-        """Rank of each cell; its corner of the lowest number is that of its little cube."""
+    def ranks_of(_: MPI.Comm, parts: int, kinds: object, cells: Sequence[IntArray]) -> object:
+        """Rank of each cell.
+
+        DOLFINx numbers the vertices of a box along x first, and every cell has the lowest vertex
+        of its little cube.
+        """
         corner = np.asarray(cells[0]).reshape(-1, len(count) + 1).min(axis=1)
         cubes = np.empty((len(corner), len(count)), dtype=np.int64)
         for axis, number in enumerate(count):
             corner, cubes[:, axis] = np.divmod(corner, number + 1)
-        rows = adjacencylist(_halved(cubes, np.array(count), parts)[:, None])
-        return getattr(rows, "_cpp_object", rows)
+        return adjacency(_bisected(cubes, np.array(count), parts)[:, None])
 
     return ranks_of
 
 
-def _halved(cubes: IntArray, count: IntArray, parts: int) -> IndexArray:
-    """Part of each cube of a box that is halved, across its longest edge, again and again.
+def _cut(count: IntArray, parts: int) -> tuple[int, int, int]:
+    """Where a box of cubes is cut: across which edge, behind which layer, and the parts below.
+
+    Args:
+        count: Number of cubes along each edge, shape (dim,).
+        parts: Number of parts, at least 2; both sides get cubes in proportion to theirs.
+    """
+    axis, below = int(np.argmax(count)), parts // 2
+    return axis, round(int(count[axis]) * below / parts), below
+
+
+def _largest_share(count: IntArray, parts: int) -> int:
+    """Most cubes of a part; see `_bisected`."""
+    if parts == 1:
+        return int(np.prod(count))
+    axis, layer, below = _cut(count, parts)
+    one = np.eye(len(count), dtype=np.int64)[axis]
+    lower, upper = count - (count[axis] - layer) * one, count - layer * one
+    return max(_largest_share(lower, below), _largest_share(upper, parts - below))
+
+
+def _bisected(cubes: IntArray, count: IntArray, parts: int) -> IndexArray:
+    """Part of each cube of a box that is bisected across its longest edge, again and again.
 
     Args:
         cubes: Place of each along each edge, shape (n, dim).
         count: Number of cubes along each edge, shape (dim,).
-        parts: Number of parts; halves are as unequal as it asks for.
+        parts: Number of parts.
     """
     found = np.zeros(len(cubes), dtype=np.int32)
     if parts == 1:
         return found
-    axis, lower = int(np.argmax(count)), parts // 2
-    cut = round(int(count[axis]) * lower / parts)
-    below, step = cubes[:, axis] < cut, np.eye(len(count), dtype=np.int64)[axis]
-    found[below] = _halved(cubes[below], count - (count[axis] - cut) * step, lower)
-    found[~below] = lower + _halved(cubes[~below] - cut * step, count - cut * step, parts - lower)
+    axis, layer, below = _cut(count, parts)
+    one, lower = np.eye(len(count), dtype=np.int64)[axis], cubes[:, axis] < layer
+    found[lower] = _bisected(cubes[lower], count - (count[axis] - layer) * one, below)
+    rest = _bisected(cubes[~lower] - layer * one, count - layer * one, parts - below)
+    found[~lower] = below + rest
     return found
 
 

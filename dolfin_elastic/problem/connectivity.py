@@ -41,6 +41,7 @@ class ConnectedBodies:
         own = self._components_here()
         self.count, numbers = self._joined(own)
         self.of_node: IntArray = numbers[own]
+        self._middle: FloatArray = np.empty((0, problem.body.dim))
         self._number_by_place()
 
     def _components_here(self) -> IntArray:
@@ -68,7 +69,7 @@ class ConnectedBodies:
         return found, numbers[start : start + mine]
 
     def _number_by_place(self) -> None:
-        """Numbers the bodies by where they are, then by their cells: the same on any ranks."""
+        """Numbers several bodies by where they are, then by their cells: the same on any ranks."""
         if self.count == 1:
             return
         middle, cells = self._middles()

@@ -365,10 +365,9 @@ class FormContext:
         if not any(isinstance(value, Formula) for value in values):
             return factors[0] * self.constant([float(value) for value in values])  # type: ignore[arg-type]
         found = _formulas(self).make(values, parts, scalar=False)
-        items = [self.value(value) for value in values] if found is None else found
         if any(factor is not factors[0] for factor in factors):
-            return ufl.as_vector([factor * items[i] for i, factor in enumerate(factors)])
-        return factors[0] * (ufl.as_vector(items) if found is None else found)
+            return ufl.as_vector([factor * found[i] for i, factor in enumerate(factors)])
+        return factors[0] * found
 
     def scalar(
         self, value: Component, amplitude: Amplitude | None, parts: Parts | None = None
@@ -387,17 +386,12 @@ class FormContext:
 
         Args:
             value: The number or formula.
-            parts: Where it is integrated: there formulas are evaluated.  None: anywhere, and
-                another formula in x, y and z is compiled anew.
+            parts: Where it is integrated: there formulas are evaluated.  None: anywhere, and a
+                formula in x, y and z becomes a polynomial in each cell, see `CellwiseSpace`.
         """
         if not isinstance(value, Formula):
             return self.constant(float(value or 0.0))
-        found = _formulas(self).make((value,), parts, scalar=True)
-        if found is not None:
-            return found
-        X = self.X
-        z = X[2] if self.body.dim == 3 else self.constant(0.0)
-        return value.ufl(x=X[0], y=X[1], z=z, t=self.t)
+        return _formulas(self).make((value,), parts, scalar=True)
 
     # --- time ---
 
@@ -438,5 +432,7 @@ def _formulas(context: FormContext) -> FormulaValues:
             degree = context.weight_degree if parts.kind == "region" else 2 * context.order
             return context.measures.points(parts, degree)
 
-        context.formulas = FormulaValues(context.body.mesh, points, float(context.t.value))
+        context.formulas = FormulaValues(
+            context.body.mesh, points, context.unknowns.degree, float(context.t.value)
+        )
     return context.formulas

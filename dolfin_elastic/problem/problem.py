@@ -163,7 +163,7 @@ class Problem:
         self.context = FormContext(body, self.unknowns, self.regions, self.measures, self.geometry)
         self.constant, self.t, self.X = self.context.constant, self.context.t, self.context.X
         self.dirichlet = DirichletConditions(
-            body, self.V, self.places, self.supports, axis=axisymmetric, pinned=pinned
+            body, self.V, self.supports, places=self.places, axis=axisymmetric, pinned=pinned
         )
         self.ties: Ties | None = None
         if ties:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
 import pytest
+import ufl
 from helpers.annulus import FREE
 from mpi4py import MPI
 
 from dolfin_elastic import (
+    Dynamics,
     Growth,
     LinearElastic,
+    NeoHookean,
     Problem,
     Selector,
     Statics,
@@ -23,6 +27,7 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.mesh.selectors import PointSelector
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.results.evaluate import Evaluator
 
@@ -187,6 +192,99 @@ def test_only_where_it_is_said():
     x = problem.V.tabulate_dof_coordinates()[:, 0]
     exact = 0.32 * np.maximum(x - 1, 0)
     assert largest(problem, problem.u.x.array.reshape(-1, 2)[:, 0] - exact) < 1e-10
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("load", [Thermal, Growth])
+def test_another_formula_compiles_nothing(load, dim, monkeypatch):
+    """Formulas are evaluated: residual, tangent and energy are the same forms with any of them."""
+    known = "1000 ppm/K"
+
+    def forms(formula):
+        # UFL sorts constants by their numbers' digits: they are to be those of another process.
+        monkeypatch.setattr(ufl.Constant, "_counter", itertools.count(1000))
+        value = formula if load is Thermal else [formula, 1, 1]
+        law = StVenantKirchhoff(E=E, nu=NU, expansion=known)
+        form = Problem(box(dim), law, supports=planes(dim), loads=[load(value=value)]).weak_form
+        return [
+            getattr(form, name).signature() for name in ("residual", "tangent", "strain_energy")
+        ]
+
+    assert forms("1 + x*t") == forms("1.5 - t*exp(-x*y)/3")
+
+
+def test_uneven_warmth_without_stress():
+    """T = G y bends a free plate and leaves it without stress: u = alpha G (x y, (y^2 - x^2)/2).
+
+    Temperatures that are linear in x and y do so in plane stress: B. A. Boley and J. H. Weiner,
+    Theory of Thermal Stresses (1960), section 9.3.  Quadratic elements contain this u.
+    """
+    G = 20.0
+    body = name_parts(
+        rectangle_body(size=(2, 1), cells=(4, 3)), points={"corner": PointSelector(nearest=(0, 0))}
+    )
+    problem = Problem(
+        body,
+        LinearElastic(**ALIKE),
+        supports=[
+            Support(on="left", displacement=[0, FREE]),
+            Support(on="corner", displacement=[FREE, 0]),
+        ],
+        loads=[Thermal(value=f"{G}*y*t")],
+        degree=2,
+        geometry="plane-stress",
+    )
+    *_, state = Statics(problem, steps=2).steps()
+    x, y = problem.places[:, :2].T
+    exact = ALPHA * G * np.column_stack([x * y, (y**2 - x**2) / 2])
+    assert largest(problem, problem.u.x.array.reshape(-1, 2) - exact) < 1e-12
+    stress = Evaluator(problem, ["cauchy_stress"])(state)["cauchy_stress"]
+    assert largest(problem, stress) < 1e-11 * E
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_warmth_may_jump_between_cells(degree):
+    """A bar between walls, half of it warm: sigma = -E alpha dT/2, and u has a bend in the middle.
+
+    To round-off: no cell of the cold half knows of the warmth beside it.
+    """
+    problem = Problem(
+        rectangle_body(size=(2, 1), cells=(4, 2)),
+        LinearElastic(E=E, nu=0.0, expansion=ALPHA),
+        supports=[
+            *(Support(on=name, displacement=[0, FREE]) for name in ("left", "right")),
+            Support(on=["bottom", "top"], displacement=[FREE, 0]),
+        ],
+        loads=[Thermal(value=f"where(x < 1, {WARMER}, 0)")],
+        degree=degree,
+    )
+    *_, state = Statics(problem).steps()
+    assert state.reactions["right"][0] == pytest.approx(-E * STRAIN / 2, rel=1e-11)
+    x = problem.places[:, 0]
+    exact = STRAIN / 2 * np.minimum(x, 2 - x)
+    assert largest(problem, problem.u.x.array.reshape(-1, 2)[:, 0] - exact) < 1e-13
+
+
+@pytest.mark.parametrize("scheme", ["central-differences", "newmark"])
+def test_warmth_by_a_formula_in_place_and_time(scheme):
+    """As by a formula in place and a curve: in motion values are taken anew at each time."""
+    ends = []
+    for load in (
+        Thermal(value="2e3*x*t"),
+        Thermal(value="200*x", curve=[[0, 0], [0.1, 1]]),
+    ):
+        problem = Problem(
+            rectangle_body(size=(1, 1), cells=(4, 4)),
+            NeoHookean(E=E, nu=NU, density=1000.0, expansion=ALPHA),
+            supports=[Support(on=["left", "right"])],
+            loads=[load],
+            degree=1,
+        )
+        step = {} if scheme == "central-differences" else {"dt": 0.01, "rtol": 1e-12}
+        [*_] = Dynamics(problem, scheme=scheme, end=0.1, **step).steps()
+        ends.append(problem.u.x.array.copy())
+    assert largest(problem, ends[0]) > 1e-3
+    assert largest(problem, ends[0] - ends[1]) < 1e-10
 
 
 def test_warmth_needs_a_coefficient():

@@ -90,7 +90,7 @@ class LoadContext(Protocol):
         Args:
             value: The number or formula.
             parts: Where it is integrated, by `volumes`, `densities` or `areas` as they are: there
-                formulas are evaluated.  None: anywhere, and another formula is compiled anew.
+                formulas are evaluated.  None: anywhere, and a formula is a polynomial in each cell.
         """
 
     def scalar(

@@ -32,8 +32,8 @@ class DirichletConditions:
     Args:
         body: The mesh and its names.
         V: Space of the displacement.
-        places: Of its local nodes [m], shape (nodes, 3).
         supports: All supports; springs and dashpots are ignored.
+        places: Of the space's local nodes [m], shape (nodes, 3).
         axis: The body is axisymmetric: the radial displacement of nodes on the axis is zero.
         pinned: Of a periodic cell, which has no supports: local entries that are unknowns of its
             fixed vertex, and one of them for each such unknown that this rank owns.
@@ -53,16 +53,16 @@ class DirichletConditions:
         self,
         body: Body,
         V: fem.FunctionSpace,
-        places: FloatArray,
         supports: Sequence[Restraint],
         *,
+        places: FloatArray,
         axis: bool = False,
         pinned: tuple[IndexArray, IndexArray] | None = None,
     ) -> None:
         self.values = fem.Function(V)
         self._V, self._bs = V, V.dofmap.index_map_bs
         self._x = without_round_off(places, span(body))
-        found = PrescribedComponents(body, V, places, supports, axisymmetric=axis)
+        found = PrescribedComponents(body, V, supports, places=places, axisymmetric=axis)
         self.rigid_motions, off_axis = found.rigid_motions, found.off_axis
         self.skew = self._skew(found, off_axis)
         self._entries = found.along_axes(~off_axis)

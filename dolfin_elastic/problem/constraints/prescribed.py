@@ -104,8 +104,8 @@ class PrescribedComponents:
     Args:
         body: The mesh and its names.
         V: Space of the displacement.
-        places: Of its local nodes [m], shape (nodes, 3).
         supports: All supports; springs and dashpots are ignored.
+        places: Of the space's local nodes [m], shape (nodes, 3).
         axisymmetric: The radial displacement of nodes on the axis is zero.
 
     Attributes:
@@ -121,9 +121,9 @@ class PrescribedComponents:
         self,
         body: Body,
         V: fem.FunctionSpace,
-        places: FloatArray,
         supports: Sequence[Restraint],
         *,
+        places: FloatArray,
         axisymmetric: bool,
     ) -> None:
         self._body, self._V, self._axisymmetric = body, V, axisymmetric

@@ -5,10 +5,14 @@ value at each point of the integral's quadrature rule, so that the integral is t
 and another formula compiles nothing.  DOLFINx has such functions on cells only ("quadrature
 elements").  Those here have any sets of points of the reference cell: one for each of its facets,
 edges or nodes; and entries only where the integral is taken.
+
+What stands in stresses is evaluated at many sets of points.  It becomes a polynomial in each cell,
+of the degree of the displacement, one more than its strain has.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -19,11 +23,10 @@ import numpy as np
 import ufl
 from dolfinx import cpp, fem
 from dolfinx.fem import Constant
-from dolfinx.graph import adjacencylist
 from dolfinx.mesh import Mesh, create_unit_cube, create_unit_square
 from mpi4py import MPI
 
-from dolfin_elastic.core.compat import make_index_map, space_like
+from dolfin_elastic.core.compat import adjacency, make_index_map, space_like
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.types import FloatArray, IndexArray
@@ -32,6 +35,8 @@ from dolfin_elastic.model.values import PLACE, Component, Parts, depends_on_time
 
 _NEAR = 1e-12
 """Distance of points of the reference cell that are the same."""
+_INNER = 0.7
+"""Distance of points of a cell from its barycentre, over that of the nodes of its element."""
 _CHUNK = 16384
 """Entities that are treated at once, which bounds the memory."""
 
@@ -110,7 +115,96 @@ class _PointsElement(basix.ufl._QuadratureElement):
         raise ValueError("these are no points of the integral that a formula stands in")
 
 
-class PointsSpace:
+class FormulaSpace(ABC):
+    """Functions given by formulas at points.
+
+    Args:
+        mesh: The mesh.
+        points: Where formulas are evaluated.
+        width: Components of a function; 0: it is a scalar.
+    """
+
+    _space: fem.FunctionSpace
+
+    def __init__(self, mesh: Mesh, points: IntegralPoints, width: int) -> None:
+        self._mesh, self._points, self._width = mesh, points, width
+
+    def function(self) -> fem.Function:
+        """A function that is 0."""
+        return fem.Function(self._space)
+
+    def fill(self, function: fem.Function, values: tuple[Component, ...], t: float) -> None:
+        """Gives a function its values. Not collective.
+
+        Args:
+            function: Of this space.
+            values: Its components.
+            t: Time [s], or load parameter.
+        """
+        rows = function.x.array.reshape(-1, max(self._width, 1))
+        for start in range(0, len(self._points.cells), _CHUNK):
+            places = self._places_for(start, values)
+            self._store(rows, start, np.stack([number_at(v, places, t) for v in values], axis=2))
+
+    @abstractmethod
+    def _store(self, rows: FloatArray, start: int, table: FloatArray) -> None:
+        """Gives entries of a function their values.
+
+        Args:
+            rows: Entries, shape (entries, components).
+            start: First entity of a chunk.
+            table: Values at the points of its entities, shape (entities, points, components).
+        """
+
+    def _places_for(self, start: int, values: tuple[Component, ...]) -> FloatArray:
+        """Points [m] of the entities of a chunk, shape (entities, points, 3)."""
+        return self._places(start)
+
+    def places(self) -> FloatArray:
+        """All points of this rank [m], shape (n, 3). Not collective."""
+        starts = range(0, len(self._points.cells), _CHUNK)
+        found = [np.zeros((0, 3)), *(self._places(start).reshape(-1, 3) for start in starts)]
+        return np.concatenate(found)
+
+    def _places(self, start: int) -> FloatArray:
+        sets, geometry = self._points.sets, self._mesh.geometry
+        cells, which = (a[start : start + _CHUNK] for a in (self._points.cells, self._points.which))
+        found = np.empty((len(cells), sets.shape[1], 3))
+        for i, own in enumerate(sets):
+            here = which == i
+            nodes = geometry.x[geometry.dofmap[cells[here]]]
+            found[here] = np.einsum("kn,cnj->ckj", shape_functions(self._mesh, own), nodes)
+        return found
+
+
+class CellwiseSpace(FormulaSpace):
+    """Functions that are polynomials in each cell, for integrals and fields anywhere.
+
+    They have the values of formulas at points inside the cells: a jump along facets stays where it
+    is.  Collective to make.
+
+    Args:
+        mesh: The mesh.
+        degree: Of the polynomials.
+        width: Components of a function; 0: it is a scalar.
+    """
+
+    def __init__(self, mesh: Mesh, degree: int, width: int) -> None:
+        dim, shape = mesh.topology.dim, (width,) if width else ()
+        element = basix.ufl.element("DG", _cell(dim).name, degree)
+        middle = 1 / (dim + 1)
+        inside = middle + _INNER * (element.basix_element.points - middle)
+        self._to_nodes = np.linalg.inv(element.tabulate(0, inside)[0])
+        cells = np.arange(len(mesh.geometry.dofmap), dtype=np.int32)
+        super().__init__(mesh, IntegralPoints(inside[None], cells, np.zeros_like(cells)), width)
+        self._space = fem.functionspace(mesh, ("DG", degree, shape) if shape else ("DG", degree))
+
+    def _store(self, rows: FloatArray, start: int, table: FloatArray) -> None:
+        dofs = self._space.dofmap.list[start : start + len(table)]
+        rows[dofs] = np.einsum("nk,cki->cni", self._to_nodes, table)
+
+
+class PointsSpace(FormulaSpace):
     """Functions given at the points of an integral. Collective to make.
 
     Args:
@@ -120,7 +214,7 @@ class PointsSpace:
     """
 
     def __init__(self, mesh: Mesh, points: IntegralPoints, width: int) -> None:
-        self._mesh, self._points, self._width = mesh, points, width
+        super().__init__(mesh, points, width)
         self._kept: dict[int, FloatArray] = {}
         often = np.bincount(points.cells).max(initial=0)
         shared = largest(mesh.comm, float(often)) <= 1
@@ -140,49 +234,19 @@ class PointsSpace:
         one = fem.functionspace(tiny(MPI.COMM_SELF, *[1] * mesh.topology.dim), element)
         nobody = np.empty(0, dtype=np.int32)
         index_map = make_index_map(mesh.comm, size * count + 1, nobody.astype(np.int64), nobody)
-        rows = adjacencylist(entries)
-        rows = getattr(rows, "_cpp_object", rows)
+        rows = adjacency(entries)
         dofmap = cpp.fem.DofMap(one.dofmap.dof_layout, index_map, block, rows, block)
         return fem.FunctionSpace(mesh, element, space_like(one, dofmap, mesh))
 
-    def function(self) -> fem.Function:
-        """A function that is 0."""
-        return fem.Function(self._space)
+    def _store(self, rows: FloatArray, start: int, table: FloatArray) -> None:
+        first, size = start * table.shape[1], table.shape[0] * table.shape[1]
+        rows[first : first + size] = table.reshape(size, -1)
 
-    def fill(self, function: fem.Function, values: tuple[Component, ...], t: float) -> None:
-        """Gives a function its values. Not collective.
-
-        Args:
-            function: Of this space.
-            values: Its components.
-            t: Time [s], or load parameter.
-        """
-        count = self._points.sets.shape[1]
-        rows = function.x.array.reshape(-1, max(self._width, 1))
-        for start in range(0, len(self._points.cells), _CHUNK):
-            places = self._kept[start] if start in self._kept else self._places(start)
-            if depends_on_time(values):
-                self._kept[start] = places
-            part = rows[start * count :][: places.shape[0] * count]
-            for i, value in enumerate(values):
-                part[:, i] = number_at(value, places, t).ravel()
-
-    def places(self) -> FloatArray:
-        """All points of this rank [m], shape (n, 3). Not collective."""
-        starts = range(0, len(self._points.cells), _CHUNK)
-        found = [np.zeros((0, 3)), *(self._places(start).reshape(-1, 3) for start in starts)]
-        return np.concatenate(found)
-
-    def _places(self, start: int) -> FloatArray:
-        """Points [m] of the entities of a chunk, shape (entities, points, 3)."""
-        sets, geometry = self._points.sets, self._mesh.geometry
-        cells, which = (a[start : start + _CHUNK] for a in (self._points.cells, self._points.which))
-        found = np.empty((len(cells), sets.shape[1], 3))
-        for i, own in enumerate(sets):
-            here = which == i
-            nodes = geometry.x[geometry.dofmap[cells[here]]]
-            found[here] = np.einsum("kn,cnj->ckj", shape_functions(self._mesh, own), nodes)
-        return found
+    def _places_for(self, start: int, values: tuple[Component, ...]) -> FloatArray:
+        places = self._kept[start] if start in self._kept else self._places(start)
+        if depends_on_time(values):
+            self._kept[start] = places
+        return places
 
 
 class FormulaValues:
@@ -191,21 +255,24 @@ class FormulaValues:
     Args:
         mesh: The mesh.
         points: Gives the points of an integral over parts; collective.
+        degree: Of the displacement, and of what formulas are in a cell where they stand anywhere.
         t: Time [s], or load parameter.
 
     Attributes:
         moving: Functions that change with time.
     """
 
-    def __init__(self, mesh: Mesh, points: Callable[[Parts], IntegralPoints], t: float) -> None:
-        self._mesh, self._points, self._t = mesh, points, t
-        self._spaces: dict[tuple[Parts, int], PointsSpace] = {}
+    def __init__(
+        self, mesh: Mesh, points: Callable[[Parts], IntegralPoints], degree: int, t: float
+    ) -> None:
+        self._mesh, self._points, self._degree, self._t = mesh, points, degree, t
+        self._spaces: dict[tuple[Parts | None, int], FormulaSpace] = {}
         self._timed: list[Callable[[float], None]] = []
         self.moving: list[fem.Function] = []
 
     def make(
         self, values: tuple[Component, ...], parts: Parts | None, *, scalar: bool
-    ) -> Constant | fem.Function | None:
+    ) -> Constant | fem.Function:
         """Components as one constant or function of its own.  Collective.
 
         Args:
@@ -215,7 +282,7 @@ class FormulaValues:
 
         Returns:
             A constant where nothing varies in space, else a function with values at the points of
-            the integral; None: the points are not known.
+            the integral, or anywhere in cells.
         """
         width, timed = 0 if scalar else len(values), depends_on_time(values)
         found: Constant | fem.Function
@@ -223,8 +290,6 @@ class FormulaValues:
         if not any(isinstance(value, Formula) and value.names & PLACE for value in values):
             found = Constant(self._mesh, np.zeros(width or ()))
             follow = partial(_set_constant, found, values)
-        elif parts is None:
-            return None
         else:
             space = self._space(parts, width)
             found = space.function()
@@ -244,9 +309,13 @@ class FormulaValues:
         space = next(known, None)
         return (self._space(parts, 0) if space is None else space).places()
 
-    def _space(self, parts: Parts, width: int) -> PointsSpace:
+    def _space(self, parts: Parts | None, width: int) -> FormulaSpace:
         if (parts, width) not in self._spaces:
-            self._spaces[parts, width] = PointsSpace(self._mesh, self._points(parts), width)
+            self._spaces[parts, width] = (
+                CellwiseSpace(self._mesh, self._degree, width)
+                if parts is None
+                else PointsSpace(self._mesh, self._points(parts), width)
+            )
         return self._spaces[parts, width]
 
     def set_time(self, t: float) -> None:

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import cpp, fem, la
-from dolfinx.graph import adjacencylist
 from mpi4py import MPI
 
-from dolfin_elastic.core.compat import make_index_map, space_like
+from dolfin_elastic.core.compat import adjacency, make_index_map, space_like
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.body import Body, connected_components, span
@@ -280,8 +279,7 @@ def _space(
     V: fem.FunctionSpace, index_map: cpp.common.IndexMap, new: IndexArray
 ) -> fem.FunctionSpace:
     dofmap = V.dofmap
-    cells = adjacencylist(np.ascontiguousarray(new[dofmap.list], dtype=np.int32))
-    cells = getattr(cells, "_cpp_object", cells)
+    cells = adjacency(np.ascontiguousarray(new[dofmap.list], dtype=np.int32))
     merged = cpp.fem.DofMap(dofmap.dof_layout, index_map, dofmap.index_map_bs, cells, dofmap.bs)
     made = space_like(V, merged)
     return fem.FunctionSpace(V.mesh, V.ufl_element(), made)

@@ -52,8 +52,7 @@ from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw
 from dolfin_elastic.model.materials.mixed import Mixed
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.results.recovery.patches import ErrorRule
-from dolfin_elastic.results.recovery.ridges import cell_edges
+from dolfin_elastic.results.recovery.patches import ErrorRule, cell_edges
 from dolfin_elastic.results.recovery.stress import (
     COMPONENTS,
     STRESS,

@@ -14,9 +14,9 @@ import numpy as np
 from dolfinx import la
 
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.mesh.geometry.ridges import cell_ridges
 from dolfin_elastic.mesh.geometry.simplices import cell_corners
 from dolfin_elastic.problem.material_regions import poisson, shear_modulus
-from dolfin_elastic.results.recovery.ridges import cell_ridges
 from dolfin_elastic.results.recovery.wedge import Face, Wedge, stress_exponent
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def material_corners(
     whole: FloatArray,
     some: FloatArray,
 ) -> BoolArray:
-    """Which edges (vertices in the plane) are singular so. Local.
+    """At which edges (vertices in the plane) materials make the stress singular. Local.
 
     Args:
         problem: The problem that is solved.
@@ -77,34 +77,32 @@ def _wedge(problem: Problem, region: int, angle: float) -> Wedge:
     return Wedge(angle, shear_modulus(law), kappa)
 
 
-def angles_at_interfaces(problem: Problem) -> tuple[IndexArray, IndexArray, FloatArray]:
+def angles_at_interfaces(problem: Problem) -> list[tuple[IndexArray, IndexArray, FloatArray]]:
     """Angles of cells at their edges (vertices in the plane) where materials may meet. Collective.
 
     Args:
         problem: The problem that is solved.
 
     Returns:
-        A row for each cell and each edge whose ends touch several regions: cell; local edge of that
-        cell; and its angle, in the column of its region [rad].
+        Of each region a row for each cell and each edge whose ends touch several regions: cell;
+        local edge of that cell; and its angle, shape (rows, 1) [rad].
     """
     mesh, dim = problem.body.mesh, problem.body.dim
-    width = len(problem.regions)
-    if width < 2:
+    if len(problem.regions) < 2:
         none = np.empty(0, dtype=np.int32)
-        return none, none, np.empty((0, width))
+        return [(none, none, np.empty((0, 1)))]
     vertices = mesh.topology.connectivity(dim, 0).array.reshape(-1, dim + 1)
     shared = _touch_several(problem, vertices)
-    found_cells, found_numbers, values = [], [], []
-    for region, part in enumerate(problem.regions):
+    found: list[tuple[IndexArray, IndexArray, FloatArray]] = []
+    for part in problem.regions:
         several = shared[vertices[part.cells]]
+        numbers, rows = np.nonzero([several[:, ridge].all(axis=1) for ridge in cell_ridges(dim)])
+        angles = np.empty((len(rows), 1))
         for number, ridge in enumerate(cell_ridges(dim)):
-            cells = part.cells[several[:, ridge].all(axis=1)]
-            table = np.zeros((len(cells), width))
-            table[:, region] = _angle(cell_corners(mesh, cells), ridge)
-            found_cells.append(cells)
-            found_numbers.append(np.full(len(cells), number, dtype=np.int32))
-            values.append(table)
-    return np.concatenate(found_cells), np.concatenate(found_numbers), np.concatenate(values)
+            here = numbers == number
+            angles[here, 0] = _angle(cell_corners(mesh, part.cells[rows[here]]), ridge)
+        found.append((part.cells[rows], numbers.astype(np.int32), angles))
+    return found
 
 
 def _touch_several(problem: Problem, vertices: IndexArray) -> BoolArray:

@@ -28,6 +28,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, permutations
 
+import basix
 import numpy as np
 from dolfinx import fem, la
 
@@ -35,9 +36,7 @@ from dolfin_elastic.core.jit import JitOptions, compile_c, options
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.curved import quadrature_rule, shape_functions
-from dolfin_elastic.mesh.geometry.simplices import vertex_nodes
 from dolfin_elastic.results.recovery.loops import DECLARATIONS, SOURCE
-from dolfin_elastic.results.recovery.ridges import cell_edges
 
 _CHUNK = 2048
 """Cells that are treated at once, which bounds the memory."""
@@ -59,6 +58,16 @@ def sampling_points(dim: int, degree: int) -> FloatArray:
         degree: Of the displacement.
     """
     return quadrature_rule(dim, 1 if degree == 1 else 2)[0]
+
+
+def cell_edges(dim: int) -> IntArray:
+    """Corners at the ends of each edge of a cell, shape (edges, 2).
+
+    Args:
+        dim: 2: triangle, 3: tetrahedron.
+    """
+    kind = (basix.CellType.triangle, basix.CellType.tetrahedron)[dim - 2]
+    return np.array(basix.topology(kind)[1], dtype=np.int64)
 
 
 class Patches:
@@ -246,7 +255,8 @@ class Patches:
 
     def _vertex_places(self) -> FloatArray:
         """Places of the used vertices, shape (vertices, dim)."""
-        nodes = vertex_nodes(self._mesh)[self._used]
+        nodes = np.empty(len(self._used), dtype=np.int32)
+        nodes[self._corners] = self._mesh.geometry.dofmap[self.cells, : self._dim + 1]
         return np.ascontiguousarray(self._mesh.geometry.x[nodes, : self._dim])
 
     # --- sums over patches ---

@@ -38,6 +38,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.mesh.geometry.curved import cell_gradients, facet_areas
+from dolfin_elastic.mesh.geometry.ridges import Ridges, cell_ridges
 from dolfin_elastic.mesh.geometry.simplices import boundary_facets, cells_beside_facets
 from dolfin_elastic.model.supports.displacement import PrescribingSupport, Restraint
 from dolfin_elastic.model.supports.rigid_surface import Rigid
@@ -45,7 +46,6 @@ from dolfin_elastic.model.supports.springs import Spring
 from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.material_regions import poisson, young
 from dolfin_elastic.results.recovery.interfaces import angles_at_interfaces, material_corners
-from dolfin_elastic.results.recovery.ridges import Ridges, cell_ridges
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
@@ -102,16 +102,17 @@ def singular_places(problem: Problem) -> SingularPlaces:
         *(f"the rim of the support '{label}'" for label in labels),
         *(f"the edge of the contact '{pair.label}'" for pair in pairs),
     ]
-    outer = _at_surface(problem, held, labels)
-    inner = angles_at_interfaces(problem)
-    cells, numbers = np.append(outer[0], inner[0]), np.append(outer[1], inner[1])
-    ridges, width = Ridges(problem.body.mesh, cells, numbers), outer[2].shape[1]
-    values = np.zeros((len(cells), width + inner[2].shape[1]))
-    values[: len(outer[0]), :width], values[len(outer[0]) :, width:] = outer[2], inner[2]
-    sums, angles = np.split(ridges.sums(values), [width], axis=1)
+    cells, numbers, values = zip(
+        _at_surface(problem, held, labels), *angles_at_interfaces(problem), strict=True
+    )
+    ridges = Ridges(problem.body.mesh, np.concatenate(cells), np.concatenate(numbers))
+    ends = np.cumsum([0, *(len(rows) for rows in values)])
+    sums, *angles = (
+        ridges.sums(slice(ends[i], ends[i + 1]), rows) for i, rows in enumerate(values)
+    )
     (count, whole, some) = sums[:, 6:9].T
     singular = np.zeros((ridges.count, 2 + len(labels) + len(pairs)), dtype=bool)
-    singular[:, 0] = material_corners(problem, angles, count, whole, some)
+    singular[:, 0] = material_corners(problem, np.column_stack(angles), count, whole, some)
     outside = np.flatnonzero(count > 0)
     singular[outside, 1:] = _classify(sums[outside], problem, (len(labels), len(pairs)))
     V = problem.V

@@ -228,11 +228,11 @@ def _summed(
         assert others.nodes is not None
         count = start[owned]
         rows = np.concatenate([rows, np.repeat(others.nodes, np.diff(others.start))])
-        keys = rows * np.int64(halo.total) + np.concatenate([columns[:count], others.columns])
-        keys, places = np.unique(keys, return_inverse=True)
+        columns = np.concatenate([columns[:count], others.columns])
+        keys, entry = np.unique(rows.astype(np.int64) * halo.total + columns, return_inverse=True)
         own_blocks, blocks = blocks[:count], np.zeros((len(keys), *blocks.shape[1:]))
-        blocks[places[:count]] = own_blocks
-        np.add.at(blocks, places[count:], others.blocks)
+        blocks[entry[:count]] = own_blocks
+        np.add.at(blocks, entry[count:], others.blocks)
         rows, columns = (keys // halo.total).astype(np.int32), keys % halo.total
     own = (columns >= halo.first) & (columns < halo.first + owned)
     result = Halo(halo.comm, owned, np.unique(columns[~own]))

@@ -106,13 +106,12 @@ class FrequencyBound:
         Args:
             rates: From `evaluate` [1/s^2].
         """
-        V = self._problem.V
         mine: tuple[float, tuple[float, ...]] = (-np.inf, ())
         if len(rates):
             row = int(np.argmax(rates))
-            x = V.tabulate_dof_coordinates()[row, : self._dim]
+            x = self._problem.places[row, : self._dim]
             mine = float(rates[row]), tuple(map(float, x))
-        return max(V.mesh.comm.allgather(mine), key=lambda pair: pair[0])[1]
+        return max(self._problem.body.comm.allgather(mine), key=lambda pair: pair[0])[1]
 
 
 def rows_over_mass(
