@@ -73,12 +73,12 @@ def test_integrals_are_those_of_ufl(
     measure = context.held(names).measure if lower else make[kind](names)
     jump = formula("exp(x*t)*where(x < 0.61*y + 0.0137, 1, 3) + z")
     values = (jump, formula("t - y^3"), 2.0)[:dim]
-    works = []
-    for parts in (None, Parts(kind, names)):
-        vector = context.vector(values, None, parts)
-        number = context.scalar(jump, CONSTANT, parts)
-        works.append(ufl.inner(number * vector, context.v) * measure)
-    forms = compiled(problem, works)
+    place = dict(zip("xyz", [*context.X, 0.0], strict=False), t=context.t)
+    number, *items = (v if isinstance(v, float) else v.ufl(**place) for v in (jump, *values))
+    parts = Parts(kind, names)
+    evaluated = context.scalar(jump, CONSTANT, parts) * context.vector(values, None, parts)
+    factors = number * ufl.as_vector(items), evaluated
+    forms = compiled(problem, [ufl.inner(factor, context.v) * measure for factor in factors])
     context.set_time(0.7, CONSTANT)
     by_ufl, at_points = (fem.assemble_vector(form).array for form in forms)
     size = float(np.abs(by_ufl).max(initial=0.0))
