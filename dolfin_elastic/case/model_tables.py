@@ -170,7 +170,8 @@ def _load(row: object) -> Load:
     if isinstance(row, Load):
         return row
     table = as_table(row)
-    with _vector("value"), _vector("force", '[0, 0, "-2 kN"]'):
+    value = "[1.1, 1, 1]" if table.get("kind") == "growth" else "[0, 0, 1]"
+    with _vector("value", value), _vector("force", '[0, 0, "-2 kN"]'):
         return class_named(LOADS, table, "kind", LOAD_WORDS)(**table)
 
 

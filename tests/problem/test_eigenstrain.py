@@ -301,6 +301,7 @@ def test_warmth_needs_a_coefficient():
         (Growth, [1.1], "value: [1.1] is no growth"),
         (Growth, [1.1, 0, 1], "value: a stretch must be above 0"),
         (Growth, [[1, 0], [0, 1], [1, 1]], "value: this is no 3x3 list"),
+        (Growth, [[1, 2, 0], [2, 1, 0], [0, 0, 1]], "value: the determinant of this growth is -3"),
     ],
 )
 def test_what_is_no_growth(kind, value, says):

@@ -6,6 +6,7 @@ from abc import abstractmethod
 from functools import cached_property
 from typing import Any, ClassVar, Literal
 
+import numpy as np
 import ufl
 from ufl.core.expr import Expr
 
@@ -89,7 +90,15 @@ class Growth(Eigenstrain):
         if len(written) == 3 and all(isinstance(row, list | tuple) for row in written):
             if any(len(row) != 3 for row in written):
                 raise InputError("this is no 3x3 list", expected=_GROWTH)
-            return [[component(item, "") for item in row] for row in written]
+            found = [[component(item, "") for item in row] for row in written]
+            if all(isinstance(item, float) for row in found for item in row):
+                change = float(np.linalg.det(np.array(found, dtype=np.float64)))
+                if not change > 0:
+                    raise InputError(
+                        f"the determinant of this growth is {change:.3g}",
+                        expected="a determinant above 0: the factor by which the volume grows",
+                    )
+            return found
         if len(written) not in (2, 3) or any(isinstance(row, list | tuple) for row in written):
             raise InputError(f"{written!r} is no growth", expected=_GROWTH)
         stretches = [component(item, "") for item in [*written, 1.0][:3]]

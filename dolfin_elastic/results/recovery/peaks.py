@@ -117,7 +117,9 @@ def _remarks(peak: Peak, changes: str) -> list[str]:
 
 
 def percent(share: float) -> str:
-    """A share in percent with two digits."""
+    """A share in percent with two digits; "unknown" where it is no number."""
+    if not np.isfinite(share):
+        return "unknown"
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
