@@ -100,6 +100,19 @@ def adjacency(rows: IndexArray) -> Any:
     return getattr(found, "_cpp_object", found)
 
 
+def column_map(pattern: cpp.la.SparsityPattern) -> cpp.common.IndexMap:
+    """Columns of a finalised pattern, with ghosts that only its entries have.
+
+    From 0.11 on there is one function for rows and columns.
+
+    Args:
+        pattern: Square.
+    """
+    if hasattr(pattern, "column_index_map"):
+        return pattern.column_index_map()
+    return pattern.index_map(1)
+
+
 def make_index_map(
     comm: MPI.Comm, count: int, ghosts: IntArray, owners: IndexArray
 ) -> cpp.common.IndexMap:

@@ -65,7 +65,8 @@ def test_shapes_and_names(dim: int) -> None:
     compared, too.
     """
     body = box_body(size=[1, 2, 3][:dim], cells=[4, 2, 3][:dim])
-    facets = np.arange(body.mesh.topology.index_map(dim - 1).size_local, dtype=np.int32)
+    known = body.mesh.topology.index_map(dim - 1)
+    facets = np.arange(known.size_local + known.num_ghosts, dtype=np.int32)
     inside = np.abs(facet_corners(body.mesh, facets)[:, :, 0] - 0.5).max(axis=1) < 1e-9
     body = name_parts(
         body.named(surfaces={"cut": facets[inside]}),

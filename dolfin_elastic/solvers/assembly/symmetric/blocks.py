@@ -11,6 +11,7 @@ import numpy as np
 from dolfinx import fem
 from petsc4py import PETSc
 
+from dolfin_elastic.core.compat import column_map
 from dolfin_elastic.core.jit import CFunctions, compile_c
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray, SingleArray
 from dolfin_elastic.problem.problem import Problem
@@ -43,7 +44,7 @@ class SymmetricBlocks:
         pattern = fem.create_sparsity_pattern(form)
         pattern.finalize()
         columns, offsets = pattern.graph
-        nodes = pattern.column_index_map()
+        nodes = column_map(pattern)
         n = nodes.size_local
         self.halo = Halo(problem.body.comm, n, np.asarray(nodes.ghosts, dtype=np.int64))
         row = np.repeat(np.arange(n, dtype=np.int32), np.diff(offsets[: n + 1]))
