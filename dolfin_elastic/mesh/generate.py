@@ -203,25 +203,29 @@ def _partitioner(comm: MPI.Comm, count: Sequence[int]) -> Callable[..., object] 
     return ranks_of
 
 
-def _cut(count: IntArray, parts: int) -> tuple[int, int, int]:
-    """Where a box of cubes is cut: across which edge, behind which layer, and the parts below.
+def _cut(count: IntArray, parts: int) -> tuple[IntArray, IntArray, int]:
+    """Where a box of cubes is cut, across its longest edge.
 
     Args:
         count: Number of cubes along each edge, shape (dim,).
         parts: Number of parts, at least 2; both sides get cubes in proportion to theirs.
+
+    Returns:
+        First cube of the upper side, shape (dim,); number of cubes along each edge of the lower
+        one; and the parts of the lower one.
     """
     axis, below = int(np.argmax(count)), parts // 2
-    return axis, round(int(count[axis]) * below / parts), below
+    first, lower = np.zeros_like(count), count.copy()
+    first[axis] = lower[axis] = round(int(count[axis]) * below / parts)
+    return first, lower, below
 
 
 def _largest_share(count: IntArray, parts: int) -> int:
     """Most cubes of a part; see `_bisected`."""
     if parts == 1:
         return int(np.prod(count))
-    axis, layer, below = _cut(count, parts)
-    one = np.eye(len(count), dtype=np.int64)[axis]
-    lower, upper = count - (count[axis] - layer) * one, count - layer * one
-    return max(_largest_share(lower, below), _largest_share(upper, parts - below))
+    first, lower, below = _cut(count, parts)
+    return max(_largest_share(lower, below), _largest_share(count - first, parts - below))
 
 
 def _bisected(cubes: IntArray, count: IntArray, parts: int) -> IndexArray:
@@ -235,11 +239,10 @@ def _bisected(cubes: IntArray, count: IntArray, parts: int) -> IndexArray:
     found = np.zeros(len(cubes), dtype=np.int32)
     if parts == 1:
         return found
-    axis, layer, below = _cut(count, parts)
-    one, lower = np.eye(len(count), dtype=np.int64)[axis], cubes[:, axis] < layer
-    found[lower] = _bisected(cubes[lower], count - (count[axis] - layer) * one, below)
-    rest = _bisected(cubes[~lower] - layer * one, count - layer * one, parts - below)
-    found[~lower] = below + rest
+    first, lower, below = _cut(count, parts)
+    here = (cubes < lower).all(axis=1)
+    found[here] = _bisected(cubes[here], lower, below)
+    found[~here] = below + _bisected(cubes[~here] - first, count - first, parts - below)
     return found
 
 

@@ -18,8 +18,7 @@ from dolfin_elastic.mesh.geometry.simplices import EDGE_ENDS, boundary_facets, o
 def ridge_angles(mesh: Mesh) -> FloatArray:
     """Angle [rad] between the normals of two facets of the boundary, at each ridge between them.
 
-    Collective; each ridge is on exactly one rank, and
-    those of more than two facets are on none.
+    Collective; each ridge is on exactly one rank, and those of more than two facets are on none.
     """
     d = mesh.topology.dim
     facets = boundary_facets(mesh)
