@@ -7,6 +7,7 @@ with the nearest known one, and say what is wrong as an `InputError` with the do
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -42,6 +43,10 @@ if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
 else:
     ModelMetaclass = type(BaseModel)  # which pydantic does not name in public
+
+# Pydantic 2.10 validates each schema that it makes, by a schema of schemas that takes 10 MB in every
+# process.  That finds faults of pydantic's own; 2.11 no longer does so.
+os.environ.setdefault("PYDANTIC_SKIP_VALIDATING_CORE_SCHEMAS", "1")
 
 
 class _InputErrorMeta(ModelMetaclass):
