@@ -139,6 +139,19 @@ class LinearSolver:
         solved = self.ksp.getConvergedReason() >= 0
         return solved and age.served(self.ksp.getIterationNumber(), -np.log10(self._rtol))
 
+    def judge(self, *, by_residual: bool) -> None:
+        """Lets conjugate gradients end by the residual, or by the preconditioned one. Local.
+
+        Far from equilibrium the latter tells more of the error of a Newton step.  The residual is
+        what equilibrium is judged by: of a last step it may be 16 times as large.
+
+        Args:
+            by_residual: By the residual.
+        """
+        if self.ksp.getType() == "cg" and "ksp_norm_type" not in self._options.users:
+            norm = PETSc.KSP.NormType
+            self.ksp.setNormType(norm.UNPRECONDITIONED if by_residual else norm.PRECONDITIONED)
+
     def refresh(self) -> None:
         """Rebuilds the preconditioner with the present rigid-body modes. Collective."""
         if self.direct:

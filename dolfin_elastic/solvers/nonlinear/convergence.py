@@ -279,6 +279,19 @@ class ConvergenceTest:
         needed = 0.5 * self.target() / self._norm if self._norm > 0 else forcing
         return min(0.1, max(forcing, needed))
 
+    def lands(self) -> bool:
+        """Whether the next linear solve can be the last one, if it is exact enough. Collective.
+
+        Newton's method alone lets the residual fall by the square of its last fall: the remainder
+        has then no part of what is still wanted.
+
+        Source: S. Eisenstat and H. Walker, SIAM J. Sci. Comput. 17 (1996) 16, Choice 2.
+        """
+        if self._assembler.problem.linear or len(self.residuals) < 2:
+            return False
+        before, now = self.residuals[-2:]
+        return now < before and now * (now / before) ** 2 <= 0.5 * self.target()
+
     def target(self) -> float:
         """Norm of the free residual that is small enough [N]. Collective."""
         return max(self._tolerated(), self.round_off.norm)

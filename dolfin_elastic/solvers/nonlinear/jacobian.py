@@ -7,16 +7,19 @@ import logging
 import basix
 import numpy as np
 import ufl
+from dolfinx.mesh import Mesh
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfin_elastic.core.jit import compile_expression
+from dolfin_elastic.core.jit import compile_c, compile_expression
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.assembly.two_stage.form import tabulated
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered
+from dolfin_elastic.solvers.nonlinear.jacobian_loop import DECLARATIONS, SOURCE
 
 BLOCK = 8192
 """Cells that are evaluated at once: the values of their displacements stay in the cache of a core,
@@ -54,20 +57,16 @@ class JacobianWatch:
         points, _ = basix.make_quadrature(
             kind, max(problem.weak_form.rule(region) for region in problem.regions)
         )
-        F = problem.weak_form.F(problem.w)
-        self._cells = problem.body.owned_cells()
+        self._problem = problem
         self._small: BoolArray | None = None
         if any(part.law.linear for part in problem.regions):
-            self._small = np.zeros(len(self._cells), dtype=bool)
+            self._small = np.zeros(len(problem.body.owned_cells()), dtype=bool)
             for part in problem.regions:
                 self._small[part.cells] = part.law.linear
-        seen = [ufl.det(F)]
-        if self._small is not None:
-            H = F - ufl.Identity(3)
-            seen.append(ufl.inner(H, H))
-        self._columns = len(seen)
-        self._seen_in = compile_expression(mesh.comm, ufl.as_vector(seen), points, problem.jit)
-        self._problem, self._points = problem, points
+        plain = problem.W is problem.V and problem.cell is None
+        by_loop = plain and not problem.context.axisymmetric
+        kind_of = _ByLoop if by_loop else _ByExpression
+        self._evaluate: _ByLoop | _ByExpression = kind_of(problem, points, self._small)
         self._seen: FloatArray | None = None
         self._found: tuple[Extreme, Extreme] | None = None
         self._steepest: Extreme = (0.0, np.zeros(3))
@@ -103,19 +102,84 @@ class JacobianWatch:
 
     def _evaluated(self) -> tuple[Extreme, Extreme]:
         """See `extremes`. Collective."""
-        found: list[Extremes] = []  # one on each rank that has cells
         with stage("assemble"):
-            for first in range(0, len(self._cells), BLOCK):
-                cells = self._cells[first : first + BLOCK]
-                seen = self._seen_in.eval(self._problem.body.mesh, cells)
-                seen = seen.reshape(len(cells), len(self._points), self._columns)
-                found = [_extremes([*found, self._of(cells, seen)])]
+            found = self._evaluate()  # none on ranks without cells
         everywhere = self._problem.body.comm.allgather(found)
-        low, high, self._steepest = _extremes([one for rank in everywhere for one in rank])
+        low, high, self._steepest = _extremes([one for one in everywhere if one is not None])
         return low, high
 
+
+class _ByLoop:
+    """Extremes by one loop over the cells, for F = I + grad u. Collective to make.
+
+    Args:
+        problem: Whose displacement is the only unknown.
+        points: Of each cell.
+        small: Which cells have a linear law; None: none.
+    """
+
+    def __init__(self, problem: Problem, points: FloatArray, small: BoolArray | None) -> None:
+        mesh = problem.body.mesh
+        gradients, corners, sizes = tabulated(problem, points)
+        self._loop = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
+        self._mesh, self._w = mesh, problem.w
+        nodes = [np.ascontiguousarray(dofs) for dofs in (mesh.geometry.dofmap, problem.V.dofmap.list)]
+        self._cells = (*nodes, mesh.geometry.x)
+        self._tables, self._count = (gradients, corners), len(problem.body.owned_cells())
+        self._small = np.zeros(0 if small is None else self._count, dtype=np.int8)
+        if small is not None:
+            self._small[:] = small
+
+    def __call__(self) -> Extremes | None:
+        """Of the owned cells of this rank; None without any. Not collective."""
+        if not self._count:
+            return None
+        found, cells = np.empty(3), np.empty(3, dtype=np.int32)
+        arrays = (*self._cells, self._w.x.array, *self._tables)
+        self._loop.call(
+            "extremes", self._count, *arrays, len(self._small), self._small, found, cells
+        )
+        places = [_middle(self._mesh, int(cell)) for cell in cells]
+        low, high, square = found
+        steepest = (float(np.nan_to_num(np.sqrt(square))), places[2]) if len(self._small) else (0.0, np.zeros(3))
+        return (float(low), places[0]), (float(high), places[1]), steepest
+
+
+class _ByExpression:
+    """The same for any F of all unknowns, by an expression of it. Collective to make.
+
+    Args:
+        problem: Any.
+        points: Of each cell.
+        small: Which cells have a linear law; None: none.
+    """
+
+    def __init__(self, problem: Problem, points: FloatArray, small: BoolArray | None) -> None:
+        self._mesh, self._points, self._small = problem.body.mesh, points, small
+        self._cells = problem.body.owned_cells()
+        F = problem.weak_form.F(problem.w)
+        seen = [ufl.det(F)]
+        if small is not None:
+            H = F - ufl.Identity(3)
+            seen.append(ufl.inner(H, H))
+        self._columns = len(seen)
+        self._seen_in = compile_expression(
+            problem.body.comm, ufl.as_vector(seen), points, problem.jit
+        )
+
+    def __call__(self) -> Extremes | None:
+        """Of the owned cells of this rank; None without any. Not collective."""
+        found: Extremes | None = None
+        for first in range(0, len(self._cells), BLOCK):
+            cells = self._cells[first : first + BLOCK]
+            seen = self._seen_in.eval(self._mesh, cells)
+            seen = seen.reshape(len(cells), len(self._points), self._columns)
+            before = [] if found is None else [found]
+            found = _extremes([*before, self._of(cells, seen)])
+        return found
+
     def _of(self, cells: IndexArray, seen: FloatArray) -> Extremes:
-        """The extremes of some cells, of which there is one at least. Not collective."""
+        """The extremes of some cells, of which there is one at least."""
         values = seen[:, :, 0]
         values[np.isnan(values)] = -np.inf  # as bad as can be, on whichever rank
         least, most = values.min(axis=1), values.max(axis=1)
@@ -126,7 +190,7 @@ class JacobianWatch:
         )
 
     def _steepest_of(self, cells: IndexArray, seen: FloatArray) -> Extreme:
-        """Largest |grad u| in those of some cells that have linear laws. Not collective."""
+        """Largest |grad u| in those of some cells that have linear laws."""
         if self._small is None:
             return 0.0, np.zeros(3)
         squares = np.where(self._small[cells], seen[:, :, -1].max(axis=1), 0.0)
@@ -134,9 +198,12 @@ class JacobianWatch:
         return self._at(cells, steep, int(np.argmax(steep)))
 
     def _at(self, cells: IndexArray, values: FloatArray, row: int) -> Extreme:
-        mesh = self._problem.body.mesh
-        nodes = mesh.geometry.dofmap[cells[row]]
-        return float(values[row]), mesh.geometry.x[nodes].mean(axis=0)
+        return float(values[row]), _middle(self._mesh, int(cells[row]))
+
+
+def _middle(mesh: Mesh, cell: int) -> FloatArray:
+    """Mean place of the nodes of a cell [m]."""
+    return np.asarray(mesh.geometry.x[mesh.geometry.dofmap[cell]].mean(axis=0))
 
 
 HALVINGS = 10

@@ -234,21 +234,13 @@ class _Term:
         points, weights = basix.make_quadrature(mesh.basix_cell(), degree)
         values = moduli(problem, region)
         self._moduli = compile_expression(problem.body.comm, values, points, problem.jit)
-        coordinates = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
-        corners = np.ascontiguousarray(coordinates.tabulate(1, points)[1:].transpose(1, 2, 0))
-        shape = problem.V.element.basix_element.tabulate(1, points)[1:, :, :, 0]
-        nodes = shape.shape[2]
-        padded = -(-nodes // 4) * 4  # whole vector registers
-        gradients = np.zeros((len(weights), dim, padded))
-        gradients[:, :, :nodes] = shape.transpose(1, 0, 2)
+        gradients, corners, sizes = tabulated(problem, points)
         pressures = np.zeros((len(weights), 0))
         if mixed:
-            tabulated = problem.W.sub(1).element.basix_element.tabulate(0, points)
-            pressures = np.ascontiguousarray(tabulated[0, :, :, 0])
+            tabulated_pressures = problem.W.sub(1).element.basix_element.tabulate(0, points)
+            pressures = np.ascontiguousarray(tabulated_pressures[0, :, :, 0])
         self.tables = (gradients, pressures, corners, np.ascontiguousarray(weights))
-        sizes = {"DIM": dim, "ND": nodes, "NDP": padded, "NP": pressures.shape[1]}
-        sizes |= {"NG": corners.shape[1], "NQ": len(weights)}
-        sizes["SYMMETRIC"] = int(problem.symmetric)
+        sizes |= {"NP": pressures.shape[1], "SYMMETRIC": int(problem.symmetric)}
         self.code = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
         self._block = max(1, BLOCK // (len(weights) * int(np.prod(values.ufl_shape))))
 
@@ -257,6 +249,31 @@ class _Term:
         for first in range(0, len(cells), self._block):
             some = cells[first : first + self._block]
             yield some, self._moduli.eval(self._mesh, some)
+
+
+def tabulated(
+    problem: Problem, points: FloatArray
+) -> tuple[FloatArray, FloatArray, dict[str, int]]:
+    """Derivatives of shape functions by reference coordinates, as `GRADIENTS` reads them.
+
+    Args:
+        problem: Whose displacement.
+        points: In the reference cell, shape (points, dim).
+
+    Returns:
+        Those of the displacement, of shape (points, dim, nodes) with zeros up to whole vector
+        registers; those of the geometry, of shape (points, nodes, dim); and all sizes.
+    """
+    mesh, dim = problem.body.mesh, problem.body.dim
+    coordinates = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
+    corners = np.ascontiguousarray(coordinates.tabulate(1, points)[1:].transpose(1, 2, 0))
+    shape = problem.V.element.basix_element.tabulate(1, points)[1:, :, :, 0]
+    nodes = shape.shape[2]
+    padded = -(-nodes // 4) * 4
+    gradients = np.zeros((len(points), dim, padded))
+    gradients[:, :, :nodes] = shape.transpose(1, 0, 2)
+    sizes = {"DIM": dim, "ND": nodes, "NDP": padded, "NG": corners.shape[1], "NQ": len(points)}
+    return gradients, corners, sizes
 
 
 def _marked(bcs: Conditions, size: int) -> NDArray[np.int8]:
