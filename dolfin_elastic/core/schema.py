@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 else:
     ModelMetaclass = type(BaseModel)  # which pydantic does not name in public
 
-# Pydantic 2.10 validates each schema that it makes, by a schema of schemas that takes 10 MB in every
+# Pydantic 2.10 validates each schema that it makes, by a schema of schemas that takes 10 MB in each
 # process.  That finds faults of pydantic's own; 2.11 no longer does so.
 os.environ.setdefault("PYDANTIC_SKIP_VALIDATING_CORE_SCHEMAS", "1")
 

@@ -10,6 +10,7 @@ import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
 from petsc4py import PETSc
+from ufl.integral import Integral
 
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.parallel import total
@@ -19,6 +20,7 @@ from dolfin_elastic.mesh.body import middle_of
 from dolfin_elastic.model.dimension import moment_of
 from dolfin_elastic.problem.problem import Problem, parts_held
 from dolfin_elastic.problem.state import Moment
+from dolfin_elastic.solvers.assembly.cell_integrals import CellIntegrals
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, TangentMatrix
@@ -274,12 +276,12 @@ class Residual:
 
     Args:
         dofs: The unknowns and what is prescribed of them.
-        form: The compiled residual.
+        work: Virtual work of the residual.
         tangent: Whose columns are lifted.
         reactions: Loads at points, and the scale of restraints.
 
     Attributes:
-        form: The compiled residual.
+        work: As given.
         vector: The residual without Dirichlet conditions, ghosts included: out-of-balance nodal
             forces [N], whose entries at prescribed dofs are the reactions.
         free_norm: Norm of the free entries of the last residual [N].
@@ -290,9 +292,10 @@ class Residual:
     """
 
     def __init__(
-        self, dofs: ConstrainedDofs, form: fem.Form, tangent: Tangent, reactions: Reactions
+        self, dofs: ConstrainedDofs, work: ufl.Form, tangent: Tangent, reactions: Reactions
     ) -> None:
-        self._dofs, self.form, self._tangent, self._reactions = dofs, form, tangent, reactions
+        self._dofs, self.work, self._tangent, self._reactions = dofs, work, tangent, reactions
+        self._cells, self._others = in_cells(dofs.problem, work)
         self.vector, self._lift = dofs.ghosted_vector(), dofs.ghosted_vector()
         self.tied_nodal: FloatArray = np.zeros(0 if dofs.ties is None else len(dofs.ties.tied))
         self.free_norm = self.reaction_norm = self.restraint_norm = self.gap = 0.0
@@ -305,7 +308,10 @@ class Residual:
     def assemble(self) -> None:
         """Assembles `vector` at the problem's unknowns."""
         self.vector.array[:] = 0.0
-        fem.assemble_vector(self.vector.array, self.form)
+        if self._cells is not None:
+            self._cells.add_to(self.vector.array)
+        if self._others is not None:
+            fem.assemble_vector(self.vector.array, self._others)
         self._reactions.add_point_loads(self.vector.array, -1.0)
         self.vector.scatter_reverse(la.InsertMode.add)
         if self._dofs.ties is not None:
@@ -418,13 +424,13 @@ class Assembler(ConstrainedDofs):
         residual = weak_form.residual if extra is None else weak_form.residual + extra
         loads = [] if weak_form.external is None else [weak_form.external]
         restraints = weak_form.restraint_works
-        found = compiled(problem, [residual, *loads, *restraints.values()])
-        by_label = dict(zip(restraints, found[1 + len(loads) :], strict=True))
+        found = compiled(problem, [*loads, *restraints.values()])
+        by_label = dict(zip(restraints, found[len(loads) :], strict=True))
         self.cell = None if problem.cell is None else CellStress(problem)
         self.pressures = problem.unknowns.count("pressure")
-        self.reactions = Reactions(self, found[1] if loads else None, by_label, self.cell)
+        self.reactions = Reactions(self, found[0] if loads else None, by_label, self.cell)
         self.tangent = Tangent(self, _tangent(problem, extra_tangent), iterated=iterated)
-        self.residual = Residual(self, found[0], self.tangent, self.reactions)
+        self.residual = Residual(self, residual, self.tangent, self.reactions)
 
     def check_volumes(self) -> None:
         """Compares the volumes of enclosed bodies with what supports leave them. Collective.
@@ -458,6 +464,24 @@ def compiled(problem: Problem, forms: Sequence[ufl.Form]) -> list[fem.Form]:
     return compile_forms(problem.body.comm, list(forms), problem.jit)
 
 
+def in_cells(problem: Problem, form: ufl.Form) -> tuple[CellIntegrals | None, fem.Form | None]:
+    """The integrals of a form over cells, and all others, compiled. Collective.
+
+    Args:
+        problem: On whose unknowns it depends.
+        form: Of at most one test function.
+
+    Returns:
+        None in place of what the form has not.
+    """
+    parts: tuple[list[Integral], list[Integral]] = [], []
+    for one in form.integrals():
+        parts[one.integral_type() != "cell"].append(one)
+    found = iter(compiled(problem, [ufl.Form(part) for part in parts if part]))
+    cells, others = (next(found) if part else None for part in parts)
+    return None if cells is None else CellIntegrals(problem, cells), others
+
+
 def integral(problem: Problem, form: fem.Form) -> float:
     """Value of a compiled scalar form over all ranks. Collective.
 
@@ -480,17 +504,19 @@ class StrainEnergy:
     def __init__(self, problem: Problem) -> None:
         form, springs = problem.weak_form.strain_energy, problem.weak_form.spring_energy
         self._problem = problem
-        self._form = None if form is None else compiled(problem, [form])[0]
+        self._cells = None if form is None else in_cells(problem, form)[0]
         self._springs = None if springs is None else compiled(problem, [springs])[0]
 
     def energy(self) -> float:
         """Strain energy of the present displacement [J]. Collective."""
-        return float("nan") if self._form is None else integral(self._problem, self._form)
+        if self._cells is None:
+            return float("nan")
+        return total(self._problem.body.comm, self._cells.value())
 
     @property
     def none(self) -> bool:
         """A law has no energy."""
-        return self._form is None
+        return self._cells is None
 
     def springs(self) -> dict[str, float]:
         """Energy stored in springs [J] by its name; nothing without springs. Collective."""

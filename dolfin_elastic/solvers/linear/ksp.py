@@ -150,7 +150,7 @@ class LinearSolver:
         """
         if self.ksp.getType() == "cg" and "ksp_norm_type" not in self._options.users:
             norm = PETSc.KSP.NormType
-            self.ksp.setNormType(norm.UNPRECONDITIONED if by_residual else norm.PRECONDITIONED)
+            self.ksp.setNormType(norm.UNPRECONDITIONED if by_residual else norm.DEFAULT)
 
     def refresh(self) -> None:
         """Rebuilds the preconditioner with the present rigid-body modes. Collective."""
@@ -190,6 +190,7 @@ class LinearSolver:
             return True
         if self.direct or "ksp_type" in self._options.users or "pc_type" in self._options.users:
             return False
+        self.judge(by_residual=False)  # others may not know the norm of the last solve
         if self.ksp.getType() == "cg":
             log.info("conjugate gradients failed (%s): GMRES from here on", in_words(reason))
             self._options.update(GMRES)

@@ -123,7 +123,9 @@ class _ByLoop:
         gradients, corners, sizes = tabulated(problem, points)
         self._loop = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
         self._mesh, self._w = mesh, problem.w
-        nodes = [np.ascontiguousarray(dofs) for dofs in (mesh.geometry.dofmap, problem.V.dofmap.list)]
+        nodes = [
+            np.ascontiguousarray(dofs) for dofs in (mesh.geometry.dofmap, problem.V.dofmap.list)
+        ]
         self._cells = (*nodes, mesh.geometry.x)
         self._tables, self._count = (gradients, corners), len(problem.body.owned_cells())
         self._small = np.zeros(0 if small is None else self._count, dtype=np.int8)
@@ -141,7 +143,11 @@ class _ByLoop:
         )
         places = [_middle(self._mesh, int(cell)) for cell in cells]
         low, high, square = found
-        steepest = (float(np.nan_to_num(np.sqrt(square))), places[2]) if len(self._small) else (0.0, np.zeros(3))
+        steepest = (
+            (float(np.nan_to_num(np.sqrt(square))), places[2])
+            if len(self._small)
+            else (0.0, np.zeros(3))
+        )
         return (float(low), places[0]), (float(high), places[1]), steepest
 
 

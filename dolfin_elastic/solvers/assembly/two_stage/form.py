@@ -227,7 +227,7 @@ class _Term:
     """Moduli of one region, compiled, and what the kernel needs to know of its elements."""
 
     def __init__(self, problem: Problem, region: MaterialRegion) -> None:
-        mesh, dim, mixed = problem.body.mesh, problem.body.dim, problem.W is not problem.V
+        mesh, mixed = problem.body.mesh, problem.W is not problem.V
         self.cells, self._mesh = region.cells.astype(np.int32), mesh
         # At least what integrates the product of two pressures.
         degree = max(2 if mixed else 0, problem.weak_form.rule(region))

@@ -24,7 +24,7 @@ from dolfinx import fem
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces
 from dolfin_elastic.solvers.dynamics.explicit.limits import (
     changes,
@@ -78,9 +78,9 @@ class ExplicitScheme(ABC):
         self.problem, self.mass, self._velocity = assembler.problem, mass, v
         self._work, self._end, self._chosen = work, end, chosen
         self.a = fem.Function(self.problem.V, name="acceleration")
-        self._forces = Forces(
-            self.problem, assembler.residual.form, assembler.residual.vector, points=-1.0
-        )
+        residual = assembler.residual
+        form = compiled(self.problem, [residual.work])[0]
+        self._forces = Forces(self.problem, form, residual.vector, points=-1.0)
         self._supports_move, self._timed = supports_move(self.problem), changes(self.problem)
         self._imposed = self._supports_move or self.problem.dirichlet.skew is not None
         arrays = self.problem.u.x.array, v.x.array, assembler.residual.vector.array

@@ -1,0 +1,183 @@
+"""Integrals over cells whose only coefficient is the vector of all unknowns.
+
+DOLFINx copies the coefficients of all cells before it assembles a form: 96 bytes a linear cell,
+which are more than any other array of a residual, and are written and read each time.  Here the
+same kernels of FFCx are called by a loop that copies those of one cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from dolfinx import fem
+from dolfinx.cpp.fem import pack_constants
+
+from dolfin_elastic.core.jit import compile_c
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.problem.problem import Problem
+
+DECLARATIONS = """
+int64_t add_vector(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
+                   const double* x, const int32_t* dofs, const double* unknowns, double* packed,
+                   int64_t first, const double* constants, double* out);
+int64_t add_scalar(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
+                   const double* x, const int32_t* dofs, const double* unknowns, double* packed,
+                   int64_t first, const double* constants, double* out);
+"""
+
+SOURCE = r"""
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+/* FFCx 0.10 and newer hand on a pointer to the user's data, too. */
+#if ARGUMENTS == 7
+typedef void (*tabulate)(double*, const double*, const double*, const double*, const int*,
+                         const uint8_t*, void*);
+#define CALL(...) tabulate_cell(__VA_ARGS__, NULL, NULL, NULL)
+#else
+typedef void (*tabulate)(double*, const double*, const double*, const double*, const int*,
+                         const uint8_t*);
+#define CALL(...) tabulate_cell(__VA_ARGS__, NULL, NULL)
+#endif
+
+/* Unknowns stand in rows of BS at ND nodes of a cell, its geometry has NG nodes. */
+static inline void take_cell(int64_t c, const int32_t* corners, const double* x,
+                             const int32_t* dofs, const double* unknowns, double* y, double* w)
+{
+  for (int m = 0; m < NG; m++)
+    memcpy(y + 3 * m, x + 3 * (int64_t)corners[c * NG + m], 3 * sizeof(double));
+  for (int a = 0; a < ND; a++)
+    memcpy(w + BS * a, unknowns + BS * (int64_t)dofs[c * ND + a], BS * sizeof(double));
+}
+
+int64_t add_vector(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
+                   const double* x, const int32_t* dofs, const double* unknowns, double* packed,
+                   int64_t first, const double* constants, double* out)
+{
+  const tabulate tabulate_cell = (tabulate)(intptr_t)kernel;
+  double y[3 * NG], b[BS * ND];
+  for (int64_t n = 0; n < count; n++)
+  {
+    const int64_t c = cells[n];
+    take_cell(c, corners, x, dofs, unknowns, y, packed + first);
+    memset(b, 0, sizeof(b));
+    CALL(b, packed, constants, y);
+    for (int a = 0; a < ND; a++)
+      for (int i = 0; i < BS; i++)
+        out[BS * (int64_t)dofs[c * ND + a] + i] += b[BS * a + i];
+  }
+  return 0;
+}
+
+int64_t add_scalar(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
+                   const double* x, const int32_t* dofs, const double* unknowns, double* packed,
+                   int64_t first, const double* constants, double* out)
+{
+  const tabulate tabulate_cell = (tabulate)(intptr_t)kernel;
+  double y[3 * NG];
+  for (int64_t n = 0; n < count; n++)
+  {
+    take_cell(cells[n], corners, x, dofs, unknowns, y, packed + first);
+    CALL(out, packed, constants, y);
+  }
+  return 0;
+}
+"""
+
+
+@dataclass(frozen=True)
+class _Integral:
+    """One integral of a form.
+
+    Attributes:
+        kernel: Address of FFCx's function.
+        cells: The cells.
+    """
+
+    kernel: int
+    cells: IndexArray
+
+
+class CellIntegrals:
+    """A compiled form whose integrals are all over cells. Collective to make.
+
+    Where it has another coefficient than the unknowns, DOLFINx assembles it.
+
+    Args:
+        problem: Of whose unknowns it depends.
+        form: Of one test function in all unknowns, or of none.
+    """
+
+    def __init__(self, problem: Problem, form: fem.Form) -> None:
+        self._form, self._w = form, problem.w
+        mesh, dofmap = problem.body.mesh, problem.w.function_space.dofmap
+        self._integrals, arguments = _kernels(form, problem.w)
+        corners, dofs = (np.ascontiguousarray(m) for m in (mesh.geometry.dofmap, dofmap.list))
+        self._elements = corners, mesh.geometry.x, dofs
+        self._packed, self._first = _room(form, problem.w)
+        sizes = {"NG": corners.shape[1], "ND": dofs.shape[1], "BS": dofmap.bs}
+        sizes["ARGUMENTS"] = arguments
+        self._loops = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
+
+    def add_to(self, out: FloatArray) -> None:
+        """Adds the vector of a form with a test function. Not collective.
+
+        Args:
+            out: Local entries, those of ghosts too.
+        """
+        if self._integrals is None:
+            fem.assemble_vector(out, self._form)
+        else:
+            self._call("add_vector", self._integrals, out)
+
+    def value(self) -> float:
+        """The value of a form without arguments over this rank's cells. Not collective."""
+        if self._integrals is None:
+            return float(fem.assemble_scalar(self._form))
+        out = np.zeros(1)
+        self._call("add_scalar", self._integrals, out)
+        return float(out[0])
+
+    def _call(self, loop: str, integrals: Sequence[_Integral], out: FloatArray) -> None:
+        constants = pack_constants(self._form._cpp_object)
+        unknowns = (*self._elements, self._w.x.array, self._packed, self._first)
+        for one in integrals:
+            where = (one.kernel, len(one.cells), one.cells)
+            self._loops.call(loop, *where, *unknowns, constants, out)
+
+
+def _kernels(form: fem.Form, w: fem.Function) -> tuple[Sequence[_Integral] | None, int]:
+    """The integrals of a form, and how many arguments FFCx's functions have.
+
+    None in place of them where another coefficient than w is in one.
+
+    Args:
+        form: Of cells.
+        w: The unknowns.
+    """
+    inner, compiled, ffi = form._cpp_object, form.ufcx_form, form.module.ffi
+    ours = [one is w._cpp_object for one in inner.coefficients]
+    offsets, found, arguments = compiled.form_integral_offsets, [], 0
+    for k in range(offsets[0], offsets[1]):  # those of cells stand first
+        integral = compiled.form_integrals[k]
+        if any(integral.enabled_coefficients[i] and not own for i, own in enumerate(ours)):
+            return None, 0
+        function = integral.tabulate_tensor_float64
+        arguments = len(ffi.typeof(function).args)
+        cells = inner.domains(fem.IntegralType.cell, compiled.form_integral_ids[k])
+        address = int(ffi.cast("intptr_t", function))
+        found.append(_Integral(address, np.ascontiguousarray(cells, dtype=np.int32)))
+    return found, arguments
+
+
+def _room(form: fem.Form, w: fem.Function) -> tuple[FloatArray, int]:
+    """Room for the coefficients of one cell, and where those of the unknowns begin in it."""
+    sizes = [c.function_space.element.space_dimension for c in form._cpp_object.coefficients]
+    ours = [one is w._cpp_object for one in form._cpp_object.coefficients]
+    own = w.function_space.element.space_dimension
+    if not any(ours):  # a law without stress, as a sum of nothing
+        return np.zeros(sum(sizes) + own), sum(sizes)
+    return np.zeros(sum(sizes)), sum(sizes[: ours.index(True)])
