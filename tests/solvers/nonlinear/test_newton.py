@@ -29,6 +29,7 @@ from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear import hierarchy
 from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.linear.ksp import LinearSolver
 from dolfin_elastic.solvers.nonlinear.convergence import ConvergenceTest, Tolerance
 
 E, NU = 1e6, 0.3
@@ -353,3 +354,40 @@ def test_when_backtracking_stalls(share, iterates, stalled):
             assert test._stalled() is (stalled and backtracks)
     finally:
         assembler.destroy()
+
+
+@pytest.mark.parametrize(
+    ("residuals", "lands"),
+    [([1e2], False), ([1e6, 1e2], True), ([1e3, 1e2], False), ([1e2, 1e6], False)],
+)
+def test_which_linear_solve_may_be_the_last(residuals, lands):
+    """Where the square of the last fall leaves less than half of what is wanted: 1e2 1e-4^2."""
+    assembler = Assembler(block(NH))
+    try:
+        test = ConvergenceTest(assembler, Tolerance())
+        test.begin()
+        target = test.target()
+        assert target > 0.0
+        test.residuals += [factor * target for factor in residuals]
+        assert test.lands() is lands
+    finally:
+        assembler.destroy()
+
+
+def test_the_last_linear_solve_ends_by_the_residual(monkeypatch):
+    """By the preconditioned one it may end above what is wanted, which takes another tangent."""
+    monkeypatch.setattr(hierarchy, "SMALL", 50)  # else an inverse, exact whatever is asked for
+    judged = []
+    judge = LinearSolver.judge
+
+    def noted(solver: LinearSolver, *, by_residual: bool) -> None:
+        judge(solver, by_residual=by_residual)
+        judged.append((by_residual, solver.ksp.getNormType()))
+
+    monkeypatch.setattr(LinearSolver, "judge", noted)
+    *_, state = Statics(block(NH, finer=2), linear=LinearSettings(method="iterative")).steps()
+    assert state.newton == len(judged)
+    true_residual = PETSc.KSP.NormType.UNPRECONDITIONED
+    assert judged[-1] == (True, true_residual)
+    assert all((norm == true_residual) == last for last, norm in judged)
+    assert [last for last, _ in judged].count(True) == 1

@@ -1,0 +1,102 @@
+"""Integrals over cells by a loop of our own against DOLFINx's assembly of the same form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from dolfinx import fem, la
+from mpi4py import MPI
+
+from dolfin_elastic import (
+    Gravity,
+    NeoHookean,
+    Pressure,
+    Problem,
+    Selector,
+    Spring,
+    StVenantKirchhoff,
+    Support,
+    box_body,
+    name_parts,
+    rectangle_body,
+)
+from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.solvers.assembly.assembler import compiled, in_cells
+
+COMM = MPI.COMM_WORLD
+SOFT = NeoHookean(E=1.0, nu=0.3, density=1.0)
+
+
+def bend(problem: Problem) -> None:
+    """A smooth displacement of a tenth of the body and a pressure, without symmetry."""
+    dim = problem.body.dim
+
+    def u(x: np.ndarray) -> np.ndarray:
+        return 0.05 * np.array([x[0] * x[1], np.sin(x[1] + x[0]), x[0] ** 2 + x[1]])[:dim]
+
+    if problem.mixed:
+        problem.w.sub(1).interpolate(lambda x: 0.1 + 0.2 * x[0] - 0.3 * x[1])
+    problem.u.interpolate(u)
+    problem.unknowns.u_to_w()
+    problem.w.x.scatter_forward()
+
+
+def check(problem: Problem, *, by_loop: bool = True) -> None:
+    """Residual and energy, to the rounding errors of sums of some ten terms."""
+    bend(problem)
+    whole = compiled(problem, [problem.weak_form.residual])[0]
+    cells, others = in_cells(problem, problem.weak_form.residual)
+    assert cells is not None
+    assert (cells._integrals is not None) == by_loop
+    found, known = (
+        la.vector(problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs) for _ in range(2)
+    )
+    cells.add_to(found.array)
+    if others is not None:
+        fem.assemble_vector(found.array, others)
+    fem.assemble_vector(known.array, whole)
+    for vector in (found, known):
+        vector.scatter_reverse(la.InsertMode.add)
+    size = largest(COMM, float(np.max(np.abs(known.array), initial=0.0)))
+    assert size > 0.0
+    off = np.abs(found.array - known.array)
+    assert largest(COMM, float(np.max(off, initial=0.0))) < 1e-14 * 10 * size
+    energy = problem.weak_form.strain_energy
+    assert energy is not None
+    stored, _ = in_cells(problem, energy)
+    assert stored is not None
+    exact = total(COMM, float(fem.assemble_scalar(compiled(problem, [energy])[0])))
+    assert total(COMM, stored.value()) == pytest.approx(exact, rel=1e-12)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_loads_and_springs_beside_them(degree):
+    """Weight is an integral over cells, pressure and springs are not."""
+    body = box_body(size=(1.0, 0.8, 0.6), cells=(2, 2, 2))
+    loads = [Gravity(), Pressure(on="top", value=0.1)]
+    supports = [Support(on="left"), Spring(on="right", stiffness=[0.2, 0.1, 0.3])]
+    check(Problem(body, SOFT, degree=degree, supports=supports, loads=loads))
+
+
+def test_several_materials():
+    """One integral each, with cells of its own."""
+    body = name_parts(
+        rectangle_body(size=(2.0, 1.0), cells=(4, 2)),
+        regions={"soft": Selector(box=[[0, 0], [1, 1]]), "stiff": Selector(box=[[1, 0], [2, 1]])},
+    )
+    laws = {"soft": SOFT, "stiff": StVenantKirchhoff(E=3.0, nu=0.2)}
+    check(Problem(body, laws, degree=2, supports=[Support(on="left")]))
+
+
+@pytest.mark.parametrize("nu", [0.499, 0.5])
+def test_pressures_beside_displacements(nu):
+    """The unknowns of a cell are those of both, one by one."""
+    body = box_body(size=(1.0, 0.8, 0.6), cells=(2, 2, 2))
+    check(Problem(body, NeoHookean(E=1.0, nu=nu), degree=2, supports=[Support(on="left")]))
+
+
+def test_another_coefficient_is_left_to_dolfinx():
+    """A modulus that varies in space is a function, too."""
+    body = box_body(size=(1.0, 0.8, 0.6), cells=(2, 2, 2))
+    law = NeoHookean(E="1 + x", nu=0.3)
+    check(Problem(body, law, degree=1, supports=[Support(on="left")]), by_loop=False)

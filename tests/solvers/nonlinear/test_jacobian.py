@@ -1,0 +1,110 @@
+"""Extremes of det F by a loop over the cells against an expression of it."""
+
+from __future__ import annotations
+
+import basix
+import numpy as np
+import pytest
+from helpers.annulus import annulus
+from mpi4py import MPI
+
+from dolfin_elastic import (
+    Body,
+    LinearElastic,
+    NeoHookean,
+    Problem,
+    Selector,
+    box_body,
+    name_parts,
+    rectangle_body,
+)
+from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.core.types import BoolArray
+from dolfin_elastic.solvers.nonlinear.jacobian import (
+    Extremes,
+    JacobianWatch,
+    _ByExpression,
+    _ByLoop,
+)
+
+COMM = MPI.COMM_WORLD
+SOFT = NeoHookean(E=1.0, nu=0.3)
+
+
+def bend(problem: Problem) -> None:
+    """A displacement whose det F differs from cell to cell, from below 1 to above."""
+    dim = problem.body.dim
+    problem.u.interpolate(
+        lambda x: 0.2 * np.sin([x[0] * x[1] + x[2], 3 * x[1] + x[0], x[2] - 2 * x[0] + x[1]])[:dim]
+    )
+    problem.u.x.scatter_forward()
+
+
+def both(problem: Problem, small: BoolArray | None = None) -> list[Extremes | None]:
+    kind = getattr(basix.CellType, problem.body.mesh.topology.cell_name())
+    points, _ = basix.make_quadrature(kind, 2)
+    return [how(problem, points, small)() for how in (_ByLoop, _ByExpression)]
+
+
+def check(problem: Problem, small: BoolArray | None = None) -> None:
+    """Values and places to round-off of sums of some ten terms, on each rank."""
+    found, known = both(problem, small)
+    assert largest(COMM, (found is None) != (known is None)) == 0
+    off = [
+        np.append(one[1] - other[1], one[0] / other[0] - 1 if other[0] else one[0])
+        for one, other in zip(found or (), known or (), strict=True)
+    ]
+    assert largest(COMM, float(np.max(np.abs(off), initial=0.0))) < 1e-13
+
+
+def solid() -> Body:
+    return box_body(size=(1.0, 0.8, 0.6), cells=(3, 2, 2))
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("body", [solid, lambda: rectangle_body(size=(1.0, 0.5), cells=(4, 2))])
+def test_the_same_by_an_expression(body, degree):
+    problem = Problem(body(), SOFT, degree=degree)
+    bend(problem)
+    check(problem)
+
+
+def test_curved_cells():
+    problem = Problem(annulus(COMM, 4), SOFT, degree=2)
+    bend(problem)
+    check(problem)
+
+
+def test_gradients_in_cells_of_linear_laws():
+    """Of these cells only, though gradients are larger in others."""
+    body = name_parts(
+        solid(),
+        regions={
+            "left": Selector(box=[[0, 0, 0], [0.34, 1, 1]]),
+            "right": Selector(box=[[0.33, 0, 0], [1, 1, 1]]),
+        },
+    )
+    problem = Problem(body, {"left": LinearElastic(E=1.0, nu=0.3), "right": SOFT}, degree=1)
+    bend(problem)
+    small = np.zeros(len(body.owned_cells()), dtype=bool)
+    small[body.owned_cells("left")] = True
+    check(problem, small)
+    value, place = JacobianWatch(problem).steepest()
+    assert value > 0.0
+    assert place[0] < 1 / 3
+
+
+def test_what_is_no_number_counts_as_inverted():
+    problem = Problem(solid(), SOFT, degree=1)
+    problem.u.x.array[:] = np.nan
+    wrong = 0
+    for found in both(problem, np.ones(len(problem.body.owned_cells()), dtype=bool)):
+        wrong += [value for value, _ in found or ()] not in ([], [-np.inf, -np.inf, 0.0])
+    assert largest(COMM, wrong) == 0
+
+
+def test_unknowns_beside_the_displacement_are_left_to_the_expression():
+    alone = Problem(solid(), SOFT, degree=2)
+    mixed = Problem(solid(), NeoHookean(E=1.0, nu=0.5), degree=2)
+    assert isinstance(JacobianWatch(alone)._evaluate, _ByLoop)
+    assert isinstance(JacobianWatch(mixed)._evaluate, _ByExpression)
