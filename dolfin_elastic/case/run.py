@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case, locate_errors
-from dolfin_elastic.case.check import check
+from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.case.check.formulas import check_poles
 from dolfin_elastic.case.check.initial_state import contact_notes, tie_notes
 from dolfin_elastic.case.check.integrals import Integrals

@@ -30,16 +30,14 @@ from dolfin_elastic.core.units import MESH_UNITS, Time, to_si
 from dolfin_elastic.mesh import (
     Body,
     box_body,
-    read_body,
     rectangle_body,
 )
+from dolfin_elastic.mesh.distribute import is_cad
 from dolfin_elastic.mesh.local_size import CadSizes, LocalSize
-from dolfin_elastic.mesh.read import is_cad
 from dolfin_elastic.mesh.selectors import MeshLength, Place, Point, Selector, metres
 from dolfin_elastic.model.dimension import Geometry
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
-from dolfin_elastic.model.materials.user import UserEnergy, read_energy
 from dolfin_elastic.problem.material_regions import Formulation
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.checkpoint.checkpoints import CheckpointSettings
@@ -199,6 +197,8 @@ class MeshTable(Record):
             MeshError: The file cannot be read, or is no mesh of triangles or tetrahedra.
         """
         if self.file is not None:
+            from dolfin_elastic.mesh import read_body
+
             curved = curved if is_cad(self.file) else self.curved
             return read_body(
                 folder / self.file,
@@ -278,6 +278,8 @@ class Material(Record):
                 f"{quoted(table)} is no material", expected="write its table as [materials.NAME]"
             )
         if "energy" in table:
+            from dolfin_elastic.model.materials.user import read_energy
+
             own = read_energy({key: value for key, value in table.items() if key != "on"})
             return cls(law=own, on=table.get("on"))
         law = class_named(MATERIALS, table, "law")
@@ -292,7 +294,7 @@ class Material(Record):
 
     def table(self) -> dict[str, Any]:
         """Back to a case file's table."""
-        named = {} if isinstance(self.law, UserEnergy) else {"law": self.law.name()}
+        named = {} if self.law.written else {"law": self.law.name()}
         law = {**named, **table_of(self.law)}
         return law if self.on is None else {**law, "on": self.on}
 

@@ -129,7 +129,7 @@ def check(
     from mpi4py import MPI
 
     from dolfin_elastic.case.case import read_case
-    from dolfin_elastic.case.check import report
+    from dolfin_elastic.case.check.report import report
 
     comm = MPI.COMM_WORLD
     collect_garbage()
