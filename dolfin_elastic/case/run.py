@@ -446,7 +446,7 @@ def _remove_others(folder: Path, files: Sequence[Output]) -> None:
     kinds = {type(file) for file in files}
     for kind in FORMATS.values():
         if kind not in kinds:
-            kind().remove(folder)
+            kind.model_construct().remove(folder)  # defaults need no check, which costs its schema
     if History not in kinds:
         with writing(folder):
             (folder / "history.csv").unlink(missing_ok=True)

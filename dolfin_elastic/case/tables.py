@@ -22,6 +22,7 @@ from dolfin_elastic.core.errors import (
 )
 from dolfin_elastic.core.schema import (
     Record,
+    WhenGiven,
     known_keys,
     quoted,
     within,
@@ -119,10 +120,10 @@ class MeshTable(Record):
     """
 
     file: str | None = None
-    box: Box | None = None
-    rectangle: Rectangle | None = None
+    box: WhenGiven[Box] | None = None
+    rectangle: WhenGiven[Rectangle] | None = None
     size: MeshLength | None = None
-    refine: Annotated[int, Field(ge=0, le=10)] | list[LocalSize] | None = None
+    refine: Annotated[int, Field(ge=0, le=10)] | list[WhenGiven[LocalSize]] | None = None
     time_limit: Time = Field(default=600.0, gt=0)
     curved: bool | None = None
     join: bool | None = None
@@ -325,10 +326,10 @@ class Output(Record):
     fields: tuple[str, ...] | None = None
     formats: tuple[str, ...] = ("xdmf",)
     every: Steps | None = None
-    pictures: list[Picture] = Field(default=[])
+    pictures: list[WhenGiven[Picture]] = Field(default=[])
     probes: dict[str, ProbePoint] = Field(default={})
     moments: dict[str, Reference | dict[str, Reference]] = Field(default={})
-    checkpoint: CheckpointSettings = CheckpointSettings()
+    checkpoint: WhenGiven[CheckpointSettings] = CheckpointSettings.model_construct()
     frames: Count = 20
     amplitude: Annotated[float, Field(gt=0)] = 0.1
 
