@@ -11,7 +11,7 @@ from dolfin_elastic.case.model_tables import ModelTables
 from dolfin_elastic.case.tables import Output
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.petsc_options import PetscOptions
-from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys
+from dolfin_elastic.core.schema import UnusedKeys, WhenGiven, refuse_unused_keys
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.outputs import Output as File
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
@@ -47,12 +47,12 @@ class AnalysisTables(ModelTables):
         output: What is written.
     """
 
-    statics: StaticsSettings | None = None
-    dynamics: DynamicsSettings | None = None
-    modal: ModalSettings | None = None
-    buckling: BucklingSettings | None = None
-    solver: LinearSettings = LinearSettings()
-    output: Output = Output()
+    statics: WhenGiven[StaticsSettings] | None = None
+    dynamics: WhenGiven[DynamicsSettings] | None = None
+    modal: WhenGiven[ModalSettings] | None = None
+    buckling: WhenGiven[BucklingSettings] | None = None
+    solver: WhenGiven[LinearSettings] = LinearSettings.model_construct()
+    output: WhenGiven[Output] = Output.model_construct()
 
     @model_validator(mode="before")
     @classmethod

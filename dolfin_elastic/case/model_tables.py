@@ -23,7 +23,7 @@ from dolfin_elastic.case.tables import (
     table_of,
 )
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.schema import AlreadyRead, Record
+from dolfin_elastic.core.schema import AlreadyRead, Record, WhenGiven
 from dolfin_elastic.mesh import Body, EdgeSelector, PointSelector, Selector
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads import LOAD_WORDS, LOADS, Load
@@ -64,7 +64,7 @@ class ModelTables(Record):
     load: list[AlreadyRead[Load]] = Field(default=[])
     contact: list[AlreadyRead[Contact]] = Field(default=[])
     tie: list[AlreadyRead[Tie]] = Field(default=[])
-    periodic: Periodic | None = None
+    periodic: WhenGiven[Periodic] | None = None
 
     @field_validator("surfaces", "regions", mode="before")
     @classmethod

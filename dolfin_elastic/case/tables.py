@@ -22,6 +22,7 @@ from dolfin_elastic.core.errors import (
 )
 from dolfin_elastic.core.schema import (
     Record,
+    WhenGiven,
     known_keys,
     quoted,
     within,
@@ -30,16 +31,14 @@ from dolfin_elastic.core.units import MESH_UNITS, Time, to_si
 from dolfin_elastic.mesh import (
     Body,
     box_body,
-    read_body,
     rectangle_body,
 )
+from dolfin_elastic.mesh.distribute import is_cad
 from dolfin_elastic.mesh.local_size import CadSizes, LocalSize
-from dolfin_elastic.mesh.read import is_cad
 from dolfin_elastic.mesh.selectors import MeshLength, Place, Point, Selector, metres
 from dolfin_elastic.model.dimension import Geometry
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
-from dolfin_elastic.model.materials.user import UserEnergy, read_energy
 from dolfin_elastic.problem.material_regions import Formulation
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.checkpoint.checkpoints import CheckpointSettings
@@ -121,10 +120,10 @@ class MeshTable(Record):
     """
 
     file: str | None = None
-    box: Box | None = None
-    rectangle: Rectangle | None = None
+    box: WhenGiven[Box] | None = None
+    rectangle: WhenGiven[Rectangle] | None = None
     size: MeshLength | None = None
-    refine: Annotated[int, Field(ge=0, le=10)] | list[LocalSize] | None = None
+    refine: Annotated[int, Field(ge=0, le=10)] | list[WhenGiven[LocalSize]] | None = None
     time_limit: Time = Field(default=600.0, gt=0)
     curved: bool | None = None
     join: bool | None = None
@@ -199,6 +198,8 @@ class MeshTable(Record):
             MeshError: The file cannot be read, or is no mesh of triangles or tetrahedra.
         """
         if self.file is not None:
+            from dolfin_elastic.mesh import read_body
+
             curved = curved if is_cad(self.file) else self.curved
             return read_body(
                 folder / self.file,
@@ -278,6 +279,8 @@ class Material(Record):
                 f"{quoted(table)} is no material", expected="write its table as [materials.NAME]"
             )
         if "energy" in table:
+            from dolfin_elastic.model.materials.user import read_energy
+
             own = read_energy({key: value for key, value in table.items() if key != "on"})
             return cls(law=own, on=table.get("on"))
         law = class_named(MATERIALS, table, "law")
@@ -292,7 +295,7 @@ class Material(Record):
 
     def table(self) -> dict[str, Any]:
         """Back to a case file's table."""
-        named = {} if isinstance(self.law, UserEnergy) else {"law": self.law.name()}
+        named = {} if self.law.written else {"law": self.law.name()}
         law = {**named, **table_of(self.law)}
         return law if self.on is None else {**law, "on": self.on}
 
@@ -323,10 +326,10 @@ class Output(Record):
     fields: tuple[str, ...] | None = None
     formats: tuple[str, ...] = ("xdmf",)
     every: Steps | None = None
-    pictures: list[Picture] = Field(default=[])
+    pictures: list[WhenGiven[Picture]] = Field(default=[])
     probes: dict[str, ProbePoint] = Field(default={})
     moments: dict[str, Reference | dict[str, Reference]] = Field(default={})
-    checkpoint: CheckpointSettings = CheckpointSettings()
+    checkpoint: WhenGiven[CheckpointSettings] = CheckpointSettings.model_construct()
     frames: Count = 20
     amplitude: Annotated[float, Field(gt=0)] = 0.1
 

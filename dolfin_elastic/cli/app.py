@@ -129,7 +129,7 @@ def check(
     from mpi4py import MPI
 
     from dolfin_elastic.case.case import read_case
-    from dolfin_elastic.case.check import report
+    from dolfin_elastic.case.check.report import report
 
     comm = MPI.COMM_WORLD
     collect_garbage()
@@ -181,6 +181,8 @@ def main() -> None:
     # Imports make hundred thousands of objects that all stay: to look for garbage among them again
     # and again is a sixth of the start.  `begin` and `check` go on with it.
     gc.disable()
+    # Pydantic would look for plugins of its own in the metadata of every installed package.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     guard_output()
     if launched_rank():
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115

@@ -1,4 +1,7 @@
-"""What the command line shows: progress, tables, log lines.  Only rank 0 shows anything."""
+"""What the command line shows: progress, tables, log lines.  Only rank 0 shows anything.
+
+Rich is imported by what draws: it takes 3 MB, and a rank that shows nothing needs none of it.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +11,20 @@ import os
 import re
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-
-from dolfin_elastic.cli.terminal import Screen, wrapped
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, SolveError
 from dolfin_elastic.core.units import stress_unit
 from dolfin_elastic.report.quantity import number
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
+    from dolfin_elastic.cli.terminal import Screen
     from dolfin_elastic.problem.state import State
 
 _ORIGIN = 1e-12
@@ -37,6 +40,8 @@ FIRST_LINES = 20
 
 def console(*, stderr: bool = False) -> Screen:
     """A console that is as wide as the terminal, or 100 columns in a file."""
+    from dolfin_elastic.cli.terminal import Screen
+
     stream = sys.stderr if stderr else sys.stdout
     # Launchers forward through terminals of their own: what arrives may well be a file.
     launched = "OMPI_COMM_WORLD_RANK" in os.environ or "PMI_RANK" in os.environ
@@ -223,14 +228,19 @@ class LogHandler(logging.Handler):
 
     Args:
         rank: Of this process.
-        screen: Where to.
+        screen: Makes what it prints on, once there is something to print.
     """
 
-    def __init__(self, rank: int, screen: Screen) -> None:
+    def __init__(self, rank: int, screen: Callable[[], Screen]) -> None:
         super().__init__()
         self._display: ProgressDisplay | None = None
         self.addFilter(lambda record: rank == 0 or hasattr(record, "every_rank"))
-        self.screen = screen
+        self._make_screen = screen
+
+    @cached_property
+    def screen(self) -> Screen:
+        """Where it prints."""
+        return self._make_screen()
 
     def show_searches(self, display: ProgressDisplay) -> None:
         """Shows trials by this display from now on, in place of a line for each."""
@@ -251,6 +261,8 @@ class LogHandler(logging.Handler):
 
 def error_text(error: ElasticError) -> str:
     """An error with its notes; wrapped for a terminal, elsewhere where it is a `SolveError`."""
+    from dolfin_elastic.cli.terminal import wrapped
+
     notes = "".join(f"\n  {note}" for note in getattr(error, "__notes__", ()))
     text, screen = f"error: {error}{notes}", console(stderr=True)
     if screen.is_terminal:
@@ -296,6 +308,8 @@ def show_end(
         since: Step from which the run was restarted.
         most: Largest displacement of all states [m].
     """
+    from rich.table import Table
+
     screen = console()
     table = Table(box=None, show_header=False, pad_edge=True)
     for name, value in _end_rows(state, motion, most):
@@ -404,6 +418,9 @@ def show_profile(rows: Sequence[tuple[str, float, float]], memory: Mapping[str, 
         rows: Stage, and its time on the fastest and on the slowest rank [s].
         memory: "sum" over all ranks and "largest_rank" [byte].
     """
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
     table = Table("stage", box=SIMPLE_HEAD, pad_edge=False)
     for head in ("fastest rank [s]", "slowest rank [s]", "share"):
         table.add_column(head, justify="right")

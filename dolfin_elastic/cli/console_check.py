@@ -13,9 +13,10 @@ from dolfin_elastic.cli.terminal import Screen
 from dolfin_elastic.core.units import LENGTHS
 
 if TYPE_CHECKING:
-    from dolfin_elastic.case.check import PartSize, Report
     from dolfin_elastic.case.check.initial_state import ContactGap
     from dolfin_elastic.case.check.loads import LoadSum
+    from dolfin_elastic.case.check.report import Report
+    from dolfin_elastic.case.check.sizes import PartSize
     from dolfin_elastic.solvers.diagnostics.rigid_body import FreeBody
 
 

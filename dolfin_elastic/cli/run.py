@@ -259,7 +259,6 @@ def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
     from contextlib import closing
 
     from dolfin_elastic.cli import console
-    from dolfin_elastic.cli.console_modes import show_modes
     from dolfin_elastic.core import timing
     from dolfin_elastic.problem.state import Mode
 
@@ -287,6 +286,8 @@ def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
     finally:
         progress.close()
     if visible and modes:
+        from dolfin_elastic.cli.console_modes import show_modes
+
         show_modes(modes, timing.totals())
     elif visible and state is not None:
         console.show_end(
@@ -353,6 +354,6 @@ def log_to_screen(rank: int, level: int) -> None:
     from dolfin_elastic.cli.console import LogHandler, console
 
     log = logging.getLogger("dolfin_elastic")
-    log.handlers = [LogHandler(rank, console(stderr=True))]
+    log.handlers = [LogHandler(rank, lambda: console(stderr=True))]
     log.setLevel(level)
     log.propagate = False

@@ -30,6 +30,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     GetCoreSchemaHandler,
+    SerializerFunctionWrapHandler,
     ValidationError,
     model_validator,
 )
@@ -44,8 +45,8 @@ if TYPE_CHECKING:
 else:
     ModelMetaclass = type(BaseModel)  # which pydantic does not name in public
 
-# Pydantic 2.10 validates each schema that it makes, by a schema of schemas that takes 10 MB in each
-# process.  That finds faults of pydantic's own; 2.11 no longer does so.
+# Pydantic 2.10 validates each schema that it makes, by a schema of schemas that takes 10 MB in
+# every process.  That finds faults of pydantic's own; 2.11 no longer does so.
 os.environ.setdefault("PYDANTIC_SKIP_VALIDATING_CORE_SCHEMAS", "1")
 
 
@@ -111,6 +112,31 @@ AlreadyRead = Annotated[T, _IsInstance()]
 
 Of a plain one pydantic would make a schema inside that of the outer one, whether a case has such a
 record or not: for a whole case that takes longer than all that is read.
+"""
+
+
+class _Apart:
+    """Reads a record by the schema of its own class, which pydantic makes at its first use."""
+
+    def __get_pydantic_core_schema__(
+        self, kind: Any, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        # Faults of the inner record become faults of the outer one, each with its own place.
+        return core_schema.no_info_plain_validator_function(
+            kind.model_validate,
+            serialization=core_schema.wrap_serializer_function_ser_schema(self._written),
+        )
+
+    @staticmethod
+    def _written(record: BaseModel, write: SerializerFunctionWrapHandler) -> Any:
+        type(record).model_rebuild()  # a default may be the first one of its class
+        return write(record)
+
+
+WhenGiven = Annotated[T, _Apart()]
+"""A record inside another one of which few have one, such as an optional table of a case.
+
+Its schema is made when one is given, not together with that of the outer record.
 """
 
 

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import basix.ufl
 import numpy as np
@@ -21,14 +22,15 @@ from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.faces import CadFaces
 from dolfin_elastic.mesh.fields import distribute_fields
-from dolfin_elastic.mesh.formats.cleaning import clean
-from dolfin_elastic.mesh.formats.raw import RawMesh, match_rows
 from dolfin_elastic.mesh.geometry.simplices import (
     edge_nodes,
     facet_nodes,
     prepare_edges,
     prepare_facets,
 )
+
+if TYPE_CHECKING:
+    from dolfin_elastic.mesh.formats.raw import RawMesh
 
 LARGE = 1_000_000
 """Cells of a mesh from which on a hint is worth while though there is one process only."""
@@ -37,6 +39,11 @@ CAD = (".geo", ".geo_unrolled", ".step", ".stp", ".brep", ".iges", ".igs")
 """Suffixes of files that Gmsh meshes on the fly."""
 
 Permutation = Callable[[CellType, int], IndexArray]
+
+
+def is_cad(path: str | os.PathLike[str]) -> bool:
+    """Whether Gmsh meshes a file on the fly, by its suffix."""
+    return Path(path).suffix.lower() in CAD
 
 
 def build_body(
@@ -61,6 +68,8 @@ def build_body(
     Raises:
         MeshError: The mesh is not fit for use.
     """
+    from dolfin_elastic.mesh.formats.cleaning import clean  # a box needs none
+
     raw = _on_root_only(comm, lambda: clean(replace(read(), unit=unit.name)), source)
     mesh = _distribute(comm, raw, unit.metres, permutation)
     facets, ends, nodes, uncovered, incomplete = comm.bcast(
@@ -224,6 +233,8 @@ def _faces(mesh: Mesh, raw: RawMesh | None, unit: LengthUnit) -> CadFaces | None
     faces, of_faces = mesh.comm.bcast((raw.faces, raw.face_facets) if raw else None)
     if not faces:
         return None
+    from dolfin_elastic.mesh.formats.raw import match_rows
+
     known = {face.number: face for face in faces}
     found = CadFaces(known, mesh.topology.dim, unit)
     if not of_faces:
@@ -249,6 +260,8 @@ def _entities(
     """
     if not named:
         return {}, {}
+    from dolfin_elastic.mesh.formats.raw import match_rows
+
     rows = np.unique(np.concatenate([f.ravel() for f in named.values()]))
     entities, keys = _candidates(mesh, rows, dim)
     things = "facets" if dim == mesh.topology.dim - 1 else "edges"

@@ -6,14 +6,17 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import IndexArray, IntArray
 from dolfin_elastic.core.units import METRE, LengthUnit
-from dolfin_elastic.mesh.formats.cad.faces import CadFace
 from dolfin_elastic.mesh.selectors import Selector, metres
+
+if TYPE_CHECKING:
+    from dolfin_elastic.mesh.formats.cad.faces import CadFace
 
 _SAME = 1e-3
 """Relative difference of radii that are the same, unless a tolerance is given."""
@@ -126,7 +129,7 @@ def chosen_faces(found: CadFaces | None, selector: Selector, scale: float) -> se
     return chosen
 
 
-_Test = tuple[str, Callable[[CadFace], bool], Callable[[CadFace], float]]
+_Test: TypeAlias = "tuple[str, Callable[[CadFace], bool], Callable[[CadFace], float]]"
 """Key, whether a face fits, and how far it is from fitting."""
 _FAR = math.inf
 """How far a face of another kind is from fitting."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from pydantic import model_validator
@@ -22,9 +22,11 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.criteria import BoundingBox, fulfilled, place_criteria
 from dolfin_elastic.mesh.faces import CadFaces, chosen_faces
-from dolfin_elastic.mesh.formats.cad.faces import CadFace
-from dolfin_elastic.mesh.formats.cad.sizes import LocalField
 from dolfin_elastic.mesh.selectors import Point, Selector, Size, Sphere, metres
+
+if TYPE_CHECKING:
+    from dolfin_elastic.mesh.formats.cad.faces import CadFace
+    from dolfin_elastic.mesh.formats.cad.sizes import LocalField
 
 _ANGLE = 20.0
 MOST_CELLS = 5e7
@@ -123,7 +125,8 @@ class CadSizes:
             MeshError: A name does not exist, or stands for no whole faces; or there would be more
                 cells than Gmsh can make.
         """
-        unit, found = faces.unit.metres, list[LocalField]()
+        unit = faces.unit.metres
+        found: list[LocalField] = []
         for index, one in enumerate(self.sizes):
             try:
                 places = self._places(one, faces, bodies, model)

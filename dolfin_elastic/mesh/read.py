@@ -15,7 +15,7 @@ from dolfin_elastic.core.errors import MeshError, nearest_file, not_shown, why_n
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.units import METRE, LengthUnit, to_si
 from dolfin_elastic.mesh.body import Body, CadSource
-from dolfin_elastic.mesh.distribute import CAD, Permutation, build_body
+from dolfin_elastic.mesh.distribute import CAD, Permutation, build_body, is_cad
 from dolfin_elastic.mesh.formats.cad.process import Permission
 from dolfin_elastic.mesh.formats.cleaning import straight
 from dolfin_elastic.mesh.formats.raw import MeshFile, RawMesh, assemble
@@ -25,11 +25,6 @@ from dolfin_elastic.mesh.local_size import NO_SIZES, CadSizes
 SHAPES = (".step", ".stp", ".brep", ".iges", ".igs")
 _IN_PARTS = (".pvtu", ".pvd", ".vtm", ".vtmb")
 XDMF = (".xdmf", ".xmf")
-
-
-def is_cad(path: str | os.PathLike[str]) -> bool:
-    """Whether Gmsh meshes a file on the fly, by its suffix."""
-    return Path(path).suffix.lower() in CAD
 
 
 def read_body(

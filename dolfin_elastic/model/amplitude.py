@@ -15,6 +15,7 @@ from pydantic import BeforeValidator, PlainSerializer
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.schema import AlreadyRead
 from dolfin_elastic.core.units import to_si
 
 Rows = tuple[tuple[float, float], ...]
@@ -207,4 +208,4 @@ def _written(value: Amplitude | None) -> Any:
 if TYPE_CHECKING:
     Curve = Amplitude
 else:
-    Curve = Annotated[Amplitude, BeforeValidator(amplitude), PlainSerializer(_written)]
+    Curve = Annotated[AlreadyRead[Amplitude], BeforeValidator(amplitude), PlainSerializer(_written)]

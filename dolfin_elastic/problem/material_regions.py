@@ -15,11 +15,9 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError, MeshError, nearest
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import IndexArray
-from dolfin_elastic.material_point.checks import LawUnderTest, check_user_energies, voigt
 from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.dimension import GEOMETRIES, Geometry
 from dolfin_elastic.model.materials.law import Law, SplitLaw
-from dolfin_elastic.model.materials.user import UserEnergy
 from dolfin_elastic.problem.coefficients import BoundLaw, CoefficientBinder
 from dolfin_elastic.problem.spaces import AuxiliaryField
 
@@ -177,8 +175,10 @@ def make_material_regions(
         for name, law in laws.items()
     }
     typical = {name: b.typical for name, b in bound.items()}
-    written = {f"materials.{n}": law for n, law in typical.items() if isinstance(law, UserEnergy)}
+    written = {f"materials.{n}": law for n, law in typical.items() if law.written}
     if written:
+        from dolfin_elastic.material_point.checks import check_user_energies
+
         check_user_energies(written, body.comm)
     fields = plan(typical, formulation, degree, plane_stress=geometry == "plane-stress")
     if fields.mixed:
@@ -372,6 +372,8 @@ def shear_modulus(law: Law) -> float:
     """Shear modulus at small strains, of anisotropic laws a mean [Pa]."""
     if (known := law.small_strain()) is not None:
         return known.mu
+    from dolfin_elastic.material_point.checks import LawUnderTest, voigt
+
     with np.errstate(all="ignore"):
         stiffness = voigt(LawUnderTest(law).rest)
     mu = float(np.mean(np.diag(stiffness)[3:]))

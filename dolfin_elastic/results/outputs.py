@@ -18,17 +18,7 @@ from dolfin_elastic.core.units import COMMON_UNITS
 from dolfin_elastic.mesh.criteria import bounding_box
 from dolfin_elastic.mesh.selectors import Axis, Middle, metres
 from dolfin_elastic.results.fields import check_field_names
-from dolfin_elastic.results.pictures.clip import Clip
-from dolfin_elastic.results.pictures.pictures import (
-    Appearance,
-    Film,
-    ModePictureWriter,
-    PictureWriter,
-    check_drawable,
-    picture_files,
-)
 from dolfin_elastic.results.pictures.scene import Up, View
-from dolfin_elastic.results.pictures.series import FILMS, Limits
 from dolfin_elastic.results.writer import Numbers, Steps, Writer
 from dolfin_elastic.results.writers.history import HistoryWriter
 from dolfin_elastic.results.writers.modes import ModesWriter
@@ -44,6 +34,9 @@ from dolfin_elastic.results.writers.xdmf import XdmfWriter
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body
     from dolfin_elastic.problem.problem import Problem
+    from dolfin_elastic.results.pictures.clip import Clip
+    from dolfin_elastic.results.pictures.pictures import Appearance
+    from dolfin_elastic.results.pictures.series import Limits
 
 
 _MOST_FIELDS = 4
@@ -83,6 +76,8 @@ class Output(Record):
 
 
 def _is_film(file: str) -> bool:
+    from dolfin_elastic.results.pictures.series import FILMS
+
     return Path(file).suffix in FILMS
 
 
@@ -92,6 +87,8 @@ def limits_of(ends: Sequence[float | str]) -> Limits:
     Raises:
         InputError: They are none, or no range.
     """
+    from dolfin_elastic.results.pictures.series import Limits
+
     expected = 'for example [0, "200 MPa"], or percentiles ["2 %", "98 %"]'
     share = all(isinstance(end, str) and end.strip().endswith("%") for end in ends)
     try:
@@ -324,6 +321,8 @@ class ClipPlane(Record):
         Raises:
             InputError: The body has no such axis, or the plane misses it.
         """
+        from dolfin_elastic.results.pictures.clip import Clip
+
         axis, (low, high) = "xyz".index(self.plane), bounding_box(body.mesh)
         if axis >= body.dim:
             raise InputError(
@@ -343,7 +342,7 @@ class ClipPlane(Record):
 
 
 class Picture(Output):
-    """A picture of the deformed body, or a film.
+    """A picture of the deformed body, or a film; what draws it is imported when there is one.
 
     Attributes:
         file: The PNG file; where `every` is a number, the step's number is added to its name.  Of a
@@ -384,11 +383,15 @@ class Picture(Output):
     @field_validator("file")
     @classmethod
     def _check_file(cls, file: str) -> str:
+        from dolfin_elastic.results.pictures.series import FILMS
+
         return _check_suffix(file, ".png", *FILMS)
 
     @field_validator("field")
     @classmethod
     def _check_field(cls, field: str | list[str]) -> str | list[str]:
+        from dolfin_elastic.results.pictures.pictures import check_drawable
+
         names = [field] if isinstance(field, str) else field
         if not 1 <= len(names) <= _MOST_FIELDS:
             raise InputError(
@@ -435,6 +438,8 @@ class Picture(Output):
 
     def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> Writer:
         """See `Output.open`."""
+        from dolfin_elastic.results.pictures.pictures import Film, PictureWriter
+
         return PictureWriter(
             problem,
             folder / self.file,
@@ -463,6 +468,9 @@ class Picture(Output):
 
     def appearance(self, body: Body) -> Appearance:
         """How the pictures show the body. Collective."""
+        from dolfin_elastic.results.pictures.pictures import Appearance
+        from dolfin_elastic.results.pictures.series import Limits
+
         return Appearance(
             self.scale,
             self.view,
@@ -477,6 +485,8 @@ class Picture(Output):
 
     def listing(self, folder: Path) -> list[str]:
         """See `Output.listing`; of many pictures the first, the last and their number."""
+        from dolfin_elastic.results.pictures.pictures import picture_files
+
         path = folder / self.file
         found = [str(p.relative_to(folder)) for p in picture_files(path)] if folder.is_dir() else []
         if len(found) <= _MAX_LISTED:
@@ -495,6 +505,8 @@ class ModePicture(Picture):
 
     def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> Writer:
         """See `Output.open`."""
+        from dolfin_elastic.results.pictures.pictures import ModePictureWriter
+
         return ModePictureWriter(
             problem,
             folder / self.file,

@@ -13,7 +13,8 @@ import pytest
 from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case, read_case
-from dolfin_elastic.case.check import check, report
+from dolfin_elastic.case.check.consistency import check
+from dolfin_elastic.case.check.report import report
 from dolfin_elastic.case.run import run
 from dolfin_elastic.cli.tools.new import Kind, template
 from dolfin_elastic.core.errors import InputError

@@ -12,7 +12,7 @@ import pytest
 from mpi4py import MPI
 
 from dolfin_elastic import read_case
-from dolfin_elastic.case.check import report
+from dolfin_elastic.case.check.report import report
 from dolfin_elastic.core.errors import InputError
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="read on rank 0 alone")

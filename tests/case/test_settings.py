@@ -20,7 +20,7 @@ from dolfin_elastic import (
     rectangle_body,
     run,
 )
-from dolfin_elastic.case.check import report
+from dolfin_elastic.case.check.report import report
 from dolfin_elastic.case.tables import Output
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.schema import known_keys

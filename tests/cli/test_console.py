@@ -25,7 +25,7 @@ from dolfin_elastic.problem.state import State
 def test_only_warnings_have_the_word_in_front(capfd):
     """On rank 0; on another one only what it alone can say is shown, with the word, too."""
     for rank, shown in ((0, "a\nwarning: b\nwarning: c\n"), (1, "warning: c\n")):
-        handler = LogHandler(rank, console(stderr=True))
+        handler = LogHandler(rank, lambda: console(stderr=True))
         for level, text in ((logging.INFO, "a"), (logging.WARNING, "b"), (logging.ERROR, "c")):
             record = logging.LogRecord("dolfin_elastic", level, __file__, 1, text, (), None)
             if text == "c":
@@ -38,7 +38,7 @@ def test_a_search_is_one_line(capfd):
     """In a file the first trial of a step; without a display for them, as with -v, all of them."""
     record = logging.LogRecord("dolfin_elastic", logging.INFO, __file__, 1, "load 0.1", (), None)
     record.search = True
-    handler, lines = LogHandler(0, console(stderr=True)), ProgressLines(motion=False)
+    handler, lines = LogHandler(0, lambda: console(stderr=True)), ProgressLines(motion=False)
     handler.handle(record)
     assert capfd.readouterr().err == "load 0.1\n"
     handler.show_searches(lines)

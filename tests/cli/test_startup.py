@@ -9,11 +9,22 @@ from pathlib import Path
 import pytest
 from helpers.processes import clean_environment
 
-SLOW = [
-    *("scipy", "h5py", "gmsh", "meshio", "pyvista", "matplotlib", "pint"),
+OTHERS = [
+    *("scipy", "gmsh", "meshio", "pyvista", "matplotlib", "pint"),
+    *("urllib.request", "http.client", "ssl", "xml.sax", "slepc4py.SLEPc"),
+    "dolfin_elastic.mesh.formats.cad.faces",
+    "dolfin_elastic.mesh.formats.raw",
+    "dolfin_elastic.model.materials.laws.ogden",
+    "dolfin_elastic.model.materials.user",
     "dolfin_elastic.solvers.dynamics.dynamics",
+    "dolfin_elastic.solvers.dynamics.schemes",
     "dolfin_elastic.solvers.eigen.modal",
+    "dolfin_elastic.solvers.statics.arc_length",
+    "dolfin_elastic.solvers.diagnostics.diagnose",
+    "dolfin_elastic.results.pictures.pictures",
 ]
+"""What no plain static case needs."""
+SLOW = [*OTHERS, "h5py"]
 CASE = """
 [mesh]
 box = {size = [1, 1, 1], cells = [1, 1, 1]}
@@ -24,10 +35,22 @@ nu = 0.45
 [[support]]
 on = "left"
 displacement = [0, 0, 0]
+[[load]]
+kind = "traction"
+on = "right"
+value = [0, 0, "-13 kPa"]
 """
 LIST = (
     "import sys; from dolfin_elastic.cli.app import guarded; code = guarded(); print(*sys.modules)"
 )
+BUILT = """
+from dolfin_elastic.cli.app import guarded
+code = guarded()
+from dolfin_elastic.core.schema import Record
+def below(kind):
+    return {kind}.union(*map(below, kind.__subclasses__()))
+print(*(kind.__name__ for kind in below(Record) if kind.__pydantic_complete__))
+"""
 
 
 @pytest.mark.parametrize(
@@ -35,21 +58,41 @@ LIST = (
     [
         (["--help"], ["numpy", "mpi4py", "petsc4py", "dolfinx", "ufl", "pydantic", "rich", *SLOW]),
         (["check", "case.toml"], ["markdown_it", *SLOW]),
+        (["run", "case.toml", "--quiet"], ["rich", "dolfin_elastic.case.check.report", *OTHERS]),
     ],
 )
 @pytest.mark.usefixtures("serial_only")
 def test_nothing_is_imported_that_is_not_needed(arguments, unwanted, tmp_path: Path):
-    """Help needs no numerics, and the check of a plain static case what it is about."""
-    (tmp_path / "case.toml").write_text(CASE)
-    command = [sys.executable, "-c", LIST, *arguments]
+    """Help needs no numerics, check and run of a plain static case what they are about."""
+    modules = listed(LIST, arguments, tmp_path)
+    assert "dolfin_elastic" in modules
+    assert sorted(modules & set(unwanted)) == []
+
+
+@pytest.mark.usefixtures("serial_only")
+def test_only_tables_that_are_given_have_schemas(tmp_path: Path):
+    """Those of the others take longer than reading the case."""
+    built = listed(BUILT, ["check", "case.toml"], tmp_path)
+    assert {"Case", "Box", "NeoHookean", "Support"} <= built
+    others = {"Output", "CheckpointSettings", "LinearSettings", "DynamicsSettings", "Periodic"}
+    assert sorted(built & {*others, "ModalSettings", "LocalSize", "Rectangle", "Picture"}) == []
+
+
+def listed(code: str, arguments: list[str], folder: Path) -> set[str]:
+    """What code prints on its last line, in a process of its own.
+
+    Args:
+        code: Runs a command of the command line.
+        arguments: Of this command.
+        folder: Where it runs; holds the case.
+    """
+    (folder / "case.toml").write_text(CASE)
     done = subprocess.run(
-        command,
-        cwd=tmp_path,
+        [sys.executable, "-c", code, *arguments],
+        cwd=folder,
         env=clean_environment(),
         capture_output=True,
         text=True,
         check=True,
     )
-    modules = set(done.stdout.splitlines()[-1].split())
-    assert "dolfin_elastic" in modules
-    assert sorted(modules & set(unwanted)) == []
+    return set(done.stdout.splitlines()[-1].split())

@@ -16,7 +16,7 @@ from helpers.decks import box, inp_text, numbers, quadratic
 from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.check import report
+from dolfin_elastic.case.check.report import report
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.types import AnyArray

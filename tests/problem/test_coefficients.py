@@ -33,7 +33,7 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.check import report
+from dolfin_elastic.case.check.report import report
 from dolfin_elastic.case.run import run
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import on_root

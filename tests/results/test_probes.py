@@ -23,7 +23,8 @@ from dolfin_elastic import (
     rectangle_body,
     run,
 )
-from dolfin_elastic.case.check import check, report
+from dolfin_elastic.case.check.consistency import check
+from dolfin_elastic.case.check.report import report
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.mesh import EdgeSelector, PointSelector, name_parts
 from dolfin_elastic.mesh.geometry.locate import locate

@@ -15,7 +15,6 @@ from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import CaseError, MeshError, nearest
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, IndexArray
-from dolfin_elastic.material_point.checks import check_user_energies
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.law import SplitLaw
@@ -43,9 +42,7 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_names(case, body)
         _check_components(case, body)
         _check_materials(case.materials, body)
-        check_user_energies(
-            {f"materials.{key_text(n)}": m.law for n, m in case.materials.items()}, body.comm
-        )
+        _check_energies(case.materials, body)
         _check_densities(case)
         _check_constants(case, body)
         _check_fields(case)
@@ -316,6 +313,15 @@ def _check_mode_pictures(case: Case) -> None:
 
 
 # --- materials ---
+
+
+def _check_energies(materials: Mapping[str, Material], body: Body) -> None:
+    """Energies that users have written pass the checks. Collective."""
+    written = {f"materials.{key_text(n)}": m.law for n, m in materials.items() if m.law.written}
+    if written:
+        from dolfin_elastic.material_point.checks import check_user_energies
+
+        check_user_energies(written, body.comm)
 
 
 def _check_materials(materials: Mapping[str, Material], body: Body) -> None:

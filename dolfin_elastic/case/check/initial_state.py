@@ -19,8 +19,6 @@ from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.ties.touching import touching_surfaces
-from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.nonlinear.contact import (
     check_initial_gaps,
@@ -116,6 +114,8 @@ def touching_notes(problem: Problem) -> Iterator[str]:
     Args:
         problem: Made of the case.
     """
+    from dolfin_elastic.problem.ties.touching import touching_surfaces
+
     power = "m^2" if problem.body.dim == 3 else "m"
     remedy = "mesh.join = true joins the bodies, " if problem.body.cad is not None else ""
     for a, b, area in touching_surfaces(problem):
@@ -260,6 +260,8 @@ def start_notes(problem: Problem, settings: DynamicsSettings) -> tuple[str, ...]
     Raises:
         InputError: A formula is not finite, or the body begins deep in an obstacle.
     """
+    from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
+
     v, s = fem.Function(problem.V), settings
     incompatible = set_initial(problem, v, s.displacement, s.velocity, s.end)
     gaps = zip(problem.contact_pairs, check_initial_gaps(problem, moving=True), strict=True)

@@ -11,6 +11,7 @@ from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size, span
+from dolfin_elastic.mesh.distribute import is_cad
 from dolfin_elastic.mesh.geometry.quality import worst_cells
 from dolfin_elastic.mesh.geometry.ridges import ridge_angles
 from dolfin_elastic.mesh.geometry.simplices import (
@@ -21,7 +22,6 @@ from dolfin_elastic.mesh.geometry.simplices import (
     qualities,
 )
 from dolfin_elastic.mesh.geometry.thickness import Thickness, local_thickness
-from dolfin_elastic.mesh.read import is_cad
 from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.problem.material_regions import STIFF_IN_VOLUME, poisson
 from dolfin_elastic.problem.problem import Problem

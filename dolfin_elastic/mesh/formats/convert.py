@@ -10,10 +10,11 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.mesh.distribute import is_cad
 from dolfin_elastic.mesh.formats.cad.process import Permission
 from dolfin_elastic.mesh.formats.cleaning import clean
 from dolfin_elastic.mesh.formats.raw import MeshFile, RawMesh, assemble
-from dolfin_elastic.mesh.read import XDMF, check_file, is_cad, reader, stated_unit_of
+from dolfin_elastic.mesh.read import XDMF, check_file, reader, stated_unit_of
 
 
 @dataclass(frozen=True)

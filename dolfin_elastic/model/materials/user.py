@@ -37,6 +37,7 @@ class UserEnergy(Law):
     fibre2: Direction | None = None
 
     directions: ClassVar[tuple[str, ...]] = ("fibre", "fibre2")
+    written: ClassVar[bool] = True
 
     _checked: bool = PrivateAttr(default=False)
 

@@ -11,10 +11,10 @@ J. Liesen, Acta Numerica 14 (2005), section 3.4.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from petsc4py import PETSc
-from slepc4py import SLEPc
 
 from dolfin_elastic.core.compat import petsc_errors
 from dolfin_elastic.core.parallel import largest, total
@@ -23,6 +23,9 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.nonlinear.newton import Newton
+
+if TYPE_CHECKING:
+    from slepc4py import SLEPc
 
 LIMIT = {2: 200_000, 3: 40_000}
 """Unknowns up to which tangents are factorised here, by dimension.
@@ -254,6 +257,8 @@ class Stability:
         The compliances, inverse stiffnesses, are eigenvalues of the displacement block of the
         inverse tangent, found by Krylov-Schur iterations.
         """
+        from slepc4py import SLEPc  # few runs ask for a mode, all for pivots
+
         shell = PETSc.Mat().createPython(
             ((self.assembler.size, None),) * 2, context=_Compliance(self), comm=self.comm
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar, Literal
 
 from dolfin_elastic.solvers.dynamics.explicit.scheme import (
     CentralDifferences,
@@ -14,8 +15,6 @@ from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import Generaliz
 from dolfin_elastic.solvers.dynamics.implicit.petsc_alpha2 import PetscAlpha2
 from dolfin_elastic.solvers.dynamics.implicit.scheme import ImplicitScheme
 from dolfin_elastic.solvers.dynamics.implicit.ts_scheme import GeneralizedAlphaScheme
-
-DEFAULT = "generalized-alpha"
 
 
 @dataclass(frozen=True)
@@ -34,6 +33,7 @@ class ImplicitRow:
     parameters: Callable[..., GeneralizedAlphaParameters]
     keys: tuple[str, ...] = ()
     overshoots: bool = False
+    implicit: ClassVar[Literal[True]] = True
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,11 @@ class ExplicitRow:
 
     scheme: type[ExplicitScheme]
     keys: tuple[str, ...] = ()
+    implicit: ClassVar[Literal[False]] = False
 
 
 SCHEMES: dict[str, ImplicitRow | ExplicitRow] = {
-    DEFAULT: ImplicitRow(
+    "generalized-alpha": ImplicitRow(
         GeneralizedAlphaScheme,
         GeneralizedAlphaParameters.generalized_alpha,
         keys=("spectral_radius",),

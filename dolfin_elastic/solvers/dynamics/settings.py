@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import BeforeValidator, Field, field_serializer, model_validator
 
@@ -15,17 +15,29 @@ from dolfin_elastic.model.values import Component, components, depends_on_time
 from dolfin_elastic.solvers.breakpoints import refuse_times_beyond
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.implicit.output_times import Interval
-from dolfin_elastic.solvers.dynamics.schemes import DEFAULT, SCHEMES, ExplicitRow, ImplicitRow
+
+if TYPE_CHECKING:
+    from dolfin_elastic.solvers.dynamics.schemes import ExplicitRow, ImplicitRow
+
+DEFAULT = "generalized-alpha"
+
+
+def _schemes() -> Mapping[str, ImplicitRow | ExplicitRow]:
+    """The table `SCHEMES`, imported once there is a motion: all classes of schemes come with it."""
+    from dolfin_elastic.solvers.dynamics.schemes import SCHEMES
+
+    return SCHEMES
 
 
 def _known(name: object) -> object:
-    if isinstance(name, str) and name in SCHEMES:
+    schemes = _schemes()
+    if isinstance(name, str) and name in schemes:
         return name
-    *names, last = (f"'{one}'" for one in SCHEMES)
+    *names, last = (f"'{one}'" for one in schemes)
     expected = f"expected {', '.join(names)} or {last}"
     raise InputError(
         f"{quoted(name)} is wrong",
-        expected=nearest(name, SCHEMES) if isinstance(name, str) else expected,
+        expected=nearest(name, schemes) if isinstance(name, str) else expected,
     )
 
 
@@ -145,7 +157,7 @@ class DynamicsSettings(Record):
             _refuse_tiny("dt", self.dt, self.end, SHORTEST if self.adaptive else 1 / MOST_STEPS)
         if isinstance(self.every, float) and self.every > 0:
             _refuse_tiny("every", self.every, self.end, 1 / MOST_STEPS)
-        if self.adaptive and isinstance(self.row, ImplicitRow) and self.row.scheme.not_adaptive:
+        if self.adaptive and self.row.implicit and self.row.scheme.not_adaptive:
             raise InputError(
                 self.row.scheme.not_adaptive,
                 where="adaptive",
@@ -172,18 +184,18 @@ class DynamicsSettings(Record):
     @property
     def row(self) -> ImplicitRow | ExplicitRow:
         """The scheme's row in `SCHEMES`."""
-        return SCHEMES[self.scheme]
+        return _schemes()[self.scheme]
 
     @property
     def implicit(self) -> bool:
         """The scheme solves equations."""
-        return isinstance(self.row, ImplicitRow)
+        return self.row.implicit
 
     @property
     def parameters(self) -> GeneralizedAlphaParameters | None:
         """Coefficients of an implicit scheme."""
         row = self.row
-        if isinstance(row, ExplicitRow):
+        if not row.implicit:
             return None
         return row.parameters(**{key: getattr(self, key) for key in row.keys})
 
@@ -245,7 +257,7 @@ def _unused(s: DynamicsSettings) -> Iterator[UnusedKeys]:
     """Keys that have no meaning for the scheme, or for steps of this kind."""
     scheme, leave = f"the scheme '{s.scheme}'", "leave it out, or scheme = "
     knows: dict[str, str] = {}
-    for name, row in SCHEMES.items():
+    for name, row in _schemes().items():
         for key in row.keys:
             knows.setdefault(key, name)
     for key, name in knows.items():
@@ -257,7 +269,7 @@ def _unused(s: DynamicsSettings) -> Iterator[UnusedKeys]:
 
 
 def _unused_by_implicit(s: DynamicsSettings, scheme: str) -> Iterator[UnusedKeys]:
-    names = (name for name, row in SCHEMES.items() if isinstance(row, ExplicitRow))
+    names = (name for name, row in _schemes().items() if not row.implicit)
     explicit = " and ".join(f'"{name}"' for name in names)
     yield UnusedKeys(
         ["safety"],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from dolfinx import fem
@@ -29,13 +29,15 @@ from dolfin_elastic.solvers.nonlinear.convergence import (
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
-from dolfin_elastic.solvers.statics.arc_length import ArcLength
 from dolfin_elastic.solvers.statics.pseudo_transient import flow_to_equilibrium
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 from dolfin_elastic.solvers.statics.states import StaticStates
 from dolfin_elastic.solvers.statics.step_size import StepSizes, StepSpeed
 from dolfin_elastic.solvers.statics.whole_load import try_whole_load
+
+if TYPE_CHECKING:
+    from dolfin_elastic.solvers.statics.arc_length import ArcLength
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -126,6 +128,8 @@ class LoadStepping:
             return
         try:
             if self._settings.method == "arc-length":
+                from dolfin_elastic.solvers.statics.arc_length import ArcLength
+
                 others = [] if self._scalars is None else self._scalars.parts
                 self._arc = ArcLength(self._retry, others, end=self._settings.end)
             if saved is None:

@@ -10,7 +10,6 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.assembly.assembler import StrainEnergy, SupportForces
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor
-from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
 from dolfin_elastic.solvers.messages import coordinates, in_words
 from dolfin_elastic.solvers.nonlinear.contact import ContactResults
 from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
@@ -122,6 +121,8 @@ class StaticStates:
             judge_stability: An equilibrium would have to be stable, so a tangent that is not
                 positive definite explains the failure.
         """
+        from dolfin_elastic.solvers.diagnostics.diagnose import diagnose  # most runs end well
+
         self._newton.put_back(failed)
         fields = len(self._problem.w.x.array)
         found = diagnose(

@@ -12,7 +12,7 @@ import pytest
 from helpers.decks import box, inp_text, made, numbers
 
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.check import report
+from dolfin_elastic.case.check.report import report
 from dolfin_elastic.cli.console_check import show_check
 from dolfin_elastic.core.errors import InputError
 

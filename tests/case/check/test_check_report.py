@@ -15,10 +15,12 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.check import PartSize, check, report
+from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.memory import per_unknown
 from dolfin_elastic.case.check.mesh_quality import cell_notes, part_notes
+from dolfin_elastic.case.check.report import report
+from dolfin_elastic.case.check.sizes import PartSize
 from dolfin_elastic.case.run import check_problem
 from dolfin_elastic.cli.console_check import show_check
 from dolfin_elastic.core import jit

@@ -9,7 +9,7 @@ import pytest
 
 from dolfin_elastic import run
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.check import report
+from dolfin_elastic.case.check.report import report
 from dolfin_elastic.core.errors import InputError
 
 BOX = {"size": [2, 1, 1], "cells": [2, 1, 1]}

@@ -20,7 +20,7 @@ from dolfin_elastic.material_point.ufl_to_numpy import (
     NumpyProgram,
     gradient_symbol,
 )
-from dolfin_elastic.model.materials import pages
+from dolfin_elastic.model.materials import pages, registry
 from dolfin_elastic.model.materials.fibres import direction, frame
 from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.model.materials.registry import MATERIALS, Isotropic
@@ -157,6 +157,14 @@ def test_values_do_not_recompile(name: str, other: dict[str, Any], comm: Any) ->
     signatures = [form.signature() for form in forms]
     assert signatures[0] == signatures[1]
     assert not any(isinstance(c, fem.Function) for c in forms[0].constants())
+
+
+def test_names_of_the_table_are_those_of_the_laws():
+    """The row says which class a law has before it is imported; the registry has it, too."""
+    assert [kind.name() for kind in MATERIALS.values()] == list(MATERIALS)
+    assert registry.Ogden is MATERIALS["ogden"]
+    with pytest.raises(AttributeError, match="Foam"):
+        registry.Foam  # noqa: B018
 
 
 @pytest.mark.parametrize("kind", MATERIALS.values(), ids=MATERIALS)

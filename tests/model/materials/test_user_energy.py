@@ -29,7 +29,7 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.check import check
+from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.core.errors import FormulaError, InputError
 from dolfin_elastic.core.formula_functions import FUNCTIONS
 from dolfin_elastic.material_point.checks import check_energy

@@ -32,7 +32,8 @@ from dolfin_elastic import (
     run,
 )
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.check import check, report
+from dolfin_elastic.case.check.consistency import check
+from dolfin_elastic.case.check.report import report
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.mesh import Body

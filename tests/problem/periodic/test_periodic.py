@@ -27,7 +27,7 @@ from dolfin_elastic import (
     name_parts,
     rectangle_body,
 )
-from dolfin_elastic.case.check import check
+from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.core.errors import ConvergenceError, InputError, MeshError
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.distribute import make_mesh

@@ -14,7 +14,7 @@ import pytest
 from mpi4py import MPI
 
 from dolfin_elastic import Case, read_case, run
-from dolfin_elastic.case.check import report
+from dolfin_elastic.case.check.report import report
 from dolfin_elastic.cli.app import main
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root

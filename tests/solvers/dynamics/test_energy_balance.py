@@ -27,7 +27,7 @@ from dolfin_elastic import (
     Traction,
     rectangle_body,
 )
-from dolfin_elastic.case.check import report
+from dolfin_elastic.case.check.report import report
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.breakpoints import driven_by_formula

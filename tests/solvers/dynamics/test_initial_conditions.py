@@ -19,7 +19,7 @@ from dolfin_elastic import (
     Symmetry,
     rectangle_body,
 )
-from dolfin_elastic.case.check import report
+from dolfin_elastic.case.check.report import report
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.state import StateCopy
 from dolfin_elastic.solvers.dynamics import consistent_start
