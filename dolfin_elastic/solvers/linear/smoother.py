@@ -17,6 +17,7 @@ from dolfin_elastic.solvers.linear.block_rows import (
     in_single_precision,
     into_single_precision,
 )
+from dolfin_elastic.solvers.linear.random_vector import random_vector
 
 Interpolation: TypeAlias = tuple[IntArray, IndexArray, SingleArray]
 """Where rows begin, columns, and blocks in single precision."""
@@ -65,7 +66,7 @@ def diagonal_of(A: BlockRows, loops: CFunctions, vector: FloatArray | None = Non
     if vector is None:
         steps, vector = POWERS, np.zeros((A.halo.size, A.R))
         own = vector[: A.rows]
-        own[:] = np.random.default_rng(A.halo.first).normal(size=own.shape)
+        own[:] = random_vector(A.halo.first * A.R, own.size).reshape(own.shape)
     return Diagonal(blocks, sizes, _largest(A, blocks, loops, vector, steps), vector)
 
 
