@@ -18,6 +18,7 @@ from petsc4py import PETSc
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.linear.random_vector import random_vector
 
 CHANGE = {"displacement": 0.5, "mixed": 0.05}
 """Relative change of the tangent from which its preconditioner is set up anew: with pressures a
@@ -45,7 +46,8 @@ class Age:
         self._assembler, self.kept = assembler, False
         self._v, self._product = assembler.create_vector(), assembler.create_vector()
         rows = assembler.displacement_dofs
-        self._v.array_w[rows] = np.random.default_rng(assembler.comm.rank).normal(size=len(rows))
+        first = self._v.getOwnershipRange()[0]
+        self._v.array_w[rows] = random_vector(first, len(rows))
         self._v.array_w[assembler.prescribed_dofs] = 0.0
         self._then: FloatArray | None = None
         kind = "mixed" if assembler.problem.unknowns.auxiliary_fields else "displacement"

@@ -6,13 +6,21 @@ M. Adams, M. Brezina, J. Hu and R. Tuminaro, J. Comput. Phys. 188 (2003) 593, fo
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 
 from dolfin_elastic.core.jit import CFunctions
-from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
-from dolfin_elastic.solvers.linear.block_rows import BlockRows, HalfRows
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray, SingleArray
+from dolfin_elastic.solvers.linear.block_rows import (
+    BlockRows,
+    HalfRows,
+    Interpolation,
+    room_for,
+)
 from dolfin_elastic.solvers.linear.smoother import Diagonal
 from dolfin_elastic.solvers.petsc.halo import Halo
+from dolfin_elastic.solvers.petsc.heap import give_back
 
 LANES = 8
 """Most entries of a row of a block, as loops in C need it for their work."""
@@ -32,7 +40,7 @@ def smoothed_interpolation(
     *,
     threshold: float,
     loops: CFunctions,
-) -> tuple[BlockRows, FloatArray]:
+) -> tuple[Interpolation, FloatArray]:
     """Interpolation from the next coarser level, and its rigid-body modes. Collective.
 
     Nodes that are strongly connected are aggregated, and the rigid-body modes of an aggregate are
@@ -40,7 +48,8 @@ def smoothed_interpolation(
 
     Args:
         A: The matrix.
-        modes: Rigid-body modes of owned nodes, of shape (nodes, R, modes).
+        modes: Rigid-body modes of owned nodes, of shape (nodes, R, modes); where a component is
+            prescribed they may become zero.
         diagonal: That of A.
         threshold: |A_ij| / sqrt(|A_ii| |A_jj|) of a strong connection.
         loops: Those of `block_loops`.
@@ -49,34 +58,47 @@ def smoothed_interpolation(
         P, whose coarse matrix `galerkin` makes, and modes of shape (nodes, modes, modes).
     """
     n, R, C, halo = A.rows, A.R, modes.shape[2], A.halo
-    strong, limit = np.empty(len(A.columns), dtype=np.float32), np.array([threshold])
-    tentative = np.zeros((halo.size, R, C))
-    tentative[:n] = modes
-    pattern = A.start, A.columns
+    pattern = A.pattern()
+    strong, limit = np.empty(len(pattern[1]), dtype=np.float32), np.array([threshold])
+    modes = _with_ghosts_behind(modes, halo)
     for first, rows, part in A.parts():
         measured = (part, n, diagonal.sizes, strong, limit)
         loops.call("connections", first, rows, R, *pattern, *measured)
-        loops.call("hold_fixed", first, rows, R, C, *pattern, part, tentative)
+        loops.call("hold_fixed", first, rows, R, C, *pattern, part, modes)
     own = np.empty(n, dtype=np.int32)
-    count = loops.call("aggregate", n, A.start, A.columns, strong, own)
-    everywhere = tentative.copy()
+    count = loops.call("aggregate", n, *pattern, strong, own)
+    tentative = modes.copy()
     factors, work = np.empty((count, C, C)), np.empty(2 * count)
     loops.call("orthonormalise", n, R, C, count, own, tentative, factors, work)
     halo.fill(tentative)
-    halo.fill(everywhere)
+    halo.fill(modes)
     member, coarse = _of_ghosts(halo, own, count)
-    P_start = np.empty(n + 1, dtype=np.int64)
-    mark = np.full(coarse.size, -1, dtype=np.int32)
-    loops.call("count_smoothed", n, A.start, A.columns, strong, member, mark, P_start)
-    columns, blocks = np.empty(P_start[-1], dtype=np.int32), np.empty((P_start[-1], R, C))
-    place, step = np.full(coarse.size, -1, dtype=np.int64), np.array([SMOOTHING / diagonal.largest])
-    turned = _inverse_factors(factors)
+    start, place = np.empty(n + 1, dtype=np.int64), np.full(coarse.size, -1, dtype=np.int32)
+    loops.call("count_smoothed", n, *pattern, strong, member, place, start)
+    place[:] = -1
+    columns, blocks = np.empty(start[-1], dtype=np.int32), room_for(start[-1], R, C)
+    room = np.empty((int(np.diff(start).max(initial=0)), R, LANES))
+    turned, step = _inverse_factors(factors), np.array([SMOOTHING / diagonal.largest])
     for first, rows, part in A.parts():
         loops.call(
             *("fill_smoothed", R, C, first, rows, *pattern, part, strong, diagonal.inverse),
-            *(everywhere, turned, tentative, member, step, place, P_start, columns, blocks),
+            *(modes, turned, tentative, member, step, start, columns, blocks, place, room),
         )
-    return BlockRows(P_start, columns, blocks, coarse), factors
+    return Interpolation(start, columns, blocks, coarse), factors
+
+
+def _with_ghosts_behind(modes: FloatArray, halo: Halo) -> FloatArray:
+    """Modes of all nodes here, those of other ranks still zero; the same ones where there are none.
+
+    Args:
+        modes: Of owned nodes.
+        halo: The nodes.
+    """
+    if halo.size == len(modes):
+        return modes
+    found = np.zeros((halo.size, *modes.shape[1:]))
+    found[: len(modes)] = modes
+    return found
 
 
 def _inverse_factors(factors: FloatArray) -> FloatArray:
@@ -121,7 +143,7 @@ def _of_ghosts(halo: Halo, member: IndexArray, count: int) -> tuple[IndexArray, 
     return found.astype(np.int32), coarse
 
 
-def galerkin(A: BlockRows, P: BlockRows, loops: CFunctions) -> BlockRows:
+def galerkin(A: BlockRows, P: Interpolation, loops: CFunctions) -> BlockRows:
     """The matrix P^T A P of a coarser level. Collective.
 
     Args:
@@ -129,53 +151,81 @@ def galerkin(A: BlockRows, P: BlockRows, loops: CFunctions) -> BlockRows:
         P: Interpolation to the owned nodes of A.
         loops: Those of `block_loops`.
     """
-    R, C, coarse = P.R, P.C, P.halo
-    start, columns, blocks, numbers = _with_ghosts(A, P)
-    m, size = coarse.size, len(numbers)
-    W = _product_pattern((A.start, A.columns), (start, columns), size, loops)
-    transposed = _transposed(P.start, P.columns, m)
-    A_start, A_columns = _product_pattern(transposed, W, size, loops)
-    most = int(np.diff(W[0]).max(initial=0))
-    rows = np.repeat(np.arange(m), np.diff(A_start))
-    A_columns = A_columns[np.lexsort((A_columns, rows))]
-    side = coarse.owners(numbers) if A.symmetric else np.arange(size)
-    if A.symmetric:
-        kept = (side[rows] != side[A_columns]) | (numbers[rows] <= numbers[A_columns])
-        A_columns = A_columns[kept]
-        A_start = np.concatenate([[0], np.cumsum(np.bincount(rows[kept], minlength=m))])
-    del W, transposed, rows  # the blocks are about to take most memory
-    A_blocks = np.zeros((len(A_columns), C, C))
-    place = np.full(size, -1, dtype=np.int32)
-    work = (place, np.empty(most, dtype=np.int32), np.empty((most, R, LANES)))
+    start, columns, P_blocks, numbers = _with_ghosts(A, P)
+    side = P.halo.owners(numbers) if A.symmetric else np.arange(len(numbers))
+    sides = (side.astype(np.int32), numbers)
+    pattern, most = _coarse_pattern(A, P, (start, columns), sides, loops)
+    give_back()  # what this and making P needed: the blocks are about to take most memory
+    blocks = np.zeros((len(pattern[1]), P.C, P.C))
+    for_columns = np.full(len(numbers), -1, dtype=np.int32)
+    work = (for_columns, np.empty(most, dtype=np.int32), np.empty((most, P.R, LANES)))
+    interpolation = (start, columns, P_blocks)
     for first, count, part in A.parts():
-        loops.call(
-            *("galerkin", R, C, first, count, A.start, A.columns, part, start, columns, blocks),
-            *(A_start, A_columns, A_blocks, side, numbers, *work),
-        )
-    found = _summed(coarse, A_start, numbers[A_columns], A_blocks)
+        rows = (first, count, *A.pattern(), part)
+        loops.call("galerkin", P.R, P.C, *rows, *interpolation, *pattern, blocks, *sides, *work)
+    found = _summed(P.halo, numbers, *pattern, blocks)
     return HalfRows(*found, loops) if A.symmetric else BlockRows(*found)
 
 
-def _product_pattern(
-    A: tuple[IntArray, IndexArray], B: tuple[IntArray, IndexArray], size: int, loops: CFunctions
-) -> tuple[IntArray, IndexArray]:
-    """Where rows of a product A B begin, and their columns, not sorted.
+Pattern: TypeAlias = tuple[IntArray, IndexArray]
+"""Where rows begin and the last one ends, and columns of their entries."""
+
+
+def _coarse_pattern(
+    A: BlockRows,
+    P: Interpolation,
+    every: Pattern,
+    sides: tuple[IndexArray, IntArray],
+    loops: CFunctions,
+) -> tuple[Pattern, int]:
+    """Rows and sorted columns of P^T A P, and the most blocks that a row of A P has. Local.
 
     Args:
-        A: Where the rows of the first factor begin, and their columns.
-        B: The same of the second.
+        A: The matrix.
+        P: Interpolation.
+        every: Its rows of all nodes here.
+        sides: See `product_pattern` in `block_loops`, with a side and a number for each column.
+        loops: Those of `block_loops`.
+    """
+    size = len(sides[0])
+    product = _product_pattern(A.pattern(), every, None, size, loops)
+    most = int(np.diff(product[0]).max(initial=0))
+    transposed = _transposed((P.start, P.columns), P.halo.size, loops)
+    halved = sides if A.symmetric else None
+    pattern = _product_pattern(transposed, product, halved, size, loops)
+    del product, transposed
+    turned = _transposed(pattern, size, loops)  # and back: this sorts the columns
+    return _transposed(turned, P.halo.size, loops), most
+
+
+def _product_pattern(
+    A: Pattern,
+    B: Pattern,
+    halved: tuple[IndexArray, IntArray] | None,
+    size: int,
+    loops: CFunctions,
+) -> Pattern:
+    """Rows of a product A B, and their columns, not sorted.
+
+    Args:
+        A: Of the first factor.
+        B: Of the second.
+        halved: The sides, if only one half is wanted.
         size: Columns of the second.
         loops: Those of `block_loops`.
     """
-    rows = len(A[0]) - 1
-    start, nothing = np.empty(rows + 1, dtype=np.int64), np.empty(0, dtype=np.int32)
-    loops.call("product_pattern", rows, *A, *B, np.full(size, -1, np.int32), start, nothing, 0)
-    columns = np.empty(start[-1], dtype=np.int32)
-    loops.call("product_pattern", rows, *A, *B, np.full(size, -1, np.int32), start, columns, 1)
-    return start, columns
+    rows, nothing = len(A[0]) - 1, np.empty(0, dtype=np.int32)
+    half = (0, nothing, np.empty(0, dtype=np.int64)) if halved is None else (1, *halved)
+    start, mark = np.empty(rows + 1, dtype=np.int64), np.full(size, -1, dtype=np.int32)
+    # Most of this is never touched and takes no memory; to count columns first would take as long.
+    columns = np.empty(loops.call("most_of_product", rows, *A, B[0]), dtype=np.int32)
+    loops.call("product_pattern", rows, *A, *B, *half, mark, start, columns)
+    return start, columns[: start[-1]]
 
 
-def _with_ghosts(A: BlockRows, P: BlockRows) -> tuple[IntArray, IndexArray, FloatArray, IntArray]:
+def _with_ghosts(
+    A: BlockRows, P: Interpolation
+) -> tuple[IntArray, IndexArray, SingleArray, IntArray]:
     """The rows of P of all nodes of A here, and the global number of each coarse node. Collective.
 
     Behind the coarse nodes of P come those that only rows of ghosts have.
@@ -192,48 +242,61 @@ def _with_ghosts(A: BlockRows, P: BlockRows) -> tuple[IntArray, IndexArray, Floa
     local = np.where(
         known, coarse.local(columns), coarse.size + np.searchsorted(further, columns)
     ).astype(np.int32)
+    count = len(P.columns)
+    blocks = room_for(count + len(local), P.R, P.C)
+    blocks[:count], blocks[count:] = P.blocks, found.blocks
     return (
         np.concatenate([P.start, P.start[-1] + found.start[1:]]),
         np.concatenate([P.columns, local]),
-        np.concatenate([P.blocks, found.blocks]),
+        blocks,
         np.concatenate([numbers, further]),
     )
 
 
-def _transposed(start: IntArray, columns: IndexArray, size: int) -> tuple[IntArray, IndexArray]:
-    """Rows that each column has entries in."""
-    rows = np.repeat(np.arange(len(start) - 1, dtype=np.int32), np.diff(start))
-    begins = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=size))])
-    return begins.astype(np.int64), rows[np.argsort(columns, kind="stable")]
+def _transposed(pattern: Pattern, size: int, loops: CFunctions) -> Pattern:
+    """Rows that each of so many columns has entries in, sorted. Local.
+
+    Args:
+        pattern: Of the matrix.
+        size: Its columns.
+        loops: Those of `block_loops`.
+    """
+    start, room = np.empty(size + 1, dtype=np.int64), np.empty(size, dtype=np.int64)
+    rows = np.empty(len(pattern[1]), dtype=np.int32)
+    loops.call("transpose", len(pattern[0]) - 1, size, *pattern, start, rows, room)
+    return start, rows
 
 
 def _summed(
-    halo: Halo, start: IntArray, columns: IntArray, blocks: FloatArray
+    halo: Halo, numbers: IntArray, start: IntArray, nodes: IndexArray, blocks: FloatArray
 ) -> tuple[IntArray, IndexArray, FloatArray, Halo]:
     """Adds the parts of rows that several ranks have. Collective.
 
     Args:
         halo: Nodes of the rows.
+        numbers: Global number of each node of the columns.
         start: Where their rows begin, and the last one ends.
-        columns: Global column of each block.
+        nodes: Column of each block.
         blocks: Shape (blocks, C, C).
 
     Returns:
         Where rows begin, local columns, blocks, and the nodes.
     """
     owned = halo.owned
+    if halo.comm.size == 1:
+        return start, nodes, blocks, Halo(halo.comm, owned, numbers[:0])
+    columns = numbers[nodes]
+    others = halo.rows_of_others(start, columns, blocks)
+    assert others.nodes is not None
+    count = start[owned]
     rows = np.repeat(np.arange(owned, dtype=np.int32), np.diff(start[: owned + 1]))
-    if halo.comm.size > 1:
-        others = halo.rows_of_others(start, columns, blocks)
-        assert others.nodes is not None
-        count = start[owned]
-        rows = np.concatenate([rows, np.repeat(others.nodes, np.diff(others.start))])
-        columns = np.concatenate([columns[:count], others.columns])
-        keys, entry = np.unique(rows.astype(np.int64) * halo.total + columns, return_inverse=True)
-        own_blocks, blocks = blocks[:count], np.zeros((len(keys), *blocks.shape[1:]))
-        blocks[entry[:count]] = own_blocks
-        np.add.at(blocks, entry[count:], others.blocks)
-        rows, columns = (keys // halo.total).astype(np.int32), keys % halo.total
+    rows = np.concatenate([rows, np.repeat(others.nodes, np.diff(others.start))])
+    columns = np.concatenate([columns[:count], others.columns])
+    keys, entry = np.unique(rows.astype(np.int64) * halo.total + columns, return_inverse=True)
+    own_blocks, blocks = blocks[:count], np.zeros((len(keys), *blocks.shape[1:]))
+    blocks[entry[:count]] = own_blocks
+    np.add.at(blocks, entry[count:], others.blocks)
+    rows, columns = (keys // halo.total).astype(np.int32), keys % halo.total
     own = (columns >= halo.first) & (columns < halo.first + owned)
     result = Halo(halo.comm, owned, np.unique(columns[~own]))
     begins = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=owned))]).astype(np.int64)

@@ -23,6 +23,7 @@ int64_t fill_blocks(int64_t n, int64_t R, int64_t C, const int64_t* start, const
 int64_t take_diagonal(int64_t first, int64_t n, int64_t R, const int64_t* start,
         const int32_t* columns, const double* blocks, double* diagonal);
 int64_t invert_blocks(int64_t R, int64_t n, double* blocks);
+int64_t times_diagonal(int64_t R, int64_t n, const double* blocks, const double* x, double* y);
 int64_t connections(int64_t first, int64_t n, int64_t R, const int64_t* start,
         const int32_t* columns, const double* blocks, int64_t owned, const double* sizes,
         float* strong, const double* threshold);
@@ -37,15 +38,19 @@ int64_t count_smoothed(int64_t n, const int64_t* start, const int32_t* columns,
 int64_t fill_smoothed(int64_t R, int64_t C, int64_t first, int64_t n, const int64_t* start,
         const int32_t* columns, const double* blocks, const float* strong, const double* inverse,
         const double* modes, const double* turned, const double* tentative, const int32_t* member,
-        const double* omega, int64_t* place, const int64_t* p_start, int32_t* p_columns,
-        double* p_blocks);
+        const double* omega, const int64_t* p_start, int32_t* p_columns, float* p_blocks,
+        int32_t* place, double* w);
+int64_t transpose(int64_t n, int64_t size, const int64_t* start, const int32_t* columns,
+        int64_t* t_start, int32_t* t_columns, int64_t* next);
+int64_t most_of_product(int64_t n, const int64_t* a_start, const int32_t* a_columns,
+        const int64_t* b_start);
 int64_t product_pattern(int64_t n, const int64_t* a_start, const int32_t* a_columns,
-        const int64_t* b_start, const int32_t* b_columns, int32_t* mark, int64_t* start,
-        int32_t* columns, int64_t fill);
+        const int64_t* b_start, const int32_t* b_columns, int64_t halved, const int32_t* side,
+        const int64_t* numbers, int32_t* mark, int64_t* start, int32_t* columns);
 int64_t galerkin(int64_t R, int64_t C, int64_t first, int64_t n, const int64_t* start,
         const int32_t* columns, const double* blocks, const int64_t* p_start,
-        const int32_t* p_columns, const double* p_blocks, const int64_t* c_start,
-        const int32_t* c_columns, double* coarse, const int64_t* side, const int64_t* numbers,
+        const int32_t* p_columns, const float* p_blocks, const int64_t* c_start,
+        const int32_t* c_columns, double* coarse, const int32_t* side, const int64_t* numbers,
         int32_t* place, int32_t* list, double* w);
 int64_t in_single_precision(int64_t count, int64_t R, int64_t C, const double* blocks,
         float* out);
@@ -235,30 +240,49 @@ int64_t invert_blocks(int64_t R, int64_t n, double* blocks)
   return 0;
 }
 
-static inline double square(int64_t size, const double* block)
+/* y = D x, of blocks of the diagonal */
+INLINE void times_diagonal_(const int R, const int C, int64_t n, const double* blocks,
+                            const double* x, double* y)
 {
-  double sum = 0.0;
-  for (int64_t k = 0; k < size; k++)
-    sum += block[k] * block[k];
-  return sum;
+  for (int64_t i = 0; i < n; i++)
+    for (int r = 0; r < R; r++)
+    {
+      double s = 0.0;
+      for (int c = 0; c < C; c++)
+        s += blocks[(i * R + r) * C + c] * x[i * C + c];
+      y[i * R + r] = s;
+    }
+}
+int64_t times_diagonal(int64_t R, int64_t n, const double* blocks, const double* x, double* y)
+{
+  DISPATCH(R, R, times_diagonal_, n, blocks, x, y);
+  return 0;
 }
 
 /* strong[k] = |A_ij|^2 / (|A_ii| |A_jj|) where that is above threshold^2, else minus that; 0 on the
    diagonal.  The diagonal of nodes of other ranks is taken to be that of node i. */
-int64_t connections(int64_t first, int64_t n, int64_t R, const int64_t* start,
-                    const int32_t* columns, const double* blocks, int64_t owned,
-                    const double* sizes, float* strong, const double* threshold)
+INLINE void connections_(const int R, const int C, int64_t first, int64_t n, const int64_t* start,
+                         const int32_t* columns, const double* blocks, int64_t owned,
+                         const double* sizes, float* strong, double threshold)
 {
-  blocks -= start[first] * R * R;
+  blocks -= start[first] * R * C;
   for (int64_t i = first; i < first + n; i++)
     for (int64_t k = start[i]; k < start[i + 1]; k++)
     {
       const int32_t j = columns[k];
-      const double s = square(R * R, blocks + k * R * R);
-      const double size = sizes[i] * sizes[j < owned ? j : i];
-      const int weak = !(s > threshold[0] * threshold[0] * size);
-      strong[k] = j == i ? 0.0f : (float)(weak ? -s / size : s / size);
+      double square = 0.0, size = sizes[i] * sizes[j < owned ? j : i];
+      for (int e = 0; e < R * C; e++)
+        square += blocks[k * R * C + e] * blocks[k * R * C + e];
+      const int weak = !(square > threshold * threshold * size);
+      strong[k] = j == i ? 0.0f : (float)(weak ? -square / size : square / size);
     }
+}
+int64_t connections(int64_t first, int64_t n, int64_t R, const int64_t* start,
+                    const int32_t* columns, const double* blocks, int64_t owned,
+                    const double* sizes, float* strong, const double* threshold)
+{
+  DISPATCH(R, R, connections_, first, n, start, columns, blocks, owned, sizes, strong,
+           threshold[0]);
   return 0;
 }
 
@@ -398,6 +422,155 @@ int64_t orthonormalise(int64_t n, int64_t R, int64_t C, int64_t aggregates, cons
   return 0;
 }
 
+/* Rows of C entries as vectors of L lanes.  Those behind the C are zero where the row has double
+   precision; its last one is read from before it, as nothing may stand behind it.  Where it has
+   single precision they hold anything: two more entries stand behind the last row of all. */
+#define ROWS_AS_LANES(L, integers, floats, lanes)                                                  \
+  typedef double lanes __attribute__((vector_size(8 * L), aligned(8)));                            \
+  typedef int64_t integers __attribute__((vector_size(8 * L)));                                    \
+  typedef float floats __attribute__((vector_size(4 * L), aligned(4)));                            \
+  INLINE integers turned_##lanes(int by)                                                           \
+  {                                                                                                \
+    integers from;                                                                                 \
+    for (int c = 0; c < L; c++)                                                                    \
+      from[c] = (c + by) % L;                                                                      \
+    return from;                                                                                   \
+  }                                                                                                \
+  INLINE lanes inside_##lanes(const int C, lanes row)                                              \
+  {                                                                                                \
+    integers inside;                                                                               \
+    for (int c = 0; c < L; c++)                                                                    \
+      inside[c] = c < C ? -1 : 0;                                                                  \
+    return (lanes)((integers)row & inside);                                                        \
+  }                                                                                                \
+  INLINE lanes row_of_##lanes(const int C, const double* rows, int row, int last)                  \
+  {                                                                                                \
+    const double* at = rows + row * C - (row == last ? L - C : 0);                                 \
+    lanes read = *(const lanes*)at;                                                                \
+    if (row == last)                                                                               \
+      read = __builtin_shuffle(read, turned_##lanes(L - C));                                       \
+    return inside_##lanes(C, read);                                                                \
+  }                                                                                                \
+  INLINE lanes rounded_row_##lanes(const float* row)                                               \
+  {                                                                                                \
+    return __builtin_convertvector(*(const floats*)row, lanes);                                    \
+  }                                                                                                \
+  /* w += a p, of which w has rows of L entries, and a K entries in rows S apart */                \
+  INLINE void add_product_##lanes(const int R, const int K, const int S, const int C,              \
+                                  const double* a, const double* p, double* w)                     \
+  {                                                                                                \
+    lanes sum[R];                                                                                  \
+    for (int r = 0; r < R; r++)                                                                    \
+      sum[r] = *(lanes*)(w + r * L);                                                               \
+    for (int q = 0; q < K; q++)                                                                    \
+    {                                                                                              \
+      const lanes row = row_of_##lanes(C, p, q, K - 1);                                            \
+      for (int r = 0; r < R; r++)                                                                  \
+        sum[r] += a[r * S + q] * row;                                                              \
+    }                                                                                              \
+    for (int r = 0; r < R; r++)                                                                    \
+      *(lanes*)(w + r * L) = sum[r];                                                               \
+  }                                                                                                \
+  /* The same with p in single precision, and a of R columns */                                    \
+  INLINE void add_rounded_##lanes(const int R, const int C, const double* a, const float* p,       \
+                                  double* w)                                                       \
+  {                                                                                                \
+    lanes sum[R];                                                                                  \
+    for (int r = 0; r < R; r++)                                                                    \
+      sum[r] = *(lanes*)(w + r * L);                                                               \
+    for (int q = 0; q < R; q++)                                                                    \
+    {                                                                                              \
+      const lanes row = rounded_row_##lanes(p + q * C);                                            \
+      for (int r = 0; r < R; r++)                                                                  \
+        sum[r] += a[r * R + q] * row;                                                              \
+    }                                                                                              \
+    for (int r = 0; r < R; r++)                                                                    \
+      *(lanes*)(w + r * L) = sum[r];                                                               \
+  }                                                                                                \
+  /* p = t + a w, rounded, of which w has rows of L entries; each row writes over what the one     \
+     before has written behind its end */                                                          \
+  INLINE void round_product_##lanes(const int R, const int C, const double* a, const double* w,    \
+                                    const double* t, float* p)                                     \
+  {                                                                                                \
+    for (int r = 0; r < R; r++)                                                                    \
+    {                                                                                              \
+      lanes sum = {0.0};                                                                           \
+      if (t)                                                                                       \
+        sum = row_of_##lanes(C, t, r, R - 1);                                                      \
+      for (int q = 0; q < R; q++)                                                                  \
+        sum += a[r * R + q] * *(const lanes*)(w + q * L);                                          \
+      *(floats*)(p + r * C) = __builtin_convertvector(sum, floats);                                \
+    }                                                                                              \
+  }                                                                                                \
+  /* Rows of L entries in double precision */                                                      \
+  INLINE void in_lanes_##lanes(const int R, const int C, const float* p, double* q)                \
+  {                                                                                                \
+    for (int r = 0; r < R; r++)                                                                    \
+      *(lanes*)(q + r * L) = rounded_row_##lanes(p + r * C);                                       \
+  }                                                                                                \
+  /* out += p^T w, of which p and w have rows of L entries; each row writes over what the one      \
+     before has written behind its end */                                                          \
+  INLINE void add_transposed_##lanes(const int R, const int C, const double* p, const double* w,   \
+                                     double* out)                                                  \
+  {                                                                                                \
+    lanes sum[C], row[R];                                                                          \
+    for (int r = 0; r < R; r++)                                                                    \
+      row[r] = *(const lanes*)(w + r * L);                                                         \
+    for (int a = 0; a < C; a++)                                                                    \
+    {                                                                                              \
+      sum[a] = row_of_##lanes(C, out, a, C - 1);                                                   \
+      for (int r = 0; r < R; r++)                                                                  \
+        sum[a] += p[r * L + a] * row[r];                                                           \
+    }                                                                                              \
+    for (int a = 0; a < C - 1; a++)                                                                \
+      *(lanes*)(out + a * C) = sum[a];                                                             \
+    integers both;                                                                                 \
+    for (int c = 0; c < L; c++)                                                                    \
+      both[c] = c < L - C ? c + 2 * C - L : L + c - (L - C);                                       \
+    *(lanes*)(out + C * C - L) = __builtin_shuffle(sum[C - 2], sum[C - 1], both);                  \
+  }                                                                                                \
+  /* x += P e, of one node */                                                                      \
+  INLINE void add_prolonged_##lanes(const int R, const int C, int64_t first, int64_t last,         \
+                                    const int32_t* columns, const float* p, const double* e,       \
+                                    double* x)                                                     \
+  {                                                                                                \
+    lanes sum[R];                                                                                  \
+    for (int r = 0; r < R; r++)                                                                    \
+      sum[r] = (lanes){0.0};                                                                       \
+    for (int64_t l = first; l < last; l++)                                                         \
+    {                                                                                              \
+      const lanes v = *(const lanes*)(e + (int64_t)C * columns[l]);                                \
+      for (int r = 0; r < R; r++)                                                                  \
+        sum[r] += rounded_row_##lanes(p + (l * R + r) * C) * v;                                    \
+    }                                                                                              \
+    for (int r = 0; r < R; r++)                                                                    \
+    {                                                                                              \
+      x[r] += sum[r][0] + sum[r][1];                                                               \
+      x[r] += C > 4 ? sum[r][2] + sum[r][3] + sum[r][4 % L] + sum[r][5 % L] : 0.0;                 \
+      x[r] += C == 3 ? sum[r][2] : 0.0;                                                            \
+    }                                                                                              \
+  }                                                                                                \
+  /* coarse += p^T r */                                                                            \
+  INLINE void add_restricted_##lanes(const int R, const int C, const float* p, const double* r,    \
+                                     double* coarse)                                               \
+  {                                                                                                \
+    lanes sum = *(const lanes*)coarse;                                                             \
+    for (int k = 0; k < R; k++)                                                                    \
+      sum += rounded_row_##lanes(p + k * C) * r[k];                                                \
+    *(double2*)coarse = __builtin_shufflevector(sum, sum, 0, 1);                                   \
+    if (C == 3)                                                                                    \
+      coarse[2] = sum[2];                                                                          \
+    if (C <= 4)                                                                                    \
+      return;                                                                                      \
+    *(double2*)(coarse + 2) = __builtin_shufflevector(sum, sum, 2, 3);                             \
+    *(double2*)(coarse + 4) = __builtin_shufflevector(sum, sum, 4, 5);                             \
+  }
+ROWS_AS_LANES(4, integers4, floats4, lanes4)
+ROWS_AS_LANES(8, integers8, floats8, lanes8)
+
+/* The one of these that rows of C entries need. */
+#define AS_LANES(C, f, ...) ((C) > 4 ? f##_lanes8(__VA_ARGS__) : f##_lanes4(__VA_ARGS__))
+
 /* Smoothed interpolation, P = (1 - omega D^-1 A) P0: Vanek, Mandel & Brezina (1996).  A node of
    a weak connection counts as if it moved with the aggregate of node i, as a rigid body: its modes
    times `turned`, the inverse factors of that aggregate.  So P stays sparse, and rigid motions are
@@ -429,61 +602,48 @@ INLINE void fill_smoothed_(const int R, const int C, int64_t first, int64_t n,
                            const int32_t* columns, const double* blocks, const float* strong,
                            const double* inverse, const double* modes, const double* turned,
                            const double* tentative, const int32_t* member, double omega,
-                           int64_t* place, const int64_t* p_start, int32_t* p_columns,
-                           double* p_blocks)
+                           const int64_t* p_start, int32_t* p_columns, float* p_blocks,
+                           int32_t* place, double* w)
 {
+  const int L = C > 4 ? 8 : 4, size = R * L;
   blocks -= start[first] * R * R;
   for (int64_t i = first; i < first + n; i++)
   {
     if (member[i] < 0)
       continue;
-    int64_t next = p_start[i];
-    double sum[R * C], scaled[R * R];
+    int count = 0, any = 0;
+    int32_t* list = p_columns + p_start[i];
+    double scaled[R * R], weak[size];
+    memset(weak, 0, sizeof(weak));
     for (int r = 0; r < R * R; r++)
       scaled[r] = -omega * inverse[i * R * R + r];
     for (int64_t k = start[i]; k < start[i + 1]; k++)
     {
-      const int32_t j = strong[k] > 0.0f ? columns[k] : (int32_t)i, g = member[j];
+      const int64_t j = columns[k];
+      const int is_weak = j != i && !(strong[k] > 0.0f);
+      const int32_t g = member[is_weak ? i : j];
       if (g < 0)
         continue;
-      int64_t e = place[g];
-      if (e < p_start[i] || e >= next || p_columns[e] != g)
+      if (place[g] < 0)
       {
-        e = place[g] = next++;
-        p_columns[e] = g;
-        memset(p_blocks + e * R * C, 0, sizeof(double) * R * C);
+        place[g] = count;
+        list[count] = g;
+        memset(w + count * size, 0, sizeof(double) * size);
+        count++;
       }
-      const double *a = blocks + k * R * R, *t = tentative + (int64_t)j * R * C;
-      double rigid[R * C];
-      if (j != columns[k])
-      {
-        const double *m = modes + (int64_t)columns[k] * R * C, *f = turned + (int64_t)g * C * C;
-        for (int r = 0; r < R * C; r++)
-          rigid[r] = 0.0;
-        for (int r = 0; r < R; r++)
-          for (int q = 0; q < C; q++)
-            for (int c = q; c < C; c++)
-              rigid[r * C + c] += m[r * C + q] * f[q * C + c];
-        t = rigid;
-      }
-      double* p = p_blocks + e * R * C;
-      for (int r = 0; r < R; r++)
-        for (int q = 0; q < R; q++)
-          for (int c = 0; c < C; c++)
-            p[r * C + c] += a[r * R + q] * t[q * C + c];
+      const double *a = blocks + k * R * R, *t = (is_weak ? modes : tentative) + j * R * C;
+      AS_LANES(C, add_product, R, R, R, C, a, t, is_weak ? weak : w + place[g] * size);
+      any = any || is_weak;
     }
-    for (int64_t e = p_start[i]; e < next; e++)
+    if (any)
+      AS_LANES(C, add_product, R, C, L, C, weak, turned + (int64_t)member[i] * C * C,
+               w + place[member[i]] * size);
+    for (int s = 0; s < count; s++)
     {
-      double* p = p_blocks + e * R * C;
-      memcpy(sum, p, sizeof(sum));
-      for (int r = 0; r < R; r++)
-        for (int c = 0; c < C; c++)
-        {
-          double s = 0.0;
-          for (int q = 0; q < R; q++)
-            s += scaled[r * R + q] * sum[q * C + c];
-          p[r * C + c] = s + (p_columns[e] == member[i] ? tentative[(i * R + r) * C + c] : 0.0);
-        }
+      const double* t = list[s] == member[i] ? tentative + i * R * C : NULL;
+      float* p = p_blocks + (p_start[i] + s) * R * C;
+      AS_LANES(C, round_product, R, C, scaled, w + s * size, t, p);
+      place[list[s]] = -1;
     }
   }
 }
@@ -491,18 +651,46 @@ int64_t fill_smoothed(int64_t R, int64_t C, int64_t first, int64_t n, const int6
                       const int32_t* columns, const double* blocks, const float* strong,
                       const double* inverse,
                       const double* modes, const double* turned, const double* tentative,
-                      const int32_t* member, const double* omega, int64_t* place,
-                      const int64_t* p_start, int32_t* p_columns, double* p_blocks)
+                      const int32_t* member, const double* omega, const int64_t* p_start,
+                      int32_t* p_columns, float* p_blocks, int32_t* place, double* w)
 {
   DISPATCH(R, C, fill_smoothed_, first, n, start, columns, blocks, strong, inverse, modes, turned,
-           tentative, member, omega[0], place, p_start, p_columns, p_blocks);
+           tentative, member, omega[0], p_start, p_columns, p_blocks, place, w);
   return 0;
 }
 
-/* Columns of a product A B, row by row; they are counted, or written where `fill` says so. */
+/* Rows that each of `size` columns has entries in, sorted; `next` is room for as many. */
+int64_t transpose(int64_t n, int64_t size, const int64_t* start, const int32_t* columns,
+                  int64_t* t_start, int32_t* t_columns, int64_t* next)
+{
+  memset(t_start, 0, sizeof(int64_t) * (size + 1));
+  for (int64_t k = 0; k < start[n]; k++)
+    t_start[columns[k] + 1]++;
+  for (int64_t c = 0; c < size; c++)
+    t_start[c + 1] += t_start[c];
+  memcpy(next, t_start, sizeof(int64_t) * size);
+  for (int64_t i = 0; i < n; i++)
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+      t_columns[next[columns[k]]++] = (int32_t)i;
+  return 0;
+}
+
+/* The most entries that a product A B may have. */
+int64_t most_of_product(int64_t n, const int64_t* a_start, const int32_t* a_columns,
+                        const int64_t* b_start)
+{
+  int64_t count = 0;
+  for (int64_t k = 0; k < a_start[n]; k++)
+    count += b_start[a_columns[k] + 1] - b_start[a_columns[k]];
+  return count;
+}
+
+/* Where rows of a product A B begin, and their columns, row by row.  Where they are `halved`, only
+   those from the diagonal on of two nodes of the same `side`. */
 int64_t product_pattern(int64_t n, const int64_t* a_start, const int32_t* a_columns,
-                        const int64_t* b_start, const int32_t* b_columns, int32_t* mark,
-                        int64_t* start, int32_t* columns, int64_t fill)
+                        const int64_t* b_start, const int32_t* b_columns, int64_t halved,
+                        const int32_t* side, const int64_t* numbers, int32_t* mark, int64_t* start,
+                        int32_t* columns)
 {
   start[0] = 0;
   for (int64_t i = 0; i < n; i++)
@@ -510,105 +698,29 @@ int64_t product_pattern(int64_t n, const int64_t* a_start, const int32_t* a_colu
     int64_t next = start[i];
     for (int64_t k = a_start[i]; k < a_start[i + 1]; k++)
       for (int64_t l = b_start[a_columns[k]]; l < b_start[a_columns[k] + 1]; l++)
-        if (mark[b_columns[l]] != i)
-        {
-          mark[b_columns[l]] = (int32_t)i;
-          if (fill)
-            columns[next] = b_columns[l];
-          next++;
-        }
+      {
+        const int32_t c = b_columns[l];
+        if (mark[c] == i)
+          continue;
+        mark[c] = (int32_t)i;
+        if (halved && side[c] == side[i] && numbers[c] < numbers[i])
+          continue;
+        columns[next++] = c;
+      }
     start[i + 1] = next;
   }
   return 0;
-}
-
-/* Rows of C entries as vectors of L lanes, of which the others are zero.  The last row is read from
-   before it, as nothing may stand behind it. */
-#define ROWS_AS_LANES(L, integers, lanes)                                                          \
-  typedef double lanes __attribute__((vector_size(8 * L), aligned(8)));                            \
-  typedef int64_t integers __attribute__((vector_size(8 * L)));                                    \
-  INLINE integers turned_##lanes(int by)                                                           \
-  {                                                                                                \
-    integers from;                                                                                 \
-    for (int c = 0; c < L; c++)                                                                    \
-      from[c] = (c + by) % L;                                                                      \
-    return from;                                                                                   \
-  }                                                                                                \
-  INLINE lanes row_of_##lanes(const int C, const double* rows, int row, int last)                  \
-  {                                                                                                \
-    integers inside;                                                                               \
-    for (int c = 0; c < L; c++)                                                                    \
-      inside[c] = c < C ? -1 : 0;                                                                  \
-    const double* at = rows + row * C - (row == last ? L - C : 0);                                 \
-    lanes read = *(const lanes*)at;                                                                \
-    if (row == last)                                                                               \
-      read = __builtin_shuffle(read, turned_##lanes(L - C));                                       \
-    return (lanes)((integers)read & inside);                                                       \
-  }                                                                                                \
-  /* w += a p, of which w has rows of L entries */                                                 \
-  INLINE void add_product_##lanes(const int R, const int C, const double* a, const double* p,      \
-                                  double* w)                                                       \
-  {                                                                                                \
-    lanes sum[R];                                                                                  \
-    for (int r = 0; r < R; r++)                                                                    \
-      sum[r] = *(lanes*)(w + r * L);                                                               \
-    for (int q = 0; q < R; q++)                                                                    \
-    {                                                                                              \
-      const lanes row = row_of_##lanes(C, p, q, R - 1);                                            \
-      for (int r = 0; r < R; r++)                                                                  \
-        sum[r] += a[r * R + q] * row;                                                              \
-    }                                                                                              \
-    for (int r = 0; r < R; r++)                                                                    \
-      *(lanes*)(w + r * L) = sum[r];                                                               \
-  }                                                                                                \
-  /* out += p^T w; each row writes over what the one before has written behind its end */          \
-  INLINE void add_transposed_##lanes(const int R, const int C, const double* p, const double* w,   \
-                                     double* out)                                                  \
-  {                                                                                                \
-    lanes sum[C], row[R];                                                                          \
-    for (int r = 0; r < R; r++)                                                                    \
-      row[r] = *(const lanes*)(w + r * L);                                                         \
-    for (int a = 0; a < C; a++)                                                                    \
-    {                                                                                              \
-      sum[a] = row_of_##lanes(C, out, a, C - 1);                                                   \
-      for (int r = 0; r < R; r++)                                                                  \
-        sum[a] += p[r * C + a] * row[r];                                                           \
-    }                                                                                              \
-    for (int a = 0; a < C - 1; a++)                                                                \
-      *(lanes*)(out + a * C) = sum[a];                                                             \
-    integers both;                                                                                 \
-    for (int c = 0; c < L; c++)                                                                    \
-      both[c] = c < L - C ? c + 2 * C - L : L + c - (L - C);                                       \
-    *(lanes*)(out + C * C - L) = __builtin_shuffle(sum[C - 2], sum[C - 1], both);                  \
-  }
-ROWS_AS_LANES(4, integers4, lanes4)
-ROWS_AS_LANES(8, integers8, lanes8)
-
-INLINE void add_product(const int R, const int C, const double* a, const double* p, double* w)
-{
-  if (C > 4)
-    add_product_lanes8(R, C, a, p, w);
-  else
-    add_product_lanes4(R, C, a, p, w);
-}
-
-INLINE void add_transposed(const int R, const int C, const double* p, const double* w, double* out)
-{
-  if (C > 4)
-    add_transposed_lanes8(R, C, p, w, out);
-  else
-    add_transposed_lanes4(R, C, p, w, out);
 }
 
 /* P^T A P, row by row of A: a row of A P first, then its part of each coarse row.  Between nodes
    of the same rank, which are those of the same `side`, only the blocks from the diagonal on. */
 INLINE void galerkin_(const int R, const int C, int64_t first, int64_t n, const int64_t* start,
                       const int32_t* columns, const double* blocks, const int64_t* p_start,
-                      const int32_t* p_columns, const double* p_blocks, const int64_t* c_start,
-                      const int32_t* c_columns, double* coarse, const int64_t* side,
+                      const int32_t* p_columns, const float* p_blocks, const int64_t* c_start,
+                      const int32_t* c_columns, double* coarse, const int32_t* side,
                       const int64_t* numbers, int32_t* place, int32_t* list, double* w)
 {
-  const int64_t size = R * (C > 4 ? 8 : 4);
+  const int L = C > 4 ? 8 : 4, size = R * L;
   blocks -= start[first] * R * R;
   for (int64_t i = first; i < first + n; i++)
   {
@@ -628,27 +740,22 @@ INLINE void galerkin_(const int R, const int C, int64_t first, int64_t n, const 
           memset(w + count * size, 0, sizeof(double) * size);
           count++;
         }
-        add_product(R, C, a, p_blocks + l * R * C, w + place[g] * size);
+        AS_LANES(C, add_rounded, R, C, a, p_blocks + l * R * C, w + place[g] * size);
       }
     }
     for (int64_t l = p_start[i]; l < p_start[i + 1]; l++)
     {
       const int32_t g = p_columns[l];
+      double p[size];
+      AS_LANES(C, in_lanes, R, C, p_blocks + l * R * C, p);
       for (int s = 0; s < count; s++)
       {
-        int64_t low = c_start[g], high = c_start[g + 1];
-        const int32_t column = list[s];
+        const int32_t column = list[s], *at = c_columns + c_start[g];
         if (side[column] == side[g] && numbers[column] < numbers[g])
           continue;
-        while (high - low > 1)
-        {
-          const int64_t middle = (low + high) / 2;
-          if (c_columns[middle] <= column)
-            low = middle;
-          else
-            high = middle;
-        }
-        add_transposed(R, C, p_blocks + l * R * C, w + s * size, coarse + low * C * C);
+        for (int64_t left = c_start[g + 1] - c_start[g]; left > 1; left -= left / 2)
+          at += at[left / 2] <= column ? left / 2 : 0;
+        AS_LANES(C, add_transposed, R, C, p, w + s * size, coarse + (at - c_columns) * C * C);
       }
     }
     for (int s = 0; s < count; s++)
@@ -657,8 +764,8 @@ INLINE void galerkin_(const int R, const int C, int64_t first, int64_t n, const 
 }
 int64_t galerkin(int64_t R, int64_t C, int64_t first, int64_t n, const int64_t* start,
                  const int32_t* columns, const double* blocks, const int64_t* p_start,
-                 const int32_t* p_columns, const double* p_blocks, const int64_t* c_start,
-                 const int32_t* c_columns, double* coarse, const int64_t* side,
+                 const int32_t* p_columns, const float* p_blocks, const int64_t* c_start,
+                 const int32_t* c_columns, double* coarse, const int32_t* side,
                  const int64_t* numbers, int32_t* place, int32_t* list, double* w)
 {
   DISPATCH(R, C, galerkin_, first, n, start, columns, blocks, p_start, p_columns, p_blocks, c_start,
@@ -720,9 +827,10 @@ int64_t into_single_precision(int64_t count, int64_t R, int64_t C, double* block
 
 /* y += sum of the blocks of a row times x.  Columns of three entries are read as four: behind the
    last block one more entry is there. */
-INLINE void row_times(const int R, const int C, int64_t first, int64_t last,
-                      const int32_t* columns, const float* a, const double* x, double* y)
+INLINE void row_times(const int R, int64_t first, int64_t last, const int32_t* columns,
+                      const float* a, const double* x, double* y)
 {
+  const int C = R;
   if (R == 3)
   {
     double4 s[C];
@@ -799,7 +907,7 @@ INLINE void smooth_(const int R, const int C, int64_t n, const int64_t* start,
     double r[R], z[R];
     for (int k = 0; k < R; k++)
       r[k] = z[k] = 0.0;
-    row_times(R, C, start[i], start[i + 1], columns, a, x, r);
+    row_times(R, start[i], start[i + 1], columns, a, x, r);
     for (int k = 0; k < R; k++)
       r[k] = b[i * R + k] - r[k];
     for (int c = 0; c < R; c++)
@@ -838,22 +946,16 @@ int64_t smooth_first(int64_t R, int64_t n, const float* inverse, const double* b
   return 0;
 }
 
+/* Interpolations have their blocks row by row.  They and vectors of the coarse level have room for
+   two entries behind their last ones, which are read as part of lanes. */
+
 /* coarse += P^T r, of one node */
 INLINE void restrict_node(const int R, const int C, int64_t first, int64_t last,
                           const int32_t* p_columns, const float* p, const double* r,
                           double* coarse)
 {
   for (int64_t l = first; l < last; l++)
-  {
-    double* out = coarse + (int64_t)C * p_columns[l];
-    for (int c = 0; c < C; c++)
-    {
-      double s = 0.0;
-      for (int k = 0; k < R; k++)
-        s += (double)p[(l * C + c) * R + k] * r[k];
-      out[c] += s;
-    }
-  }
+    AS_LANES(C, add_restricted, R, C, p + l * R * C, r, coarse + (int64_t)C * p_columns[l]);
 }
 
 /* coarse += P^T r */
@@ -881,7 +983,7 @@ INLINE void restrict_residual_(const int R, const int C, int64_t n, const int64_
     double r[R];
     for (int k = 0; k < R; k++)
       r[k] = 0.0;
-    row_times(R, R, start[i], start[i + 1], columns, a, x, r);
+    row_times(R, start[i], start[i + 1], columns, a, x, r);
     for (int k = 0; k < R; k++)
       r[k] = b[i * R + k] - r[k];
     restrict_node(R, C, p_start[i], p_start[i + 1], p_columns, p, r, coarse);
@@ -901,7 +1003,7 @@ INLINE void prolong_(const int R, const int C, int64_t n, const int64_t* p_start
                      const int32_t* p_columns, const float* p, const double* e, double* x)
 {
   for (int64_t i = 0; i < n; i++)
-    row_times(R, C, p_start[i], p_start[i + 1], p_columns, p, e, x + i * R);
+    AS_LANES(C, add_prolonged, R, C, p_start[i], p_start[i + 1], p_columns, p, e, x + i * R);
 }
 int64_t prolong(int64_t R, int64_t C, int64_t n, const int64_t* p_start, const int32_t* p_columns,
                 const float* p, const double* e, double* x)
@@ -911,21 +1013,27 @@ int64_t prolong(int64_t R, int64_t C, int64_t n, const int64_t* p_start, const i
 }
 
 /* The blocks of some rows of a matrix by the half of its blocks, see `symmetric.loops`. */
+INLINE void rows_of_half_(const int R, const int C, int64_t first, int64_t count,
+                          const int64_t* full, const int32_t* full_columns, const int32_t* source,
+                          const double* half, double* blocks)
+{
+  for (int64_t i = first; i < first + count; i++)
+    for (int64_t p = full[i]; p < full[i + 1]; p++, blocks += R * C)
+    {
+      const double* a = half + (int64_t)source[p] * R * C;
+      if (full_columns[p] >= i)
+        memcpy(blocks, a, sizeof(double) * R * C);
+      else
+        for (int r = 0; r < R; r++)
+          for (int c = 0; c < C; c++)
+            blocks[r * C + c] = a[c * R + r];
+    }
+}
 int64_t rows_of_half(int64_t R, int64_t first, int64_t count, const int64_t* full,
                      const int32_t* full_columns, const int32_t* source, const double* half,
                      double* blocks)
 {
-  for (int64_t i = first; i < first + count; i++)
-    for (int64_t p = full[i]; p < full[i + 1]; p++, blocks += R * R)
-    {
-      const double* a = half + (int64_t)source[p] * R * R;
-      if (full_columns[p] >= i)
-        memcpy(blocks, a, sizeof(double) * R * R);
-      else
-        for (int64_t r = 0; r < R; r++)
-          for (int64_t c = 0; c < R; c++)
-            blocks[r * R + c] = a[c * R + r];
-    }
+  DISPATCH(R, R, rows_of_half_, first, count, full, full_columns, source, half, blocks);
   return 0;
 }
 
@@ -966,8 +1074,6 @@ int64_t product_of_half(int64_t R, int64_t n, const int64_t* start, const int32_
   return 0;
 }
 
-typedef float float8 __attribute__((vector_size(32), aligned(4)));
-
 /* Sums of the entries of each of six. */
 INLINE lanes8 sums_of_six(const lanes8* p)
 {
@@ -999,8 +1105,8 @@ INLINE void multiply_six(int64_t n, const int64_t* start, const int32_t* columns
       const float* a = half + k * 36;
       for (int c = 0; c < 6; c += 2)
       {
-        const lanes8 one = __builtin_convertvector(*(const float8*)(a + c * 6), lanes8);
-        const lanes8 two = __builtin_convertvector(*(const float8*)(a + c * 6 + 6), lanes8);
+        const lanes8 one = __builtin_convertvector(*(const floats8*)(a + c * 6), lanes8);
+        const lanes8 two = __builtin_convertvector(*(const floats8*)(a + c * 6 + 6), lanes8);
         s += one * x[6 * j + c];
         t += two * x[6 * j + c + 1];
         p[c] = one * own;

@@ -19,8 +19,44 @@ from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks, in
 from dolfin_elastic.solvers.petsc.c_api import parts_of_aij
 from dolfin_elastic.solvers.petsc.halo import Halo
 
-PART = 1_000_000
-"""Entries of the rows whose blocks are made at once, where a matrix has none in full: 8 MB."""
+PART = 100_000
+"""Entries of the rows whose blocks are made at once, where a matrix has none in full: 0.8 MB, which
+the second-level cache holds."""
+
+
+class Interpolation:
+    """A matrix of blocks of rows of owned nodes, from nodes of a coarser level.
+
+    In single precision from the moment it is made: the coarse matrix is that of the interpolation
+    which the cycle uses, to the digits of double precision.
+
+    Args:
+        start: Where each node's row begins, and the last one ends [n + 1].
+        columns: Local number of the node in `halo` of each block.
+        blocks: Shape (blocks, R, C), in `room_for` as many.
+        halo: Nodes of its columns.
+    """
+
+    def __init__(
+        self, start: IntArray, columns: IndexArray, blocks: SingleArray, halo: Halo
+    ) -> None:
+        self.start, self.columns, self.blocks, self.halo = start, columns, blocks, halo
+        self.R, self.C = blocks.shape[1:]
+
+    def destroy(self) -> None:
+        """Frees PETSc's objects. Collective."""
+        self.halo.destroy()
+
+
+def room_for(count: int, R: int, C: int) -> SingleArray:
+    """Blocks of an interpolation, behind which the loops may read. Local.
+
+    Args:
+        count: How many.
+        R: Rows of a block.
+        C: Columns of a block.
+    """
+    return np.zeros(count * R * C + 2, dtype=np.float32)[:-2].reshape(count, R, C)
 
 
 class BlockRows:
@@ -42,9 +78,23 @@ class BlockRows:
     def __init__(
         self, start: IntArray, columns: IndexArray, blocks: FloatArray, halo: Halo
     ) -> None:
-        self.start, self.columns, self.blocks, self.halo = start, columns, blocks, halo
-        self.rows = len(start) - 1
+        self._pattern = (start, columns)
+        self.blocks, self.halo, self.rows = blocks, halo, len(start) - 1
         self.R, self.C = blocks.shape[1:]
+
+    def pattern(self) -> tuple[IntArray, IndexArray]:
+        """See `start` and `columns` of the class. Local."""
+        return self._pattern
+
+    @property
+    def start(self) -> IntArray:
+        """See the class."""
+        return self.pattern()[0]
+
+    @property
+    def columns(self) -> IndexArray:
+        """See the class."""
+        return self.pattern()[1]
 
     def parts(self) -> Iterator[tuple[int, int, FloatArray]]:
         """First row, number of rows and their blocks, for loops over the whole matrix. Local."""
@@ -220,16 +270,32 @@ class HalfRows(BlockRows):
         halo: Halo,
         loops: CFunctions,
     ) -> None:
+        super().__init__(start, columns, blocks, halo)
         self._half, self._loops = (start, columns), loops
-        full, every, self._source = in_full(start, columns, loops)
-        super().__init__(full, every, blocks, halo)
+        self._full: tuple[IntArray, IndexArray, IndexArray] | None = None
+
+    def pattern(self) -> tuple[IntArray, IndexArray]:
+        """See `BlockRows.pattern`; made when it is needed, which products do not."""
+        return self._in_full()[:2]
+
+    def _in_full(self) -> tuple[IntArray, IndexArray, IndexArray]:
+        if self._full is None:
+            self._full = in_full(*self._half, self._loops)
+        return self._full
 
     def parts(self) -> Iterator[tuple[int, int, FloatArray]]:
         """See `BlockRows.parts`; the blocks are valid until the next ones."""
-        pattern = (self.start, self.columns, self._source, self.blocks)
+        pattern = (*self._in_full(), self.blocks)
         for first, count, blocks in _rooms(self):
             self._loops.call("rows_of_half", self.R, first, count, *pattern, blocks)
             yield first, count, blocks
+
+    def diagonal(self, loops: CFunctions) -> FloatArray:
+        """See `BlockRows.diagonal`."""
+        blocks = np.zeros((self.rows, self.R, self.R))
+        pattern = (*self._half, self.blocks)
+        loops.call("take_diagonal", 0, self.rows, self.R, *pattern, blocks)
+        return blocks
 
     def times(self, x: FloatArray, loops: CFunctions) -> FloatArray:
         """See `BlockRows.times`."""
@@ -239,6 +305,7 @@ class HalfRows(BlockRows):
 
     def rounded_times(self) -> Times:
         """Products in single precision, which take the blocks over. Local."""
+        self._full = None
         loops, sizes = self._loops, (self.R, self.rows)
         matrix = (*self._half, into_single_precision(self.take_blocks(), loops))
         return partial(loops.call, "rounded_product_of_half", *sizes, *matrix)
@@ -254,13 +321,22 @@ class SymmetricRows(BlockRows):
     whole, symmetric = False, True
 
     def __init__(self, half: SymmetricBlocks) -> None:
-        start, columns, self._source = in_full(half.start, half.columns, half.loops)
-        super().__init__(start, columns, np.empty((0, half.dim, half.dim)), half.halo)
+        super().__init__(half.start, half.columns, np.empty((0, half.dim, half.dim)), half.halo)
         self.half = half
+        self._full: tuple[IntArray, IndexArray, IndexArray] | None = None
+
+    def pattern(self) -> tuple[IntArray, IndexArray]:
+        """See `BlockRows.pattern`; made when it is needed, which products do not."""
+        return self._in_full()[:2]
+
+    def _in_full(self) -> tuple[IntArray, IndexArray, IndexArray]:
+        if self._full is None:
+            self._full = in_full(self.half.start, self.half.columns, self.half.loops)
+        return self._full
 
     def parts(self) -> Iterator[tuple[int, int, FloatArray]]:
         """See `BlockRows.parts`; the blocks are valid until the next ones."""
-        pattern = (self.start, self.columns, self._source, self.half.high, self.half.low)
+        pattern = (*self._in_full(), self.half.high, self.half.low)
         for first, count, blocks in _rooms(self):
             self.half.loops.call("rows_in_full", first, count, *pattern, blocks)
             yield first, count, blocks
@@ -277,6 +353,7 @@ class SymmetricRows(BlockRows):
 
     def rounded_times(self) -> Times:
         """See `HalfRows.rounded_times`; those of the tangent of the moment."""
+        self._full = None
         return partial(self.half.times, rounded=True)
 
     def _halo_of_its_own(self) -> Halo:
@@ -296,3 +373,19 @@ def from_petsc(matrix: PETSc.Mat, R: int, C: int, loops: CFunctions) -> BlockRow
         loops: Those of `block_loops`.
     """
     return PetscRows(matrix, R, C, loops).with_blocks()
+
+
+def interpolation_from_petsc(matrix: PETSc.Mat, R: int, C: int, loops: CFunctions) -> Interpolation:
+    """An interpolation from an AIJ matrix. Collective.
+
+    Args:
+        matrix: Whose rows and columns of a node follow on each other.
+        R: Rows of a node.
+        C: Columns of a node.
+        loops: Those of `block_loops`.
+    """
+    A = PetscRows(matrix, R, C, loops)
+    blocks = room_for(A.start[-1], R, C)
+    for first, count, part in A.parts():
+        blocks[A.start[first] : A.start[first + count]] = part
+    return Interpolation(A.start, A.columns, blocks, A.halo)

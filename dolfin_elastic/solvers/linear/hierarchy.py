@@ -16,17 +16,17 @@ from dolfinx import fem
 from petsc4py import PETSc
 
 from dolfin_elastic.core.jit import CFunctions, compile_c
-from dolfin_elastic.core.types import FloatArray, IndexArray, SingleArray
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
 from dolfin_elastic.solvers.linear.aggregation import galerkin, smoothed_interpolation
 from dolfin_elastic.solvers.linear.block_loops import DECLARATIONS, SOURCE
 from dolfin_elastic.solvers.linear.block_rows import (
     BlockRows,
+    Interpolation,
     PetscRows,
     SymmetricRows,
-    from_petsc,
-    in_single_precision,
+    interpolation_from_petsc,
 )
 from dolfin_elastic.solvers.linear.multigrid import (
     aij,
@@ -40,7 +40,6 @@ from dolfin_elastic.solvers.linear.smoother import (
     Smoother,
     diagonal_of,
     smoother_of,
-    taken_in_single_precision,
 )
 from dolfin_elastic.solvers.petsc.heap import give_back
 
@@ -60,18 +59,16 @@ class Level:
 
     Args:
         smoother: Of its matrix.
-        P: Interpolation from the next coarser level; its rows and columns.
-        blocks: Its blocks in single precision.
+        P: Interpolation from the next coarser level.
         loops: Those of `block_loops`.
     """
 
-    def __init__(
-        self, smoother: Smoother, P: BlockRows, blocks: SingleArray, loops: CFunctions
-    ) -> None:
+    def __init__(self, smoother: Smoother, P: Interpolation, loops: CFunctions) -> None:
         self.smoother, self._loops, self._coarse = smoother, loops, P.halo
-        self._P = (P.start, P.columns, blocks)
+        self._P = (P.start, P.columns, P.blocks)
         R, n = smoother.sizes
-        self._sizes, self._c = (R, P.C, n), np.zeros((P.halo.size, P.C))
+        values = np.zeros(P.halo.size * P.C + 2)  # with room that the loops may read
+        self._sizes, self._c = (R, P.C, n), values[:-2].reshape(-1, P.C)
 
     def descend(self, b: FloatArray) -> FloatArray:
         """Smooths from zero and restricts the residual. Collective.
@@ -201,38 +198,59 @@ class Hierarchy:
     def __init__(
         self,
         A: BlockRows,
-        linear: BlockRows | None,
+        linear: Interpolation | None,
         modes: Callable[[], FloatArray],
         loops: CFunctions,
     ) -> None:
-        self._levels: list[Level] = []
-        self._interpolations: list[BlockRows] = []
-        finest: tuple[BlockRows, Diagonal | None, BlockRows, SingleArray] | None = None
+        self._loops, self._levels = loops, list[Level]()
+        self._interpolations: list[Interpolation] = []
+        waiting: list[Callable[[], Level]] = []
         if linear is not None:
-            finest = (A, None, linear, in_single_precision(linear.blocks, loops))
-            A = galerkin(A, linear, loops)
+            coarse = galerkin(A, linear, loops)
+            self._add(waiting, A, linear, None)
+            A = coarse
+            del coarse
         near, threshold, stalled = modes(), THRESHOLD, False
         while A.halo.total * A.R > SMALL and not stalled:
             diagonal = diagonal_of(A, loops)
             P, near = smoothed_interpolation(A, near, diagonal, threshold=threshold, loops=loops)
-            give_back()  # what that needed; the product needs most of all
             coarse = galerkin(A, P, loops)
-            blocks = taken_in_single_precision(P, loops)
+            self._add(waiting, A, P, diagonal)
+            del diagonal
             give_back()
-            if finest is None:
-                finest = (A, diagonal, P, blocks)
-            else:
-                self._levels.append(Level(smoother_of(A, loops, diagonal), P, blocks, loops))
             self._interpolations.append(P)
             stalled = coarse.halo.total > SLOW * A.halo.total
             A, threshold = coarse, threshold / 2
             del coarse
-        if finest is not None:  # last of all: the others have become single meanwhile
-            fine, known, P, blocks = finest
-            self._levels.insert(0, Level(smoother_of(fine, loops, known), P, blocks, loops))
+        self._levels[:0] = [level() for level in waiting]
         A, small = A.with_blocks(), A.halo.total * A.R <= SMALL
         self._last: Inverse | Rest = Inverse(A) if small else Rest(A, near)
         self.sane = all(np.isfinite(level.smoother.largest) for level in self._levels)
+
+    def _add(
+        self,
+        waiting: list[Callable[[], Level]],
+        A: BlockRows,
+        P: Interpolation,
+        diagonal: Diagonal | None,
+    ) -> None:
+        """Adds a level, which takes A over. Collective.
+
+        Args:
+            waiting: Gets it if A is PETSc's, of which a copy is made, and so is the finest: the
+                others are to become single before.
+            A: Its matrix.
+            P: Interpolation from the next coarser level.
+            diagonal: That of A, where it is known.
+        """
+
+        def level() -> Level:
+            return Level(smoother_of(A, self._loops, diagonal), P, self._loops)
+
+        if isinstance(A, PetscRows):
+            waiting.append(level)
+        else:
+            self._levels.append(level())
 
     def cycle(self, b: FloatArray, k: int = 0) -> FloatArray:
         """One V cycle. Collective.
@@ -276,14 +294,14 @@ class Multigrid:
         self._problem, self._order = problem, order
         self._hierarchy: Hierarchy | None = None
         self._space: fem.FunctionSpace | None = None
-        self._linear: BlockRows | None = None
+        self._linear: Interpolation | None = None
         dim = problem.body.dim
         sizes = {"DIM": dim, "MODES": 3 * dim - 3}
         self._loops = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
         if problem.degree > 1:
             self._space = problem.unknowns.linear_space()
             interpolation = constrained_interpolation(problem, self._space, order)
-            self._linear = from_petsc(interpolation, dim, dim, self._loops)
+            self._linear = interpolation_from_petsc(interpolation, dim, dim, self._loops)
             interpolation.destroy()
         pc.setType("python")
         pc.setPythonContext(self)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -17,9 +18,10 @@ from dolfin_elastic.solvers.linear.block_rows import (
     in_single_precision,
     into_single_precision,
 )
+from dolfin_elastic.solvers.linear.random_vector import random_vector
 
-Interpolation: TypeAlias = tuple[IntArray, IndexArray, SingleArray]
-"""Where rows begin, columns, and blocks in single precision."""
+Arrays: TypeAlias = tuple[IntArray, IndexArray, SingleArray]
+"""Of an interpolation: where rows begin, columns, and blocks."""
 
 DAMPING = 1.7
 """Step of block Jacobi, over the largest eigenvalue of D^-1 A."""
@@ -65,7 +67,7 @@ def diagonal_of(A: BlockRows, loops: CFunctions, vector: FloatArray | None = Non
     if vector is None:
         steps, vector = POWERS, np.zeros((A.halo.size, A.R))
         own = vector[: A.rows]
-        own[:] = np.random.default_rng(A.halo.first).normal(size=own.shape)
+        own[:] = random_vector(A.halo.first * A.R, own.size).reshape(own.shape)
     return Diagonal(blocks, sizes, _largest(A, blocks, loops, vector, steps), vector)
 
 
@@ -85,7 +87,7 @@ def _largest(
     for _ in range(steps):
         x /= size
         A.halo.fill(vector)
-        np.einsum("irc,ic->ir", inverse, A.times(vector, loops), out=x)
+        loops.call("times_diagonal", A.R, A.rows, inverse, A.times(vector, loops), x)
         size = float(np.sqrt(total(A.halo.comm, float(np.vdot(x, x)))))
     return SAFETY * size
 
@@ -109,7 +111,15 @@ class Smoother:
         self._loops, self.halo, self.sizes = loops, A.halo, (A.R, A.rows)
         self._scale(diagonal or diagonal_of(A, loops))
         self._take(A)
-        self.x, self._y = np.zeros((A.halo.size, A.R)), np.zeros((A.rows, A.R))
+
+    @cached_property
+    def x(self) -> FloatArray:
+        """See the class; made for the first cycle, as making coarser levels needs room."""
+        return np.zeros((self.halo.size, self.sizes[0]))
+
+    @cached_property
+    def _y(self) -> FloatArray:
+        return np.zeros((self.sizes[1], self.sizes[0]))
 
     def _scale(self, diagonal: Diagonal) -> None:
         self.largest, self._vector = diagonal.largest, diagonal.vector
@@ -124,7 +134,7 @@ class Smoother:
         self._loops.call("smooth_first", *self.sizes, self._scaled, b, self.x)
         self.halo.fill(self.x)
 
-    def restrict(self, b: FloatArray, P: Interpolation, coarse: FloatArray) -> None:
+    def restrict(self, b: FloatArray, P: Arrays, coarse: FloatArray) -> None:
         """Adds P^T (b - A x). Local.
 
         Args:
@@ -156,7 +166,7 @@ class HalvedSmoother(Smoother):
         assert isinstance(A, HalfRows | SymmetricRows)
         self._times = A.rounded_times()
 
-    def restrict(self, b: FloatArray, P: Interpolation, coarse: FloatArray) -> None:
+    def restrict(self, b: FloatArray, P: Arrays, coarse: FloatArray) -> None:
         """See `Smoother.restrict`."""
         self._times(self.x, self._y)
         np.subtract(b, self._y, out=self._y)

@@ -11,7 +11,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray, SingleArray
 
 
 class Halo:
@@ -85,7 +85,7 @@ class Halo:
             self._sf.reduceBegin(unit, *arguments)
             self._sf.reduceEnd(unit, *arguments)
 
-    def rows(self, start: IntArray, columns: IntArray, blocks: FloatArray) -> Rows:
+    def rows(self, start: IntArray, columns: IntArray, blocks: FloatArray | SingleArray) -> Rows:
         """The rows of ghosts, from their owners. Collective.
 
         Args:
@@ -162,7 +162,7 @@ class Rows:
 
     start: IntArray
     columns: IntArray
-    blocks: FloatArray
+    blocks: AnyArray
     nodes: IndexArray | None = None
 
 
@@ -176,7 +176,7 @@ def _forest(comm: MPI.Comm, roots: int, ranks: IntArray, places: IntArray) -> PE
 
 
 def _unit(values: AnyArray) -> MPI.Datatype:
-    basic = MPI.DOUBLE if values.dtype == np.float64 else MPI.INT64_T
+    basic = {"d": MPI.DOUBLE, "f": MPI.FLOAT}.get(values.dtype.char, MPI.INT64_T)
     width = int(np.prod(values.shape[1:]))
     return basic if width == 1 else _contiguous(basic, width)
 
@@ -254,7 +254,7 @@ def _entries(
 
 
 def _rows(
-    comm: MPI.Comm, ranks: IntArray, bounds: IntArray, columns: IntArray, blocks: FloatArray
+    comm: MPI.Comm, ranks: IntArray, bounds: IntArray, columns: IntArray, blocks: AnyArray
 ) -> Rows:
     """Rows that stand on other ranks. Collective.
 
@@ -269,7 +269,7 @@ def _rows(
     found = Rows(
         start,
         np.empty(start[-1], dtype=np.int64),
-        np.empty((start[-1], *blocks.shape[1:])),
+        np.empty((start[-1], *blocks.shape[1:]), dtype=blocks.dtype),
     )
     _bring(forest, columns, found.columns)
     _bring(forest, blocks, found.blocks)
