@@ -40,7 +40,7 @@ from dolfin_elastic.solvers.linear.choice import (
 from dolfin_elastic.solvers.linear.hierarchy import Multigrid
 from dolfin_elastic.solvers.linear.multigrid import PMultigrid, rigid_body_modes
 from dolfin_elastic.solvers.messages import eigenvalues
-from dolfin_elastic.solvers.petsc.options import Options, cause_of
+from dolfin_elastic.solvers.petsc.options import Options, cause_of, ksp_reason
 
 DIRECT_LIMIT = {2: 600_000, 3: 100_000}
 """Unknowns up to which is factorised by default: more than in statics, for each of the factors
@@ -144,10 +144,14 @@ def failing() -> Iterator[None]:
     try:
         yield
     except PETSc.Error as error:
-        raise ConvergenceError(
-            f"the eigenvalue solver has failed: {cause_of(error)}",
-            advice='solver.method = "direct", more memory (more ranks), a coarser mesh',
-        ) from None
+        raise _failed(cause_of(error)) from None
+
+
+def _failed(cause: str) -> ConvergenceError:
+    return ConvergenceError(
+        f"the eigenvalue solver has failed: {cause}",
+        advice='solver.method = "direct", more memory (more ranks), a coarser mesh',
+    )
 
 
 class Spectrum:
@@ -305,17 +309,26 @@ class Spectrum:
 def solve(eps: SLEPc.EPS) -> None:
     """Solves an eigenvalue problem, unless the run shall stop. Collective.
 
+    PETSc itself raises an error where a linear solve inside does not converge, but not after any
+    other error of the process within a solve: it counts solves within solves, and has lost count.
+
     Args:
         eps: The solver, ready.
 
     Raises:
+        ConvergenceError: A linear solve inside has not converged.
         StoppedError: A signal has asked for the end of the run.
     """
     comm = eps.comm.tompi4py()
     raise_if_agreed(comm)
     eps.setStoppingTest(_stops)
+    inner, reasons = eps.getST().getKSP(), [0]
+    if inner.getErrorIfNotConverged():
+        inner.setPostSolve(lambda ksp, _b, _x: reasons.append(ksp.getConvergedReason()))
     with petsc_errors():
         eps.solve()
+    if min(reasons) < 0:
+        raise _failed(f"KSPSolve() has not converged, reason {ksp_reason(min(reasons))}")
     if eps.getConvergedReason() == SLEPc.EPS.ConvergedReason.CONVERGED_USER:
         raise_if_agreed(comm)
 

@@ -20,6 +20,7 @@ from dolfin_elastic import (
     Pressure,
     Problem,
     Spring,
+    Statics,
     StVenantKirchhoff,
     Support,
     Symmetry,
@@ -319,12 +320,18 @@ def test_options_of_the_user(comm: MPI.Comm, caplog: pytest.LogCaptureFixture) -
 
 
 def test_not_found(comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Too few iterations, and a solver that fails: one message each, with what to try."""
+    """Too few iterations, and a solver that fails: one message each, with what to try.
+
+    Also after an error within another solve, after which PETSc itself passes over such failures.
+    """
     problem = Problem(strip(comm), LinearElastic(**SOFT), supports=LEFT, degree=1)
     with pytest.raises(ConvergenceError, match=r"of 10 modes only \d were found: .*ITS") as caught:
         modes(problem, petsc={"eps_max_it": 1, "eps_ncv": 12})
     assert "fewer modes" in caught.value.advice
-    # CG that may do one iteration and is to be exact: SLEPc gives up.
+    steel = Problem(strip(comm), LinearElastic(**SOFT), supports=LEFT, degree=1)
+    with pytest.raises(InputError, match="mat_mumps_icntl_14"):
+        list(Statics(steel, petsc={"mat_mumps_icntl_14": "x"}).steps())
+    # CG that may do one iteration and is to be exact.
     monkeypatch.setitem(choice.BLOCKS, "ksp_max_it", 1)
     monkeypatch.setitem(choice.BLOCKS, "ksp_rtol", 1e-30)
     with pytest.raises(ConvergenceError, match="the eigenvalue solver has failed"):
