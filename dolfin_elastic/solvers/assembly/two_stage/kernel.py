@@ -347,12 +347,17 @@ int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, co
         if (row < owned)
         {
           const int64_t k = (start[row] + *place) * SQUARE;
-          double block[SQUARE];
+#define ENTRY(i, j) T.K[i][j][p][q]
+#if DIM == 3
+          add_eight(high + k, low + k,
+                    (doubles){ENTRY(0, 0), ENTRY(1, 0), ENTRY(2, 0), ENTRY(0, 1), ENTRY(1, 1),
+                              ENTRY(2, 1), ENTRY(0, 2), ENTRY(1, 2)});
+          add_split(high + k + 8, low + k + 8, ENTRY(2, 2));
+#else
           for (int j = 0; j < DIM; j++)
             for (int i = 0; i < DIM; i++)
-              block[j * DIM + i] = T.K[i][j][p][q];
-          for (int e = 0; e < SQUARE; e++)
-            add_split(high + k + e, low + k + e, block[e]);
+              add_split(high + k + j * DIM + i, low + k + j * DIM + i, ENTRY(i, j));
+#endif
         }
         if (one >= owned)
           add_far(&T, a, b, one - owned, two, far_start, far_columns, far_blocks);
