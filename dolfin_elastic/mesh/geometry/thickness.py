@@ -52,13 +52,11 @@ def local_thickness(mesh: Mesh, without: IndexArray) -> Thickness:
         mesh: The mesh; curved cells count by their corners and true volumes.
         without: Local boundary facets that do not count, such as planes of symmetry.
     """
-    owned = mesh.topology.index_map(mesh.topology.dim).size_local
-    volumes = cell_volumes(mesh)[:owned]
     facets = np.setdiff1d(boundary_facets(mesh), without)
     beside, _ = cells_beside_facets(mesh, facets)
     normals = outward_normals(mesh, facets)
     faces = np.einsum("f,fi,fj->fij", facet_areas(mesh, facets), normals, normals)
-    walk = _Walk(mesh, volumes)
+    walk = _Walk(mesh)
     # Single cells of an irregular mesh are oblong at random; their neighbourhood is what bends.
     return walk.thickness(
         walk.steps(walk.added(beside, faces), _STEPS - 1), walk.steps(walk.edges, 1)
@@ -70,23 +68,22 @@ class _Walk:
 
     Args:
         mesh: The mesh.
-        volumes: Of the owned cells.
 
     Attributes:
         edges: Mean over the edges e of the cells around each vertex of e e; arrays of vertices have
             a row for each local one, with the upper triangle of a tensor.
     """
 
-    def __init__(self, mesh: Mesh, volumes: FloatArray) -> None:
-        self._dim, self._volumes, comm = mesh.topology.dim, volumes, mesh.comm
+    def __init__(self, mesh: Mesh) -> None:
+        self._dim, comm = mesh.topology.dim, mesh.comm
         mesh.topology.create_connectivity(self._dim, 0)
         self._loops = compile_c(comm, DECLARATIONS, SOURCE, {"DIM": self._dim}, options(comm))
         self._alone = comm.size == 1
         self._sums = la.vector(mesh.topology.index_map(0), 8 if self._dim == 3 else 4)
         self._vertices = mesh.topology.connectivity(self._dim, 0).array
         self._upper = [(i, j) for j in range(self._dim) for i in range(j + 1)]
-        nodes = mesh.geometry.dofmap
-        sums = self._rows()
+        self._volumes = volumes = self._volumes_of(mesh)
+        nodes, sums = mesh.geometry.dofmap, self._rows()
         where = (nodes.shape[1], nodes, mesh.geometry.x, self._vertices, volumes)
         self._loops.call("add_cells", len(volumes), *where, sums)
         sums = self._gathered(sums)
@@ -94,6 +91,15 @@ class _Walk:
         # A vertex without cells on any rank has no volume, and no cell asks for its mean.
         self._inverse = 1 / np.where(around > 0, around, 1.0)[:, None]
         self.edges = sums * self._inverse
+
+    def _volumes_of(self, mesh: Mesh) -> FloatArray:
+        """Volumes of the owned cells; of straight ones by the loop: a tenth of the time."""
+        owned = mesh.topology.index_map(self._dim).size_local
+        if mesh.geometry.cmap.degree > 1:
+            return cell_volumes(mesh)[:owned]
+        found, nodes = np.empty(owned), mesh.geometry.dofmap
+        self._loops.call("take_volumes", owned, nodes.shape[1], nodes, mesh.geometry.x, found)
+        return found
 
     def _rows(self) -> FloatArray:
         """Zeros for all local vertices."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 DECLARATIONS = """
+int64_t take_volumes(int64_t count, int64_t width, const int32_t* geometry, const double* x,
+                     double* volumes);
 int64_t add_cells(int64_t count, int64_t width, const int32_t* geometry, const double* x,
                   const int32_t* vertices, const double* volumes, double* sums);
 int64_t walk(int64_t count, const int32_t* vertices, const double* volumes, const double* before,
@@ -21,6 +23,29 @@ SOURCE = r"""
 #define NC (DIM + 1)
 #define NT (DIM * (DIM + 1) / 2)
 #define ROW (DIM == 3 ? 8 : 4)
+
+/* Volumes of straight cells. */
+int64_t take_volumes(int64_t count, int64_t width, const int32_t* geometry, const double* x,
+                     double* volumes)
+{
+  for (int64_t c = 0; c < count; c++)
+  {
+    double e[DIM][DIM];
+    const double* origin = x + 3 * (int64_t)geometry[c * width];
+    for (int k = 0; k < DIM; k++)
+      for (int d = 0; d < DIM; d++)
+        e[k][d] = x[3 * (int64_t)geometry[c * width + k + 1] + d] - origin[d];
+#if DIM == 3
+    const double det = e[0][0] * (e[1][1] * e[2][2] - e[1][2] * e[2][1])
+                       + e[0][1] * (e[1][2] * e[2][0] - e[1][0] * e[2][2])
+                       + e[0][2] * (e[1][0] * e[2][1] - e[1][1] * e[2][0]);
+    volumes[c] = fabs(det) / 6.0;
+#else
+    volumes[c] = fabs(e[0][0] * e[1][1] - e[0][1] * e[1][0]) / 2.0;
+#endif
+  }
+  return 0;
+}
 
 /* Mean over the edges e of each cell of e e, times its volume, and the volume, to its vertices.
    The sum over the edges is DIM + 1 times that over the corners, taken from the barycentre. */

@@ -399,6 +399,11 @@ class PathEnergyCheck:
                 forces, moved = np.append(forces, whole[0]), np.append(moved, whole[1])
         self._now = self.strain.energy(), forces, moved
 
+    @property
+    def energy(self) -> float:
+        """Stored energy evaluated last [J]."""
+        return float("nan") if self._now is None else self._now[0]
+
     def finite(self) -> bool:
         """Whether the energy evaluated last is finite, if there is one."""
         return self.strain.none or self._now is None or bool(np.isfinite(self._now[0]))

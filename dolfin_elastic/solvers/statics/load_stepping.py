@@ -135,7 +135,8 @@ class LoadStepping:
             if saved is None:
                 self._problem.set_time(0.0, default=PROPORTIONAL)
                 self._evaluate_start()
-                yield self._states.state(0.0, NewtonResult(reason="initial state"))
+                begin = NewtonResult(reason="initial state")
+                yield self._states.state(0.0, begin, stored=self._path_check.energy)
             else:
                 self.restore(saved)
             yield from self._by_load() if self._arc is None else self._along_path(self._arc)
@@ -258,7 +259,8 @@ class LoadStepping:
         whole = self._whole and self._t == 0.0
         if whole and (result := try_whole_load(self._retry, self._path_check, end)) is not None:
             self._accept(_Step(0.0, end, start), end, result, left_path=False)
-            yield self._states.state(end, result, negative=negative_eigenvalues(self._newton))
+            negative, stored = negative_eigenvalues(self._newton), self._path_check.energy
+            yield self._states.state(end, result, negative=negative, stored=stored)
         while not sizes.done(self._t) and not self._ends_early():
             goal = within_stride(self._problem, self._t, sizes.goal(self._t))
             step = _Step(self._t, goal, self._newton.unknowns())

@@ -60,6 +60,7 @@ class StaticStates:
         *,
         negative: int | None = None,
         limits: tuple[float, ...] = (),
+        stored: float | None = None,
     ) -> State:
         """The present state, audited if it is an equilibrium. Collective.
 
@@ -68,12 +69,14 @@ class StaticStates:
             result: How it was found.
             negative: Negative eigenvalues of its tangent, if they are known.
             limits: Load factors of limit points passed so far.
+            stored: Its strain energy [J], if it is known.
 
         Raises:
             InputError: Supports change the volume of a body that cannot change it.
         """
         problem, assembler = self._problem, self._assembler
-        energies = {"strain": self._strain.energy(), **self._strain.springs()}
+        stored = self._strain.energy() if stored is None else stored
+        energies = {"strain": stored, **self._strain.springs()}
         equilibrium = result.converged or t == 0.0
         self.count += 1
         if equilibrium:
