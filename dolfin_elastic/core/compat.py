@@ -130,6 +130,18 @@ def make_index_map(
         return cpp.common.IndexMap(comm, count, ghosts, owners, 1)
 
 
+def cells_of_integral(form: fem.Form, number: int) -> IndexArray:
+    """Cells of an integral over cells: 0.9 asks for its identifier, 0.11 for its number.
+
+    Args:
+        form: Compiled.
+        number: Of the integral in the compiled form, where those over cells stand first.
+    """
+    inner = form._cpp_object
+    which = form.ufcx_form.form_integral_ids[number] if hasattr(inner, "integral_ids") else number
+    return np.asarray(inner.domains(fem.IntegralType.cell, which), dtype=np.int32)
+
+
 def space_like(V: fem.FunctionSpace, dofmap: cpp.fem.DofMap, mesh: Mesh | None = None) -> Any:
     """The C++ space with the mesh and element of another; 0.10 takes no shape of values.
 

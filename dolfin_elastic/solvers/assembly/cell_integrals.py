@@ -14,6 +14,7 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.cpp.fem import pack_constants
 
+from dolfin_elastic.core.compat import cells_of_integral
 from dolfin_elastic.core.jit import compile_c
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
@@ -167,9 +168,8 @@ def _kernels(form: fem.Form, w: fem.Function) -> tuple[Sequence[_Integral] | Non
             return None, 0
         function = integral.tabulate_tensor_float64
         arguments = len(ffi.typeof(function).args)
-        cells = inner.domains(fem.IntegralType.cell, compiled.form_integral_ids[k])
-        address = int(ffi.cast("intptr_t", function))
-        found.append(_Integral(address, np.ascontiguousarray(cells, dtype=np.int32)))
+        cells = np.ascontiguousarray(cells_of_integral(form, k))
+        found.append(_Integral(int(ffi.cast("intptr_t", function)), cells))
     return found, arguments
 
 
