@@ -215,6 +215,8 @@ class _Run:
                         raise
                     go_on_together(self.comm)
                     checkpoints.remember(result)
+                    if isinstance(result, State) and result.done < 1.0:
+                        result.derived.clear()  # its stress, which all outputs have written
             except StoppedError:
                 acknowledge()  # the checkpoint is written in order
                 checkpoints.save_remembered(writers)

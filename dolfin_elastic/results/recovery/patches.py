@@ -246,10 +246,14 @@ class Patches:
     def _numbered(self) -> tuple[IntArray, IndexArray]:
         """The vertices of the cells, and their numbers among them, shape (cells, corners)."""
         topology = self._mesh.topology
-        corners = topology.connectivity(self._dim, 0).array.reshape(-1, self._dim + 1)[self.cells]
+        corners = topology.connectivity(self._dim, 0).array.reshape(-1, self._dim + 1)
+        in_order = np.array_equal(self.cells, np.arange(len(self.cells)))
+        corners = corners[: len(self.cells)] if in_order else corners[self.cells]
         marks = np.zeros(self._map.size_local + self._map.num_ghosts, dtype=np.int32)
         marks[corners] = 1
         used = np.flatnonzero(marks)
+        if len(used) == len(marks):  # as of a body of one region: the mesh has them already
+            return used, corners
         marks[used] = np.arange(len(used), dtype=np.int32)
         return used, marks[corners]
 

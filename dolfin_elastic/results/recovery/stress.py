@@ -117,7 +117,10 @@ class NodalStress:
         count = V.dofmap.index_map.size_local
         stress, region = np.full((count, 6), np.nan), np.full(count, -1)
         safety, safety_region = np.full(count, np.nan), np.full(count, -1)
-        highest, utilisation = np.full(count, -1.0), np.full((count, 6), np.nan)
+        highest, utilisation = np.full(count, -1.0), np.broadcast_to(np.nan, (count, 6))
+        limited = any(part.region.law.allowable is not None for part, _ in found)
+        if limited:
+            utilisation = utilisation.copy()
         for number, (part, values) in enumerate(found):
             here, rows = values[:, -1] > 0, values[:, :6]
             allowable, value = part.allowable_at_nodes(), von_mises(rows)
@@ -127,7 +130,8 @@ class NodalStress:
             factor = safety_factor(allowable, value)
             less = here & ~(factor >= safety) & ~np.isnan(allowable)
             safety[less], safety_region[less] = factor[less], number
-            utilisation[less] = rows[less] / allowable[less, None]
+            if limited:
+                utilisation[less] = rows[less] / allowable[less, None]
         return cls(stress, region, safety, safety_region, utilisation)
 
     def rows(self, name: str) -> FloatArray:

@@ -139,7 +139,10 @@ class LoadStepping:
                 yield self._states.state(0.0, begin, stored=self._path_check.energy)
             else:
                 self.restore(saved)
-            yield from self._by_load() if self._arc is None else self._along_path(self._arc)
+            for state in self._by_load() if self._arc is None else self._along_path(self._arc):
+                if state.done >= 1.0:
+                    self._newton.linear.refresh()  # nothing is solved any more: room for outputs
+                yield state
         finally:
             if self._arc is not None:
                 self._arc.destroy()

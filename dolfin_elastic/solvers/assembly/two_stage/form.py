@@ -228,7 +228,7 @@ class _Term:
 
     def __init__(self, problem: Problem, region: MaterialRegion) -> None:
         mesh, mixed = problem.body.mesh, problem.W is not problem.V
-        self.cells, self._mesh = region.cells.astype(np.int32), mesh
+        self.cells, self._mesh = np.ascontiguousarray(region.cells, dtype=np.int32), mesh
         # At least what integrates the product of two pressures.
         degree = max(2 if mixed else 0, problem.weak_form.rule(region))
         points, weights = basix.make_quadrature(mesh.basix_cell(), degree)
