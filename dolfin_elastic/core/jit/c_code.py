@@ -84,7 +84,8 @@ def compile_c(
     """
     code = "".join(f"#define {name} {size}\n" for name, size in sizes.items()) + source
     # Products and sums may be fused; in forms FFCx decides, and gcc fuses by default, too.
-    flags = [*jit_options["cffi_extra_compile_args"], "-ffp-contract=fast"]
+    # Vectors are handed on by functions that are all inlined: no ABI is concerned.
+    flags = [*jit_options["cffi_extra_compile_args"], "-ffp-contract=fast", "-Wno-psabi"]
     soabi = str(sysconfig.get_config_var("SOABI"))
     text = "\n".join([declarations, code, *flags, cffi.__version__, soabi])
     key = "loops_" + hashlib.sha256(text.encode()).hexdigest()

@@ -136,7 +136,8 @@ def _with_neighbours(V: fem.FunctionSpace, table: FloatArray) -> BoolArray:
     """Owned nodes in cells that have a marked node, shape of the table. Collective."""
     cells = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
     nodes = V.dofmap.list[:cells]
-    nodes = nodes[(table > 0).any(axis=1)[nodes].any(axis=1)]  # few cells have any
+    marked = np.any(table > 0, axis=1)
+    nodes = nodes[np.any(np.asarray(marked)[nodes], axis=1)]  # few cells have any
     touched = (table[nodes] > 0).any(axis=1)
     work = la.vector(V.dofmap.index_map, table.shape[1])
     near = work.array.reshape(table.shape)

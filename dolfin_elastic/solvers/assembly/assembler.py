@@ -295,7 +295,7 @@ class Residual:
         self, dofs: ConstrainedDofs, work: ufl.Form, tangent: Tangent, reactions: Reactions
     ) -> None:
         self._dofs, self.work, self._tangent, self._reactions = dofs, work, tangent, reactions
-        self._cells, self._others = in_cells(dofs.problem, work)
+        self._parts: tuple[CellIntegrals | None, fem.Form | None] | None = None
         self.vector, self._lift = dofs.ghosted_vector(), dofs.ghosted_vector()
         self.tied_nodal: FloatArray = np.zeros(0 if dofs.ties is None else len(dofs.ties.tied))
         self.free_norm = self.reaction_norm = self.restraint_norm = self.gap = 0.0
@@ -308,10 +308,13 @@ class Residual:
     def assemble(self) -> None:
         """Assembles `vector` at the problem's unknowns."""
         self.vector.array[:] = 0.0
-        if self._cells is not None:
-            self._cells.add_to(self.vector.array)
-        if self._others is not None:
-            fem.assemble_vector(self.vector.array, self._others)
+        if self._parts is None:  # explicit motion never asks
+            self._parts = in_cells(self._dofs.problem, self.work)
+        cells, others = self._parts
+        if cells is not None:
+            cells.add_to(self.vector.array)
+        if others is not None:
+            fem.assemble_vector(self.vector.array, others)
         self._reactions.add_point_loads(self.vector.array, -1.0)
         self.vector.scatter_reverse(la.InsertMode.add)
         if self._dofs.ties is not None:
@@ -504,7 +507,8 @@ class StrainEnergy:
     def __init__(self, problem: Problem) -> None:
         form, springs = problem.weak_form.strain_energy, problem.weak_form.spring_energy
         self._problem = problem
-        self._cells = None if form is None else in_cells(problem, form)[0]
+        self._cells, others = (None, None) if form is None else in_cells(problem, form)
+        assert others is None  # it is stored in the body
         self._springs = None if springs is None else compiled(problem, [springs])[0]
 
     def energy(self) -> float:

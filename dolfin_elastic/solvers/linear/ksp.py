@@ -46,6 +46,7 @@ class LinearSolver:
         self._prepared, self.direct, self.left_gradients = False, False, False
         self._age: Age | None = None
         self._rtol = 0.0  # of the last solve; 0 where there was none
+        self._by_residual = False  # that solve was judged so
         self._each = False  # the preconditioner is set up for each tangent
         options.update(petsc_multigrid(options.all, options.users, assembler.problem.degree))
 
@@ -131,19 +132,24 @@ class LinearSolver:
             age.begin(tangent)
         pc.setReusePreconditioner(True)
         self._prepared, self._rtol = True, self.ksp.getTolerances()[0]
+        self._by_residual = self.ksp.getNormType() == PETSc.KSP.NormType.UNPRECONDITIONED
 
     def _has_served(self, age: Age) -> bool:
         """Whether the preconditioner was good enough for the last solve."""
         if not 0.0 < self._rtol < 1.0:
             return True
-        solved = self.ksp.getConvergedReason() >= 0
-        return solved and age.served(self.ksp.getIterationNumber(), -np.log10(self._rtol))
+        if self.ksp.getConvergedReason() < 0:
+            return False
+        # Digits of one norm are not compared with those of another.
+        by_residual = self._by_residual and self.ksp.getType() == "cg"
+        return by_residual or age.served(self.ksp.getIterationNumber(), -np.log10(self._rtol))
 
     def judge(self, *, by_residual: bool) -> None:
         """Lets conjugate gradients end by the residual, or by the preconditioned one. Local.
 
-        Far from equilibrium the latter tells more of the error of a Newton step.  The residual is
-        what equilibrium is judged by: of a last step it may be 16 times as large.
+        Far from equilibrium the latter tells more of the error of a Newton step.  Equilibrium is
+        judged by the residual, which, relative to the right-hand side, may be an order larger than
+        the preconditioned one.
 
         Args:
             by_residual: By the residual.
@@ -151,6 +157,14 @@ class LinearSolver:
         if self.ksp.getType() == "cg" and "ksp_norm_type" not in self._options.users:
             norm = PETSc.KSP.NormType
             self.ksp.setNormType(norm.UNPRECONDITIONED if by_residual else norm.DEFAULT)
+
+    def release(self) -> None:
+        """Frees multigrid's levels until a next solve, if there is one. Collective."""
+        if isinstance(self._parts, Multigrid):
+            self._prepared, self._rtol = False, 0.0
+            if self._age is not None:
+                self._age.forget()
+            self.ksp.getPC().reset()
 
     def refresh(self) -> None:
         """Rebuilds the preconditioner with the present rigid-body modes. Collective."""

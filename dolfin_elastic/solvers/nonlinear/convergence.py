@@ -34,6 +34,9 @@ up to round-off."""
 FORCING = 1e-3
 """Relative tolerance of a linear solve inside Newton: tighter ones cost more than they save."""
 
+LAST_FORCING = 1e-6
+"""Least relative tolerance of a linear solve that may be the last one."""
+
 LINEAR_TOLERANCE = 1e-12
 """The same where one linear solve is all: as tight as the residual is judged."""
 
@@ -276,21 +279,28 @@ class ConvergenceTest:
         No tighter than the step after it can use: half of what the residual still has to fall by.
         """
         forcing = LINEAR_TOLERANCE if self._assembler.problem.linear else FORCING
-        needed = 0.5 * self.target() / self._norm if self._norm > 0 else forcing
+        if self.may_be_last():
+            forcing = LAST_FORCING
+        needed = self._needed() if self._norm > 0 else forcing
         return min(0.1, max(forcing, needed))
 
-    def lands(self) -> bool:
+    def _needed(self) -> float:
+        """Half of what the residual still has to fall by. Collective."""
+        return 0.5 * self.target() / self._norm
+
+    def may_be_last(self) -> bool:
         """Whether the next linear solve can be the last one, if it is exact enough. Collective.
 
-        Newton's method alone lets the residual fall by the square of its last fall: the remainder
-        has then no part of what is still wanted.
+        Newton's method itself lets the residual fall by the square of its last fall: what that
+        leaves has to be less than half of the target.
 
         Source: S. Eisenstat and H. Walker, SIAM J. Sci. Comput. 17 (1996) 16, Choice 2.
         """
         if self._assembler.problem.linear or len(self.residuals) < 2:
             return False
         before, now = self.residuals[-2:]
-        return now < before and now * (now / before) ** 2 <= 0.5 * self.target()
+        quadratic = now < before and now * (now / before) ** 2 <= 0.5 * self.target()
+        return quadratic and self._norm > 0 and self._needed() >= LAST_FORCING
 
     def target(self) -> float:
         """Norm of the free residual that is small enough [N]. Collective."""

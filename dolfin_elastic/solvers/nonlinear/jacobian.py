@@ -64,9 +64,8 @@ class JacobianWatch:
             for part in problem.regions:
                 self._small[part.cells] = part.law.linear
         plain = problem.W is problem.V and problem.cell is None
-        by_loop = plain and not problem.context.axisymmetric
-        kind_of = _ByLoop if by_loop else _ByExpression
-        self._evaluate: _ByLoop | _ByExpression = kind_of(problem, points, self._small)
+        evaluator = _ByLoop if plain and not problem.context.axisymmetric else _ByExpression
+        self._evaluate: _ByLoop | _ByExpression = evaluator(problem, points, self._small)
         self._seen: FloatArray | None = None
         self._found: tuple[Extreme, Extreme] | None = None
         self._steepest: Extreme = (0.0, np.zeros(3))

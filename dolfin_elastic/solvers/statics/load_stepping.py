@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -122,6 +123,15 @@ class LoadStepping:
             saved: A `restart_state` from which the run continues.
             near: Unknowns near those of the end.
         """
+        with closing(self._states_of(saved, near)) as states:
+            for state in states:
+                if state.done >= 1.0:
+                    self._newton.linear.release()  # nothing is solved any more: room for outputs
+                yield state
+
+    def _states_of(
+        self, saved: SavedState | None, near: NearEnd | None
+    ) -> Generator[State, None, None]:
         by_load = self._settings.method == "load"
         if near is not None and by_load and (state := self._straight(near)) is not None:
             yield state
@@ -139,10 +149,7 @@ class LoadStepping:
                 yield self._states.state(0.0, begin, stored=self._path_check.energy)
             else:
                 self.restore(saved)
-            for state in self._by_load() if self._arc is None else self._along_path(self._arc):
-                if state.done >= 1.0:
-                    self._newton.linear.refresh()  # nothing is solved any more: room for outputs
-                yield state
+            yield from self._by_load() if self._arc is None else self._along_path(self._arc)
         finally:
             if self._arc is not None:
                 self._arc.destroy()

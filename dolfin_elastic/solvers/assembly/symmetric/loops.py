@@ -47,7 +47,7 @@ typedef float floats __attribute__((vector_size(32), aligned(4)));
 typedef double doubles __attribute__((vector_size(64), aligned(8)));
 
 /* Adds eight entries in a row. */
-static inline void add_eight(float* high, float* low, doubles values)
+static inline __attribute__((always_inline)) void add_eight(float* high, float* low, doubles values)
 {
   const doubles sum = __builtin_convertvector(*(const floats*)high, doubles)
                       + __builtin_convertvector(*(const floats*)low, doubles) + values;
