@@ -43,23 +43,29 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.loads import Pressure as Pressure
     from dolfin_elastic.model.loads import Thermal as Thermal
     from dolfin_elastic.model.loads import Traction as Traction
-    from dolfin_elastic.model.materials.registry import ArrudaBoyce as ArrudaBoyce
-    from dolfin_elastic.model.materials.registry import BlatzKo as BlatzKo
-    from dolfin_elastic.model.materials.registry import Corotated as Corotated
-    from dolfin_elastic.model.materials.registry import FixedCorotated as FixedCorotated
-    from dolfin_elastic.model.materials.registry import Gent as Gent
-    from dolfin_elastic.model.materials.registry import Guccione as Guccione
-    from dolfin_elastic.model.materials.registry import Hencky as Hencky
-    from dolfin_elastic.model.materials.registry import HolzapfelGasserOgden as HolzapfelGasserOgden
-    from dolfin_elastic.model.materials.registry import LinearElastic as LinearElastic
-    from dolfin_elastic.model.materials.registry import MooneyRivlin as MooneyRivlin
-    from dolfin_elastic.model.materials.registry import NeoHookean as NeoHookean
-    from dolfin_elastic.model.materials.registry import NeoHookeanSplit as NeoHookeanSplit
-    from dolfin_elastic.model.materials.registry import Ogden as Ogden
-    from dolfin_elastic.model.materials.registry import Orthotropic as Orthotropic
-    from dolfin_elastic.model.materials.registry import StVenantKirchhoff as StVenantKirchhoff
-    from dolfin_elastic.model.materials.registry import Textbook as Textbook
-    from dolfin_elastic.model.materials.registry import Yeoh as Yeoh
+    from dolfin_elastic.model.materials.laws.arruda_boyce import ArrudaBoyce as ArrudaBoyce
+    from dolfin_elastic.model.materials.laws.blatz_ko import BlatzKo as BlatzKo
+    from dolfin_elastic.model.materials.laws.corotated import Corotated as Corotated
+    from dolfin_elastic.model.materials.laws.fixed_corotated import FixedCorotated as FixedCorotated
+    from dolfin_elastic.model.materials.laws.gent import Gent as Gent
+    from dolfin_elastic.model.materials.laws.guccione import Guccione as Guccione
+    from dolfin_elastic.model.materials.laws.hencky import Hencky as Hencky
+    from dolfin_elastic.model.materials.laws.holzapfel_gasser_ogden import (
+        HolzapfelGasserOgden as HolzapfelGasserOgden,
+    )
+    from dolfin_elastic.model.materials.laws.linear_elastic import LinearElastic as LinearElastic
+    from dolfin_elastic.model.materials.laws.mooney_rivlin import MooneyRivlin as MooneyRivlin
+    from dolfin_elastic.model.materials.laws.neo_hookean import NeoHookean as NeoHookean
+    from dolfin_elastic.model.materials.laws.neo_hookean_split import (
+        NeoHookeanSplit as NeoHookeanSplit,
+    )
+    from dolfin_elastic.model.materials.laws.ogden import Ogden as Ogden
+    from dolfin_elastic.model.materials.laws.orthotropic import Orthotropic as Orthotropic
+    from dolfin_elastic.model.materials.laws.st_venant_kirchhoff import (
+        StVenantKirchhoff as StVenantKirchhoff,
+    )
+    from dolfin_elastic.model.materials.laws.textbook import Textbook as Textbook
+    from dolfin_elastic.model.materials.laws.yeoh import Yeoh as Yeoh
     from dolfin_elastic.model.materials.user import Energy as Energy
     from dolfin_elastic.model.materials.user import SplitEnergy as SplitEnergy
     from dolfin_elastic.model.periodic import Periodic as Periodic
@@ -96,25 +102,23 @@ _PLACES = {
         "read_body",
         "rectangle_body",
     ),
-    "model.materials.registry": (
-        "ArrudaBoyce",
-        "BlatzKo",
-        "Corotated",
-        "FixedCorotated",
-        "Gent",
-        "Guccione",
-        "Hencky",
-        "HolzapfelGasserOgden",
-        "LinearElastic",
-        "MooneyRivlin",
-        "NeoHookean",
-        "NeoHookeanSplit",
-        "Ogden",
-        "Orthotropic",
-        "StVenantKirchhoff",
-        "Textbook",
-        "Yeoh",
-    ),
+    "model.materials.laws.arruda_boyce": ("ArrudaBoyce",),
+    "model.materials.laws.blatz_ko": ("BlatzKo",),
+    "model.materials.laws.corotated": ("Corotated",),
+    "model.materials.laws.fixed_corotated": ("FixedCorotated",),
+    "model.materials.laws.gent": ("Gent",),
+    "model.materials.laws.guccione": ("Guccione",),
+    "model.materials.laws.hencky": ("Hencky",),
+    "model.materials.laws.holzapfel_gasser_ogden": ("HolzapfelGasserOgden",),
+    "model.materials.laws.linear_elastic": ("LinearElastic",),
+    "model.materials.laws.mooney_rivlin": ("MooneyRivlin",),
+    "model.materials.laws.neo_hookean": ("NeoHookean",),
+    "model.materials.laws.neo_hookean_split": ("NeoHookeanSplit",),
+    "model.materials.laws.ogden": ("Ogden",),
+    "model.materials.laws.orthotropic": ("Orthotropic",),
+    "model.materials.laws.st_venant_kirchhoff": ("StVenantKirchhoff",),
+    "model.materials.laws.textbook": ("Textbook",),
+    "model.materials.laws.yeoh": ("Yeoh",),
     "model.materials.user": ("Energy", "SplitEnergy"),
     "model.periodic": ("Periodic",),
     "model.tie": ("Tie",),

@@ -119,7 +119,7 @@ class _Apart:
     """Reads a record by the schema of its own class, which pydantic makes at its first use."""
 
     def __get_pydantic_core_schema__(
-        self, kind: Any, handler: GetCoreSchemaHandler
+        self, kind: type[BaseModel], handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
         # Faults of the inner record become faults of the outer one, each with its own place.
         return core_schema.no_info_plain_validator_function(
@@ -128,7 +128,7 @@ class _Apart:
         )
 
     @staticmethod
-    def _written(record: BaseModel, write: SerializerFunctionWrapHandler) -> Any:
+    def _written(record: BaseModel, write: SerializerFunctionWrapHandler) -> object:
         type(record).model_rebuild()  # a default may be the first one of its class
         return write(record)
 

@@ -9,13 +9,11 @@ from dolfin_elastic.material_point.checks import with_finite_moduli
 from dolfin_elastic.material_point.ellipticity import acoustic_eigenvalues
 from dolfin_elastic.material_point.ufl_to_numpy import LawAtPoints
 from dolfin_elastic.model.materials.law import Isotropic, Law
-from dolfin_elastic.model.materials.registry import (
-    BlatzKo,
-    Corotated,
-    FixedCorotated,
-    Hencky,
-    NeoHookean,
-)
+from dolfin_elastic.model.materials.laws.blatz_ko import BlatzKo
+from dolfin_elastic.model.materials.laws.corotated import Corotated
+from dolfin_elastic.model.materials.laws.fixed_corotated import FixedCorotated
+from dolfin_elastic.model.materials.laws.hencky import Hencky
+from dolfin_elastic.model.materials.laws.neo_hookean import NeoHookean
 
 LARGE_STRAINS: tuple[type[Isotropic], ...] = (
     NeoHookean,

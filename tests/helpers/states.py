@@ -8,9 +8,9 @@ import numpy as np
 from dolfinx.mesh import create_box, create_rectangle
 from mpi4py import MPI
 
+from dolfin_elastic import NeoHookean
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.model.materials.registry import NeoHookean
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
 

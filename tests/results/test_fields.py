@@ -10,18 +10,13 @@ from dolfinx import fem
 from dolfinx.mesh import CellType, create_box, create_rectangle
 from mpi4py import MPI
 
+from dolfin_elastic import LinearElastic, NeoHookean, StVenantKirchhoff, Textbook
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.simplices import cell_corners, signed_volumes
 from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.model.materials.registry import (
-    MATERIALS,
-    LinearElastic,
-    NeoHookean,
-    StVenantKirchhoff,
-    Textbook,
-)
+from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator

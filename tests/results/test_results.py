@@ -24,13 +24,12 @@ from helpers.bodies import made
 from helpers.states import COMM, displacement, make_problem, make_state
 from mpi4py import MPI
 
-from dolfin_elastic import Case, restart, run
+from dolfin_elastic import Case, LinearElastic, NeoHookean, restart, run
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import InputError, OutputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.model.materials.registry import LinearElastic, NeoHookean
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results import files, hdf5

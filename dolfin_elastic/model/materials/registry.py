@@ -4,28 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, MutableMapping
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
 from dolfin_elastic.model.materials.law import Isotropic, Law, SplitLaw
-
-if TYPE_CHECKING:
-    from dolfin_elastic.model.materials.laws.arruda_boyce import ArrudaBoyce
-    from dolfin_elastic.model.materials.laws.blatz_ko import BlatzKo
-    from dolfin_elastic.model.materials.laws.corotated import Corotated
-    from dolfin_elastic.model.materials.laws.fixed_corotated import FixedCorotated
-    from dolfin_elastic.model.materials.laws.gent import Gent
-    from dolfin_elastic.model.materials.laws.guccione import Guccione
-    from dolfin_elastic.model.materials.laws.hencky import Hencky
-    from dolfin_elastic.model.materials.laws.holzapfel_gasser_ogden import HolzapfelGasserOgden
-    from dolfin_elastic.model.materials.laws.linear_elastic import LinearElastic
-    from dolfin_elastic.model.materials.laws.mooney_rivlin import MooneyRivlin
-    from dolfin_elastic.model.materials.laws.neo_hookean import NeoHookean
-    from dolfin_elastic.model.materials.laws.neo_hookean_split import NeoHookeanSplit
-    from dolfin_elastic.model.materials.laws.ogden import Ogden
-    from dolfin_elastic.model.materials.laws.orthotropic import Orthotropic
-    from dolfin_elastic.model.materials.laws.st_venant_kirchhoff import StVenantKirchhoff
-    from dolfin_elastic.model.materials.laws.textbook import Textbook
-    from dolfin_elastic.model.materials.laws.yeoh import Yeoh
 
 _CLASSES = {
     "linear-elastic": "LinearElastic",
@@ -83,34 +63,5 @@ class Laws(MutableMapping[str, type[Law]]):
 
 
 MATERIALS = Laws(_CLASSES)
-_NAMES = {law: name for name, law in _CLASSES.items()}
 
-__all__ = [
-    "MATERIALS",
-    "ArrudaBoyce",
-    "BlatzKo",
-    "Corotated",
-    "FixedCorotated",
-    "Gent",
-    "Guccione",
-    "Hencky",
-    "HolzapfelGasserOgden",
-    "Isotropic",
-    "Law",
-    "LinearElastic",
-    "MooneyRivlin",
-    "NeoHookean",
-    "NeoHookeanSplit",
-    "Ogden",
-    "Orthotropic",
-    "SplitLaw",
-    "StVenantKirchhoff",
-    "Textbook",
-    "Yeoh",
-]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _NAMES:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return MATERIALS[_NAMES[name]]
+__all__ = ["MATERIALS", "Isotropic", "Law", "Laws", "SplitLaw"]

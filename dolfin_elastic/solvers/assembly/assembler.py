@@ -13,6 +13,7 @@ from petsc4py import PETSc
 from ufl.integral import Integral
 
 from dolfin_elastic.core.jit import compile_forms
+from dolfin_elastic.core.jit.cell_integrals import CellIntegrals
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
@@ -20,7 +21,6 @@ from dolfin_elastic.mesh.body import middle_of
 from dolfin_elastic.model.dimension import moment_of
 from dolfin_elastic.problem.problem import Problem, parts_held
 from dolfin_elastic.problem.state import Moment
-from dolfin_elastic.solvers.assembly.cell_integrals import CellIntegrals
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, TangentMatrix
@@ -482,7 +482,9 @@ def in_cells(problem: Problem, form: ufl.Form) -> tuple[CellIntegrals | None, fe
         parts[one.integral_type() != "cell"].append(one)
     found = iter(compiled(problem, [ufl.Form(part) for part in parts if part]))
     cells, others = (next(found) if part else None for part in parts)
-    return None if cells is None else CellIntegrals(problem, cells), others
+    if cells is None:
+        return None, others
+    return CellIntegrals(cells, problem.w, problem.jit), others
 
 
 def integral(problem: Problem, form: fem.Form) -> float:

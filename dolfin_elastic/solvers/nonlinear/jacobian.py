@@ -154,7 +154,7 @@ class _ByExpression:
     """The same for any F of all unknowns, by an expression of it. Collective to make.
 
     Args:
-        problem: Any.
+        problem: Of any unknowns.
         points: Of each cell.
         small: Which cells have a linear law; None: none.
     """

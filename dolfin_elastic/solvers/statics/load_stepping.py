@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -116,22 +115,15 @@ class LoadStepping:
         self._limits: tuple[float, ...] = ()
         self._jumps = 0
 
-    def run(self, saved: SavedState | None = None, near: NearEnd | None = None) -> Iterator[State]:
+    def run(
+        self, saved: SavedState | None = None, near: NearEnd | None = None
+    ) -> Generator[State, None, None]:
         """Yields the states; see `Statics.steps`. Collective.
 
         Args:
             saved: A `restart_state` from which the run continues.
             near: Unknowns near those of the end.
         """
-        with closing(self._states_of(saved, near)) as states:
-            for state in states:
-                if state.done >= 1.0:
-                    self._newton.linear.release()  # nothing is solved any more: room for outputs
-                yield state
-
-    def _states_of(
-        self, saved: SavedState | None, near: NearEnd | None
-    ) -> Generator[State, None, None]:
         by_load = self._settings.method == "load"
         if near is not None and by_load and (state := self._straight(near)) is not None:
             yield state

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from typing import Any
 
 from dolfin_elastic.core.errors import InputError
@@ -106,7 +106,11 @@ class Statics:
                 whole=not self._asks_for_steps() and may_take_whole_load(self.problem),
             )
             owned.callback(self._forget)
-            yield from self._stepping.run(saved, near)
+            states = owned.enter_context(closing(self._stepping.run(saved, near)))
+            for state in states:
+                if state.done >= 1.0:
+                    newton.linear.release()  # nothing is solved any more: room for outputs
+                yield state
 
     def _forget(self) -> None:
         self._stepping = None

@@ -16,6 +16,7 @@ from dolfin_elastic import (
     Cavity,
     Centrifugal,
     Contact,
+    Corotated,
     Gravity,
     Growth,
     LinearElastic,
@@ -34,7 +35,6 @@ from dolfin_elastic import (
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.model.loads import LOADS, LoadPoints
-from dolfin_elastic.model.materials.registry import Corotated
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 
 E, NU, RHO = 1e6, 0.3, 1000.0

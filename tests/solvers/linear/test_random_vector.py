@@ -25,12 +25,16 @@ on = "left"
 kind = "traction"
 on = "right"
 value = [0, 0, "-1 kPa"]
-[solver.linear]
+[solver]
 method = "iterative"
 """
-LIST = (
-    "import sys; from dolfin_elastic.cli.app import guarded; code = guarded(); print(*sys.modules)"
-)
+LIST = """
+import sys
+from dolfin_elastic.cli.app import guarded
+code = guarded()
+print(*sys.modules)
+sys.exit(code)
+"""
 
 
 def test_they_are_spread_evenly_and_independent() -> None:

@@ -15,9 +15,9 @@ from dolfinx import fem
 from dolfinx.cpp.fem import pack_constants
 
 from dolfin_elastic.core.compat import cells_of_integral
-from dolfin_elastic.core.jit import compile_c
+from dolfin_elastic.core.jit.c_code import compile_c
+from dolfin_elastic.core.jit.compile import JitOptions
 from dolfin_elastic.core.types import FloatArray, IndexArray
-from dolfin_elastic.problem.problem import Problem
 
 DECLARATIONS = """
 int64_t add_vector(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
@@ -109,22 +109,23 @@ class CellIntegrals:
     in space, DOLFINx assembles the whole form.
 
     Args:
-        problem: Of whose unknowns it depends.
-        form: Of one test function in all unknowns, or of none.
+        form: Of one test function in the space of the unknowns, or of none.
+        w: The unknowns.
+        jit_options: From `options`.
     """
 
-    def __init__(self, problem: Problem, form: fem.Form) -> None:
-        self._form, self._w = form, problem.w
-        mesh, dofmap = problem.body.mesh, problem.w.function_space.dofmap
-        self._integrals, arguments = _kernels(form, problem.w)
+    def __init__(self, form: fem.Form, w: fem.Function, jit_options: JitOptions) -> None:
+        self._form, self._w = form, w
+        mesh, dofmap = w.function_space.mesh, w.function_space.dofmap
+        self._integrals, arguments = _kernels(form, w)
         if self._integrals is None:
             return
         corners, dofs = (np.ascontiguousarray(m) for m in (mesh.geometry.dofmap, dofmap.list))
         self._elements = corners, mesh.geometry.x, dofs
-        self._packed, self._first = _room(form, problem.w)
+        self._packed, self._first = _room(form, w)
         sizes = {"NG": corners.shape[1], "ND": dofs.shape[1], "BS": dofmap.bs}
         sizes["ARGUMENTS"] = arguments
-        self._loops = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
+        self._loops = compile_c(mesh.comm, DECLARATIONS, SOURCE, sizes, jit_options)
 
     def add_to(self, out: FloatArray) -> None:
         """Adds the vector of a form with a test function. Not collective.
