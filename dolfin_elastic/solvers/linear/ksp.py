@@ -46,7 +46,8 @@ class LinearSolver:
         self._prepared, self.direct, self.left_gradients = False, False, False
         self._age: Age | None = None
         self._rtol = 0.0  # of the last solve; 0 where there was none
-        self._by_residual = False  # that solve was judged so
+        # Whether the next solve may be Newton's last one, and whether the solve before was to be.
+        self._may_be_last, self._was_exact = False, False
         self._each = False  # the preconditioner is set up for each tangent
         options.update(petsc_multigrid(options.all, options.users, assembler.problem.degree))
 
@@ -132,7 +133,7 @@ class LinearSolver:
             age.begin(tangent)
         pc.setReusePreconditioner(True)
         self._prepared, self._rtol = True, self.ksp.getTolerances()[0]
-        self._by_residual = self.ksp.getNormType() == PETSc.KSP.NormType.UNPRECONDITIONED
+        self._was_exact = self._may_be_last
 
     def _has_served(self, age: Age) -> bool:
         """Whether the preconditioner was good enough for the last solve."""
@@ -140,11 +141,10 @@ class LinearSolver:
             return True
         if self.ksp.getConvergedReason() < 0:
             return False
-        # Digits of one norm are not compared with those of another.
-        by_residual = self._by_residual and self.ksp.getType() == "cg"
-        return by_residual or age.served(self.ksp.getIterationNumber(), -np.log10(self._rtol))
+        # The digits of a solve that is to be exact, perhaps in another norm, take more iterations.
+        return self._was_exact or age.served(self.ksp.getIterationNumber(), -np.log10(self._rtol))
 
-    def judge(self, *, by_residual: bool) -> None:
+    def judge(self, *, may_be_last: bool) -> None:
         """Lets conjugate gradients end by the residual, or by the preconditioned one. Local.
 
         Far from equilibrium the latter tells more of the error of a Newton step.  Equilibrium is
@@ -152,11 +152,12 @@ class LinearSolver:
         the preconditioned one.
 
         Args:
-            by_residual: By the residual.
+            may_be_last: The next solve may be the last one: by the residual.
         """
+        self._may_be_last = may_be_last
         if self.ksp.getType() == "cg" and "ksp_norm_type" not in self._options.users:
             norm = PETSc.KSP.NormType
-            self.ksp.setNormType(norm.UNPRECONDITIONED if by_residual else norm.DEFAULT)
+            self.ksp.setNormType(norm.UNPRECONDITIONED if may_be_last else norm.DEFAULT)
 
     def release(self) -> None:
         """Frees multigrid's levels until a next solve, if there is one. Collective."""
@@ -204,7 +205,7 @@ class LinearSolver:
             return True
         if self.direct or "ksp_type" in self._options.users or "pc_type" in self._options.users:
             return False
-        self.judge(by_residual=False)  # others may not know the norm of the last solve
+        self.judge(may_be_last=False)  # others may not know the norm of the last solve
         if self.ksp.getType() == "cg":
             log.info("conjugate gradients failed (%s): GMRES from here on", in_words(reason))
             self._options.update(GMRES)

@@ -328,7 +328,7 @@ class Newton:
         self.test.round_off.renew(P)
         if not self.linear.direct and "ksp_rtol" not in self.options.users:
             self.ksp.setTolerances(rtol=self.test.linear_tolerance())
-            self.linear.judge(by_residual=self.test.may_be_last())
+            self.linear.judge(may_be_last=self.test.may_be_last())
 
     def factorise(self) -> None:
         """Assembles and factorises the tangent where the problem is. Collective.

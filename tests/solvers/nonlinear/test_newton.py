@@ -387,9 +387,9 @@ def test_the_last_linear_solve_ends_by_the_residual(monkeypatch):
     judged = []
     judge = LinearSolver.judge
 
-    def noted(solver: LinearSolver, *, by_residual: bool) -> None:
-        judge(solver, by_residual=by_residual)
-        judged.append((by_residual, solver.ksp.getNormType()))
+    def noted(solver: LinearSolver, *, may_be_last: bool) -> None:
+        judge(solver, may_be_last=may_be_last)
+        judged.append((may_be_last, solver.ksp.getNormType()))
 
     monkeypatch.setattr(LinearSolver, "judge", noted)
     *_, state = Statics(block(NH, finer=2), linear=LinearSettings(method="iterative")).steps()
