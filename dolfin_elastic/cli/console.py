@@ -234,6 +234,7 @@ class LogHandler(logging.Handler):
     def __init__(self, rank: int, screen: Callable[[], Screen]) -> None:
         super().__init__()
         self._display: ProgressDisplay | None = None
+        self._above_bar = False
         self.addFilter(lambda record: rank == 0 or hasattr(record, "every_rank"))
         self._make_screen = screen
 
@@ -246,13 +247,18 @@ class LogHandler(logging.Handler):
         """Shows trials by this display from now on, in place of a line for each."""
         self._display = display
 
+    def print_above_bar(self) -> None:
+        """Prints results, too, on the terminal of the bar from now on: rich puts them above it."""
+        self._above_bar = True
+
     def emit(self, record: logging.LogRecord) -> None:
         """Shows one record."""
         if self._display is not None and getattr(record, "search", False):
             self._display.search(record.getMessage())
             return
         mark = "warning: " if record.levelno >= logging.WARNING else ""
-        screen = console() if getattr(record, "result", False) else self.screen
+        apart = getattr(record, "result", False) and not self._above_bar
+        screen = console() if apart else self.screen
         screen.tell(f"{mark}{record.getMessage()}")
 
 

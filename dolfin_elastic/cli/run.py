@@ -322,6 +322,7 @@ def _progress_display(motion: bool, visible: bool, *, verbose: bool) -> Progress
     found: ProgressDisplay = console.ProgressLines(motion)
     if handler is not None and handler.screen.is_terminal and sys.stdout.isatty():
         found = console.ProgressBar(motion, handler.screen)
+        handler.print_above_bar()
     if handler is not None and not verbose:
         handler.show_searches(found)
     return found

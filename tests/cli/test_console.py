@@ -51,6 +51,18 @@ def test_a_search_is_one_line(capfd):
     assert out.count("load 0.1 ... (-v shows every trial)\n") == 2 == out.count("load 0.1")
 
 
+def test_results_stand_above_a_bar(capfd):
+    """They go to standard output, but for a terminal with a bar: where that is drawn."""
+    record = logging.LogRecord("dolfin_elastic", logging.INFO, __file__, 1, "254 kPa", (), None)
+    record.result = True
+    handler = LogHandler(0, lambda: console(stderr=True))
+    handler.handle(record)
+    assert capfd.readouterr() == ("254 kPa\n", "")
+    handler.print_above_bar()
+    handler.handle(record)
+    assert capfd.readouterr() == ("", "254 kPa\n")
+
+
 def test_largest_values_of_a_motion():
     """With place and part; nothing is said of a body without stress, or before the end."""
     stress = {"value": 1.84e8, "place": [0.016, -1e-18], "part": "steel"}
