@@ -247,17 +247,15 @@ class PetscRows(BlockRows):
         return y
 
 
-class HalfRows(BlockRows):
-    """A symmetric matrix by the half of its blocks, as `symmetric.loops` says. Local to make.
-
-    Rows in full are made a part at a time.
+class _HalfPattern(BlockRows):
+    """A symmetric matrix of which the half of its blocks is there. Local to make.
 
     Args:
         start: Where each node's blocks begin, and the last one ends.
         columns: Local number of the node in `halo` of each block.
         blocks: Shape (blocks, R, R).
         halo: Nodes of its columns.
-        loops: Those of `block_loops`.
+        loops: With those of `in_full`.
     """
 
     whole, symmetric = False, True
@@ -282,6 +280,13 @@ class HalfRows(BlockRows):
         if self._full is None:
             self._full = in_full(*self._half, self._loops)
         return self._full
+
+
+class HalfRows(_HalfPattern):
+    """A symmetric matrix by the half of its blocks, as `symmetric.loops` says.
+
+    Rows in full are made a part at a time.
+    """
 
     def parts(self) -> Iterator[tuple[int, int, FloatArray]]:
         """See `BlockRows.parts`; the blocks are valid until the next ones."""
@@ -311,28 +316,17 @@ class HalfRows(BlockRows):
         return partial(loops.call, "rounded_product_of_half", *sizes, *matrix)
 
 
-class SymmetricRows(BlockRows):
+class SymmetricRows(_HalfPattern):
     """The blocks of a symmetric tangent, which are made a part at a time. Collective to make.
 
     Args:
         half: The tangent; it must outlive this.
     """
 
-    whole, symmetric = False, True
-
     def __init__(self, half: SymmetricBlocks) -> None:
-        super().__init__(half.start, half.columns, np.empty((0, half.dim, half.dim)), half.halo)
+        blocks = np.empty((0, half.dim, half.dim))
+        super().__init__(half.start, half.columns, blocks, half.halo, half.loops)
         self.half = half
-        self._full: tuple[IntArray, IndexArray, IndexArray] | None = None
-
-    def pattern(self) -> tuple[IntArray, IndexArray]:
-        """See `BlockRows.pattern`; made when it is needed, which products do not."""
-        return self._in_full()[:2]
-
-    def _in_full(self) -> tuple[IntArray, IndexArray, IndexArray]:
-        if self._full is None:
-            self._full = in_full(self.half.start, self.half.columns, self.half.loops)
-        return self._full
 
     def parts(self) -> Iterator[tuple[int, int, FloatArray]]:
         """See `BlockRows.parts`; the blocks are valid until the next ones."""
@@ -361,18 +355,6 @@ class SymmetricRows(BlockRows):
 
     def destroy(self) -> None:
         """See `BlockRows.destroy`: the halo is the tangent's."""
-
-
-def from_petsc(matrix: PETSc.Mat, R: int, C: int, loops: CFunctions) -> BlockRows:
-    """The blocks of an AIJ matrix, all of them at once. Collective.
-
-    Args:
-        matrix: Whose rows and columns of a node follow on each other.
-        R: Rows of a node.
-        C: Columns of a node.
-        loops: Those of `block_loops`.
-    """
-    return PetscRows(matrix, R, C, loops).with_blocks()
 
 
 def interpolation_from_petsc(matrix: PETSc.Mat, R: int, C: int, loops: CFunctions) -> Interpolation:

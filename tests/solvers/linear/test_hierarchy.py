@@ -33,7 +33,6 @@ from dolfin_elastic.solvers.linear.block_rows import (
     BlockRows,
     Interpolation,
     PetscRows,
-    from_petsc,
     interpolation_from_petsc,
 )
 from dolfin_elastic.solvers.linear.choice import LinearSettings
@@ -119,7 +118,7 @@ def test_blocks_and_products_are_those_of_petsc(dim: int, symmetric: bool) -> No
     problem = block(2, dim=dim, degree=2)
     kernels, space = loops(problem), problem.unknowns.linear_space()
     with tangent(problem) as matrix:
-        A = from_petsc(matrix, dim, dim, kernels)
+        A = PetscRows(matrix, dim, dim, kernels).with_blocks()
         assert A.symmetric  # as PETSc was told
         A.symmetric = symmetric
         same = to_petsc(A)
@@ -146,7 +145,7 @@ def test_rows_of_the_tangent_may_be_taken_a_few_at_a_time(
     problem = block(4, dim=dim)
     kernels, modes = loops(problem), mode_values(problem.unknowns.U)
     with tangent(problem) as matrix:
-        whole = from_petsc(matrix, dim, dim, kernels)
+        whole = PetscRows(matrix, dim, dim, kernels).with_blocks()
         monkeypatch.setattr(block_rows, "PART", 200)
         some = PetscRows(matrix, dim, dim, kernels)
         assert len(list(some.parts())) > 1
@@ -175,7 +174,7 @@ def test_rigid_bodies_are_interpolated(dim: int, threshold: float) -> None:
     problem = block(4, dim=dim, held=False)
     kernels, modes = loops(problem), mode_values(problem.unknowns.U)
     with tangent(problem) as matrix:
-        A = from_petsc(matrix, dim, dim, kernels)
+        A = PetscRows(matrix, dim, dim, kernels).with_blocks()
         coarse = coarsen(A, modes, threshold, kernels)
         assert 1 < coarse.A.halo.total < A.halo.total / 4
         P, count = to_petsc(coarse.P), modes.shape[2]
