@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from dolfinx import fem, la
+from helpers.states import bend
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -25,20 +26,6 @@ from dolfin_elastic.solvers.assembly.assembler import compiled, in_cells
 
 COMM = MPI.COMM_WORLD
 SOFT = NeoHookean(E=1.0, nu=0.3, density=1.0)
-
-
-def bend(problem: Problem) -> None:
-    """A smooth displacement of a tenth of the body and a pressure, without symmetry."""
-    dim = problem.body.dim
-
-    def u(x: np.ndarray) -> np.ndarray:
-        return 0.05 * np.array([x[0] * x[1], np.sin(x[1] + x[0]), x[0] ** 2 + x[1]])[:dim]
-
-    if problem.mixed:
-        problem.w.sub(1).interpolate(lambda x: 0.1 + 0.2 * x[0] - 0.3 * x[1])
-    problem.u.interpolate(u)
-    problem.unknowns.u_to_w()
-    problem.w.x.scatter_forward()
 
 
 def check(problem: Problem, *, by_loop: bool = True) -> None:

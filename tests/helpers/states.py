@@ -36,3 +36,17 @@ def make_state(problem: Problem, step: int = 1, t: float = 1.0, **more: Any) -> 
     """The state with the displacement above."""
     problem.u.interpolate(lambda x: displacement(x, t)[: problem.body.dim])
     return State(step, t, problem.u, **more)
+
+
+def bend(problem: Problem) -> None:
+    """A smooth displacement of a tenth of the body and a pressure, without symmetry."""
+    dim = problem.body.dim
+
+    def u(x: np.ndarray) -> np.ndarray:
+        return 0.05 * np.array([x[0] * x[1], np.sin(x[1] + x[0]), x[0] ** 2 + x[1]])[:dim]
+
+    if problem.mixed:
+        problem.w.sub(1).interpolate(lambda x: 0.1 + 0.2 * x[0] - 0.3 * x[1])
+    problem.u.interpolate(u)
+    problem.unknowns.u_to_w()
+    problem.w.x.scatter_forward()
