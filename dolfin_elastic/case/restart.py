@@ -7,6 +7,7 @@ import logging
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from dolfin_elastic.core.errors import InputError, RestartError, nearest_file
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import Record
+from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.results.checkpoint.checkpoints import (
     CASE,
@@ -31,6 +33,7 @@ from dolfin_elastic.results.checkpoint.checkpoints import (
     newest_checkpoint,
     read_case_text,
 )
+from dolfin_elastic.results.checkpoint.checksums import fingerprint
 from dolfin_elastic.results.checkpoint.lock import check_free
 from dolfin_elastic.results.files import replace_text
 
@@ -87,7 +90,7 @@ class Unfinished:
             )
 
     def check_mesh(self, description: RunDescription) -> None:
-        """Checks that the mesh is that of the checkpoint. Not collective.
+        """Checks that the mesh is that of the checkpoint. Collective.
 
         Raises:
             RestartError: It is another one.
@@ -238,13 +241,13 @@ def _status(folder: Path) -> str:
 
 
 def describe_run(
-    case: Case, mesh: Mapping[str, Any], petsc: PetscOptions, before: Unfinished | None = None
+    case: Case, body: Body, petsc: PetscOptions, before: Unfinished | None = None
 ) -> RunDescription:
     """The description of a run that its checkpoints carry. Not collective.
 
     Args:
         case: What it computes.
-        mesh: See `checksums.fingerprint`.
+        body: Its mesh.
         petsc: PETSc options from outside the case.
         before: The run that is continued. Its case is read from the copy in the folder of results,
             but the file to compare with at the next restart stays the user's.
@@ -257,7 +260,7 @@ def describe_run(
     file = str(Path(case.file).resolve()) if case.file else ""
     if before is not None:
         file = before.found.content["file"] or file
-    return RunDescription(text, file, mesh, petsc)
+    return RunDescription(text, file, partial(fingerprint, body), petsc)
 
 
 def portable(case: Case) -> dict[str, Any]:

@@ -39,12 +39,12 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, RestartableSolver, RestartState, State, StateCopy
 from dolfin_elastic.results.checkpoint.checkpoints import Checkpoints
-from dolfin_elastic.results.checkpoint.checksums import fingerprint
 from dolfin_elastic.results.checkpoint.lock import FolderLock
 from dolfin_elastic.results.files import writing
 from dolfin_elastic.results.outputs import FORMATS, History, Modes, Output, Summary, Xdmf
 from dolfin_elastic.results.writer import ModeWriter, Writer
 from dolfin_elastic.results.writers.modes import clear as clear_modes
+from dolfin_elastic.results.writers.summary import SummaryWriter
 from dolfin_elastic.solvers.nonlinear.contact import warn_of_untouched
 from dolfin_elastic.solvers.petsc.heap import give_back
 
@@ -161,7 +161,7 @@ class _Run:
         timing.begin()
         with timing.stage("mesh"):
             body = self.case.read_body(self.comm)
-            description = describe_run(self.case, fingerprint(body), self.petsc, before)
+        description = describe_run(self.case, body, self.petsc, before)
         if before is not None:
             before.check_mesh(description)
         notes = log_notes(self.case, body)
@@ -204,7 +204,7 @@ class _Run:
                     if not (isinstance(result, State) and result.between):
                         checkpoints.forget()  # the files are about to be ahead of it
                         give_back()  # what solving needed for the moment
-                        for writer in writers:
+                        for writer in _in_order(writers):
                             _write(writer, result)
                     checkpoints.save_if_due(result, writers)
                     try:
@@ -229,6 +229,11 @@ def _steps(solver: Solver, problem: Problem, before: Unfinished | None) -> State
         return warn_of_untouched(problem, cast(States, solver.steps()))
     assert isinstance(solver, RestartableSolver)  # others have no checkpoints
     return cast(States, solver.steps(before.found))
+
+
+def _in_order(writers: Iterable[Writer]) -> list[Writer]:
+    """The summary first: its estimate of the last state's error gives others the stress."""
+    return sorted(writers, key=lambda writer: not isinstance(writer, SummaryWriter))
 
 
 def _write(writer: Writer, result: State | Mode) -> None:

@@ -146,8 +146,7 @@ class Problem:
             pinned = self.unknowns.pinned
         self.V, self.u = self.unknowns.V, self.unknowns.u
         self.W, self.w, self.v = self.unknowns.W, self.unknowns.w, self.unknowns.v
-        self.places: FloatArray = self.V.tabulate_dof_coordinates()
-        self.places.flags.writeable = False
+        self.places = self.unknowns.places
         self._scale_unknowns()
         depth = None if thickness == 1.0 else Constant(body.mesh, float(thickness))
         self.measures = Measures(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import basix.ufl
 import numpy as np
@@ -89,6 +90,16 @@ class Unknowns:
         W = fem.functionspace(mesh, basix.ufl.mixed_element(elements))
         V, dofs = collapsed(W.sub(0))
         return V, V, W, dofs
+
+    @cached_property
+    def places(self) -> FloatArray:
+        """Places [m] of the nodes of V in the reference configuration, ghosts too, shape (n, 3)."""
+        return _places(self.V)
+
+    @cached_property
+    def unknown_places(self) -> FloatArray:
+        """As `places`, of the nodes of U."""
+        return self.places if self.U is self.V else _places(self.U)
 
     def _split(self, w: Expr) -> tuple[Expr, ...]:
         return tuple(ufl.split(w)) if self.auxiliary_fields else (w,)
@@ -210,4 +221,10 @@ def _of_geometry(body: Body, V: fem.FunctionSpace) -> IndexArray:
     width = min(rows.shape[1], nodes.shape[1])
     found = np.full(len(body.mesh.geometry.x), -1, dtype=np.int32)
     found[rows[:, :width]] = nodes[:, :width]
+    return found
+
+
+def _places(V: fem.FunctionSpace) -> FloatArray:
+    found: FloatArray = V.tabulate_dof_coordinates()
+    found.flags.writeable = False
     return found

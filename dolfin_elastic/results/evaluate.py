@@ -42,7 +42,7 @@ class Evaluator:
 
     def __init__(self, problem: Problem, names: Iterable[str]) -> None:
         self.problem, self.names = problem, check_field_names(names)
-        self.grid = Grid(problem.V)
+        self.grid = Grid(problem.V, problem.places)
         self.w = fem.Function(problem.W)
         self.cell_names = tuple(name for name in self.names if _of_cells(name))
         self._kernels = [self._kernel(part) for part in problem.regions] if self.cell_names else []

@@ -41,6 +41,7 @@ class Grid:
 
     Args:
         V: Vector-valued Lagrange space of degree 1 or 2 on triangles or tetrahedra.
+        places: Reference places of its nodes [m], where they are known.
 
     Attributes:
         kind: XDMF's name of the cell.
@@ -49,8 +50,8 @@ class Grid:
         InputError: The space is of another kind.
     """
 
-    def __init__(self, V: fem.FunctionSpace) -> None:
-        self.V, self.mesh = V, V.mesh
+    def __init__(self, V: fem.FunctionSpace, places: FloatArray | None = None) -> None:
+        self.V, self.mesh, self._places = V, V.mesh, places
         self.nodes_per_cell = int(V.dofmap.list.shape[1])
         key = (self.mesh.topology.cell_type, self.nodes_per_cell)
         if key not in _KINDS:
@@ -79,7 +80,8 @@ class Grid:
 
     def points(self) -> FloatArray:
         """Places [m] of the owned points in the reference configuration, shape (n, 3)."""
-        return np.asarray(self.V.tabulate_dof_coordinates()[: self.own_points])
+        places = self.V.tabulate_dof_coordinates() if self._places is None else self._places
+        return np.asarray(places[: self.own_points])
 
     def cells(self) -> AnyArray:
         """Points of each owned cell in VTK's order, numbered over all ranks.

@@ -20,7 +20,7 @@ def saved(
     comm: MPI.Comm, folder: Path, restart: RestartState, step: int = 3, **keys: Any
 ) -> Checkpoints:
     """Writes a checkpoint."""
-    to = Checkpoints(comm, folder, CheckpointSettings(**keys), RunDescription("", "", {}, {}))
+    to = Checkpoints(comm, folder, CheckpointSettings(**keys), RunDescription("", "", dict, {}))
     to.save(State(step, 0.5, next(iter(restart.fields.values())), done=0.5), restart, [{}])
     return to
 

@@ -7,7 +7,7 @@ import importlib.util
 import sysconfig
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol, TypeAlias, cast
+from typing import NamedTuple, Protocol, TypeAlias, cast
 
 import cffi
 import numpy as np
@@ -28,6 +28,24 @@ class _Library(Protocol):
     ffi: cffi.FFI
 
 
+class _Function(Protocol):
+    """A function in C."""
+
+    def __call__(self, *arguments: int | cffi.FFI.CData) -> int: ...
+
+
+class _Parameter(NamedTuple):
+    """An array that a function in C takes.
+
+    Attributes:
+        dtype: Of its entries.
+        kind: The same for cffi.
+    """
+
+    dtype: np.dtype[np.generic]
+    kind: cffi.FFI.CType
+
+
 class CFunctions:
     """Compiled C functions, whose arguments are integers and contiguous numpy arrays.
 
@@ -37,6 +55,7 @@ class CFunctions:
 
     def __init__(self, library: _Library) -> None:
         self._lib, self._ffi = library.lib, library.ffi
+        self._known: dict[str, tuple[_Function, list[_Parameter | None]]] = {}
 
     def call(self, name: str, *arguments: int | Array) -> int:
         """Calls a function; arrays are handed on as pointers. Not collective.
@@ -48,18 +67,32 @@ class CFunctions:
         Raises:
             TypeError: An array has another type, or gaps.
         """
-        function = getattr(self._lib, name)
-        types = self._ffi.typeof(function).args
-        pairs = zip(arguments, types, strict=True)
-        converted = [self._pointer(a, t) if isinstance(a, np.ndarray) else a for a, t in pairs]
-        return cast("int", function(*converted))
+        if name not in self._known:
+            self._known[name] = self._declared(name)
+        function, parameters = self._known[name]
+        pairs = zip(arguments, parameters, strict=True)
+        return function(*[a if p is None else self._pointer(a, p) for a, p in pairs])
 
-    def _pointer(self, values: Array, kind: cffi.FFI.CType) -> cffi.FFI.CData:
-        cname = kind.item.cname.removeprefix("const ").removesuffix("_t")
-        wanted = "float32" if cname == "float" else cname
-        if values.dtype != np.dtype(wanted) or not values.flags.c_contiguous:
-            raise TypeError(f"an array of {values.dtype} for {kind.cname}, or one with gaps")
-        return self._ffi.cast(kind, self._ffi.from_buffer(values))
+    def _declared(self, name: str) -> tuple[_Function, list[_Parameter | None]]:
+        """A function and its parameters; None: no array."""
+        function = getattr(self._lib, name)
+        parameters: list[_Parameter | None] = []
+        for kind in self._ffi.typeof(function).args:
+            if kind.kind != "pointer":
+                parameters.append(None)
+                continue
+            cname = kind.item.cname.removeprefix("const ")
+            bare = cname.removesuffix("_t")
+            dtype = np.dtype("float32" if bare == "float" else bare)
+            parameters.append(_Parameter(dtype, self._ffi.typeof(f"{cname}[]")))
+        return cast("_Function", function), parameters
+
+    def _pointer(self, values: int | Array, parameter: _Parameter) -> int | cffi.FFI.CData:
+        if not isinstance(values, np.ndarray):
+            return values  # which cffi refuses by itself
+        if values.dtype != parameter.dtype or not values.flags.c_contiguous:
+            raise TypeError(f"an array of {values.dtype} for {parameter.dtype}, or one with gaps")
+        return self._ffi.from_buffer(parameter.kind, values)
 
 
 def compile_c(

@@ -6,15 +6,16 @@ DECLARATIONS = """
 int64_t take_volumes(int64_t count, int64_t width, const int32_t* geometry, const double* x,
                      double* volumes);
 int64_t add_cells(int64_t count, int64_t width, const int32_t* geometry, const double* x,
-                  const int32_t* vertices, const double* volumes, double* sums);
-int64_t walk(int64_t count, const int32_t* vertices, const double* volumes, const double* before,
-             double* sums);
-int64_t at_cells(int64_t count, const int32_t* vertices, const double* density,
-                 const double* metric, double* thickness, double* across, double* along);
+                  const int32_t* vertices, const double* volumes, float* sums);
+int64_t walk(int64_t count, const int32_t* vertices, const double* volumes, const float* before,
+             float* sums);
+int64_t at_cells(int64_t count, const int32_t* vertices, const float* density,
+                 const float* metric, double* thickness, double* across, double* along);
 """
 
 # DIM. Rows of vertices have the components of a symmetric tensor, column by column of its upper
-# triangle, and are padded to whole vector registers.
+# triangle, and are padded to whole vector registers.  They are of single precision: the walk is
+# bound by their memory, and a thickness is wanted to two digits.
 SOURCE = r"""
 #include <math.h>
 #include <stdint.h>
@@ -50,7 +51,7 @@ int64_t take_volumes(int64_t count, int64_t width, const int32_t* geometry, cons
 /* Mean over the edges e of each cell of e e, times its volume, and the volume, to its vertices.
    The sum over the edges is DIM + 1 times that over the corners, taken from the barycentre. */
 int64_t add_cells(int64_t count, int64_t width, const int32_t* geometry, const double* x,
-                  const int32_t* vertices, const double* volumes, double* sums)
+                  const int32_t* vertices, const double* volumes, float* sums)
 {
   for (int64_t c = 0; c < count; c++)
   {
@@ -72,32 +73,33 @@ int64_t add_cells(int64_t count, int64_t width, const int32_t* geometry, const d
     found[NT] = volumes[c];
     for (int k = 0; k < NC; k++)
     {
-      double* restrict sum = sums + (int64_t)vertices[c * NC + k] * ROW;
+      float* restrict sum = sums + (int64_t)vertices[c * NC + k] * ROW;
       for (int i = 0; i < ROW; i++)
-        sum[i] += found[i];
+        sum[i] += (float)found[i];
     }
   }
   return 0;
 }
 
 /* The mean of the rows of each cell's vertices, times its volume, to its vertices. */
-int64_t walk(int64_t count, const int32_t* vertices, const double* volumes, const double* before,
-             double* sums)
+int64_t walk(int64_t count, const int32_t* vertices, const double* volumes, const float* before,
+             float* sums)
 {
   for (int64_t c = 0; c < count; c++)
   {
-    double mean[ROW] = {0};
+    float mean[ROW] = {0};
     for (int k = 0; k < NC; k++)
     {
-      const double* restrict row = before + (int64_t)vertices[c * NC + k] * ROW;
+      const float* restrict row = before + (int64_t)vertices[c * NC + k] * ROW;
       for (int i = 0; i < ROW; i++)
         mean[i] += row[i];
     }
+    const float share = (float)(volumes[c] / NC);
     for (int i = 0; i < ROW; i++)
-      mean[i] *= volumes[c] / NC;
+      mean[i] *= share;
     for (int k = 0; k < NC; k++)
     {
-      double* restrict sum = sums + (int64_t)vertices[c * NC + k] * ROW;
+      float* restrict sum = sums + (int64_t)vertices[c * NC + k] * ROW;
       for (int i = 0; i < ROW; i++)
         sum[i] += mean[i];
     }
@@ -105,7 +107,7 @@ int64_t walk(int64_t count, const int32_t* vertices, const double* volumes, cons
   return 0;
 }
 
-static inline void cell_mean(const int32_t* vertices, const double* rows, double mean[DIM][DIM])
+static inline void cell_mean(const int32_t* vertices, const float* rows, double mean[DIM][DIM])
 {
   double sum[NT] = {0};
   int t = 0;
@@ -172,8 +174,8 @@ static inline double component(double M[DIM][DIM], double V[DIM][DIM], int a, in
   return sum;
 }
 
-int64_t at_cells(int64_t count, const int32_t* vertices, const double* density,
-                 const double* metric, double* thickness, double* across, double* along)
+int64_t at_cells(int64_t count, const int32_t* vertices, const float* density,
+                 const float* metric, double* thickness, double* across, double* along)
 {
   double A[DIM][DIM], M[DIM][DIM], V[DIM][DIM];
   for (int64_t c = 0; c < count; c++)

@@ -40,7 +40,6 @@ class Fluctuation(Unknowns):
     ) -> None:
         self.cell, self._dim = cell, int(mesh.geometry.dim)
         super().__init__(mesh, degree, auxiliary_fields)
-        self._x = self.V.tabulate_dof_coordinates()
         self.pinned = self._pinned()
 
     def _pinned(self) -> tuple[IndexArray, IndexArray]:
@@ -97,9 +96,9 @@ class Fluctuation(Unknowns):
     def w_to_u(self) -> None:
         """Makes the displacement of fluctuation and macroscopic displacement."""
         super().w_to_u()
-        self.u.x.array[:] += self.cell.affine_at(self._x).reshape(-1)
+        self.u.x.array[:] += self.cell.affine_at(self.places).reshape(-1)
 
     def u_to_w(self) -> None:
         """Makes the fluctuation of the displacement."""
         assert self._dofs is not None
-        self.w.x.array[self._dofs] = self.u.x.array - self.cell.affine_at(self._x).reshape(-1)
+        self.w.x.array[self._dofs] = self.u.x.array - self.cell.affine_at(self.places).reshape(-1)

@@ -18,10 +18,10 @@ import json
 import logging
 import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -111,14 +111,22 @@ class RunDescription:
     Attributes:
         case: The case file's text; empty for a case with Python functions.
         file: The case file it was read from; empty for one made in Python.
-        mesh: See `checksums.fingerprint`.
+        fingerprint: Makes that of the mesh, see `checksums.fingerprint`. Collective.
         petsc: PETSc options from outside the case.
     """
 
     case: str
     file: str
-    mesh: Mapping[str, Any]
+    fingerprint: Callable[[], Mapping[str, Any]]
     petsc: PetscOptions
+
+    @cached_property
+    def mesh(self) -> Mapping[str, Any]:
+        """The mesh's fingerprint, made once, when it is needed: it takes as long as facets.
+
+        Collective.
+        """
+        return self.fingerprint()
 
 
 class DofOrderings:
@@ -200,6 +208,7 @@ class Checkpoints:
             return
         begin = time.monotonic()
         with stage("output"):
+            mesh = self._run.mesh
             on_root(self._comm, self._begin)
             orders = {
                 name: self._orderings.order(f.function_space) for name, f in restart.fields.items()
@@ -218,7 +227,7 @@ class Checkpoints:
                 "written": datetime.now(UTC).isoformat(timespec="seconds"),
                 "ranks": self._comm.size,
                 "version": __version__,
-                "mesh": self._run.mesh,
+                "mesh": mesh,
                 "case": digest(self._run.case),
                 "case_text": self._run.case,
                 "file": self._run.file,

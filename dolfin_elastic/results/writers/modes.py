@@ -59,7 +59,7 @@ class ModesWriter:
         self.comm, self.path, self.frames = problem.body.comm, path, frames
         self._size = amplitude * max(extent(problem.body))
         self._rows: list[dict[str, object]] = []
-        self._grid = Grid(problem.V)
+        self._grid = Grid(problem.V, problem.places)
         self._data = path.parent / _DATA
         with stage("output"):
             on_root(self.comm, self._clear)

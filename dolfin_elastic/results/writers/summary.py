@@ -114,8 +114,9 @@ class SummaryWriter:
         """Takes the numbers of one step; updates the file if that is due."""
         with timing.stage("output"):
             if self._extremes is None:
-                self._estimator = ErrorEstimator(self.problem) if state.v is None else None
                 self._extremes = Extremes(self.problem)
+                if state.v is None:
+                    self._estimator = ErrorEstimator(self.problem, self._extremes.evaluate.w)
             self._newton += state.newton
             self._krylov += state.krylov
             self._last_state.copy(state)
@@ -124,7 +125,14 @@ class SummaryWriter:
             self._audits.add(state)
             if state.v is None:
                 self._note_largest(state)
+            if self._estimator and state.done >= 1.0 and self._moved(state):
+                self._estimator(state)  # it gives the recovered stress, too
             self._save_if_due()
+
+    def _moved(self, state: State) -> bool:
+        """Whether displacements are not round-off beside the largest of the run."""
+        most = self._largest.get("max_displacement", 0.0)
+        return state.max_displacement >= UNLOADED * most
 
     def _note_largest(self, state: State) -> None:
         """Notes the largest displacement of a run in statics, with its step."""
@@ -145,9 +153,9 @@ class SummaryWriter:
             state: The last one.
             extremes: Its extremes; without them nothing is known.
         """
-        most = self._largest.get("max_displacement", 0.0)
-        if not extremes or state.max_displacement >= UNLOADED * most:
+        if not extremes or self._moved(state):
             return False
+        most = self._largest.get("max_displacement", 0.0)
         stiff = max(shear_modulus(part.typical) for part in self.problem.regions)
         limit = UNLOADED * stiff * most / span(self.problem.body)
         return extremes["von_mises"].value < limit

@@ -389,7 +389,7 @@ class Residual:
         norms = np.linalg.norm(forces.reshape(-1, problem.body.dim), axis=1)
         norms = np.where(np.isfinite(norms), norms, np.inf)
         node = int(np.argmax(norms)) if len(norms) else -1
-        places = problem.unknowns.U.tabulate_dof_coordinates()
+        places = problem.unknowns.unknown_places
         dim = problem.body.dim
         mine = (float(norms[node]), places[node, :dim]) if node >= 0 else (-1.0, np.zeros(dim))
         return max(dofs.comm.allgather(mine), key=lambda pair: pair[0])

@@ -243,7 +243,7 @@ def _largest_motion(
     rows = motion.reshape(-1, dim)
     lengths = np.linalg.norm(rows, axis=1)
     top = largest(comm, float(np.max(lengths, initial=0.0)))
-    places = problem.unknowns.U.tabulate_dof_coordinates()[: len(rows), :dim]
+    places = problem.unknowns.unknown_places[: len(rows), :dim]
     # Nodes that move alike: the same one on any number of ranks.
     near = np.flatnonzero(lengths >= (1 - 1e-3) * top)
     node = min(near, key=lambda n: tuple(places[n].round(12)), default=None)

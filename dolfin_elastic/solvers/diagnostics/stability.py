@@ -336,9 +336,7 @@ def start_vector(assembler: Assembler) -> FloatArray:
     """Owned displacements that have a part in every mode, the same on any number of ranks."""
     problem = assembler.problem
     dim = problem.body.dim
-    x = problem.unknowns.U.tabulate_dof_coordinates()[
-        : len(assembler.displacement_dofs) // dim, :dim
-    ]
+    x = problem.unknowns.unknown_places[: len(assembler.displacement_dofs) // dim, :dim]
     waves = np.sin(1.7 * x.sum(axis=1)[:, None] / span(problem.body) + 2.3 * np.arange(dim))
     return np.asarray((1.0 + waves).ravel())
 

@@ -364,9 +364,8 @@ def uneven(problem: Problem, seed: int) -> FloatArray:
         problem: Whose unknowns and forms.
         seed: Another number gives another vector.
     """
-    dim, U = problem.body.dim, problem.unknowns.U
-    moves = problem.unknowns.displacement_dofs
-    x = U.tabulate_dof_coordinates()[: len(moves) // dim, :dim]
+    dim, moves = problem.body.dim, problem.unknowns.displacement_dofs
+    x = problem.unknowns.unknown_places[: len(moves) // dim, :dim]
     span = largest(problem.body.comm, float(np.max(np.abs(x), initial=0.0))) or 1.0
     waves = np.sin((7.3 + 1.9 * seed) * x @ np.arange(1.0, dim + 1) / span)
     size = problem.W.dofmap.index_map.size_local * problem.W.dofmap.index_map_bs

@@ -327,7 +327,8 @@ class Multigrid:
         """Rigid-body modes at the nodes of linear elements, about the current places."""
         problem, space = self._problem, self._space
         if space is None:
-            modes = mode_values(problem.unknowns.U, problem.unknowns.single_valued)
+            unknowns = problem.unknowns
+            modes = mode_values(unknowns.U, unknowns.single_valued, unknowns.unknown_places)
             return modes if self._order is None else reordered(modes, self._order)
         moved = None
         if problem.cell is None:  # merged nodes of a periodic cell have several places

@@ -159,14 +159,6 @@ class LinearSolver:
             norm = PETSc.KSP.NormType
             self.ksp.setNormType(norm.UNPRECONDITIONED if may_be_last else norm.DEFAULT)
 
-    def release(self) -> None:
-        """Frees multigrid's levels until a next solve, if there is one. Collective."""
-        if isinstance(self._parts, Multigrid):
-            self._prepared, self._rtol = False, 0.0
-            if self._age is not None:
-                self._age.forget()
-            self.ksp.getPC().reset()
-
     def refresh(self) -> None:
         """Rebuilds the preconditioner with the present rigid-body modes. Collective."""
         if self.direct:

@@ -60,6 +60,7 @@ class Statics:
         self.petsc = {**self.linear.petsc, **(petsc or {})}
         self.choice = choose(problem, self.linear)
         self._stepping: LoadStepping | None = None
+        self._end: RestartState | None = None  # of the last state, when the stepping has gone
 
     def steps(
         self, saved: SavedState | None = None, *, near: NearEnd | None = None
@@ -81,6 +82,7 @@ class Statics:
         for dashpot in () if self._preload else self.problem.dashpots:
             log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
         log.info("%s", self.choice.why)
+        last, self._end = None, None
         with ExitStack() as owned:
             assembler = Assembler(self.problem, iterated=in_blocks(self.choice, self.petsc))
             owned.callback(assembler.destroy)
@@ -108,9 +110,12 @@ class Statics:
             owned.callback(self._forget)
             states = owned.enter_context(closing(self._stepping.run(saved, near)))
             for state in states:
-                if state.done >= 1.0:
-                    newton.linear.release()  # nothing is solved any more: room for outputs
-                yield state
+                if state.done < 1.0:
+                    yield state
+                else:
+                    last, self._end = state, self._stepping.restart_state()
+        if last is not None:  # after tangent and multigrid are freed: outputs need the room
+            yield last
 
     def _forget(self) -> None:
         self._stepping = None
@@ -119,11 +124,13 @@ class Statics:
         """See `RestartableSolver`. Collective.
 
         Raises:
-            RuntimeError: `steps` has not begun, or has ended.
+            RuntimeError: `steps` has yielded no state.
         """
-        if self._stepping is None:
-            raise RuntimeError("no state to save: no step has been made, or all have")
-        return self._stepping.restart_state()
+        if self._stepping is not None:
+            return self._stepping.restart_state()
+        if self._end is None:
+            raise RuntimeError("no state to save: no step has been made, or the last one failed")
+        return self._end
 
     def _check_path(self) -> None:
         if self.problem.cell is not None and self.settings.method == "arc-length":

@@ -217,9 +217,8 @@ def names(folder: Path) -> list[str]:
 def several(folder: Path, *steps: int, **keys: Any) -> tuple[Checkpoints, fem.Function]:
     """Checkpoints whose field has the step as its value."""
     u = a_field()
-    to = Checkpoints(
-        WORLD, folder, CheckpointSettings(**keys), RunDescription("x = 1", "", {"cells": 18}, {})
-    )
+    run = RunDescription("x = 1", "", lambda: {"cells": 18}, {})
+    to = Checkpoints(WORLD, folder, CheckpointSettings(**keys), run)
     for step in steps:
         u.x.array[:] = step
         to.save(
@@ -417,7 +416,7 @@ def test_when_checkpoints_are_due(folder: Path, monkeypatch: pytest.MonkeyPatch)
 
     def make(step: int = 0, **keys: Any) -> Checkpoints:
         return Checkpoints(
-            WORLD, folder, CheckpointSettings(**keys), RunDescription("", "", {}, {}), step=step
+            WORLD, folder, CheckpointSettings(**keys), RunDescription("", "", dict, {}), step=step
         )
 
     by_step = make(every=3)

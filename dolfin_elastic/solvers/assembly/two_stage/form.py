@@ -143,7 +143,7 @@ class TwoStageForm(BilinearForm):
         self._rest = None if rest.empty() else found[1]
         self.is_of_moduli = rest.empty() and W is problem.V
         self._terms = [_Term(problem, region) for region in problem.regions]
-        self._nodes = _nodes(problem)
+        self._nodes, self._stride = _nodes(problem), _stride(problem)
         corners = np.ascontiguousarray(mesh.geometry.dofmap, dtype=np.int32)
         self._elements = (corners, mesh.geometry.x, self._nodes)
         self._dim, self._displacements = problem.body.dim, problem.V.dofmap.list.shape[1]
@@ -202,9 +202,10 @@ class TwoStageForm(BilinearForm):
 
     def _touched(self, moved: BoolArray) -> BoolArray:
         """Which cells have an unknown that moves."""
-        found: BoolArray = np.asarray(moved[self._nodes].any(axis=1))
+        first = self._stride * self._nodes
+        found: BoolArray = np.asarray(moved[first].any(axis=1))
         for i in range(1, self._dim):
-            found |= moved[self._nodes[:, : self._displacements] + i].any(axis=1)
+            found |= moved[first[:, : self._displacements] + i].any(axis=1)
         return found
 
     def _find_places(self, matrix: la.MatrixCSR) -> None:
@@ -241,6 +242,7 @@ class _Term:
             pressures = np.ascontiguousarray(tabulated_pressures[0, :, :, 0])
         self.tables = (gradients, pressures, corners, np.ascontiguousarray(weights))
         sizes |= {"NP": pressures.shape[1], "SYMMETRIC": int(problem.symmetric)}
+        sizes |= {"STRIDE": _stride(problem)}
         self.code = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
         self._block = max(1, BLOCK // (len(weights) * int(np.prod(values.ufl_shape))))
 
@@ -291,7 +293,14 @@ def _entries(problem: Problem) -> IndexArray:
 
 
 def _nodes(problem: Problem) -> IndexArray:
-    """First unknown of each node of each cell: of the displacement, then of the pressure."""
+    """What the kernel calls `nodes`, of each cell: of the displacement, then of the pressure."""
+    if problem.W is problem.V:
+        return np.ascontiguousarray(problem.V.dofmap.list, dtype=np.int32)  # DOLFINx's: no copy
     moving = _entries(problem)[:, 0][problem.V.dofmap.list]
-    pressures = [] if problem.W is problem.V else [problem.W.sub(1).dofmap.list]
-    return np.ascontiguousarray(np.concatenate([moving, *pressures], axis=1), dtype=np.int32)
+    pressures = problem.W.sub(1).dofmap.list
+    return np.ascontiguousarray(np.concatenate([moving, pressures], axis=1), dtype=np.int32)
+
+
+def _stride(problem: Problem) -> int:
+    """Unknowns of a node, where the kernel's `nodes` are numbers of nodes; 1: of unknowns."""
+    return problem.body.dim if problem.W is problem.V else 1

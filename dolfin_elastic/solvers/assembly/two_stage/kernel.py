@@ -94,13 +94,19 @@ SOURCE = (
     + ADDING
     + r"""
 /* A cell's nodes are ND of the displacement, of DIM unknowns in a row each, and NP of the pressure.
-   `nodes` has the first unknown of each. */
+   The first unknown of each is STRIDE times what `nodes` has. */
 #define NODES (ND + NP)
 #define SQUARE (DIM * DIM)
 #define UPPER (ND * (ND + 1) / 2)
 #define COUPLINGS (NP == 0 ? 0 : SYMMETRIC ? 1 : 2)
 #define STIFFNESSES (SYMMETRIC ? DIM * (DIM + 1) / 2 * SQUARE : SQUARE * SQUARE)
 #define MODULI (STIFFNESSES + COUPLINGS * SQUARE + (NP > 0))
+
+static inline void first_unknowns(const int32_t* nodes, int32_t* first)
+{
+  for (int a = 0; a < NODES; a++)
+    first[a] = STRIDE * nodes[a];
+}
 
 /* Place of node b's first column within the rows of node a, for all pairs of a cell's nodes.
    Columns are sorted within a row; the rows of a node have the same columns. */
@@ -110,10 +116,10 @@ int64_t find_places(int64_t count, const int32_t* cells, const int32_t* nodes,
   for (int64_t n = 0; n < count; n++)
     for (int a = 0; a < NODES; a++)
     {
-      const int64_t c = cells[n], row = nodes[c * NODES + a];
+      const int64_t c = cells[n], row = STRIDE * nodes[c * NODES + a];
       for (int b = 0; b < NODES; b++)
       {
-        const int32_t column = nodes[c * NODES + b];
+        const int32_t column = STRIDE * nodes[c * NODES + b];
         int64_t low = start[row], high = start[row + 1];
         while (low < high)
         {
@@ -255,7 +261,8 @@ int64_t add_tangent(int64_t count, const int32_t* cells, const int32_t* corners,
   for (int64_t n = 0; n < count; n++)
   {
     const int64_t c = cells[n];
-    const int32_t* node = nodes + c * NODES;
+    int32_t node[NODES];
+    first_unknowns(nodes + c * NODES, node);
     const uint16_t* place = places + c * NODES * NODES;
     element(corners + c * NG, x, moduli + n * NQ * MODULI, tables, pressures, geometry_tables,
             weights, &T);
@@ -291,10 +298,11 @@ int64_t find_upper_places(int64_t count, const int32_t* cells, const int32_t* no
   for (int64_t n = 0; n < count; n++)
   {
     uint16_t* place = places + (int64_t)cells[n] * UPPER;
+    int32_t node[NODES];
+    first_unknowns(nodes + (int64_t)cells[n] * NODES, node);
     for (int a = 0; a < ND; a++)
       for (int b = a; b < ND; b++, place++)
       {
-        const int32_t* node = nodes + (int64_t)cells[n] * NODES;
         const int32_t one = node[a] / DIM, two = node[b] / DIM;
         const int32_t row = one < two ? one : two, column = one < two ? two : one;
         if (row >= owned)
@@ -333,7 +341,8 @@ int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, co
   for (int64_t n = 0; n < count; n++)
   {
     const int64_t c = cells[n];
-    const int32_t* node = nodes + c * NODES;
+    int32_t node[NODES];
+    first_unknowns(nodes + c * NODES, node);
     const uint16_t* place = places + c * UPPER;
     element(corners + c * NG, x, moduli + n * NQ * MODULI, tables, pressures, geometry_tables,
             weights, &T);
@@ -377,7 +386,8 @@ int64_t add_product(int64_t count, const int32_t* cells, const int32_t* corners,
   for (int64_t n = 0; n < count; n++)
   {
     const int64_t c = cells[n];
-    const int32_t* node = nodes + c * NODES;
+    int32_t node[NODES];
+    first_unknowns(nodes + c * NODES, node);
     element(corners + c * NG, x, moduli + n * NQ * MODULI, tables, pressures, geometry_tables,
             weights, &T);
     for (int i = 0; i < DIM; i++)
