@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import ufl
@@ -21,6 +22,22 @@ from dolfin_elastic.results.fields import FIELDS
 if TYPE_CHECKING:
     from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
+
+
+_UNKNOWNS: WeakKeyDictionary[Problem, fem.Function] = WeakKeyDictionary()
+
+
+def unknowns_of_outputs(problem: Problem) -> fem.Function:
+    """The unknowns that the kernels of outputs read: one function for all outputs of a problem.
+
+    Whoever evaluates a state writes it there before.  Collective.
+
+    Args:
+        problem: The problem that is solved.
+    """
+    if problem not in _UNKNOWNS:
+        _UNKNOWNS[problem] = fem.Function(problem.W)
+    return _UNKNOWNS[problem]
 
 
 def cell_components(

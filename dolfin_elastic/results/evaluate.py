@@ -15,7 +15,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel
+from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
 from dolfin_elastic.results.derived.normals import NodalNormals
 from dolfin_elastic.results.fields import FIELDS, RecoveredField, check_field_names
 from dolfin_elastic.results.grid import Grid
@@ -43,12 +43,12 @@ class Evaluator:
     def __init__(self, problem: Problem, names: Iterable[str]) -> None:
         self.problem, self.names = problem, check_field_names(names)
         self.grid = Grid(problem.V, problem.places)
-        self.w = fem.Function(problem.W)
+        self.w = unknowns_of_outputs(problem)
         self.cell_names = tuple(name for name in self.names if _of_cells(name))
         self._kernels = [self._kernel(part) for part in problem.regions] if self.cell_names else []
-        self._error = ErrorEstimator(problem, self.w) if "error" in self.names else None
+        self._error = ErrorEstimator(problem) if "error" in self.names else None
         recovered = any(FIELDS[name].recovered for name in self.names)
-        self._recovery = StressRecovery(problem, self.w) if recovered else None
+        self._recovery = StressRecovery(problem) if recovered else None
         if {"reaction", "residual"} & set(self.names):
             _ = self.residual
         if "normal" in self.names:

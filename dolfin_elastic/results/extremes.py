@@ -43,7 +43,7 @@ class Extremes:
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         self.evaluate = Evaluator(problem, ["displacement", "jacobian"])
-        self._recovery = StressRecovery(problem, self.evaluate.w)
+        self._recovery = StressRecovery(problem)
         self._limited = any(part.law.allowable is not None for part in problem.regions)
 
     def of(self, state: State) -> dict[str, Extreme]:

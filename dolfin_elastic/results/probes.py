@@ -22,7 +22,7 @@ from dolfin_elastic.mesh.geometry.locate import LocatedPoint, locate
 from dolfin_elastic.mesh.selectors import MeshLength, metres
 from dolfin_elastic.problem.loads.edges_points import points_of
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel
+from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
 from dolfin_elastic.results.derived.part_numbers import PartNumbers, Statistic, columns_of
 from dolfin_elastic.results.fields import FIELDS, component_names
 from dolfin_elastic.results.moments import ReferencePoints, columns_of_moments
@@ -487,7 +487,7 @@ class _CellFields:
     ) -> None:
         self.problem, self.places, self.names = problem, places, names
         self.mesh = problem.body.mesh
-        self.w = fem.Function(problem.W)
+        self.w = unknowns_of_outputs(problem)
         self.widths = [FIELDS[name].evaluated for name in names]
         self.corners = fem.functionspace(self.mesh, ("Lagrange", 1)).dofmap
         self.volumes = cell_volumes(self.mesh)

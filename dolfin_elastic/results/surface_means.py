@@ -20,7 +20,7 @@ from dolfin_elastic.mesh.body import span
 from dolfin_elastic.model.dimension import weight
 from dolfin_elastic.problem.spaces import part_nodes
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.results.cell_fields import cell_components
+from dolfin_elastic.results.cell_fields import cell_components, unknowns_of_outputs
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.fields import FIELDS
 
@@ -83,7 +83,7 @@ class SurfaceMean:
             )
         self.problem, self.fields = problem, tuple(fields)
         mesh = problem.body.mesh
-        self._w = fem.Function(problem.W)
+        self._w = unknowns_of_outputs(problem)
         self._nodal = {n: fem.Function(problem.V) for n in self.fields if n in NODAL}
         self._widths = [
             problem.body.dim if name in NODAL else FIELDS[name].columns for name in self.fields

@@ -30,7 +30,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 from dolfin_elastic.model.dimension import weight
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel
+from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.fields import FIELDS, component_names
 
@@ -87,7 +87,7 @@ class PartNumbers:
     ) -> None:
         self.problem, self.kind, self.fields = problem, kind, tuple(fields)
         self.statistics = tuple(statistics)
-        self._w = fem.Function(problem.W)
+        self._w = unknowns_of_outputs(problem)
         self._inside = tuple(name for name in fields if FIELDS[name].formula is not None)
         others = [n for n in fields if n not in self._inside or FIELDS[n].centre == "node"]
         self._evaluator = Evaluator(problem, others) if others else None

@@ -52,6 +52,7 @@ from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw
 from dolfin_elastic.model.materials.mixed import Mixed
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.cell_fields import unknowns_of_outputs
 from dolfin_elastic.results.recovery.patches import ErrorRule, cell_edges
 from dolfin_elastic.results.recovery.stress import (
     COMPONENTS,
@@ -108,12 +109,10 @@ class ErrorEstimator:
 
     Args:
         problem: The problem that is solved.
-        w: All unknowns, if others share them; they are overwritten.
     """
 
-    def __init__(self, problem: Problem, w: fem.Function | None = None) -> None:
-        self._problem = problem
-        self._w = fem.Function(problem.W) if w is None else w
+    def __init__(self, problem: Problem) -> None:
+        self._problem, self._w = problem, unknowns_of_outputs(problem)
 
     @cached_property
     def _regions(self) -> list[_RegionError]:

@@ -13,6 +13,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.geometry.locate import LocatedPoint
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.cell_fields import unknowns_of_outputs
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.recovery.stress import (
     RegionStress,
@@ -59,7 +60,7 @@ class StressAtPoints:
     """
 
     def __init__(self, problem: Problem, places: Mapping[str, LocatedPoint]) -> None:
-        self._w, self._places = fem.Function(problem.W), places
+        self._w, self._places = unknowns_of_outputs(problem), places
         self._element = problem.V.element.basix_element
         comm = problem.body.comm
         self._parts: list[tuple[RegionStress, dict[str, int]]] = []

@@ -30,6 +30,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.cell_fields import unknowns_of_outputs
 from dolfin_elastic.results.fields import FIELDS, SAFEST, cauchy_stress
 from dolfin_elastic.results.recovery.patches import Patches, RawValues, sampling_points
 
@@ -305,11 +306,10 @@ class StressRecovery:
 
     Args:
         problem: The problem that is solved.
-        w: All unknowns, if others share them; they are overwritten.
     """
 
-    def __init__(self, problem: Problem, w: fem.Function | None = None) -> None:
-        self._problem, self._w = problem, fem.Function(problem.W) if w is None else w
+    def __init__(self, problem: Problem) -> None:
+        self._problem, self._w = problem, unknowns_of_outputs(problem)
 
     @cached_property
     def _regions(self) -> list[RegionStress]:

@@ -115,8 +115,7 @@ class SummaryWriter:
         with timing.stage("output"):
             if self._extremes is None:
                 self._extremes = Extremes(self.problem)
-                if state.v is None:
-                    self._estimator = ErrorEstimator(self.problem, self._extremes.evaluate.w)
+                self._estimator = ErrorEstimator(self.problem) if state.v is None else None
             self._newton += state.newton
             self._krylov += state.krylov
             self._last_state.copy(state)
