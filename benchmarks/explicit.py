@@ -27,6 +27,7 @@ from dolfinx import fem, la
 from mpi4py import MPI
 
 from dolfin_elastic import NeoHookean, Problem, box_body
+from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
 from dolfin_elastic.solvers.dynamics.explicit.scheme import CentralDifferences
 
@@ -52,7 +53,8 @@ def measure(n: int) -> None:
     v = fem.Function(problem.V)
     v.interpolate(lambda x: np.array([-x[1], x[0], 0.3 * x[2]]))
     march = Explicit(problem, v, CentralDifferences, end=1e6, dt=None, safety=0.9, every=STEPS)
-    form, u = march.assembler.residual.form, problem.u
+    form = compile_forms(body.comm, [march.assembler.residual.work], problem.jit)[0]
+    u = problem.u
     force = la.vector(problem.V.dofmap.index_map, problem.V.dofmap.index_map_bs)
 
     def bare() -> None:
