@@ -186,6 +186,21 @@ def test_thickness(size: Any, cells: Any, thickness: float) -> None:
     assert middle(found.across / height, found.volumes) == pytest.approx(0.75, rel=0.1)
 
 
+@pytest.mark.parametrize("scale", [1e-9, 1e6])
+def test_thickness_in_any_unit(scale: float) -> None:
+    """Of a body a billionth or a million times as large so much, though volumes are its cube.
+
+    To six of the seven digits of single precision, in which the walk adds up.
+    """
+    none = np.empty(0, dtype=np.int32)
+    one, other = (
+        local_thickness(box_body(size=(8, 2, 0.5), cells=(8, 2, 1), scale=s).mesh, none)
+        for s in (1.0, scale)
+    )
+    for name in ("thickness", "across", "along"):
+        assert getattr(other, name) / scale == pytest.approx(getattr(one, name), rel=1e-6)
+
+
 def test_thickness_beside_a_plane_of_symmetry() -> None:
     """Half a plate is as thick as the whole one."""
     body = rectangle_body(size=(10, 0.5), cells=(20, 1))

@@ -227,6 +227,27 @@ def several(folder: Path, *steps: int, **keys: Any) -> tuple[Checkpoints, fem.Fu
     return to, u
 
 
+def test_the_mesh_has_its_fingerprint_from_the_first_checkpoint_on(folder: Path) -> None:
+    """It takes as long as facets: a run without checkpoints has none, another one a single one."""
+    made: list[int] = []
+
+    def fingerprint() -> dict[str, int]:
+        made.append(1)
+        return {"cells": 18}
+
+    u = a_field()
+    run = RunDescription("x = 1", "", fingerprint, {})
+    to = Checkpoints(WORLD, folder, CheckpointSettings(), run)
+    assert not to.due(State(1, 0.1, u, done=0.1))
+    assert not made
+    for step in (1, 2):
+        to.save(State(step, 0.1 * step, u, done=0.1 * step), RestartState({"u": u}, {}), [])
+    assert len(made) == 1
+    found = newest_checkpoint(WORLD, folder)
+    assert found is not None
+    assert found.content["mesh"] == {"cells": 18}
+
+
 def step_found(folder: Path, u: fem.Function) -> int | None:
     """Step of the newest whole checkpoint, whose field and numbers belong together."""
     found = newest_checkpoint(WORLD, folder)

@@ -30,6 +30,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.nonlinear.newton import Newton
 
 FREE = "free"
 E, NU = 1e6, 0.3
@@ -448,3 +449,30 @@ def test_iterative_and_direct_solvers_agree(comm, dim, degree, law):
         assert second.energies["strain"] == pytest.approx(first.energies["strain"], rel=1e-8)
     # A preconditioner that works: tens of iterations a solve, not hundreds.
     assert second.krylov <= 40 * second.newton
+
+
+# --- memory ---
+
+
+def test_the_solver_is_freed_before_the_last_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Outputs need the room of tangent and multigrid; what a restart needs is still known."""
+    freed: list[int] = []
+    destroy = Newton.destroy
+
+    def noted(self: Newton) -> None:
+        freed.append(1)
+        destroy(self)
+
+    monkeypatch.setattr(Newton, "destroy", noted)
+    body = box_body(size=(2, 1, 1), cells=(2, 1, 1))
+    problem = Problem(
+        body,
+        NeoHookean(E=E, nu=NU),
+        supports=[Support(on="left")],
+        loads=[Traction(on="right", value=[0, 0, -1e3])],
+    )
+    statics = Statics(problem, steps=2)
+    found = [(state.done, len(freed), statics.restart_state()) for state in statics.steps()]
+    assert [(done, count) for done, count, _ in found] == [(0.0, 0), (0.5, 0), (1.0, 1)]
+    assert found[-1][2].numbers["t"] == 1.0
+    assert found[-1][2].fields["unknowns"] is problem.w
