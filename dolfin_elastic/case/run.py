@@ -163,7 +163,8 @@ class _Run:
             body = self.case.read_body(self.comm)
         description = describe_run(self.case, body, self.petsc, before)
         if before is not None:
-            before.check_mesh(description)
+            with timing.stage("mesh"):
+                before.check_mesh(description)
         notes = log_notes(self.case, body)
         problem = self.case.make_problem(body)
         more, sums = check_problem(self.case, problem)
@@ -195,6 +196,7 @@ class _Run:
         )
         # The first state is computed before the folder is made: an error in it leaves none behind.
         first = [] if before else list(islice(probed, 1))
+        modes = any(isinstance(file, Modes) for file in files)  # they follow the last state
         lock.acquire(create=True)
         checkpoints.remove_foreign(new=before is None)
         saved = None if before is None else before.found.content["outputs"]
@@ -202,9 +204,11 @@ class _Run:
             try:
                 for result in chain(first, probed):
                     if not (isinstance(result, State) and result.between):
-                        checkpoints.forget()  # the files are about to be ahead of it
                         give_back()  # what solving needed for the moment
-                        for writer in _in_order(writers):
+                        if isinstance(result, State) and result.done >= 1.0 and not modes:
+                            _prepare(writers, result)
+                        checkpoints.forget()  # the files are about to be ahead of it
+                        for writer in writers:
                             _write(writer, result)
                     checkpoints.save_if_due(result, writers)
                     try:
@@ -231,9 +235,11 @@ def _steps(solver: Solver, problem: Problem, before: Unfinished | None) -> State
     return cast(States, solver.steps(before.found))
 
 
-def _in_order(writers: Iterable[Writer]) -> list[Writer]:
-    """The summary first: its estimate of the last state's error gives others the stress."""
-    return sorted(writers, key=lambda writer: not isinstance(writer, SummaryWriter))
+def _prepare(writers: Iterable[Writer], last: State) -> None:
+    """Has the summary estimate the error of a run's last state before it is written."""
+    for writer in writers:
+        if isinstance(writer, SummaryWriter):
+            writer.prepare(last)
 
 
 def _write(writer: Writer, result: State | Mode) -> None:

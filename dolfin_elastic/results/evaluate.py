@@ -70,7 +70,7 @@ class Evaluator:
 
     @cached_property
     def residual(self) -> fem.Form:
-        """Compiled residual at `w`, the evaluator's unknowns; solvers have the same kernel."""
+        """Compiled residual at `unknowns_of_outputs`; solvers have the same kernel."""
         form = ufl.replace(self.problem.weak_form.residual, {self.problem.w: self.w})
         return compile_forms(self.problem.body.comm, [form], self.problem.jit)[0]
 

@@ -71,7 +71,7 @@ class CFunctions:
             self._known[name] = self._declared(name)
         function, parameters = self._known[name]
         pairs = zip(arguments, parameters, strict=True)
-        return function(*[a if p is None else self._pointer(a, p) for a, p in pairs])
+        return function(*[self._pointer(a, p) if p is not None else a for a, p in pairs])
 
     def _declared(self, name: str) -> tuple[_Function, list[_Parameter | None]]:
         """A function and its parameters; None: no array."""
@@ -87,11 +87,13 @@ class CFunctions:
             parameters.append(_Parameter(dtype, self._ffi.typeof(f"{cname}[]")))
         return cast("_Function", function), parameters
 
-    def _pointer(self, values: int | Array, parameter: _Parameter) -> int | cffi.FFI.CData:
+    def _pointer(self, values: int | Array, parameter: _Parameter) -> cffi.FFI.CData:
         if not isinstance(values, np.ndarray):
-            return values  # which cffi refuses by itself
-        if values.dtype != parameter.dtype or not values.flags.c_contiguous:
-            raise TypeError(f"an array of {values.dtype} for {parameter.dtype}, or one with gaps")
+            raise TypeError(f"{values!r} is no array of {parameter.dtype}")
+        if values.dtype != parameter.dtype:
+            raise TypeError(f"an array of {values.dtype} is none of {parameter.dtype}")
+        if not values.flags.c_contiguous:
+            raise TypeError("the entries of an array do not stand in a row")
         return self._ffi.from_buffer(parameter.kind, values)
 
 

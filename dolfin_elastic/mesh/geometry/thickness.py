@@ -10,7 +10,7 @@ from dolfinx.mesh import Mesh
 
 from dolfin_elastic.core.jit import compile_c, options
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import FloatArray, IndexArray, SingleArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, SingleArray
 from dolfin_elastic.mesh.geometry.curved import cell_volumes, facet_areas
 from dolfin_elastic.mesh.geometry.simplices import (
     boundary_facets,
@@ -59,9 +59,7 @@ def local_thickness(mesh: Mesh, without: IndexArray) -> Thickness:
     faces = np.einsum("f,fi,fj->fij", facet_areas(mesh, facets), normals, normals)
     walk = _Walk(mesh)
     # Single cells of an irregular mesh are oblong at random; their neighbourhood is what bends.
-    return walk.thickness(
-        walk.steps(walk.added(beside, faces), _STEPS - 1), walk.steps(walk.edges, 1)
-    )
+    return walk.thickness(walk.far(walk.added(beside, faces)), walk.step(walk.edges))
 
 
 class _Walk:
@@ -79,25 +77,27 @@ class _Walk:
         self._dim, comm = mesh.topology.dim, mesh.comm
         mesh.topology.create_connectivity(self._dim, 0)
         self._loops = compile_c(comm, DECLARATIONS, SOURCE, {"DIM": self._dim}, options(comm))
-        self._alone = comm.size == 1
-        width = 8 if self._dim == 3 else 4
-        self._sums = la.vector(mesh.topology.index_map(0), width, dtype=np.float32)
+        places, width = mesh.topology.index_map(0), 8 if self._dim == 3 else 4
+        self._shape = places.size_local + places.num_ghosts, width
+        self._sums = {
+            kind: None if comm.size == 1 else la.vector(places, width, dtype=kind)
+            for kind in (np.float64, np.float32)
+        }
         self._vertices = mesh.topology.connectivity(self._dim, 0).array
         self._upper = [(i, j) for j in range(self._dim) for i in range(j + 1)]
         self._volumes = self._volumes_of(mesh)
         count, volume = total(comm, np.array([len(self._volumes), self._volumes.sum()]))
-        self._mean = float(volume) / float(count) if volume > 0 else 1.0
+        self._mean_volume = float(volume) / float(count) if volume > 0 else 1.0
         # Relative to their mean they suit single precision in any unit.
-        self._relative = volumes = self._volumes / self._mean
-        nodes, sums = mesh.geometry.dofmap, self._rows()
+        self._relative_volumes = volumes = self._volumes / self._mean_volume
+        nodes, sums = mesh.geometry.dofmap, self._rows(np.float64)
         where = (nodes.shape[1], nodes, mesh.geometry.x, self._vertices, volumes)
         self._loops.call("add_cells", len(volumes), *where, sums)
         sums = self._gathered(sums)
         around = sums[:, len(self._upper)]
         # A vertex without cells on any rank has no volume, and no cell asks for its mean.
-        filled = np.where(around > 0, around, np.float32(1.0))
-        self._inverse: SingleArray = np.reciprocal(filled)[:, None]
-        self.edges: SingleArray = sums * self._inverse
+        self._inverse: FloatArray = 1 / np.where(around > 0, around, 1.0)[:, None]
+        self.edges: FloatArray = sums * self._inverse
 
     def _volumes_of(self, mesh: Mesh) -> FloatArray:
         """Volumes of the owned cells; of straight ones by the loop: a tenth of the time."""
@@ -108,54 +108,62 @@ class _Walk:
         self._loops.call("take_volumes", owned, nodes.shape[1], nodes, mesh.geometry.x, found)
         return found
 
-    def _rows(self) -> SingleArray:
-        """Zeros for all local vertices."""
-        width = self._sums.block_size
-        return np.zeros((len(self._sums.array) // width, width), dtype=np.float32)
+    def _rows(self, kind: type[np.float64 | np.float32]) -> AnyArray:
+        """Zeros for all local vertices, of some precision."""
+        return np.zeros(self._shape, dtype=kind)
 
-    def _gathered(self, values: SingleArray) -> SingleArray:
+    def _gathered(self, values: AnyArray) -> AnyArray:
         """Sums over the ranks of rows of the vertices."""
-        if self._alone:
+        sums = self._sums[values.dtype.type]
+        if sums is None:
             return values
-        self._sums.array[:] = values.ravel()
-        self._sums.scatter_reverse(la.InsertMode.add)
-        self._sums.scatter_forward()
-        return np.array(self._sums.array).reshape(values.shape)
+        sums.array[:] = values.ravel()
+        sums.scatter_reverse(la.InsertMode.add)
+        sums.scatter_forward()
+        return np.array(sums.array).reshape(values.shape)
 
-    def added(self, cells: IndexArray, tensors: FloatArray) -> SingleArray:
-        """Rows of the vertices: means of tensors that are given as integrals over cells.
+    def added(self, cells: IndexArray, tensors: FloatArray) -> FloatArray:
+        """Rows of the vertices: tensors that are given as integrals over cells, by volume.
 
-        They are times the mean volume of a cell.
+        The volume is one relative to the mean of all cells.
 
         Args:
             cells: Owned cells, repeated or not, shape (n,).
             tensors: Shape (n, d, d).
         """
-        rows = self._rows()
+        rows = self._rows(np.float64)
         around = self._vertices.reshape(-1, self._dim + 1)[cells]
         for column, (i, j) in enumerate(self._upper):
             shares = np.repeat(tensors[:, i, j], self._dim + 1)
             rows[:, column] = np.bincount(around.ravel(), shares, len(rows))
-        return self._gathered(rows) * self._inverse
+        return np.asarray(self._gathered(rows) * self._inverse)
 
-    def steps(self, rows: SingleArray, count: int) -> SingleArray:
-        """Rows of the vertices after further steps."""
-        for _ in range(count):
-            sums = self._rows()
-            where = (self._vertices, self._relative)
-            self._loops.call("walk", len(self._volumes), *where, rows, sums)
-            rows = self._gathered(sums)
-            rows *= self._inverse
-        return rows
+    def step(self, rows: FloatArray) -> FloatArray:
+        """Rows of the vertices after a further step."""
+        sums = self._rows(np.float64)
+        where = (self._vertices, self._relative_volumes)
+        self._loops.call("step", len(self._volumes), *where, rows, sums)
+        return np.asarray(self._gathered(sums) * self._inverse)
 
-    def thickness(self, density: SingleArray, metric: SingleArray) -> Thickness:
+    def far(self, rows: FloatArray) -> SingleArray:
+        """Rows of the vertices after the rest of the steps, in single precision."""
+        found, inverse = rows.astype(np.float32), self._inverse.astype(np.float32)
+        where = (self._vertices, self._relative_volumes)
+        for _ in range(_STEPS - 1):
+            sums = self._rows(np.float32)
+            self._loops.call("rounded_step", len(self._volumes), *where, found, sums)
+            found = self._gathered(sums)
+            found *= inverse
+        return found
+
+    def thickness(self, density: SingleArray, metric: FloatArray) -> Thickness:
         """What follows for each cell from the means of its vertices. Not collective.
 
         Args:
-            density: Of the boundary's n n, times the mean volume of a cell [m^2].
+            density: Of the boundary's n n by relative volume [m^2].
             metric: Of the edges' e e [m^2].
         """
         found = [np.empty(len(self._volumes)) for _ in range(3)]
         self._loops.call("at_cells", len(self._volumes), self._vertices, density, metric, *found)
-        found[0] *= self._mean
+        found[0] *= self._mean_volume
         return Thickness(self._volumes, *found)

@@ -6,16 +6,19 @@ DECLARATIONS = """
 int64_t take_volumes(int64_t count, int64_t width, const int32_t* geometry, const double* x,
                      double* volumes);
 int64_t add_cells(int64_t count, int64_t width, const int32_t* geometry, const double* x,
-                  const int32_t* vertices, const double* volumes, float* sums);
-int64_t walk(int64_t count, const int32_t* vertices, const double* volumes, const float* before,
-             float* sums);
+                  const int32_t* vertices, const double* volumes, double* sums);
+int64_t step(int64_t count, const int32_t* vertices, const double* volumes, const double* before,
+             double* sums);
+int64_t rounded_step(int64_t count, const int32_t* vertices, const double* volumes,
+                     const float* before, float* sums);
 int64_t at_cells(int64_t count, const int32_t* vertices, const float* density,
-                 const float* metric, double* thickness, double* across, double* along);
+                 const double* metric, double* thickness, double* across, double* along);
 """
 
 # DIM. Rows of vertices have the components of a symmetric tensor, column by column of its upper
-# triangle, and are padded to whole vector registers.  They are of single precision: the walk is
-# bound by their memory, and a thickness is wanted to two digits.
+# triangle, and are padded to whole vector registers.  Those of the boundary's density, which walk
+# far, are of single precision: the walk is bound by their memory, and a thickness is wanted to two
+# digits.  Those of the edges are not: across flat cells a component is a small difference.
 SOURCE = r"""
 #include <math.h>
 #include <stdint.h>
@@ -51,7 +54,7 @@ int64_t take_volumes(int64_t count, int64_t width, const int32_t* geometry, cons
 /* Mean over the edges e of each cell of e e, times its volume, and the volume, to its vertices.
    The sum over the edges is DIM + 1 times that over the corners, taken from the barycentre. */
 int64_t add_cells(int64_t count, int64_t width, const int32_t* geometry, const double* x,
-                  const int32_t* vertices, const double* volumes, float* sums)
+                  const int32_t* vertices, const double* volumes, double* sums)
 {
   for (int64_t c = 0; c < count; c++)
   {
@@ -73,51 +76,59 @@ int64_t add_cells(int64_t count, int64_t width, const int32_t* geometry, const d
     found[NT] = volumes[c];
     for (int k = 0; k < NC; k++)
     {
-      float* restrict sum = sums + (int64_t)vertices[c * NC + k] * ROW;
+      double* restrict sum = sums + (int64_t)vertices[c * NC + k] * ROW;
       for (int i = 0; i < ROW; i++)
-        sum[i] += (float)found[i];
+        sum[i] += found[i];
     }
   }
   return 0;
 }
 
 /* The mean of the rows of each cell's vertices, times its volume, to its vertices. */
-int64_t walk(int64_t count, const int32_t* vertices, const double* volumes, const float* before,
-             float* sums)
-{
-  for (int64_t c = 0; c < count; c++)
-  {
-    float mean[ROW] = {0};
-    for (int k = 0; k < NC; k++)
-    {
-      const float* restrict row = before + (int64_t)vertices[c * NC + k] * ROW;
-      for (int i = 0; i < ROW; i++)
-        mean[i] += row[i];
-    }
-    const float share = (float)(volumes[c] / NC);
-    for (int i = 0; i < ROW; i++)
-      mean[i] *= share;
-    for (int k = 0; k < NC; k++)
-    {
-      float* restrict sum = sums + (int64_t)vertices[c * NC + k] * ROW;
-      for (int i = 0; i < ROW; i++)
-        sum[i] += mean[i];
-    }
+#define STEP(NAME, REAL)                                                                          \
+  int64_t NAME(int64_t count, const int32_t* vertices, const double* volumes, const REAL* before, \
+               REAL* sums)                                                                        \
+  {                                                                                               \
+    for (int64_t c = 0; c < count; c++)                                                           \
+    {                                                                                             \
+      REAL mean[ROW] = {0};                                                                       \
+      for (int k = 0; k < NC; k++)                                                                \
+      {                                                                                           \
+        const REAL* restrict row = before + (int64_t)vertices[c * NC + k] * ROW;                  \
+        for (int i = 0; i < ROW; i++)                                                             \
+          mean[i] += row[i];                                                                      \
+      }                                                                                           \
+      const REAL share = (REAL)(volumes[c] / NC);                                                 \
+      for (int i = 0; i < ROW; i++)                                                               \
+        mean[i] *= share;                                                                         \
+      for (int k = 0; k < NC; k++)                                                                \
+      {                                                                                           \
+        REAL* restrict sum = sums + (int64_t)vertices[c * NC + k] * ROW;                          \
+        for (int i = 0; i < ROW; i++)                                                             \
+          sum[i] += mean[i];                                                                      \
+      }                                                                                           \
+    }                                                                                             \
+    return 0;                                                                                     \
   }
-  return 0;
-}
 
-static inline void cell_mean(const int32_t* vertices, const float* rows, double mean[DIM][DIM])
-{
-  double sum[NT] = {0};
-  int t = 0;
-  for (int k = 0; k < NC; k++)
-    for (int i = 0; i < NT; i++)
-      sum[i] += rows[(int64_t)vertices[k] * ROW + i] / NC;
-  for (int j = 0; j < DIM; j++)
-    for (int i = 0; i <= j; i++, t++)
-      mean[i][j] = mean[j][i] = sum[t];
-}
+STEP(step, double)
+STEP(rounded_step, float)
+
+#define CELL_MEAN(NAME, REAL)                                                                     \
+  static inline void NAME(const int32_t* vertices, const REAL* rows, double mean[DIM][DIM])       \
+  {                                                                                               \
+    double sum[NT] = {0};                                                                         \
+    int t = 0;                                                                                    \
+    for (int k = 0; k < NC; k++)                                                                  \
+      for (int i = 0; i < NT; i++)                                                                \
+        sum[i] += rows[(int64_t)vertices[k] * ROW + i] / NC;                                      \
+    for (int j = 0; j < DIM; j++)                                                                 \
+      for (int i = 0; i <= j; i++, t++)                                                           \
+        mean[i][j] = mean[j][i] = sum[t];                                                         \
+  }
+
+CELL_MEAN(cell_mean, double)
+CELL_MEAN(rounded_cell_mean, float)
 
 /* Eigenvalues on the diagonal and eigenvectors in columns, by cyclic rotations of Jacobi:
    G. H. Golub and C. F. Van Loan, Matrix Computations (2013), section 8.5. */
@@ -175,12 +186,12 @@ static inline double component(double M[DIM][DIM], double V[DIM][DIM], int a, in
 }
 
 int64_t at_cells(int64_t count, const int32_t* vertices, const float* density,
-                 const float* metric, double* thickness, double* across, double* along)
+                 const double* metric, double* thickness, double* across, double* along)
 {
   double A[DIM][DIM], M[DIM][DIM], V[DIM][DIM];
   for (int64_t c = 0; c < count; c++)
   {
-    cell_mean(vertices + c * NC, density, A);
+    rounded_cell_mean(vertices + c * NC, density, A);
     cell_mean(vertices + c * NC, metric, M);
     eigenvectors(A, V);
     int top = 0;

@@ -122,7 +122,7 @@ class RunDescription:
 
     @cached_property
     def mesh(self) -> Mapping[str, Any]:
-        """The mesh's fingerprint, made once, when it is needed: it takes as long as facets.
+        """The mesh's fingerprint, made once, when it is needed: few runs write a checkpoint.
 
         Collective.
         """

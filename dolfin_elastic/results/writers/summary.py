@@ -110,12 +110,25 @@ class SummaryWriter:
             on_root(self.comm, lambda: make_folder(path.parent))
             self._save("running")
 
+    def _compile(self, state: State) -> None:
+        if self._extremes is None:
+            self._extremes = Extremes(self.problem)
+            self._estimator = ErrorEstimator(self.problem) if state.v is None else None
+
+    def prepare(self, state: State) -> None:
+        """Estimates the error of the last state of statics before outputs write it.
+
+        So they need not recover its stress, too.  Collective.
+        """
+        with timing.stage("output"):
+            self._compile(state)
+            if self._estimator and self._moved(state):
+                self._estimator(state)
+
     def write(self, state: State) -> None:
         """Takes the numbers of one step; updates the file if that is due."""
         with timing.stage("output"):
-            if self._extremes is None:
-                self._extremes = Extremes(self.problem)
-                self._estimator = ErrorEstimator(self.problem) if state.v is None else None
+            self._compile(state)
             self._newton += state.newton
             self._krylov += state.krylov
             self._last_state.copy(state)
@@ -124,8 +137,6 @@ class SummaryWriter:
             self._audits.add(state)
             if state.v is None:
                 self._note_largest(state)
-            if self._estimator and state.done >= 1.0 and self._moved(state):
-                self._estimator(state)  # it gives the recovered stress, too
             self._save_if_due()
 
     def _moved(self, state: State) -> bool:

@@ -60,7 +60,7 @@ class Statics:
         self.petsc = {**self.linear.petsc, **(petsc or {})}
         self.choice = choose(problem, self.linear)
         self._stepping: LoadStepping | None = None
-        self._end: RestartState | None = None  # of the last state, when the stepping has gone
+        self._end: tuple[State, RestartState] | None = None
 
     def steps(
         self, saved: SavedState | None = None, *, near: NearEnd | None = None
@@ -82,7 +82,16 @@ class Statics:
         for dashpot in () if self._preload else self.problem.dashpots:
             log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
         log.info("%s", self.choice.why)
-        last, self._end = None, None
+        self._end = None
+        yield from self._before_the_last(saved, near)
+        if self._end is not None:
+            yield self._end[0]
+
+    def _before_the_last(self, saved: SavedState | None, near: NearEnd | None) -> Iterator[State]:
+        """All states but the last one, which is left in `_end`. Collective.
+
+        Afterwards nothing of tangent and multigrid is held any more: outputs need the room.
+        """
         with ExitStack() as owned:
             assembler = Assembler(self.problem, iterated=in_blocks(self.choice, self.petsc))
             owned.callback(assembler.destroy)
@@ -113,9 +122,7 @@ class Statics:
                 if state.done < 1.0:
                     yield state
                 else:
-                    last, self._end = state, self._stepping.restart_state()
-        if last is not None:  # after tangent and multigrid are freed: outputs need the room
-            yield last
+                    self._end = state, self._stepping.restart_state()
 
     def _forget(self) -> None:
         self._stepping = None
@@ -124,13 +131,15 @@ class Statics:
         """See `RestartableSolver`. Collective.
 
         Raises:
-            RuntimeError: `steps` has yielded no state.
+            RuntimeError: `steps` has not begun, or has ended before the full load.
         """
         if self._stepping is not None:
             return self._stepping.restart_state()
         if self._end is None:
-            raise RuntimeError("no state to save: no step has been made, or the last one failed")
-        return self._end
+            raise RuntimeError(
+                "no state to save: `steps` has not begun, or has ended before the full load"
+            )
+        return self._end[1]
 
     def _check_path(self) -> None:
         if self.problem.cell is not None and self.settings.method == "arc-length":

@@ -201,6 +201,27 @@ def test_thickness_in_any_unit(scale: float) -> None:
         assert getattr(other, name) / scale == pytest.approx(getattr(one, name), rel=1e-6)
 
 
+def test_thickness_of_a_tilted_foil() -> None:
+    """Cells ten thousand times as long as high, in no plane of the axes.
+
+    The extent across is a difference of numbers 10^8 times as large: nothing of it is left in
+    single precision.
+    """
+    size, cells = (2e4, 2e4, 1.0), (4, 4, 2)
+    none, extents = np.empty(0, dtype=np.int32), []
+    for tilted in (False, True):
+        body = box_body(size=size, cells=cells)
+        if tilted:
+            a, b = np.cos(0.6), np.sin(0.6)
+            turn = np.array([[a, -b, 0], [b, a, 0], [0, 0, 1]]) @ [[a, 0, b], [0, 1, 0], [-b, 0, a]]
+            body.mesh.geometry.x[:] = body.mesh.geometry.x @ turn.T
+        found = local_thickness(body.mesh, none)
+        assert np.isfinite(found.across).all()
+        extents.append(middle(found.across, found.volumes))
+        assert middle(found.thickness, found.volumes) == pytest.approx(1.0, rel=0.01)
+    assert extents[1] == pytest.approx(extents[0], rel=1e-3)
+
+
 def test_thickness_beside_a_plane_of_symmetry() -> None:
     """Half a plate is as thick as the whole one."""
     body = rectangle_body(size=(10, 0.5), cells=(20, 1))

@@ -228,7 +228,7 @@ def several(folder: Path, *steps: int, **keys: Any) -> tuple[Checkpoints, fem.Fu
 
 
 def test_the_mesh_has_its_fingerprint_from_the_first_checkpoint_on(folder: Path) -> None:
-    """It takes as long as facets: a run without checkpoints has none, another one a single one."""
+    """Making it takes time: a run without checkpoints has none, another one a single one."""
     made: list[int] = []
 
     def fingerprint() -> dict[str, int]:

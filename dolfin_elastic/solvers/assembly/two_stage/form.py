@@ -202,10 +202,12 @@ class TwoStageForm(BilinearForm):
 
     def _touched(self, moved: BoolArray) -> BoolArray:
         """Which cells have an unknown that moves."""
-        first = self._stride * self._nodes
-        found: BoolArray = np.asarray(moved[first].any(axis=1))
+        if self._stride > 1:
+            at_nodes: BoolArray = np.asarray(moved.reshape(-1, self._stride).any(axis=1))
+            return np.asarray(at_nodes[self._nodes].any(axis=1))
+        found: BoolArray = np.asarray(moved[self._nodes].any(axis=1))
         for i in range(1, self._dim):
-            found |= moved[first[:, : self._displacements] + i].any(axis=1)
+            found |= moved[self._nodes[:, : self._displacements] + i].any(axis=1)
         return found
 
     def _find_places(self, matrix: la.MatrixCSR) -> None:
@@ -293,7 +295,10 @@ def _entries(problem: Problem) -> IndexArray:
 
 
 def _nodes(problem: Problem) -> IndexArray:
-    """What the kernel calls `nodes`, of each cell: of the displacement, then of the pressure."""
+    """The kernel's `nodes`: numbers of nodes, or first unknowns where there is a pressure.
+
+    Of each cell: those of the displacement, then those of the pressure.
+    """
     if problem.W is problem.V:
         return np.ascontiguousarray(problem.V.dofmap.list, dtype=np.int32)  # DOLFINx's: no copy
     moving = _entries(problem)[:, 0][problem.V.dofmap.list]
@@ -302,5 +307,5 @@ def _nodes(problem: Problem) -> IndexArray:
 
 
 def _stride(problem: Problem) -> int:
-    """Unknowns of a node, where the kernel's `nodes` are numbers of nodes; 1: of unknowns."""
+    """By what the kernel's `nodes` are multiplied to be numbers of first unknowns."""
     return problem.body.dim if problem.W is problem.V else 1
