@@ -108,7 +108,7 @@ def stopped(process: Any, signals: int, number: int = signal.SIGTERM) -> tuple[s
     except subprocess.TimeoutExpired:
         process.kill()
         raise
-    assert process.returncode == 130, (out, err)
+    assert process.returncode == 130, f"{out}\n{err}"
     assert time.monotonic() - begin < AT_ONCE
     assert "Traceback" not in err
     return out, err
@@ -194,7 +194,9 @@ def test_converge(signals: int, tmp_path: Path) -> None:
     assert (written["status"], written["dofs"]) == ("stopped", report["meshes"][0]["unknowns"])
     with started([*PROGRAM, *words], tmp_path, 1) as process:
         until((folder / ".lock").exists, process)
-        (folder / "stop").touch()
+        while process.poll() is None:  # once may be too early: what an earlier user left is removed
+            (folder / "stop").touch()
+            time.sleep(0.05)
         _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert f"there was a file {folder.name}/stop" in err
