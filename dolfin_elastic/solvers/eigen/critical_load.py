@@ -121,7 +121,12 @@ class CriticalLoad:
             eps.setInitialSpace(spaces[0])
             if known:
                 eps.setDeflationSpace(spaces[1:])
-            with stage("solve"), failing(), self._options.in_force(), self._options.input_errors():
+            with (
+                stage("solve"),
+                failing(),
+                self._options.in_force(),
+                self._options.elastic_errors(),
+            ):
                 eps.setFromOptions()
                 solve(eps)
                 self._options.report_unused()

@@ -238,7 +238,7 @@ class Spectrum:
             eps.setDeflationSpace(spaces[1:])
         preconditioned = None
         try:
-            with stage("solve"), failing(), self.options.in_force(), self.options.input_errors():
+            with stage("solve"), failing(), self.options.in_force(), self.options.elastic_errors():
                 eps.setFromOptions()
                 preconditioned = self._prepare(eps.getST(), shift)
                 solve(eps)

@@ -210,7 +210,7 @@ class LinearSolver:
         log.info("the iterative solver failed (%s): factorising", in_words(reason))
         self._assembler.tangent.to_entries()
         self._options.update(factorising(problem.symmetric))
-        with self._options.in_force(), self._options.input_errors():
+        with self._options.in_force(), self._options.elastic_errors():
             self.set_up()
         self.factorise_each_tangent()
         return True

@@ -119,7 +119,7 @@ class Newton:
             python_solver(self.snes, self.bordered, PREFIX + "bordered_")
             self.ksp.setOptionsPrefix(PREFIX)
             self.ksp.setOperators(self.assembler.tangent.matrix)
-        with self.options.in_force(), self.options.input_errors():
+        with self.options.in_force(), self.options.elastic_errors():
             self.snes.setFromOptions()
             self.linear.set_up()
         if not self.choice.direct:
@@ -192,7 +192,7 @@ class Newton:
         with (
             stage("solve"),
             self.options.in_force(snes_linesearch_type=line_search),
-            self.options.input_errors(),
+            self.options.elastic_errors(),
         ):
             self.install_test(max_iterations)
             self.snes.setFromOptions()
@@ -338,7 +338,7 @@ class Newton:
         """
         self._shift_of, self.factorised = None, True
         self._source.get(self._x)
-        with stage("solve"), self.options.in_force(), self.options.input_errors():
+        with stage("solve"), self.options.in_force(), self.options.elastic_errors():
             self._tangent(self.snes, self._x, self._matrix, self._matrix)
             self.ksp.setOperators(self.assembler.tangent.matrix)
             self.ksp.setUp()

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from petsc4py import PETSc
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import ElasticError, InputError
 from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue, refuse_case_keys
 from dolfin_elastic.solvers.petsc.c_api import option_used
 
@@ -18,6 +18,13 @@ log = logging.getLogger("dolfin_elastic")
 def cause_of(error: PETSc.Error) -> str:
     """What PETSc says has gone wrong, without where in its code."""
     return str(error).strip().splitlines()[-1].split("] ", 1)[-1]
+
+
+def _first_cause(error: BaseException) -> BaseException:
+    """What was raised first: functions that PETSc calls may call PETSc themselves."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return error
 
 
 class Options:
@@ -94,18 +101,23 @@ class Options:
         self.all = {**self.all, **defaults, **self.users}
 
     @contextmanager
-    def input_errors(self) -> Iterator[None]:
-        """Lets PETSc's refusal of an option of the user be one message.
+    def elastic_errors(self) -> Iterator[None]:
+        """Lets errors that PETSc hands over be those of this package.
 
         To be used around solves, too: PETSc reads what concerns levels, blocks and factors when
-        it makes them.
+        it makes them.  Of an error raised in a function that PETSc calls, petsc4py makes one of its
+        own.
 
         Raises:
+            ElasticError: A function that PETSc has called raised it.
             InputError: PETSc cannot do what the user's options ask for.
         """
         try:
             yield
         except PETSc.Error as error:
+            first = _first_cause(error)
+            if isinstance(first, ElasticError):
+                raise first from None
             if not self.users or error.ierr in _NO_OPTION:
                 raise
             cause = cause_of(error)

@@ -22,11 +22,11 @@ from dolfin_elastic import (
     Traction,
     rectangle_body,
 )
-from dolfin_elastic.core.errors import CaseError, ConvergenceError, InputError
+from dolfin_elastic.core.errors import CaseError, ConvergenceError, InputError, StoppedError
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.assembly.assembler import Assembler, Tangent
 from dolfin_elastic.solvers.linear import hierarchy
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.linear.ksp import LinearSolver
@@ -398,3 +398,21 @@ def test_the_last_linear_solve_ends_by_the_residual(monkeypatch):
     assert judged[-1] == (True, true_residual)
     assert all((norm == true_residual) == last for last, norm in judged)
     assert [last for last, _ in judged].count(True) == 1
+
+
+@pytest.mark.parametrize("motion", [False, True])
+def test_a_tangent_that_is_stopped_ends_the_run(
+    motion: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where a signal comes while its form is compiled, which is when it is first needed."""
+    problem = block(NeoHookean(E=E, nu=NU, density=1000))
+    analysis = Dynamics(problem, end=1e-3, dt=1e-3) if motion else Statics(problem)
+    states = analysis.steps()
+    next(states)
+
+    def stopped(*given: Any) -> None:
+        raise StoppedError("stopped on request")
+
+    monkeypatch.setattr(Tangent, "assemble", stopped)
+    with pytest.raises(StoppedError):
+        next(states)

@@ -8,8 +8,8 @@ import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.petsc_options import PREFIX
+from dolfin_elastic.core.errors import InputError, StoppedError
+from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions
 from dolfin_elastic.solvers.petsc.options import Options, ksp_reason, snes_reason, ts_reason
 
 
@@ -67,11 +67,31 @@ def test_a_refusal_is_one_message() -> None:
     options = Options({}, {"ksp_type": "conjugate"})
     ksp = PETSc.KSP().create(MPI.COMM_WORLD)
     ksp.setOptionsPrefix(PREFIX)
-    with pytest.raises(InputError) as caught, options.in_force(), options.input_errors():
+    with pytest.raises(InputError) as caught, options.in_force(), options.elastic_errors():
         ksp.setFromOptions()
     ksp.destroy()
     assert "PETSc refuses the option -ksp_type conjugate" in str(caught.value)
     assert not in_database()
+
+
+@pytest.mark.parametrize("given", [{}, {"ksp_rtol": 0.1}])
+def test_an_error_of_a_function_that_petsc_calls_stays_itself(given: PetscOptions) -> None:
+    """A signal amid the compiling of what a residual needs; it was an error of PETSc, code 1."""
+    options, error = Options({}, given), StoppedError("stopped on request")
+    x = PETSc.Vec().createMPI((1, None), comm=MPI.COMM_WORLD)
+    outer, inner = PETSc.SNES().create(MPI.COMM_WORLD), PETSc.SNES().create(MPI.COMM_WORLD)
+
+    def stopped(snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        raise error
+
+    inner.setFunction(stopped, x.duplicate())
+    outer.setFunction(lambda *_: inner.solve(None, x.duplicate()), x.duplicate())
+    for snes in (inner, outer):
+        with pytest.raises(StoppedError) as caught, options.elastic_errors():
+            snes.solve(None, x.duplicate())
+        assert caught.value is error
+    for one in (outer, inner, x):
+        one.destroy()
 
 
 def test_reasons_have_names() -> None:

@@ -209,7 +209,7 @@ class Implicit:
         ts.setSolution2(self._U, self._V)
         self._output = TSOutput(ts, self.options)
         self._owned.callback(self._output.destroy)
-        with self.options.in_force(), self.options.input_errors():
+        with self.options.in_force(), self.options.elastic_errors():
             ts.setFromOptions()
         ts.setErrorIfStepFails(False)
         ts.setPreStep(self._before_step)
@@ -291,7 +291,7 @@ class Implicit:
     def _solve(self) -> None:
         ts = self.ts
         newton, krylov = self.scheme.counts()
-        with stage("solve"), self.options.in_force(), self.options.input_errors():
+        with stage("solve"), self.options.in_force(), self.options.elastic_errors():
             ts.solve()
             while self._failed() and self.scheme.fall_back():
                 ts.setConvergedReason(PETSc.TS.ConvergedReason.CONVERGED_ITERATING)
