@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from click.exceptions import Exit
 
+from dolfin_elastic.cli.early import import_beside_mpi
 from dolfin_elastic.core.errors import SolveError, StoppedError, check_kept
 from dolfin_elastic.core.petsc_options import parse_arguments, start_petsc
 from dolfin_elastic.core.signals import INTERRUPTED, Stop
@@ -78,6 +79,7 @@ def run(
         verbose: Show every trial of a step.
         json: Print the summary at the end, for scripts.
     """
+    import_beside_mpi()
     options, at_start = parse_arguments(petsc or [])
     start_petsc(at_start)
     from dolfin_elastic.case.case import read_case

@@ -14,7 +14,8 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from dolfin_elastic.core.jit.compile import JitOptions, compiling, find_on_all_ranks, roots
+from dolfin_elastic.core.jit.compile import JitOptions, find_on_all_ranks, roots
+from dolfin_elastic.core.timing import stage
 
 Array: TypeAlias = NDArray[np.generic]
 
@@ -131,7 +132,7 @@ def compile_c(
         ffi.set_source(NAME, code, extra_compile_args=flags)
         ffi.compile(tmpdir=str(folder))
 
-    with compiling():
+    with stage("compile"):
         folder = find_on_all_ranks(comm, roots(jit_options), {key: compile_into})[0]
         return CFunctions(_load(next(folder.glob("*.so"))))
 

@@ -65,6 +65,19 @@ def private_folders(name: str) -> list[Path]:
     return [Path(place) / f"dolfin_elastic-{name}" for place in places if Path(place).is_dir()]
 
 
+def find(roots: Sequence[Path], key: str) -> Path | None:
+    """Folder of a form that has been compiled before. Not collective.
+
+    Args:
+        roots: The cache, and folders in its place.
+        key: Name of the form.
+    """
+    for number, root in enumerate(roots):
+        if _is_whole(root / key) and not _foreign(root, private=number > 0):
+            return root / key
+    return None
+
+
 def find_or_compile(roots: Sequence[Path], key: str, compile_into: Compile) -> Path:
     """Folder of a compiled form.  Not collective: no rank waits for another of its run.
 
@@ -77,9 +90,8 @@ def find_or_compile(roots: Sequence[Path], key: str, compile_into: Compile) -> P
         OutputError: It can be compiled in no folder.
         StoppedError: A signal has asked for the end of the run meanwhile.
     """
-    for number, root in enumerate(roots):
-        if _is_whole(root / key) and not _foreign(root, private=number > 0):
-            return root / key
+    if found := find(roots, key):
+        return found
     faults: list[str] = []
     for number, root in enumerate(roots):
         try:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Timer
-from typing import TypeAlias, TypedDict, TypeVar, cast
+from typing import Any, TypeAlias, TypedDict, TypeVar, cast
 from uuid import uuid4
 
 import dolfinx
@@ -27,11 +27,12 @@ from ufl.corealg.traversal import traverse_unique_terminals
 from dolfin_elastic.core.jit.cache import (
     Compile,
     cache_folder,
+    find,
     find_or_compile,
     private_folders,
 )
 from dolfin_elastic.core.jit.processes import NewProcesses
-from dolfin_elastic.core.parallel import agree, on_root
+from dolfin_elastic.core.parallel import agree, on_root, smallest
 from dolfin_elastic.core.signals import interruptible
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
@@ -115,12 +116,10 @@ def compile_forms(
         StoppedError: A signal has asked for the end of the run meanwhile.
         Exception: What the form compiler raised on any rank.
     """
-    with compiling():
+    with stage("compile"):
         found = _compiled(comm, forms, jit_options)
-        return [
-            _on_all_ranks(comm, lambda f=form, o=one: fem.form(f, jit_options=o))  # type: ignore[misc]
-            for form, one in zip(forms, found, strict=True)
-        ]
+        pairs = list(zip(forms, found, strict=True))
+        return _on_all_ranks(comm, lambda: [fem.form(form, jit_options=o) for form, o in pairs])
 
 
 def compile_expression(
@@ -142,7 +141,7 @@ def compile_expression(
     """
     expression = _with_numbered_labels(expression)
     places = np.reshape(points, (-1, np.shape(points)[-1]))  # as `fem.Expression` has them
-    with compiling():
+    with stage("compile"):
         found = _compiled(comm, [(expression, places)], jit_options)[0]
         return _on_all_ranks(comm, lambda: fem.Expression(expression, points, jit_options=found))
 
@@ -188,25 +187,29 @@ def find_on_all_ranks(
 ) -> list[Path]:
     """Folder of each of several compiled forms, see `find_or_compile`. Collective.
 
-    Each rank compiles its share; DOLFINx would compile all on rank 0.  Then each looks for itself:
-    ranks on other machines may have folders of their own.
+    Where any rank misses one, each compiles its share; DOLFINx would compile all on rank 0.  Then
+    each looks for itself: ranks on other machines may have folders of their own.
 
     Args:
         comm: The ranks.
         folders: From `roots`.
         wanted: Name of each form, by all that its code depends on, to what compiles it.
     """
+    before = [folder for key in wanted if (folder := find(folders, key))]
+    if smallest(comm, len(before)) == len(wanted):
+        return before
     every = list(wanted.items())
     mine = every[comm.rank :: comm.size]
-    for share in [mine, every] if comm.size > 1 else [every]:
-        found: list[Path] = []
-        error: Exception | None = None
-        try:
-            with interruptible(NewProcesses().end):
-                found = [find_or_compile(folders, key, compile_) for key, compile_ in share]
-        except Exception as caught:  # raised on all ranks just below
-            error = caught
-        agree(comm, error)
+    with _told_after(SLOW):
+        for share in [mine, every] if comm.size > 1 else [every]:
+            found: list[Path] = []
+            error: Exception | None = None
+            try:
+                with interruptible(NewProcesses().end):
+                    found = [find_or_compile(folders, key, compile_) for key, compile_ in share]
+            except Exception as caught:  # raised on all ranks just below
+                error = caught
+            agree(comm, error)
     return found
 
 
@@ -232,16 +235,33 @@ def _named(form: Compilable, jit_options: JitOptions) -> tuple[str, Compile]:
 
 
 @contextmanager
-def compiling() -> Iterator[None]:
-    """The stage "compile"; a line says what is waited for, be it FFCx, gcc or another rank."""
-    timer = Timer(SLOW, log.info, ["compiling ... (the first run of this form)"])
+def _told_after(seconds: float) -> Iterator[None]:
+    """A line says what is waited for, be it FFCx, gcc or another rank."""
+    timer = Timer(seconds, log.info, ["compiling ... (the first run of this form)"])
     timer.daemon = True  # it keeps no run from its end
-    with stage("compile"):
-        timer.start()
-        try:
-            yield
-        finally:
-            timer.cancel()
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+@contextmanager
+def _each_rank_alone() -> Iterator[None]:
+    """Lets DOLFINx load compiled forms on all ranks at once, not on rank 0 and then on the others.
+
+    It waits for rank 0 to compile them, which has been done here.
+    """
+    together = jit.ffcx_jit
+
+    def alone(comm: MPI.Comm, *given: Any, **named: Any) -> Any:
+        return together(MPI.COMM_SELF, *given, **named)
+
+    jit.ffcx_jit = alone
+    try:
+        yield
+    finally:
+        jit.ffcx_jit = together
 
 
 @contextmanager
@@ -256,11 +276,12 @@ def _root_log_kept() -> Iterator[None]:
 
 
 def _on_all_ranks(comm: MPI.Comm, make: Callable[[], T]) -> T:
-    """Calls a function on every rank; an error of any rank is raised on all. Collective."""
+    """Calls a function of DOLFINx on every rank; all raise the error of any. Collective."""
     error: Exception | None = None
     made: T | None = None
     try:
-        made = make()
+        with _each_rank_alone():
+            made = make()
     except Exception as caught:  # raised on all ranks just below
         error = caught
     agree(comm, error)
