@@ -19,6 +19,7 @@ import typer
 from click.exceptions import ClickException
 
 from dolfin_elastic.cli.converge import converge
+from dolfin_elastic.cli.early import import_early
 from dolfin_elastic.cli.look.command import look
 from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import guard_output
@@ -126,6 +127,7 @@ def check(
         json: Write the report as JSON.
         trust: Let the mesh's script do all that the user may.
     """
+    import_early()
     from mpi4py import MPI
 
     from dolfin_elastic.case.case import read_case

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from click.exceptions import Exit
 
+from dolfin_elastic.cli.early import import_early
 from dolfin_elastic.cli.run import AUDIT_FAILED, Petsc, Quiet, Trust, begin
 from dolfin_elastic.core.errors import StoppedError, check_kept
-from dolfin_elastic.core.petsc_options import parse_arguments, start_petsc
+from dolfin_elastic.core.petsc_options import parse_arguments
 from dolfin_elastic.core.signals import INTERRUPTED, Stop
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def converge(
         quiet: Show warnings and errors only.
     """
     options, at_start = parse_arguments(petsc or [])
-    start_petsc(at_start)
+    import_early(at_start)
     from contextlib import closing
     from dataclasses import replace
 

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from click.exceptions import Exit
 
-from dolfin_elastic.cli.early import import_beside_mpi
+from dolfin_elastic.cli.early import import_early
 from dolfin_elastic.core.errors import SolveError, StoppedError, check_kept
-from dolfin_elastic.core.petsc_options import parse_arguments, start_petsc
+from dolfin_elastic.core.petsc_options import parse_arguments
 from dolfin_elastic.core.signals import INTERRUPTED, Stop
 
 if TYPE_CHECKING:
@@ -79,9 +79,8 @@ def run(
         verbose: Show every trial of a step.
         json: Print the summary at the end, for scripts.
     """
-    import_beside_mpi()
     options, at_start = parse_arguments(petsc or [])
-    start_petsc(at_start)
+    import_early(at_start)
     from dolfin_elastic.case.case import read_case
     from dolfin_elastic.case.run import run as run_case
     from dolfin_elastic.results.writers.summary import mark_stopped
@@ -128,7 +127,7 @@ def restart(
         json: Print the summary at the end, for scripts.
     """
     options, at_start = parse_arguments(petsc or [])
-    start_petsc(at_start)
+    import_early(at_start)
     from dolfin_elastic.case.restart import unfinished
     from dolfin_elastic.case.run import restart as restart_case
     from dolfin_elastic.results.writers.summary import mark_stopped

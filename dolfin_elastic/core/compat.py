@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from dolfinx import cpp, fem
-from dolfinx.fem import petsc as _fem_petsc
 from dolfinx.graph import adjacencylist
 from dolfinx.io import XDMFFile
 from dolfinx.mesh import GhostMode, Mesh, MeshTags, create_cell_partitioner
@@ -170,7 +169,9 @@ def interpolation_matrix(coarse: fem.FunctionSpace, fine: fem.FunctionSpace) -> 
         coarse: Space of the functions: columns of the matrix.
         fine: Space of their interpolants, on the same mesh: rows of the matrix.
     """
-    matrix = _fem_petsc.interpolation_matrix(coarse, fine)
+    from dolfinx.fem import petsc  # 6 ms of each start
+
+    matrix = petsc.interpolation_matrix(coarse, fine)
     matrix.assemble()
     return matrix
 

@@ -13,6 +13,8 @@ int64_t add_spread(int64_t count, const int32_t* cells, const int32_t* geometry,
 int64_t add_products(int64_t count, const int32_t* cells, const int32_t* geometry, const double* x,
                      const double* samples, const int32_t* corners, const double* centres,
                      const double* size, double* sums);
+int64_t invert_products(int64_t count, const double* limit, const double* products,
+                        double* inverses, int8_t* whole);
 int64_t add_gains(int64_t count, const int32_t* cells, const int32_t* geometry, const double* x,
                   const double* samples, const int32_t* corners, const double* centres,
                   const double* size, const double* solve, double* sums);
@@ -119,6 +121,64 @@ int64_t add_products(int64_t count, const int32_t* cells, const int32_t* geometr
             sum[i * NM + j] += weight * p[i] * p[j];
       }
     }
+  }
+  return 0;
+}
+
+/* Inverse of the leading block of a symmetric matrix by A = L L^T, in the leading block of
+   `inverse`; whether the traces of both have a product below the limit. */
+static inline int invert_leading(int kept, double limit, const double* restrict A,
+                                 double* restrict inverse)
+{
+  double L[NM][NM], M[NM][NM] = {{0.0}}, trace = 0.0, of_inverse = 0.0;
+  for (int i = 0; i < kept; i++)
+  {
+    trace += A[i * NM + i];
+    for (int j = 0; j <= i; j++)
+    {
+      double sum = A[i * NM + j];
+      for (int k = 0; k < j; k++)
+        sum -= L[i][k] * L[j][k];
+      if (i == j && !(sum > 0.0))
+        return 0;
+      L[i][j] = i == j ? sqrt(sum) : sum / L[j][j];
+    }
+    M[i][i] = 1.0 / L[i][i]; /* M = 1 / L */
+    for (int j = 0; j < i; j++)
+    {
+      double sum = 0.0;
+      for (int k = j; k < i; k++)
+        sum -= L[i][k] * M[k][j];
+      M[i][j] = sum * M[i][i];
+    }
+    for (int j = 0; j <= i; j++)
+      of_inverse += M[i][j] * M[i][j];
+  }
+  if (!(trace * of_inverse < limit))
+    return 0;
+  for (int i = 0; i < kept; i++)
+    for (int j = 0; j < kept; j++)
+    {
+      double sum = 0.0;
+      for (int k = i > j ? i : j; k < kept; k++)
+        sum += M[k][i] * M[k][j];
+      inverse[i * NM + j] = sum;
+    }
+  return 1;
+}
+
+/* Of each patch, by all monomials, or else by those of the highest degree that can be; the rest of
+   `inverses` is zero. */
+int64_t invert_products(int64_t count, const double* limit, const double* products,
+                        double* inverses, int8_t* whole)
+{
+  for (int64_t v = 0; v < count; v++)
+  {
+    const double* A = products + v * NM * NM;
+    double* inverse = inverses + v * NM * NM;
+    whole[v] = (int8_t)invert_leading(NM, *limit, A, inverse);
+    if (!whole[v] && !(DEGREE > 1 && invert_leading(1 + DIM, *limit, A, inverse)))
+      invert_leading(1, *limit, A, inverse);
   }
   return 0;
 }

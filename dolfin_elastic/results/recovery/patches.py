@@ -40,8 +40,9 @@ from dolfin_elastic.results.recovery.loops import DECLARATIONS, SOURCE
 
 _CHUNK = 2048
 """Cells that are treated at once, which bounds the memory."""
-_REGULAR = 1e-5
-"""Least over largest eigenvalue of the normal equations of a patch with enough points."""
+_REGULAR = 1e5
+"""Trace of the normal equations of a patch with enough points, times that of their inverse: at
+least their condition."""
 _GAIN = 10.0
 """Largest sum of the absolute weights of the points in the value at a vertex: its error is at most
 so many times theirs.  Of one-sided patches of sound meshes it is 3 to 7, of four tetrahedra that
@@ -295,22 +296,14 @@ class Patches:
         Where there is none, it is that of the highest degree for which there is one.
         """
         size, where = len(self._powers), (self._samples, *self._frames)
-        matrices = self._summed(size * size, "add_products", where).reshape(-1, size, size)
-        solve = np.zeros_like(matrices)
-        open_ = np.ones(len(matrices), dtype=bool)
-        for degree in range(self._degree, -1, -1):
-            kept = sum(sum(power) <= degree for power in self._powers)
-            block = matrices[open_, :kept, :kept]
-            values = np.linalg.eigvalsh(block)
-            enough = values[:, 0] > _REGULAR * values[:, -1]
-            rows = np.flatnonzero(open_)[enough]
-            solve[rows, :kept, :kept] = np.linalg.inv(block[enough])
-            open_[rows] = False
-            if degree == self._degree:
-                regular = ~open_
+        products = self._summed(size * size, "add_products", where)
+        solve = np.zeros((len(products), size, size))
+        regular = np.zeros(len(products), dtype=np.int8)
+        most = np.array([_REGULAR])
+        self._loops.call("invert_products", len(products), most, products, solve, regular)
         # Sum of the absolute weights of the points in the value at each vertex.
         gains = self._summed(1, "add_gains", (*where, solve))[:, 0]
-        return solve, regular & (gains < _GAIN)
+        return solve, (regular > 0) & (gains < _GAIN)
 
     # --- patches with too few points ---
 
