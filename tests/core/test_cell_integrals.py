@@ -1,4 +1,4 @@
-"""Integrals over cells by a loop of our own against DOLFINx's assembly of the same form."""
+"""Integrals over cells and values there, by loops of our own, against DOLFINx's of the same."""
 
 from __future__ import annotations
 
@@ -21,8 +21,12 @@ from dolfin_elastic import (
     name_parts,
     rectangle_body,
 )
+from dolfin_elastic.core.jit import compile_expression
+from dolfin_elastic.core.jit.cell_integrals import CellExpression
 from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.solvers.assembly.assembler import compiled, in_cells
+from dolfin_elastic.solvers.assembly.two_stage.form import moduli
 
 COMM = MPI.COMM_WORLD
 SOFT = NeoHookean(E=1.0, nu=0.3, density=1.0)
@@ -54,6 +58,24 @@ def check(problem: Problem, *, by_loop: bool = True) -> None:
     assert stored is not None
     exact = total(COMM, float(fem.assemble_scalar(compiled(problem, [energy])[0])))
     assert total(COMM, stored.value()) == pytest.approx(exact, rel=1e-12)
+    for region in problem.regions:
+        check_values(problem, region, by_loop=by_loop)
+
+
+def check_values(problem: Problem, region: MaterialRegion, *, by_loop: bool) -> None:
+    """Moduli, bit by bit: the kernel is the same, and so is all that it gets."""
+    dim = problem.body.dim
+    points = np.concatenate([np.full((1, dim), 0.25), np.full((1, dim), 0.1)])
+    expression = compile_expression(COMM, moduli(problem, region), points, problem.jit)
+    values = CellExpression(expression, problem.w, problem.jit)
+    assert bool(values._kernel) == by_loop
+    cells = region.cells[::-1]
+    known = expression.eval(problem.body.mesh, cells)
+    assert not known.size or np.any(known)
+    np.testing.assert_array_equal(values.eval(cells), known)
+    room = np.full((len(cells), values.size), np.nan)
+    assert values.eval(cells, room) is room
+    np.testing.assert_array_equal(room, known)
 
 
 @pytest.mark.parametrize("degree", [1, 2])

@@ -1,8 +1,9 @@
-"""Integrals over cells whose only coefficient is the vector of all unknowns.
+"""Integrals and values in cells of what has no coefficient but the vector of all unknowns.
 
-DOLFINx copies the coefficients of all cells before it assembles a form: the displacement of a
-linear tetrahedron takes 96 bytes, more than any other array of a residual, written and read each
-time.  Here the same kernels of FFCx are called by a loop that copies those of one cell.
+DOLFINx copies the coefficients of all cells before it assembles a form or evaluates an expression:
+the displacement of a linear tetrahedron takes 96 bytes, more than any other array of a residual,
+written and read each time.  Here the same kernels of FFCx are called by a loop that copies those of
+one cell.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cffi
 import numpy as np
 from dolfinx import fem
 from dolfinx.cpp.fem import pack_constants
+from ufl.algorithms import extract_coefficients
 
 from dolfin_elastic.core.compat import cells_of_integral
-from dolfin_elastic.core.jit.c_code import compile_c
+from dolfin_elastic.core.jit.c_code import CFunctions, compile_c
 from dolfin_elastic.core.jit.compile import JitOptions
 from dolfin_elastic.core.types import FloatArray, IndexArray
 
@@ -26,6 +29,9 @@ int64_t add_vector(int64_t kernel, int64_t count, const int32_t* cells, const in
 int64_t add_scalar(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
                    const double* x, const int32_t* dofs, const double* unknowns, double* packed,
                    int64_t first, const double* constants, double* out);
+int64_t evaluate(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
+                 const double* x, const int32_t* dofs, const double* unknowns, double* packed,
+                 int64_t first, const double* constants, int64_t size, double* out);
 """
 
 SOURCE = r"""
@@ -86,6 +92,21 @@ int64_t add_scalar(int64_t kernel, int64_t count, const int32_t* cells, const in
   }
   return 0;
 }
+
+int64_t evaluate(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
+                 const double* x, const int32_t* dofs, const double* unknowns, double* packed,
+                 int64_t first, const double* constants, int64_t size, double* out)
+{
+  const tabulate tabulate_cell = (tabulate)(intptr_t)kernel;
+  double y[3 * NG];
+  memset(out, 0, sizeof(double) * size * count);
+  for (int64_t n = 0; n < count; n++)
+  {
+    take_cell(cells[n], corners, x, dofs, unknowns, y, packed + first);
+    CALL(out + n * size, packed, constants, y);
+  }
+  return 0;
+}
 """
 
 
@@ -116,16 +137,11 @@ class CellIntegrals:
 
     def __init__(self, form: fem.Form, w: fem.Function, jit_options: JitOptions) -> None:
         self._form, self._w = form, w
-        mesh, dofmap = w.function_space.mesh, w.function_space.dofmap
         self._integrals, arguments = _kernels(form, w)
         if self._integrals is None:
             return
-        corners, dofs = (np.ascontiguousarray(m) for m in (mesh.geometry.dofmap, dofmap.list))
-        self._elements = corners, mesh.geometry.x, dofs
+        self._elements, self._loops = _loops_over_cells(w, arguments, jit_options)
         self._packed, self._first = _room(form, w)
-        sizes = {"NG": corners.shape[1], "ND": dofs.shape[1], "BS": dofmap.bs}
-        sizes["ARGUMENTS"] = arguments
-        self._loops = compile_c(mesh.comm, DECLARATIONS, SOURCE, sizes, jit_options)
 
     def add_to(self, out: FloatArray) -> None:
         """Adds the vector of a form with a test function. Not collective.
@@ -152,6 +168,75 @@ class CellIntegrals:
         for one in integrals:
             where = (one.kernel, len(one.cells), one.cells)
             self._loops.call(loop, *where, *unknowns, constants, out)
+
+
+class CellExpression:
+    """A compiled expression without arguments, at its points in cells. Collective to make.
+
+    Where it has another coefficient than the unknowns, DOLFINx evaluates it.
+
+    Args:
+        expression: Its points are those of a reference cell.
+        w: The unknowns.
+        jit_options: From `options`.
+
+    Attributes:
+        size: Numbers in a cell: points times components.
+    """
+
+    def __init__(
+        self, expression: fem.Expression, w: fem.Function, jit_options: JitOptions
+    ) -> None:
+        self._expression, self._w = expression, w
+        compiled = expression.ufcx_expression
+        self.size = int(compiled.num_points) * int(expression.value_size)
+        self._kernel = 0
+        positions = compiled.original_coefficient_positions
+        found = extract_coefficients(expression.ufl_expression)
+        others = [i for i in range(compiled.num_coefficients) if found[positions[i]] is not w]
+        if others:
+            return
+        function = compiled.tabulate_tensor_float64
+        self._kernel = int(_ffi.cast("intptr_t", function))
+        arguments = len(_ffi.typeof(function).args)
+        self._elements, self._loops = _loops_over_cells(w, arguments, jit_options)
+        self._packed = np.zeros(w.function_space.element.space_dimension)
+
+    def eval(self, cells: IndexArray, out: FloatArray | None = None) -> FloatArray:
+        """Values in cells, shape (cells, size). Not collective.
+
+        Args:
+            cells: Local cells.
+            out: Room for them, of that shape.
+        """
+        if not self._kernel:
+            return np.asarray(self._expression.eval(self._w.function_space.mesh, cells, out))
+        out = np.empty((len(cells), self.size)) if out is None else out
+        cells = np.ascontiguousarray(cells, dtype=np.int32)
+        constants = pack_constants(self._expression._cpp_object)
+        where = (self._kernel, len(cells), cells, *self._elements, self._w.x.array)
+        self._loops.call("evaluate", *where, self._packed, 0, constants, self.size, out)
+        return out
+
+
+_ffi = cffi.FFI()
+
+
+def _loops_over_cells(
+    w: fem.Function, arguments: int, jit_options: JitOptions
+) -> tuple[tuple[IndexArray, FloatArray, IndexArray], CFunctions]:
+    """Geometry nodes of cells, their places, nodes of unknowns; and the loops. Collective.
+
+    Args:
+        w: The unknowns.
+        arguments: How many FFCx's functions have.
+        jit_options: From `options`.
+    """
+    mesh, dofmap = w.function_space.mesh, w.function_space.dofmap
+    corners, dofs = (np.ascontiguousarray(m) for m in (mesh.geometry.dofmap, dofmap.list))
+    sizes = {"NG": corners.shape[1], "ND": dofs.shape[1], "BS": dofmap.bs, "ARGUMENTS": arguments}
+    loops = compile_c(mesh.comm, DECLARATIONS, SOURCE, sizes, jit_options)
+    return (corners, mesh.geometry.x, dofs), loops
 
 
 def _kernels(form: fem.Form, w: fem.Function) -> tuple[Sequence[_Integral] | None, int]:

@@ -28,6 +28,7 @@ from ufl.classes import Grad
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.jit import compile_expression
+from dolfin_elastic.core.jit.cell_integrals import CellExpression
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import unknowns_of_outputs
@@ -188,7 +189,8 @@ class RegionStress:
         self._constant = plain and _constant_in_cells(columns, w)
         if self._constant:
             everywhere = samples[:1]
-        self._kernel = self._compiled(ufl.as_vector(columns), everywhere)
+        kernel = self._compiled(ufl.as_vector(columns), everywhere)
+        self._kernel = CellExpression(kernel, w, problem.jit)
         self.patches = (
             _patches(problem, region) if cells is None else Patches(problem.V, cells, problem.jit)
         )
@@ -272,8 +274,7 @@ class RegionStress:
 
     def _evaluated(self, part: slice) -> FloatArray:
         cells = self.cells[part]
-        values = np.asarray(self._kernel.eval(self._mesh, cells))
-        return values.reshape(len(cells), -1, self._width)
+        return self._kernel.eval(cells).reshape(len(cells), -1, self._width)
 
     def allowable_at_nodes(self) -> FloatArray:
         """Allowable stress [Pa] at the owned nodes, NaN without. Collective."""

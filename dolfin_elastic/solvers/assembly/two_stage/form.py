@@ -20,6 +20,7 @@ from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.jit import compile_c, compile_expression, compile_forms
+from dolfin_elastic.core.jit.cell_integrals import CellExpression
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.material_regions import MaterialRegion
@@ -231,12 +232,13 @@ class _Term:
 
     def __init__(self, problem: Problem, region: MaterialRegion) -> None:
         mesh, mixed = problem.body.mesh, problem.W is not problem.V
-        self.cells, self._mesh = np.ascontiguousarray(region.cells, dtype=np.int32), mesh
+        self.cells = np.ascontiguousarray(region.cells, dtype=np.int32)
         # At least what integrates the product of two pressures.
         degree = max(2 if mixed else 0, problem.weak_form.rule(region))
         points, weights = basix.make_quadrature(mesh.basix_cell(), degree)
         values = moduli(problem, region)
-        self._moduli = compile_expression(problem.body.comm, values, points, problem.jit)
+        kernel = compile_expression(problem.body.comm, values, points, problem.jit)
+        self._moduli = CellExpression(kernel, problem.w, problem.jit)
         gradients, corners, sizes = tabulated(problem, points)
         pressures = np.zeros((len(weights), 0))
         if mixed:
@@ -246,13 +248,14 @@ class _Term:
         sizes |= {"NP": pressures.shape[1], "SYMMETRIC": int(problem.symmetric)}
         sizes |= {"STRIDE": _stride(problem)}
         self.code = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
-        self._block = max(1, BLOCK // (len(weights) * int(np.prod(values.ufl_shape))))
+        self._block = max(1, BLOCK // self._moduli.size)
 
     def blocks(self, cells: IndexArray) -> Iterator[tuple[IndexArray, FloatArray]]:
-        """Cells, some at a time, with their `moduli` at the points."""
+        """Cells, some at a time, with their `moduli` at the points, until the next ones."""
+        room = np.empty((min(self._block, len(cells)), self._moduli.size))
         for first in range(0, len(cells), self._block):
             some = cells[first : first + self._block]
-            yield some, self._moduli.eval(self._mesh, some)
+            yield some, self._moduli.eval(some, room[: len(some)])
 
 
 def tabulated(
