@@ -268,9 +268,15 @@ def remove_stop_file(folder: Path) -> None:
         (folder / STOP_FILE).unlink(missing_ok=True)
 
 
+_RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID")
+"""Variables in which launchers say what rank a process is."""
+
+
+def launched() -> bool:
+    """Whether a launcher has started this process."""
+    return any(os.environ.get(name, "").isdigit() for name in _RANKS)
+
+
 def launched_rank() -> int:
     """Rank of this process as its launcher says, without starting MPI; 0 without a launcher."""
-    for name in ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID"):
-        if os.environ.get(name, "").isdigit():
-            return int(os.environ[name])
-    return 0
+    return next((int(os.environ[name]) for name in _RANKS if os.environ.get(name, "").isdigit()), 0)
