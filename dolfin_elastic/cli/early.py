@@ -14,7 +14,9 @@ not, and each start waits for them:
   and delayed acknowledgements, RFC 1122, 4.2.3.2).
 
 DOLFINx makes functions of PETSc callable from Numba, whether there is Numba or not: it parses their
-declarations and loads the library once more, 25 ms of each start.  Nothing here calls them.
+declarations and loads the library once more, 25 ms of each start.  Nothing here calls them.  And
+Debian keeps no byte code of DOLFINx's modules, which lie beside PETSc: Python compiles them at each
+start, 30 ms, where it is not told of a folder that it may write to.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
 from socket import AF_INET, AF_INET6, IPPROTO_TCP, SOCK_STREAM, TCP_NODELAY, socket
 from stat import S_ISSOCK
 from types import ModuleType
@@ -38,6 +41,8 @@ _FIRST = ("hashlib", "numpy", "pydantic_core", "uuid", "zoneinfo")
 """Modules with libraries: to load one waits for any that is being loaded."""
 _MEANWHILE = ("dolfin_elastic.core.schema", "ufl")
 """Modules of Python alone, once the first are there."""
+_COMPILED = ("basix.ufl", "ffcx", "cffi", "mpi4py.MPI")
+"""What DOLFINx imports and has byte code."""
 _FOR_NUMBA = "dolfinx.utils"
 
 
@@ -79,12 +84,28 @@ def _import_beside_psm2() -> None:
 
 def _import_dolfinx() -> None:
     """Without its utilities for Numba; who imports them later gets them."""
+    for name in _COMPILED:
+        import_module(name)
     sys.modules[_FOR_NUMBA] = ModuleType(_FOR_NUMBA)
+    before, sys.pycache_prefix = sys.pycache_prefix, sys.pycache_prefix or _byte_code()
     try:
         dolfinx = import_module("dolfinx")
         vars(dolfinx).pop("utils", None)
     finally:
+        sys.pycache_prefix = before
         del sys.modules[_FOR_NUMBA]
+
+
+def _byte_code() -> str | None:
+    """Folder of byte code in the cache; None where others could have written there."""
+    try:
+        root = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+        folder = Path(root) / "dolfin_elastic" / "python"
+        folder.mkdir(parents=True, exist_ok=True)
+        found = folder.stat()
+    except (OSError, RuntimeError):  # there is no home
+        return None
+    return str(folder) if found.st_uid == os.getuid() and not found.st_mode & 0o022 else None
 
 
 def _send_at_once() -> None:
