@@ -22,7 +22,7 @@ from mpi4py import MPI
 from pydantic import PrivateAttr
 
 from dolfin_elastic.case.analysis import ANALYSES, AnalysisTables
-from dolfin_elastic.case.curve_files import with_curves
+from dolfin_elastic.case.curve_files import has_curve_files, with_curves
 from dolfin_elastic.case.model_tables import read_material_tables
 from dolfin_elastic.case.tables import Material, table_of
 from dolfin_elastic.case.toml import read_toml, toml_text
@@ -86,8 +86,11 @@ class Case(AnalysisTables):
         """
         with locate_errors(file):
             case = with_curves(cls(**dict(tables)), Path(folder))
-        case._file, case._folder, case._trusted = file, Path(folder), trust
-        return case
+        return case._from(file, Path(folder), trust)
+
+    def _from(self, file: str, folder: Path, trust: bool) -> Case:
+        self._file, self._folder, self._trusted = file, folder, trust
+        return self
 
     # --- back to text ---
 
@@ -159,9 +162,10 @@ class Case(AnalysisTables):
 def read_case(
     path: str | PathLike[str], *, comm: MPI.Comm = MPI.COMM_WORLD, trust: bool = False
 ) -> Case:
-    """Reads a case file on rank 0 and gives it to all ranks.
+    """Reads a case file, and files that it names, on rank 0. Collective.
 
-    Collective.
+    Each rank makes its own case of what is in them: for that pydantic makes schemas, which every
+    rank needs and which take longer than all the rest.
 
     Args:
         path: A TOML file.
@@ -171,10 +175,13 @@ def read_case(
     Raises:
         InputError: On every rank, with file, dotted key, and what is expected.
     """
-    file = str(path)
-    return on_root(
-        comm, lambda: Case.from_dict(read_toml(file), Path(file).parent, file=file, trust=trust)
-    )
+    file, folder = str(path), Path(path).parent
+    tables = on_root(comm, lambda: read_toml(file))
+    with locate_errors(file):
+        case = Case(**tables)
+        if has_curve_files(case):
+            case = on_root(comm, lambda: with_curves(case, folder))
+    return case._from(file, folder, trust)
 
 
 def read_materials(path: str | PathLike[str]) -> dict[str, Material]:

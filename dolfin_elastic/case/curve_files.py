@@ -46,10 +46,29 @@ def with_curves(case: R, folder: Path) -> R:
     return case.model_copy(update=read) if read else case
 
 
-def _with_curve(row: R, where: str, folder: Path) -> R:
+def has_curve_files(case: Record) -> bool:
+    """Whether `with_curves` reads files.
+
+    Args:
+        case: A record with the keys `CURVED`.
+    """
+    found = [getattr(case, key) for key in CURVED]
+    rows = [row for table in found for row in (table if isinstance(table, list) else [table])]
+    return any(_unread(row) is not None for row in rows)
+
+
+def _unread(row: object) -> Amplitude | None:
+    """The curve of a table whose file is still to be read."""
     curve = getattr(row, "curve", None)
-    if not isinstance(curve, Amplitude) or curve.source is None or curve.rows:
+    found = isinstance(curve, Amplitude) and curve.source is not None and not curve.rows
+    return curve if found else None
+
+
+def _with_curve(row: R, where: str, folder: Path) -> R:
+    curve = _unread(row)
+    if curve is None:
         return row
+    assert curve.source is not None
     try:
         read = curve.with_rows(_columns(curve.source, folder / curve.source.file))
     except InputError as error:
