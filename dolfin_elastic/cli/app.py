@@ -23,11 +23,11 @@ from dolfin_elastic.cli.early import import_early
 from dolfin_elastic.cli.look.command import look
 from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import guard_output
-from dolfin_elastic.cli.report import report
 from dolfin_elastic.cli.run import Trust, collect_garbage, log_to_screen, restart, run
 from dolfin_elastic.cli.tools.convert import convert
 from dolfin_elastic.cli.tools.new import new
 from dolfin_elastic.cli.tools.plot import plot
+from dolfin_elastic.cli.tools.report import report
 from dolfin_elastic.cli.tools.schema import schema
 from dolfin_elastic.cli.tools.verbs import Verbs
 from dolfin_elastic.cli.tools.verify import verify

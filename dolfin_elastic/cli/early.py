@@ -21,7 +21,6 @@ start, 30 ms, where it is not told of a folder that it may write to.
 
 from __future__ import annotations
 
-import ctypes
 import os
 import sys
 import threading
@@ -29,7 +28,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from socket import AF_INET, AF_INET6, IPPROTO_TCP, SOCK_STREAM, TCP_NODELAY, socket
 from stat import S_ISSOCK
 from types import ModuleType
 
@@ -71,6 +69,8 @@ def _on_one_machine() -> bool:
 
 def _import_beside_psm2() -> None:
     """Imports what needs no MPI while libpsm2 sleeps; without that library, too."""
+    import ctypes
+
     for name in _FIRST:
         import_module(name)
     load = ctypes.CDLL(None).dlopen  # which lets other threads go on, as ctypes.CDLL does not
@@ -110,6 +110,8 @@ def _byte_code() -> str | None:
 
 def _send_at_once() -> None:
     """Lets no packet to the launcher wait for the acknowledgement of the one before."""
+    from socket import AF_INET, AF_INET6, IPPROTO_TCP, SOCK_STREAM, TCP_NODELAY, socket
+
     for number in map(int, os.listdir("/proc/self/fd")):
         with suppress(OSError):  # the folder's own is closed
             if S_ISSOCK(os.fstat(number).st_mode):

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from dolfin_elastic import Case, run
-from dolfin_elastic.cli.report import _write
+from dolfin_elastic.cli.tools.report import _write
 from dolfin_elastic.core.errors import InputError, OutputError, SolveError
 from dolfin_elastic.report import pdf
 from dolfin_elastic.report.charts import Axis, Line, line_chart

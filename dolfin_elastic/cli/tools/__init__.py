@@ -1,1 +1,1 @@
-"""Commands that help to begin: new, schema, verify, and names of commands that are misspelt."""
+"""Commands beside computing: to begin with, to convert, and to show what was computed."""

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Timer
-from typing import Any, TypeAlias, TypedDict, TypeVar, cast
+from typing import TypeAlias, TypedDict, TypeVar, cast
 from uuid import uuid4
 
 import dolfinx
@@ -253,11 +253,7 @@ def _each_rank_alone() -> Iterator[None]:
     It waits for rank 0 to compile them, which has been done here.
     """
     together = jit.ffcx_jit
-
-    def alone(comm: MPI.Comm, *given: Any, **named: Any) -> Any:
-        return together(MPI.COMM_SELF, *given, **named)
-
-    jit.ffcx_jit = alone
+    jit.ffcx_jit = lambda comm, *given, **named: together(MPI.COMM_SELF, *given, **named)
     try:
         yield
     finally:

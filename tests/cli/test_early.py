@@ -1,0 +1,108 @@
+"""What is imported first: the same modules, sooner, and nothing left changed behind."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from helpers.processes import started
+
+from dolfin_elastic.cli import early
+
+EARLY = "from dolfin_elastic.cli import early; early.import_early()\n"
+LAUNCHER = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID")
+SIZES = ("OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_LOCAL_SIZE")
+
+
+def told(program: str, folder: Path, ranks: int = 1) -> list[str]:
+    """Lines that a program prints after the early imports."""
+    with started([sys.executable, "-c", EARLY + program], folder, ranks) as process:
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    return out.splitlines()
+
+
+@pytest.mark.usefixtures("serial_only")
+def test_utilities_for_numba_are_there_for_who_asks(tmp_path: Path) -> None:
+    program = """
+import sys, dolfinx
+print("dolfinx.utils" in sys.modules, hasattr(dolfinx, "utils"), sys.pycache_prefix)
+import dolfinx.utils
+print(dolfinx.utils.ctypes_utils is not None, dolfinx.utils.__file__ is not None)
+"""
+    assert told(program, tmp_path) == ["False False None", "True True"]
+
+
+@pytest.mark.usefixtures("serial_only")
+def test_byte_code_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of modules whose own folders have none, in a cache that the test has for itself."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "")
+    for _ in range(2):
+        assert told("print('as ever')", tmp_path) == ["as ever"]
+    files = list((tmp_path / "cache/dolfin_elastic/python").rglob("dolfinx/mesh.*.pyc"))
+    assert len(files) == 1
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o775, 0o755])
+def test_byte_code_that_others_could_write_is_not_taken(
+    mode: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    folder = tmp_path / "dolfin_elastic" / "python"
+    folder.mkdir(parents=True)
+    folder.chmod(mode)
+    assert early._byte_code() == (str(folder) if mode == 0o755 else None)
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    assert early._byte_code() is None
+
+
+@pytest.mark.parametrize(
+    ("given", "one"),
+    [
+        ({}, True),
+        (dict(zip((*LAUNCHER[:1], *SIZES), "022", strict=True)), True),
+        (dict(zip((*LAUNCHER[:1], *SIZES), "042", strict=True)), False),
+        ({"SLURM_PROCID": "3"}, False),  # srun without mpirun says nothing of machines here
+        ({"PMIX_RANK": "0"}, False),
+    ],
+)
+def test_memory_events_stay_where_there_may_be_a_network(
+    given: dict[str, str], one: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in (*LAUNCHER, *SIZES):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in given.items():
+        monkeypatch.setenv(name, value)
+    assert early._on_one_machine() == one
+
+
+@pytest.mark.usefixtures("serial_only")
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_nothing_waits_for_the_launcher(ranks: int, tmp_path: Path) -> None:
+    """Its connection has no delay, and no descriptor is left open."""
+    program = """
+import os, socket, stat
+from contextlib import suppress
+def connections():
+    for name in map(int, os.listdir("/proc/self/fd")):
+        with suppress(OSError):
+            if stat.S_ISSOCK(os.fstat(name).st_mode):
+                yield socket.socket(fileno=os.dup(name))
+def tcp():
+    return [one for one in connections() if one.family == socket.AF_INET]
+before = len(os.listdir("/proc/self/fd"))
+early._send_at_once()
+print(len(os.listdir("/proc/self/fd")) - before,
+      all(one.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) for one in tcp()),
+      os.environ["UCX_MEM_EVENTS"])
+"""
+    assert told(program, tmp_path, ranks) == ["0 True n"] * ranks
+
+
+@pytest.mark.usefixtures("serial_only")
+def test_without_the_library_of_omni_path(tmp_path: Path) -> None:
+    program = "early._SLEEPS = b'libnone.so.0'; early._import_beside_psm2(); print('as ever')"
+    assert told(program, tmp_path) == ["as ever"]
