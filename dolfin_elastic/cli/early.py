@@ -13,10 +13,10 @@ not, and each start waits for them:
   until the first is acknowledged, which the launcher delays for 0.04 s (Nagle's algorithm, RFC 896,
   and delayed acknowledgements, RFC 1122, 4.2.3.2).
 
-DOLFINx makes functions of PETSc callable from Numba, whether there is Numba or not: it parses their
-declarations and loads the library once more, 25 ms of each start.  Nothing here calls them.  And
-Debian keeps no byte code of DOLFINx's modules, which lie beside PETSc: Python compiles them at each
-start, 30 ms, where it is not told of a folder that it may write to.
+DOLFINx 0.9 makes functions of PETSc callable from Numba, whether there is Numba or not: it parses
+their declarations and loads the library once more, 25 ms of each start.  Nothing here calls them.
+And Debian keeps no byte code of DOLFINx's modules, which lie beside PETSc: Python compiles them at
+each start, 30 ms, where it is not told of a folder that it may write to.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from stat import S_ISSOCK
+from stat import S_ISDIR, S_ISSOCK
 from types import ModuleType
 
 from dolfin_elastic.core.petsc_options import start_petsc
@@ -52,11 +52,12 @@ def import_early(at_start: Sequence[str] = ()) -> None:
     """
     if "dolfinx" in sys.modules:
         return
-    if _on_one_machine():
+    alone = _on_one_machine()
+    if alone:
         os.environ.setdefault("UCX_MEM_EVENTS", "n")
     _import_beside_psm2()
     start_petsc(list(at_start))
-    _import_dolfinx()
+    _import_dolfinx(_byte_code() if alone else None)  # not from a disk that all of a cluster share
     if "PMIX_RANK" in os.environ:
         _send_at_once()
 
@@ -76,18 +77,24 @@ def _import_beside_psm2() -> None:
     load = ctypes.CDLL(None).dlopen  # which lets other threads go on, as ctypes.CDLL does not
     load.argtypes, load.restype = (ctypes.c_char_p, ctypes.c_int), ctypes.c_void_p
     loading = threading.Thread(target=load, args=(_SLEEPS, os.RTLD_NOW), daemon=True)
+    # Nothing may change the environment while the library looks at it: pydantic's `schema` would.
+    os.environ.setdefault("PYDANTIC_SKIP_VALIDATING_CORE_SCHEMAS", "1")
     loading.start()
     for name in _MEANWHILE:
         import_module(name)
     loading.join()
 
 
-def _import_dolfinx() -> None:
-    """Without its utilities for Numba; who imports them later gets them."""
+def _import_dolfinx(byte_code: str | None) -> None:
+    """Without its utilities for Numba; who imports them later gets them.
+
+    Args:
+        byte_code: Folder of its modules' byte code; None: beside them, if at all.
+    """
     for name in _COMPILED:
         import_module(name)
     sys.modules[_FOR_NUMBA] = ModuleType(_FOR_NUMBA)
-    before, sys.pycache_prefix = sys.pycache_prefix, sys.pycache_prefix or _byte_code()
+    before, sys.pycache_prefix = sys.pycache_prefix, sys.pycache_prefix or byte_code
     try:
         dolfinx = import_module("dolfinx")
         vars(dolfinx).pop("utils", None)
@@ -98,14 +105,27 @@ def _import_dolfinx() -> None:
 
 def _byte_code() -> str | None:
     """Folder of byte code in the cache; None where others could have written there."""
+    if sys.dont_write_bytecode:
+        return None
     try:
         root = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
         folder = Path(root) / "dolfin_elastic" / "python"
-        folder.mkdir(parents=True, exist_ok=True)
-        found = folder.stat()
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        own = _is_own(folder, 0o022) and _is_own(folder.parent, 0o002)
     except (OSError, RuntimeError):  # there is no home
         return None
-    return str(folder) if found.st_uid == os.getuid() and not found.st_mode & 0o022 else None
+    return str(folder) if own else None
+
+
+def _is_own(folder: Path, of_others: int) -> bool:
+    """Whether a folder is this user's, and no link, and without rights that others must not have.
+
+    Raises:
+        OSError: There is none.
+    """
+    found = folder.lstat()
+    mode = found.st_mode
+    return found.st_uid == os.getuid() and S_ISDIR(mode) and not mode & of_others
 
 
 def _send_at_once() -> None:

@@ -28,8 +28,9 @@ def petsc_errors() -> Iterator[None]:
     try:
         yield
     except SystemError as error:
-        if isinstance(error.__cause__, PETSc.Error):
-            raise error.__cause__ from None
+        cause = error.__cause__
+        if isinstance(cause, PETSc.Error):
+            raise cause from cause.__cause__
         raise
 
 

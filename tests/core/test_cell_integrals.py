@@ -70,7 +70,7 @@ def check_values(problem: Problem, region: MaterialRegion, *, by_loop: bool) -> 
     values = CellExpression(expression, problem.w, problem.jit)
     assert bool(values._kernel) == by_loop
     cells = region.cells[::-1]
-    known = expression.eval(problem.body.mesh, cells)
+    known = expression.eval(problem.body.mesh, cells).reshape(len(cells), values.size)
     assert not known.size or np.any(known)
     np.testing.assert_array_equal(values.eval(cells), known)
     room = np.full((len(cells), values.size), np.nan)

@@ -209,9 +209,11 @@ class CellExpression:
             cells: Local cells.
             out: Room for them, of that shape.
         """
-        if not self._kernel:
-            return np.asarray(self._expression.eval(self._w.function_space.mesh, cells, out))
         out = np.empty((len(cells), self.size)) if out is None else out
+        if not self._kernel:
+            found = self._expression.eval(self._w.function_space.mesh, cells)
+            out[:] = found.reshape(out.shape)  # 0.11 has axes of points and of components
+            return out
         cells = np.ascontiguousarray(cells, dtype=np.int32)
         constants = pack_constants(self._expression._cpp_object)
         where = (self._kernel, len(cells), cells, *self._elements, self._w.x.array)

@@ -118,8 +118,10 @@ def compile_forms(
     """
     with stage("compile"):
         found = _compiled(comm, forms, jit_options)
-        pairs = list(zip(forms, found, strict=True))
-        return _on_all_ranks(comm, lambda: [fem.form(form, jit_options=o) for form, o in pairs])
+        return [
+            _on_all_ranks(comm, lambda f=form, o=one: fem.form(f, jit_options=o))  # type: ignore[misc]
+            for form, one in zip(forms, found, strict=True)
+        ]
 
 
 def compile_expression(

@@ -22,7 +22,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.eigen.mode_shapes import SPARE, complete
-from dolfin_elastic.solvers.eigen.slepc import Pair, failing, negative, solve, uneven
+from dolfin_elastic.solvers.eigen.slepc import Pair, destroy, failing, negative, solve, uneven
 from dolfin_elastic.solvers.linear.choice import Choice
 from dolfin_elastic.solvers.petsc.options import Options
 
@@ -132,8 +132,7 @@ class CriticalLoad:
                 self._options.report_unused()
             return self._pairs(eps)
         finally:
-            for thing in (eps, A, *spaces):
-                thing.destroy()
+            destroy(eps, A, *spaces)
 
     def _prepare(self, eps: SLEPc.EPS, A: PETSc.Mat, count: int) -> None:
         kind = SLEPc.EPS.ProblemType

@@ -14,8 +14,9 @@ Computations (2013), section 8.1.5 (inertia).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from petsc4py import PETSc
@@ -134,6 +135,24 @@ def _no_factors() -> ConvergenceError:
     )
 
 
+class _Freed(Protocol):
+    """What has to be freed."""
+
+    def destroy(self) -> object: ...
+
+
+def destroy(*things: _Freed | None) -> None:
+    """Frees objects. Collective.
+
+    Args:
+        things: A solver among them may have been left by an error, and be freed in part only.
+    """
+    for thing in things:
+        if thing is not None:
+            with suppress(PETSc.Error):
+                thing.destroy()
+
+
 @contextmanager
 def failing() -> Iterator[None]:
     """Converts an error of PETSc inside an eigenvalue solver into `ConvergenceError`.
@@ -245,9 +264,7 @@ class Spectrum:
                 self.options.report_unused()
             return self._pairs(eps, shift, count)
         finally:
-            for thing in (eps, *spaces, preconditioned, self._multigrid):
-                if thing is not None:
-                    thing.destroy()
+            destroy(eps, *spaces, preconditioned, self._multigrid)
             self._multigrid = None
 
     def _solver(self, shift: float, count: int, room: int) -> SLEPc.EPS:

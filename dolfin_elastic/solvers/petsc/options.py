@@ -20,11 +20,12 @@ def cause_of(error: PETSc.Error) -> str:
     return str(error).strip().splitlines()[-1].split("] ", 1)[-1]
 
 
-def _first_cause(error: BaseException) -> BaseException:
-    """What was raised first: functions that PETSc calls may call PETSc themselves."""
-    while error.__cause__ is not None:
-        error = error.__cause__
-    return error
+def _cause_here(error: BaseException) -> ElasticError | None:
+    """This package's error behind one of PETSc: functions that it calls may call it themselves."""
+    cause = error.__cause__
+    while cause is not None and not isinstance(cause, ElasticError):
+        cause = cause.__cause__
+    return cause
 
 
 class Options:
@@ -115,9 +116,8 @@ class Options:
         try:
             yield
         except PETSc.Error as error:
-            first = _first_cause(error)
-            if isinstance(first, ElasticError):
-                raise first from None
+            if ours := _cause_here(error):
+                raise ours from ours.__cause__
             if not self.users or error.ierr in _NO_OPTION:
                 raise
             cause = cause_of(error)

@@ -8,8 +8,10 @@ import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from dolfin_elastic.core.compat import petsc_errors
 from dolfin_elastic.core.errors import InputError, StoppedError
 from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions
+from dolfin_elastic.solvers.eigen.slepc import destroy
 from dolfin_elastic.solvers.petsc.options import Options, ksp_reason, snes_reason, ts_reason
 
 
@@ -92,6 +94,29 @@ def test_an_error_of_a_function_that_petsc_calls_stays_itself(given: PetscOption
         assert caught.value is error
     for one in (outer, inner, x):
         one.destroy()
+
+
+def test_an_error_within_an_eigenvalue_solver_stays_itself() -> None:
+    """slepc4py 3.25 wraps that of PETSc once more."""
+    from slepc4py import SLEPc
+
+    options, error = Options({}, {}), StoppedError("stopped on request")
+    error.__cause__ = OSError("what it came of")
+
+    class Stopped:
+        def mult(self, A: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
+            raise error
+
+    size = ((2, None), (2, None))
+    shell = PETSc.Mat().createPython(size, Stopped(), comm=MPI.COMM_WORLD)
+    shell.setUp()
+    eps = SLEPc.EPS().create(MPI.COMM_WORLD)
+    eps.setOperators(shell)
+    eps.setProblemType(SLEPc.EPS.ProblemType.HEP)
+    with pytest.raises(StoppedError) as caught, options.elastic_errors(), petsc_errors():
+        eps.solve()
+    assert caught.value is error
+    destroy(eps, shell)
 
 
 def test_reasons_have_names() -> None:
