@@ -43,7 +43,7 @@ class Evaluator:
     def __init__(self, problem: Problem, names: Iterable[str]) -> None:
         self.problem, self.names = problem, check_field_names(names)
         self.grid = Grid(problem.V, problem.places)
-        self.w = unknowns_of_outputs(problem)
+        self._w = unknowns_of_outputs(problem)
         self.cell_names = tuple(name for name in self.names if _of_cells(name))
         self._kernels = [self._kernel(part) for part in problem.regions] if self.cell_names else []
         self._error = ErrorEstimator(problem) if "error" in self.names else None
@@ -57,7 +57,7 @@ class Evaluator:
     def _kernel(self, region: MaterialRegion) -> CellKernel | None:
         dim = self.problem.body.dim
         barycentre = np.full((1, dim), 1 / (dim + 1))
-        return cell_kernel(self.problem, region, self.w, self.cell_names, barycentre)
+        return cell_kernel(self.problem, region, self._w, self.cell_names, barycentre)
 
     @property
     def _widths(self) -> list[int]:
@@ -71,7 +71,7 @@ class Evaluator:
     @cached_property
     def residual(self) -> fem.Form:
         """Compiled residual at `unknowns_of_outputs`; solvers have the same kernel."""
-        form = ufl.replace(self.problem.weak_form.residual, {self.problem.w: self.w})
+        form = ufl.replace(self.problem.weak_form.residual, {self.problem.w: self._w})
         return compile_forms(self.problem.body.comm, [form], self.problem.jit)[0]
 
     def __call__(self, state: State, more: Iterable[str] = ()) -> dict[str, AnyArray]:
@@ -88,7 +88,7 @@ class Evaluator:
         Raises:
             InputError: A field of motion is asked for in statics, or the reverse.
         """
-        self.w.x.array[:] = (state.w or state.u).x.array
+        self._w.x.array[:] = (state.w or state.u).x.array
         error = None if self._error is None else self._error(state)
         stress = None if self._recovery is None else self._recovery(state)
         source = StateSource(self, state, self._cells(), stress, error)

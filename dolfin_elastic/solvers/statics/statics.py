@@ -90,7 +90,7 @@ class Statics:
     def _before_the_last(self, saved: SavedState | None, near: NearEnd | None) -> Iterator[State]:
         """All states but the last one, which is left in `_end`. Collective.
 
-        Afterwards nothing of tangent and multigrid is held any more: outputs need the room.
+        Afterwards matrices of tangent and multigrid are freed: outputs need the room.
         """
         with ExitStack() as owned:
             assembler = Assembler(self.problem, iterated=in_blocks(self.choice, self.petsc))
