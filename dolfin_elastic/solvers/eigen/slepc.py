@@ -149,7 +149,7 @@ def destroy(*things: _Freed | None) -> None:
     """
     for thing in things:
         if thing is not None:
-            with suppress(PETSc.Error):
+            with suppress(PETSc.Error), petsc_errors():
                 thing.destroy()
 
 
