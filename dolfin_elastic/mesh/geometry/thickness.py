@@ -91,9 +91,10 @@ class _Walk:
         self._upper = [(i, j) for j in range(self._dim) for i in range(j + 1)]
         self._volumes = self._volumes_of(mesh)
         count, volume = total(comm, np.array([len(self._volumes), self._volumes.sum()]))
-        self._mean_volume = float(volume) / float(count) if volume > 0 else 1.0
-        # Relative to their mean they suit single precision in any unit.
-        self._relative_volumes = volumes = self._volumes / self._mean_volume
+        mean = float(volume) / float(count) if volume > 0 else 1.0
+        # Relative to their mean, and areas to its power, they suit single precision in any unit.
+        self._length = mean ** (1 / self._dim)
+        self._relative_volumes = volumes = self._volumes / mean
         nodes, sums = mesh.geometry.dofmap, self._rows(np.float64)
         where = (nodes.shape[1], nodes, mesh.geometry.x, self._vertices, volumes)
         self._loops.call("add_cells", len(volumes), *where, sums)
@@ -152,7 +153,7 @@ class _Walk:
         return np.asarray(self._gathered(sums) * self._inverse)
 
     def far(self, rows: FloatArray) -> SingleArray:
-        """Rows of the vertices after the rest of the steps, in single precision.
+        """Rows of the vertices after the rest of the steps, in single precision and without unit.
 
         The step is D^-1 B W B^T with positive diagonals D and W, and keeps constants: its
         eigenvalues are in [0, 1], where a polynomial of much lower degree serves for its power.
@@ -165,7 +166,7 @@ class _Walk:
             return np.asarray(self._gathered(sums) * inverse)
 
         weights = _power(_STEPS - 1)
-        before = rows.astype(np.float32)
+        before = (rows / self._length ** (self._dim - 1)).astype(np.float32)
         now = 2 * stepped(before) - before  # Chebyshev polynomials of 2 x - 1
         found = weights[0] * before + weights[1] * now
         inverse *= 4
@@ -182,12 +183,12 @@ class _Walk:
         """What follows for each cell from the means of its vertices. Not collective.
 
         Args:
-            density: Of the boundary's n n by relative volume [m^2].
+            density: Of the boundary's n n by relative volume, as `far` has it.
             metric: Of the edges' e e [m^2].
         """
         found = [np.empty(len(self._volumes)) for _ in range(3)]
         self._loops.call("at_cells", len(self._volumes), self._vertices, density, metric, *found)
-        found[0] *= self._mean_volume
+        found[0] *= self._length
         return Thickness(self._volumes, *found)
 
 

@@ -191,8 +191,7 @@ def test_thickness(size: Any, cells: Any, thickness: float) -> None:
 def test_thickness_in_any_unit(scale: float) -> None:
     """Of a body a billionth or a million times as large so much, though volumes are its cube.
 
-    To what single precision leaves, in which the walk adds up: each of its polynomials takes four
-    times the rounding of a mean, 6e-8, and those that weigh are some eight steps away.
+    To six of the seven digits of single precision, in which the walk adds up.
     """
     none = np.empty(0, dtype=np.int32)
     one, other = (
@@ -200,7 +199,7 @@ def test_thickness_in_any_unit(scale: float) -> None:
         for s in (1.0, scale)
     )
     for name in ("thickness", "across", "along"):
-        assert getattr(other, name) / scale == pytest.approx(getattr(one, name), rel=2e-6)
+        assert getattr(other, name) / scale == pytest.approx(getattr(one, name), rel=1e-6)
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 39])
