@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import sysconfig
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeAlias, cast
 
@@ -45,6 +45,18 @@ class _Parameter(NamedTuple):
 
     dtype: np.dtype[np.generic]
     kind: cffi.FFI.CType
+
+
+class Code(NamedTuple):
+    """Code in C that is made where it is not yet compiled.
+
+    Attributes:
+        key: All that it depends on, the same on all ranks.
+        make: Makes it.
+    """
+
+    key: str
+    make: Callable[[], str]
 
 
 class CFunctions:
@@ -101,7 +113,7 @@ class CFunctions:
 def compile_c(
     comm: MPI.Comm,
     declarations: str,
-    source: str,
+    source: str | Code,
     sizes: Mapping[str, int],
     jit_options: JitOptions,
 ) -> CFunctions:
@@ -110,7 +122,7 @@ def compile_c(
     Args:
         comm: The ranks.
         declarations: Of the functions, for cffi.
-        source: In C.
+        source: In C, the same on all ranks.
         sizes: Macros that the source uses, by name.
         jit_options: From `options`.
 
@@ -118,18 +130,20 @@ def compile_c(
         OutputError: There is no folder for compiled code.
         StoppedError: A signal has asked for the end of the run meanwhile.
     """
-    code = "".join(f"#define {name} {size}\n" for name, size in sizes.items()) + source
+    macros = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
+    plain = source
+    source = Code(plain, lambda: plain) if isinstance(plain, str) else plain
     # Products and sums may be fused; in forms FFCx decides, and gcc fuses by default, too.
     # Vectors are handed on by functions that are all inlined: no ABI is concerned.
     flags = [*jit_options["cffi_extra_compile_args"], "-ffp-contract=fast", "-Wno-psabi"]
     soabi = str(sysconfig.get_config_var("SOABI"))
-    text = "\n".join([declarations, code, *flags, cffi.__version__, soabi])
+    text = "\n".join([declarations, macros + source.key, *flags, cffi.__version__, soabi])
     key = "loops_" + hashlib.sha256(text.encode()).hexdigest()
 
     def compile_into(folder: Path) -> None:
         ffi = cffi.FFI()
         ffi.cdef(declarations)
-        ffi.set_source(NAME, code, extra_compile_args=flags)
+        ffi.set_source(NAME, macros + source.make(), extra_compile_args=flags)
         ffi.compile(tmpdir=str(folder))
 
     with stage("compile"):

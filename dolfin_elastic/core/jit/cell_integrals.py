@@ -3,107 +3,138 @@
 DOLFINx copies the coefficients of all cells before it assembles a form or evaluates an expression:
 the displacement of a linear tetrahedron takes 96 bytes, more than any other array of a residual,
 written and read each time.  Here the same kernels of FFCx are called by a loop that copies those of
-one cell.
+one cell, or, where there are many, of some cells at once, see `lanes`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cffi
 import numpy as np
 from dolfinx import fem
 from dolfinx.cpp.fem import pack_constants
 from ufl.algorithms import extract_coefficients
+from ufl.core.expr import Expr
 
 from dolfin_elastic.core.compat import cells_of_integral
+from dolfin_elastic.core.jit import lanes
 from dolfin_elastic.core.jit.c_code import CFunctions, compile_c
-from dolfin_elastic.core.jit.compile import JitOptions
+from dolfin_elastic.core.jit.compile import JitOptions, expression_and_folder
+from dolfin_elastic.core.jit.lanes import Kernel
 from dolfin_elastic.core.types import FloatArray, IndexArray
 
 DECLARATIONS = """
+int64_t width(void);
 int64_t add_vector(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                   const double* x, const int32_t* dofs, const double* unknowns, double* packed,
-                   int64_t first, const double* constants, double* out);
+                   const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
+                   int64_t first, int64_t known, const double* constants, double* out);
 int64_t add_scalar(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                   const double* x, const int32_t* dofs, const double* unknowns, double* packed,
-                   int64_t first, const double* constants, double* out);
+                   const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
+                   int64_t first, int64_t known, const double* constants, double* out);
 int64_t evaluate(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                 const double* x, const int32_t* dofs, const double* unknowns, double* packed,
-                 int64_t first, const double* constants, int64_t size, double* out);
+                 const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
+                 int64_t first, int64_t known, const double* constants, int64_t size, double* out);
 """
 
-SOURCE = r"""
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
+TAKING = r"""
+#define LANE(values, entry, l) ((values)[(entry) * LANES + (l)])
 
-/* FFCx 0.10 and newer hand on a pointer to the user's data, too. */
-#if ARGUMENTS == 7
-typedef void (*tabulate)(double*, const double*, const double*, const double*, const int*,
-                         const uint8_t*, void*);
-#define CALL(...) tabulate_cell(__VA_ARGS__, NULL, NULL, NULL)
-#else
-typedef void (*tabulate)(double*, const double*, const double*, const double*, const int*,
-                         const uint8_t*);
-#define CALL(...) tabulate_cell(__VA_ARGS__, NULL, NULL)
-#endif
-
-/* Unknowns stand in rows of BS at ND nodes of a cell, its geometry has NG nodes. */
-static inline void take_cell(int64_t c, const int32_t* corners, const double* x,
-                             const int32_t* dofs, const double* unknowns, double* y, double* w)
+static inline void spread(int64_t count, const double* values, double* spread)
 {
-  for (int m = 0; m < NG; m++)
-    memcpy(y + 3 * m, x + 3 * (int64_t)corners[c * NG + m], 3 * sizeof(double));
-  for (int a = 0; a < ND; a++)
-    memcpy(w + BS * a, unknowns + BS * (int64_t)dofs[c * ND + a], BS * sizeof(double));
+  for (int64_t i = 0; i < count; i++)
+    for (int l = 0; l < LANES; l++)
+      LANE(spread, i, l) = values[i];
+}
+
+/* Of the next LANES cells, or of count and the last of them again.  Unknowns stand in rows of BS at
+   ND nodes of a cell, its geometry has NG nodes. */
+static inline void take_cells(int64_t count, const int32_t* cells, const int32_t* corners,
+                              const double* x, const int32_t* dofs, const double* unknowns,
+                              double* y, double* w)
+{
+  for (int l = 0; l < LANES; l++)
+  {
+    const int64_t c = cells[l < count ? l : count - 1];
+    for (int m = 0; m < NG; m++)
+      for (int i = 0; i < 3; i++)
+        LANE(y, 3 * m + i, l) = x[3 * (int64_t)corners[c * NG + m] + i];
+    for (int a = 0; a < ND; a++)
+      for (int i = 0; i < BS; i++)
+        LANE(w, BS * a + i, l) = unknowns[BS * (int64_t)dofs[c * ND + a] + i];
+  }
+}
+"""
+"""After a kernel's code: what it needs to know of cells."""
+
+SOURCE = r"""
+int64_t width(void)
+{
+  return LANES;
 }
 
 int64_t add_vector(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                   const double* x, const int32_t* dofs, const double* unknowns, double* packed,
-                   int64_t first, const double* constants, double* out)
+                   const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
+                   int64_t first, int64_t known, const double* constants, double* out)
 {
-  const tabulate tabulate_cell = (tabulate)(intptr_t)kernel;
-  double y[3 * NG], b[BS * ND];
-  for (int64_t n = 0; n < count; n++)
+  lanes y[3 * NG], w[packed], c[known + 1], b[BS * ND];
+  memset(w, 0, sizeof(w));
+  spread(known, constants, (double*)c);
+  for (int64_t n = 0; n < count; n += LANES)
   {
-    const int64_t c = cells[n];
-    take_cell(c, corners, x, dofs, unknowns, y, packed + first);
+    const int64_t some = count - n < LANES ? count - n : LANES;
+    take_cells(some, cells + n, corners, x, dofs, unknowns, (double*)y, (double*)(w + first));
     memset(b, 0, sizeof(b));
-    CALL(b, packed, constants, y);
-    for (int a = 0; a < ND; a++)
-      for (int i = 0; i < BS; i++)
-        out[BS * (int64_t)dofs[c * ND + a] + i] += b[BS * a + i];
+    TABULATE(b, w, c, y);
+    for (int l = 0; l < some; l++)
+      for (int a = 0; a < ND; a++)
+        for (int i = 0; i < BS; i++)
+          out[BS * (int64_t)dofs[(int64_t)cells[n + l] * ND + a] + i]
+              += LANE((const double*)b, BS * a + i, l);
   }
   return 0;
 }
 
 int64_t add_scalar(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                   const double* x, const int32_t* dofs, const double* unknowns, double* packed,
-                   int64_t first, const double* constants, double* out)
+                   const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
+                   int64_t first, int64_t known, const double* constants, double* out)
 {
-  const tabulate tabulate_cell = (tabulate)(intptr_t)kernel;
-  double y[3 * NG];
-  for (int64_t n = 0; n < count; n++)
+  lanes y[3 * NG], w[packed], c[known + 1], value[1];
+  memset(w, 0, sizeof(w));
+  spread(known, constants, (double*)c);
+  for (int64_t n = 0; n < count; n += LANES)
   {
-    take_cell(cells[n], corners, x, dofs, unknowns, y, packed + first);
-    CALL(out, packed, constants, y);
+    const int64_t some = count - n < LANES ? count - n : LANES;
+    take_cells(some, cells + n, corners, x, dofs, unknowns, (double*)y, (double*)(w + first));
+    memset(value, 0, sizeof(value));
+    TABULATE(value, w, c, y);
+    for (int l = 0; l < some; l++)
+      *out += LANE((const double*)value, 0, l);
   }
   return 0;
 }
 
 int64_t evaluate(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                 const double* x, const int32_t* dofs, const double* unknowns, double* packed,
-                 int64_t first, const double* constants, int64_t size, double* out)
+                 const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
+                 int64_t first, int64_t known, const double* constants, int64_t size, double* out)
 {
-  const tabulate tabulate_cell = (tabulate)(intptr_t)kernel;
-  double y[3 * NG];
-  memset(out, 0, sizeof(double) * size * count);
-  for (int64_t n = 0; n < count; n++)
+  lanes y[3 * NG], w[packed], c[known + 1], room[size];
+  memset(w, 0, sizeof(w));
+  spread(known, constants, (double*)c);
+  for (int64_t n = 0; n < count; n += LANES)
   {
-    take_cell(cells[n], corners, x, dofs, unknowns, y, packed + first);
-    CALL(out + n * size, packed, constants, y);
+    const int64_t some = count - n < LANES ? count - n : LANES;
+    take_cells(some, cells + n, corners, x, dofs, unknowns, (double*)y, (double*)(w + first));
+    double* next = out + n * size;
+    lanes* values = LANES == 1 ? (lanes*)next : room;
+    memset(values, 0, size * sizeof(lanes));
+    TABULATE(values, w, c, y);
+    if (LANES > 1)
+      for (int l = 0; l < some; l++)
+        for (int64_t j = 0; j < size; j++)
+          next[l * size + j] = LANE((const double*)values, j, l);
   }
   return 0;
 }
@@ -115,12 +146,14 @@ class _Integral:
     """One integral of a form.
 
     Attributes:
-        kernel: Address of FFCx's function.
+        kernel: FFCx's function.
         cells: The cells.
+        loops: Over them.
     """
 
-    kernel: int
+    kernel: Kernel
     cells: IndexArray
+    loops: CFunctions
 
 
 class CellIntegrals:
@@ -137,11 +170,15 @@ class CellIntegrals:
 
     def __init__(self, form: fem.Form, w: fem.Function, jit_options: JitOptions) -> None:
         self._form, self._w = form, w
-        self._integrals, arguments = _kernels(form, w)
-        if self._integrals is None:
+        self._integrals: list[_Integral] | None = None
+        if (kernels := _kernels(form, w)) is None:
             return
-        self._elements, self._loops = _loops_over_cells(w, arguments, jit_options)
+        self._elements = _elements(w)
         self._packed, self._first = _room(form, w)
+        self._integrals = [
+            _Integral(kernel, cells, _loops_over_cells(w, kernel, jit_options))
+            for kernel, cells in kernels
+        ]
 
     def add_to(self, out: FloatArray) -> None:
         """Adds the vector of a form with a test function. Not collective.
@@ -166,41 +203,46 @@ class CellIntegrals:
         constants = pack_constants(self._form._cpp_object)
         unknowns = (*self._elements, self._w.x.array, self._packed, self._first)
         for one in integrals:
-            where = (one.kernel, len(one.cells), one.cells)
-            self._loops.call(loop, *where, *unknowns, constants, out)
+            where = (one.kernel.address, len(one.cells), one.cells)
+            one.loops.call(loop, *where, *unknowns, len(constants), constants, out)
 
 
 class CellExpression:
-    """A compiled expression without arguments, at its points in cells. Collective to make.
+    """An expression without arguments, compiled, at points in cells. Collective to make.
 
     Where it has another coefficient than the unknowns, DOLFINx evaluates it.
 
     Args:
-        expression: Its points are those of a reference cell.
+        expression: In UFL.
+        points: Of the reference cell, shape (points, dim).
         w: The unknowns.
         jit_options: From `options`.
 
     Attributes:
         size: Numbers in a cell: points times components.
+        kernel: FFCx's function, which has no coefficient but the unknowns; else None.
+        in_lanes: It has code for several cells at once.
     """
 
     def __init__(
-        self, expression: fem.Expression, w: fem.Function, jit_options: JitOptions
+        self, expression: Expr, points: FloatArray, w: fem.Function, jit_options: JitOptions
     ) -> None:
-        self._expression, self._w = expression, w
-        compiled = expression.ufcx_expression
-        self.size = int(compiled.num_points) * int(expression.value_size)
-        self._kernel = 0
-        positions = compiled.original_coefficient_positions
-        found = extract_coefficients(expression.ufl_expression)
-        others = [i for i in range(compiled.num_coefficients) if found[positions[i]] is not w]
-        if others:
+        comm = w.function_space.mesh.comm
+        self._expression, folder = expression_and_folder(comm, expression, points, jit_options)
+        self._w, self.kernel, self.in_lanes = w, _kernel(self._expression, folder, w), False
+        compiled = self._expression.ufcx_expression
+        self.size = int(compiled.num_points) * int(self._expression.value_size)
+        if self.kernel is None:
             return
-        function = compiled.tabulate_tensor_float64
-        self._kernel = int(_ffi.cast("intptr_t", function))
-        arguments = len(_ffi.typeof(function).args)
-        self._elements, self._loops = _loops_over_cells(w, arguments, jit_options)
-        self._packed = np.zeros(w.function_space.element.space_dimension)
+        self._elements = _elements(w)
+        self._loops = _loops_over_cells(w, self.kernel, jit_options)
+        self._packed = w.function_space.element.space_dimension
+        self.in_lanes = self._loops.call("width") > 1
+
+    @property
+    def constants(self) -> FloatArray:
+        """Values of the constants of the expression."""
+        return pack_constants(self._expression._cpp_object)
 
     def eval(self, cells: IndexArray, out: FloatArray | None = None) -> FloatArray:
         """Values in cells, shape (cells, size). Not collective.
@@ -210,41 +252,73 @@ class CellExpression:
             out: Room for them, of that shape.
         """
         out = np.empty((len(cells), self.size)) if out is None else out
-        if not self._kernel:
+        if self.kernel is None:
             found = self._expression.eval(self._w.function_space.mesh, cells)
             out[:] = found.reshape(out.shape)  # 0.11 has axes of points and of components
             return out
         cells = np.ascontiguousarray(cells, dtype=np.int32)
-        constants = pack_constants(self._expression._cpp_object)
-        where = (self._kernel, len(cells), cells, *self._elements, self._w.x.array)
-        self._loops.call("evaluate", *where, self._packed, 0, constants, self.size, out)
+        constants = self.constants
+        where = (self.kernel.address, len(cells), cells, *self._elements, self._w.x.array)
+        sizes = (self._packed, 0, len(constants))
+        self._loops.call("evaluate", *where, *sizes, constants, self.size, out)
         return out
 
 
 _ffi = cffi.FFI()
 
 
-def _loops_over_cells(
-    w: fem.Function, arguments: int, jit_options: JitOptions
-) -> tuple[tuple[IndexArray, FloatArray, IndexArray], CFunctions]:
-    """Geometry nodes of cells, their places, nodes of unknowns; and the loops. Collective.
+def sizes_of_cells(w: fem.Function) -> dict[str, int]:
+    """Macros that `TAKING` uses.
 
     Args:
         w: The unknowns.
-        arguments: How many FFCx's functions have.
-        jit_options: From `options`.
     """
+    corners, _, dofs = _elements(w)
+    return {"NG": corners.shape[1], "ND": dofs.shape[1], "BS": w.function_space.dofmap.bs}
+
+
+def _elements(w: fem.Function) -> tuple[IndexArray, FloatArray, IndexArray]:
+    """Geometry nodes of cells, their places, nodes of unknowns."""
     mesh, dofmap = w.function_space.mesh, w.function_space.dofmap
     corners, dofs = (np.ascontiguousarray(m) for m in (mesh.geometry.dofmap, dofmap.list))
-    sizes = {"NG": corners.shape[1], "ND": dofs.shape[1], "BS": dofmap.bs, "ARGUMENTS": arguments}
-    loops = compile_c(mesh.comm, DECLARATIONS, SOURCE, sizes, jit_options)
-    return (corners, mesh.geometry.x, dofs), loops
+    return corners, mesh.geometry.x, dofs
 
 
-def _kernels(form: fem.Form, w: fem.Function) -> tuple[Sequence[_Integral] | None, int]:
-    """The integrals of a form, and how many arguments FFCx's functions have.
+def pays(w: fem.Function) -> bool:
+    """Whether there are so many cells that code for several at once pays; the same on all ranks."""
+    mesh = w.function_space.mesh
+    return mesh.topology.index_map(mesh.topology.dim).size_global >= lanes.FROM * mesh.comm.size
 
-    None in place of them where another coefficient than w is in one.
+
+def _loops_over_cells(w: fem.Function, kernel: Kernel, jit_options: JitOptions) -> CFunctions:
+    """The loops for a kernel. Collective.
+
+    Args:
+        w: The unknowns.
+        kernel: FFCx's function.
+        jit_options: From `options`.
+    """
+    code = kernel.code(TAKING + SOURCE, many=pays(w))
+    comm = w.function_space.mesh.comm
+    return compile_c(comm, DECLARATIONS, code, sizes_of_cells(w), jit_options)
+
+
+def _kernel(expression: fem.Expression, folder: Path, w: fem.Function) -> Kernel | None:
+    """The function of a compiled expression; None where it has other coefficients than w."""
+    compiled = expression.ufcx_expression
+    positions = compiled.original_coefficient_positions
+    found = extract_coefficients(expression.ufl_expression)
+    if any(found[positions[i]] is not w for i in range(compiled.num_coefficients)):
+        return None
+    function = compiled.tabulate_tensor_float64
+    address = int(_ffi.cast("intptr_t", function))
+    return Kernel(address, len(_ffi.typeof(function).args), folder, 0)
+
+
+def _kernels(form: fem.Form, w: fem.Function) -> list[tuple[Kernel, IndexArray]] | None:
+    """The functions of a form's integrals, with their cells.
+
+    None where another coefficient than w is in one.
 
     Args:
         form: Of cells.
@@ -252,23 +326,24 @@ def _kernels(form: fem.Form, w: fem.Function) -> tuple[Sequence[_Integral] | Non
     """
     inner, compiled, ffi = form._cpp_object, form.ufcx_form, form.module.ffi
     ours = [one is w._cpp_object for one in inner.coefficients]
-    offsets, found, arguments = compiled.form_integral_offsets, [], 0
+    offsets, found = compiled.form_integral_offsets, []
+    folder = Path(form.module.__file__).parent
     for k in range(offsets[0], offsets[1]):  # those of cells stand first
         integral = compiled.form_integrals[k]
         if any(integral.enabled_coefficients[i] and not own for i, own in enumerate(ours)):
-            return None, 0
+            return None
         function = integral.tabulate_tensor_float64
-        arguments = len(ffi.typeof(function).args)
+        address = int(ffi.cast("intptr_t", function))
         cells = np.ascontiguousarray(cells_of_integral(form, k))
-        found.append(_Integral(int(ffi.cast("intptr_t", function)), cells))
-    return found, arguments
+        found.append((Kernel(address, len(ffi.typeof(function).args), folder, k), cells))
+    return found
 
 
-def _room(form: fem.Form, w: fem.Function) -> tuple[FloatArray, int]:
-    """Room for the coefficients of one cell, and where those of the unknowns begin in it."""
+def _room(form: fem.Form, w: fem.Function) -> tuple[int, int]:
+    """Coefficients of one cell, and where those of the unknowns begin among them."""
     sizes = [c.function_space.element.space_dimension for c in form._cpp_object.coefficients]
     ours = [one is w._cpp_object for one in form._cpp_object.coefficients]
     own = w.function_space.element.space_dimension
     if not any(ours):  # no integral depends on the unknowns
-        return np.zeros(sum(sizes) + own), sum(sizes)
-    return np.zeros(sum(sizes)), sum(sizes[: ours.index(True)])
+        return sum(sizes) + own, sum(sizes)
+    return sum(sizes), sum(sizes[: ours.index(True)])

@@ -141,11 +141,22 @@ def compile_expression(
     Raises:
         Exception: What the form compiler raised on any rank.
     """
+    return expression_and_folder(comm, expression, points, jit_options)[0]
+
+
+def expression_and_folder(
+    comm: MPI.Comm,
+    expression: Expr,
+    points: FloatArray,
+    jit_options: JitOptions,
+) -> tuple[fem.Expression, Path]:
+    """See `compile_expression`; and the folder of its code. Collective."""
     expression = _with_numbered_labels(expression)
     places = np.reshape(points, (-1, np.shape(points)[-1]))  # as `fem.Expression` has them
     with stage("compile"):
         found = _compiled(comm, [(expression, places)], jit_options)[0]
-        return _on_all_ranks(comm, lambda: fem.Expression(expression, points, jit_options=found))
+        made = _on_all_ranks(comm, lambda: fem.Expression(expression, points, jit_options=found))
+    return made, found["cache_dir"]
 
 
 def _with_numbered_labels(expression: Expr) -> Expr:

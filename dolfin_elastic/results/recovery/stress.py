@@ -189,8 +189,7 @@ class RegionStress:
         self._constant = plain and _constant_in_cells(columns, w)
         if self._constant:
             everywhere = samples[:1]
-        kernel = self._compiled(ufl.as_vector(columns), everywhere)
-        self._kernel = CellExpression(kernel, w, problem.jit)
+        self._kernel = CellExpression(ufl.as_vector(columns), everywhere, w, problem.jit)
         self.patches = (
             _patches(problem, region) if cells is None else Patches(problem.V, cells, problem.jit)
         )

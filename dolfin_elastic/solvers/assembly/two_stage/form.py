@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.jit import compile_c, compile_expression, compile_forms
+from dolfin_elastic.core.jit import CFunctions, compile_c, compile_forms
 from dolfin_elastic.core.jit.cell_integrals import CellExpression
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
@@ -28,6 +28,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.weak_form import UNUSED
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, Conditions
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
+from dolfin_elastic.solvers.assembly.two_stage import lanes
 from dolfin_elastic.solvers.assembly.two_stage.kernel import DECLARATIONS, SOURCE
 
 BLOCK = 262144
@@ -184,10 +185,14 @@ class TwoStageForm(BilinearForm):
         blocks.clear()
         fixed = _marked(bcs, self._dim * blocks.halo.size)
         places = (fixed, self._places, n, blocks.start, blocks.high, blocks.low)
+        others = (far.start, far.columns, far.blocks)
         for term in self._terms:
+            if term.in_lanes is not None:
+                arrays = (*self._elements, *term.unknowns(), *places, *others)
+                term.in_lanes.call("add_half", len(term.cells), term.cells, *arrays)
+                continue
             for cells, values in term.blocks(term.cells):
                 arrays = (*self._elements, values, *term.tables, *places)
-                others = (far.start, far.columns, far.blocks)
                 term.code.call("add_half", len(cells), cells, *arrays, *others)
 
     def lift(self, out: FloatArray, bcs: Conditions, values: FloatArray, w: FloatArray) -> None:
@@ -236,9 +241,7 @@ class _Term:
         # At least what integrates the product of two pressures.
         degree = max(2 if mixed else 0, problem.weak_form.rule(region))
         points, weights = basix.make_quadrature(mesh.basix_cell(), degree)
-        values = moduli(problem, region)
-        kernel = compile_expression(problem.body.comm, values, points, problem.jit)
-        self._moduli = CellExpression(kernel, problem.w, problem.jit)
+        self._moduli = CellExpression(moduli(problem, region), points, problem.w, problem.jit)
         gradients, corners, sizes = tabulated(problem, points)
         pressures = np.zeros((len(weights), 0))
         if mixed:
@@ -249,6 +252,20 @@ class _Term:
         sizes |= {"STRIDE": _stride(problem)}
         self.code = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
         self._block = max(1, BLOCK // self._moduli.size)
+        self._w = problem.w
+        self.in_lanes: CFunctions | None = None
+        kernel = self._moduli.kernel
+        if kernel is not None and self._moduli.in_lanes and problem.symmetric and not mixed:
+            code = kernel.code(lanes.SOURCE, many=True)
+            sizes |= {"BS": problem.body.dim}
+            options = problem.jit
+            self.in_lanes = compile_c(mesh.comm, lanes.DECLARATIONS, code, sizes, options)
+
+    def unknowns(self) -> tuple[int | AnyArray, ...]:
+        """What moduli depend on, and the tables, for loops in lanes."""
+        constants = self._moduli.constants
+        gradients, _, corners, weights = self.tables
+        return self._w.x.array, len(constants), constants, gradients, corners, weights
 
     def blocks(self, cells: IndexArray) -> Iterator[tuple[IndexArray, FloatArray]]:
         """Cells, some at a time, with their `moduli` at the points, until the next ones."""
