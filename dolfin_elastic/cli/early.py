@@ -17,15 +17,21 @@ DOLFINx 0.9 makes functions of PETSc callable from Numba, whether there is Numba
 their declarations and loads the library once more, 25 ms of each start.  Nothing here calls them.
 And Debian keeps no byte code of DOLFINx's modules, which lie beside PETSc: Python compiles them at
 each start, 30 ms, where it is not told of a folder that it may write to.
+
+UFL and FFCx ask `importlib.metadata` for their version, which imports readers of mail and archives:
+15 ms.  Basix's elements make a UFL cell, with a cell of each of its faces, edges and vertices, each
+time that they are asked for theirs: 20 ms.
 """
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 import threading
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from stat import S_ISDIR, S_ISSOCK
@@ -37,11 +43,12 @@ from dolfin_elastic.core.signals import launched
 _SLEEPS = b"libpsm2.so.2"
 _FIRST = ("hashlib", "numpy", "pydantic_core", "uuid", "zoneinfo")
 """Modules with libraries: to load one waits for any that is being loaded."""
-_MEANWHILE = ("dolfin_elastic.core.schema", "ufl")
-"""Modules of Python alone, once the first are there."""
+_MEANWHILE = "dolfin_elastic.core.schema"
+"""A module of Python alone, once the first are there; another is UFL."""
 _COMPILED = ("basix.ufl", "ffcx", "cffi", "mpi4py.MPI")
 """What DOLFINx imports and has byte code."""
 _FOR_NUMBA = "dolfinx.utils"
+_METADATA = "importlib.metadata"
 
 
 def import_early(at_start: Sequence[str] = ()) -> None:
@@ -80,8 +87,9 @@ def _import_beside_psm2() -> None:
     # Nothing may change the environment while the library looks at it: pydantic's `schema` would.
     os.environ.setdefault("PYDANTIC_SKIP_VALIDATING_CORE_SCHEMAS", "1")
     loading.start()
-    for name in _MEANWHILE:
-        import_module(name)
+    import_module(_MEANWHILE)
+    with _versions_alone():
+        import_module("ufl")
     loading.join()
 
 
@@ -91,8 +99,10 @@ def _import_dolfinx(byte_code: str | None) -> None:
     Args:
         byte_code: Folder of its modules' byte code; None: beside them, if at all.
     """
-    for name in _COMPILED:
-        import_module(name)
+    with _versions_alone():
+        for name in _COMPILED:
+            import_module(name)
+    _share_cells()
     sys.modules[_FOR_NUMBA] = ModuleType(_FOR_NUMBA)
     before, sys.pycache_prefix = sys.pycache_prefix, sys.pycache_prefix or byte_code
     try:
@@ -101,6 +111,57 @@ def _import_dolfinx(byte_code: str | None) -> None:
     finally:
         sys.pycache_prefix = before
         del sys.modules[_FOR_NUMBA]
+
+
+@contextmanager
+def _versions_alone() -> Iterator[None]:
+    """Gives who asks for `importlib.metadata` one that knows versions; the whole for all else."""
+    if _METADATA in sys.modules:
+        yield
+        return
+    light = ModuleType(_METADATA)
+    vars(light).update(version=_version, __getattr__=_of_metadata)
+    sys.modules[_METADATA] = light
+    vars(importlib)["metadata"] = light
+    try:
+        yield
+    finally:
+        if sys.modules.get(_METADATA) is light:
+            _forget_metadata()
+
+
+def _of_metadata(name: str) -> object:
+    """Whatever else `importlib.metadata` has."""
+    _forget_metadata()
+    return getattr(import_module(_METADATA), name)
+
+
+def _forget_metadata() -> None:
+    sys.modules.pop(_METADATA, None)
+    vars(importlib).pop("metadata", None)
+
+
+def _version(name: str) -> str:
+    """Version of a package, as the first folder of metadata on Python's path says."""
+    start = name.replace("-", "_") + "-"
+    for root in map(Path, sys.path):
+        with suppress(OSError):
+            for folder in sorted(os.listdir(root)):
+                if folder.startswith(start) and folder.endswith(".dist-info"):
+                    for line in (root / folder / "METADATA").read_text("utf-8").splitlines():
+                        if line.startswith("Version: "):
+                            return line.removeprefix("Version: ").strip()
+    _forget_metadata()
+    return str(import_module(_METADATA).version(name))
+
+
+def _share_cells() -> None:
+    """Gives all elements of a shape the same UFL cell, which nothing changes."""
+    from basix.ufl import _ElementBase
+    from ufl import Cell
+
+    made = cache(Cell)
+    _ElementBase.cell = property(lambda element: made(element._cellname))
 
 
 def _byte_code() -> str | None:

@@ -10,11 +10,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import Mesh
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.jit import compile_expression
+from dolfin_elastic.core.jit.cell_integrals import CellExpression
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, once
 from dolfin_elastic.results.fields import FIELDS
@@ -104,13 +103,11 @@ class CellKernel:
     """Compiled fields of cells in one region; evaluating it is not collective.
 
     Attributes:
-        mesh: The body's mesh.
         expression: All components that the law has.
         columns: Their columns in a table with the components of all fields.
     """
 
-    mesh: Mesh
-    expression: fem.Expression
+    expression: CellExpression
     columns: IntArray
 
     def __call__(self, cells: IndexArray) -> AnyArray:
@@ -122,8 +119,7 @@ class CellKernel:
         Returns:
             Shape (cells, points, columns).
         """
-        values = self.expression.eval(self.mesh, cells)
-        return np.asarray(values).reshape(len(cells), -1, len(self.columns))
+        return self.expression.eval(cells).reshape(len(cells), -1, len(self.columns))
 
 
 def cell_kernel(
@@ -158,5 +154,4 @@ def cell_kernel(
     if not len(columns):
         return None
     vector = ufl.as_vector([component for part in found if part for component in part])
-    expression = compile_expression(problem.body.comm, vector, points, problem.jit)
-    return CellKernel(problem.body.mesh, expression, columns)
+    return CellKernel(CellExpression(vector, points, w, problem.jit), columns)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import sysconfig
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,19 +13,18 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from dolfin_elastic.core.jit.compile import JitOptions, find_on_all_ranks, roots
+from dolfin_elastic.core.jit.compile import (
+    JitOptions,
+    Library,
+    find_on_all_ranks,
+    load_library,
+    roots,
+)
 from dolfin_elastic.core.timing import stage
 
 Array: TypeAlias = NDArray[np.generic]
 
 NAME = "dolfin_elastic_loops"
-
-
-class _Library(Protocol):
-    """A module that cffi has compiled."""
-
-    lib: object
-    ffi: cffi.FFI
 
 
 class _Function(Protocol):
@@ -66,7 +64,7 @@ class CFunctions:
         library: As cffi compiled it.
     """
 
-    def __init__(self, library: _Library) -> None:
+    def __init__(self, library: Library) -> None:
         self._lib, self._ffi = library.lib, library.ffi
         self._known: dict[str, tuple[_Function, list[_Parameter | None]]] = {}
 
@@ -148,13 +146,4 @@ def compile_c(
 
     with stage("compile"):
         folder = find_on_all_ranks(comm, roots(jit_options), {key: compile_into})[0]
-        return CFunctions(_load(next(folder.glob("*.so"))))
-
-
-def _load(file: Path) -> _Library:
-    spec = importlib.util.spec_from_file_location(NAME, file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return cast("_Library", module)
+        return CFunctions(load_library(next(folder.glob("*.so"))))

@@ -22,7 +22,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.compat import cells_of_integral
 from dolfin_elastic.core.jit import lanes
 from dolfin_elastic.core.jit.c_code import CFunctions, compile_c
-from dolfin_elastic.core.jit.compile import JitOptions, expression_and_folder
+from dolfin_elastic.core.jit.compile import JitOptions, Library, expression_and_module
 from dolfin_elastic.core.jit.lanes import Kernel
 from dolfin_elastic.core.types import FloatArray, IndexArray
 
@@ -228,8 +228,8 @@ class CellExpression:
         self, expression: Expr, points: FloatArray, w: fem.Function, jit_options: JitOptions
     ) -> None:
         comm = w.function_space.mesh.comm
-        self._expression, folder = expression_and_folder(comm, expression, points, jit_options)
-        self._w, self.kernel, self.in_lanes = w, _kernel(self._expression, folder, w), False
+        self._expression, library = expression_and_module(comm, expression, points, jit_options)
+        self._w, self.kernel, self.in_lanes = w, _kernel(self._expression, library, w), False
         compiled = self._expression.ufcx_expression
         self.size = int(compiled.num_points) * int(self._expression.value_size)
         if self.kernel is None:
@@ -262,9 +262,6 @@ class CellExpression:
         sizes = (self._packed, 0, len(constants))
         self._loops.call("evaluate", *where, *sizes, constants, self.size, out)
         return out
-
-
-_ffi = cffi.FFI()
 
 
 def sizes_of_cells(w: fem.Function) -> dict[str, int]:
@@ -303,16 +300,20 @@ def _loops_over_cells(w: fem.Function, kernel: Kernel, jit_options: JitOptions) 
     return compile_c(comm, DECLARATIONS, code, sizes_of_cells(w), jit_options)
 
 
-def _kernel(expression: fem.Expression, folder: Path, w: fem.Function) -> Kernel | None:
+def _kernel(expression: fem.Expression, library: Library, w: fem.Function) -> Kernel | None:
     """The function of a compiled expression; None where it has other coefficients than w."""
     compiled = expression.ufcx_expression
     positions = compiled.original_coefficient_positions
     found = extract_coefficients(expression.ufl_expression)
     if any(found[positions[i]] is not w for i in range(compiled.num_coefficients)):
         return None
-    function = compiled.tabulate_tensor_float64
-    address = int(_ffi.cast("intptr_t", function))
-    return Kernel(address, len(_ffi.typeof(function).args), folder, 0)
+    return _function(compiled.tabulate_tensor_float64, library, 0)
+
+
+def _function(function: cffi.FFI.CData, library: Library, number: int) -> Kernel:
+    address = int(library.ffi.cast("intptr_t", function))
+    arguments = len(library.ffi.typeof(function).args)
+    return Kernel(address, arguments, Path(library.__file__).parent, number)
 
 
 def _kernels(form: fem.Form, w: fem.Function) -> list[tuple[Kernel, IndexArray]] | None:
@@ -324,18 +325,15 @@ def _kernels(form: fem.Form, w: fem.Function) -> list[tuple[Kernel, IndexArray]]
         form: Of cells.
         w: The unknowns.
     """
-    inner, compiled, ffi = form._cpp_object, form.ufcx_form, form.module.ffi
+    inner, compiled = form._cpp_object, form.ufcx_form
     ours = [one is w._cpp_object for one in inner.coefficients]
     offsets, found = compiled.form_integral_offsets, []
-    folder = Path(form.module.__file__).parent
     for k in range(offsets[0], offsets[1]):  # those of cells stand first
         integral = compiled.form_integrals[k]
         if any(integral.enabled_coefficients[i] and not own for i, own in enumerate(ours)):
             return None
-        function = integral.tabulate_tensor_float64
-        address = int(ffi.cast("intptr_t", function))
-        cells = np.ascontiguousarray(cells_of_integral(form, k))
-        found.append((Kernel(address, len(ffi.typeof(function).args), folder, k), cells))
+        kernel = _function(integral.tabulate_tensor_float64, form.module, k)
+        found.append((kernel, np.ascontiguousarray(cells_of_integral(form, k))))
     return found
 
 

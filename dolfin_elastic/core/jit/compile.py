@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import logging
 import os
 import sysconfig
@@ -9,9 +10,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Timer
-from typing import TypeAlias, TypedDict, TypeVar, cast
+from typing import Protocol, TypeAlias, TypedDict, TypeVar, cast
 from uuid import uuid4
 
+import cffi
 import dolfinx
 import ffcx
 import numpy as np
@@ -70,6 +72,14 @@ class JitOptions(TypedDict):
     cache_dir: Path
 
 
+class Library(Protocol):
+    """A module that cffi has compiled."""
+
+    lib: object
+    ffi: cffi.FFI
+    __file__: str
+
+
 Compilable: TypeAlias = ufl.Form | tuple[Expr, FloatArray]
 """A form, or an expression with points."""
 
@@ -119,8 +129,8 @@ def compile_forms(
     with stage("compile"):
         found = _compiled(comm, forms, jit_options)
         return [
-            _on_all_ranks(comm, lambda f=form, o=one: fem.form(f, jit_options=o))  # type: ignore[misc]
-            for form, one in zip(forms, found, strict=True)
+            _on_all_ranks(comm, folder, lambda f=form: fem.form(f))[0]  # type: ignore[misc]
+            for form, folder in zip(forms, found, strict=True)
         ]
 
 
@@ -141,22 +151,21 @@ def compile_expression(
     Raises:
         Exception: What the form compiler raised on any rank.
     """
-    return expression_and_folder(comm, expression, points, jit_options)[0]
+    return expression_and_module(comm, expression, points, jit_options)[0]
 
 
-def expression_and_folder(
+def expression_and_module(
     comm: MPI.Comm,
     expression: Expr,
     points: FloatArray,
     jit_options: JitOptions,
-) -> tuple[fem.Expression, Path]:
-    """See `compile_expression`; and the folder of its code. Collective."""
+) -> tuple[fem.Expression, Library]:
+    """See `compile_expression`; and the module that it is in. Collective."""
     expression = _with_numbered_labels(expression)
-    places = np.reshape(points, (-1, np.shape(points)[-1]))  # as `fem.Expression` has them
+    places = np.reshape(points, (-1, np.shape(points)[-1]))
     with stage("compile"):
-        found = _compiled(comm, [(expression, places)], jit_options)[0]
-        made = _on_all_ranks(comm, lambda: fem.Expression(expression, points, jit_options=found))
-    return made, found["cache_dir"]
+        folder = _compiled(comm, [(expression, places)], jit_options)[0]
+        return _on_all_ranks(comm, folder, lambda: fem.Expression(expression, points))
 
 
 def _with_numbered_labels(expression: Expr) -> Expr:
@@ -179,14 +188,12 @@ def _with_numbered_labels(expression: Expr) -> Expr:
     return map_expr_dag(numbered, expression) if labels else expression
 
 
-def _compiled(
-    comm: MPI.Comm, objects: Sequence[Compilable], jit_options: JitOptions
-) -> list[JitOptions]:
-    """The options by which DOLFINx finds each of several forms compiled. Collective."""
+def _compiled(comm: MPI.Comm, objects: Sequence[Compilable], jit_options: JitOptions) -> list[Path]:
+    """The folder of the code of each of several forms. Collective."""
     named = [_named(one, jit_options) for one in objects]
     wanted = dict(named)  # equal forms once
     folders = dict(zip(wanted, find_on_all_ranks(comm, roots(jit_options), wanted), strict=True))
-    return [{**jit_options, "cache_dir": folders[key]} for key, _ in named]
+    return [folders[key] for key, _ in named]
 
 
 def roots(jit_options: JitOptions) -> list[Path]:
@@ -260,17 +267,31 @@ def _told_after(seconds: float) -> Iterator[None]:
 
 
 @contextmanager
-def _each_rank_alone() -> Iterator[None]:
-    """Lets DOLFINx load compiled forms on all ranks at once, not on rank 0 and then on the others.
+def _given(library: Library) -> Iterator[None]:
+    """Lets DOLFINx take a form from a library, and each rank for itself.
 
-    It waits for rank 0 to compile them, which has been done here.
+    It would let the others wait until rank 0 has compiled the form, which has been done here, and
+    look for it by its name, which FFCx would make three times: 3 ms.
     """
-    together = jit.ffcx_jit
-    jit.ffcx_jit = lambda comm, *given, **named: together(MPI.COMM_SELF, *given, **named)
+    compiling = jit.ffcx_jit
+    name = next(name for name in dir(library.lib) if name.startswith(("form_", "expression_")))
+    found = (getattr(library.lib, name), library, (None, None))
+    jit.ffcx_jit = lambda *_, **__: found
     try:
         yield
     finally:
-        jit.ffcx_jit = together
+        jit.ffcx_jit = compiling
+
+
+def load_library(file: Path) -> Library:
+    """A module that cffi has compiled; its name is that of the file. Not collective."""
+    name = file.name.partition(".")[0]
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return cast("Library", module)
 
 
 @contextmanager
@@ -284,14 +305,24 @@ def _root_log_kept() -> Iterator[None]:
         root.handlers = before
 
 
-def _on_all_ranks(comm: MPI.Comm, make: Callable[[], T]) -> T:
-    """Calls a function of DOLFINx on every rank; all raise the error of any. Collective."""
+def _on_all_ranks(comm: MPI.Comm, folder: Path, make: Callable[[], T]) -> tuple[T, Library]:
+    """Makes a compiled object of DOLFINx on every rank; all raise the error of any. Collective.
+
+    Args:
+        comm: The ranks.
+        folder: Of its code.
+        make: Makes it of what `jit.ffcx_jit` returns.
+
+    Returns:
+        The object, and the library that it is in.
+    """
     error: Exception | None = None
-    made: T | None = None
+    made: tuple[T, Library] | None = None
     try:
-        with _each_rank_alone():
-            made = make()
+        library = load_library(next(folder.glob("libffcx_*.so")))
+        with _given(library):
+            made = make(), library
     except Exception as caught:  # raised on all ranks just below
         error = caught
     agree(comm, error)
-    return cast("T", made)
+    return cast("tuple[T, Library]", made)

@@ -1,99 +1,22 @@
 """Kernels of FFCx for several cells at once.
 
 FFCx writes code for one cell, in which a C compiler finds little to do at once: most of a law is
-straight-line arithmetic.  Here each number of it becomes a vector that has one of each of `LANES`
-cells, in the same statements; no statement depends on another lane.  Source: Sun, Mitchell,
-Kulkarni, Kloeckner, Ham & Kelly, Int. J. High Perform. Comput. Appl. 34 (2020) 629, who do so in
-code of their own generator.
+straight-line arithmetic.  Where there are many cells, each number of it becomes a vector that has
+one of each of `vectorise.LANES` cells, in the same statements; none of them depends on another
+lane.  Source: Sun, Mitchell, Kulkarni, Kloeckner, Ham & Kelly, Int. J. High Perform. Comput. Appl.
+34 (2020) 629, who do so in code of their own generator.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from dolfin_elastic.core.jit.c_code import Code
 
-LANES = 8
-"""Cells at once: numbers in a register of 512 bits; two or four registers are as good."""
-
 FROM = 20_000
-"""Cells of a rank from which lanes pay: a kernel takes 0.5 s longer to compile, once, and 0.05 to
-0.1 us a cell less each time."""
-
-HEADER = r"""
-#include <math.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
-
-#if LANES == 1
-typedef double lanes;
-/* FFCx 0.10 and newer hand on a pointer to the user's data, too. */
-#if ARGUMENTS == 7
-typedef void (*tabulate)(double*, const double*, const double*, const double*, const int*,
-                         const uint8_t*, void*);
-#define TABULATE(...) ((tabulate)(intptr_t)kernel)(__VA_ARGS__, NULL, NULL, NULL)
-#else
-typedef void (*tabulate)(double*, const double*, const double*, const double*, const int*,
-                         const uint8_t*);
-#define TABULATE(...) ((tabulate)(intptr_t)kernel)(__VA_ARGS__, NULL, NULL)
-#endif
-#else
-typedef double lanes __attribute__((vector_size(8 * LANES)));
-#define ZERO ((lanes){0})
-/* The same in all lanes, where it is a number; a vector as it is: x - 0 is x, also for x = -0. */
-#define SPREAD(x) ((x) - ZERO)
-#define INLINE static inline __attribute__((always_inline))
-typedef int64_t marks __attribute__((vector_size(8 * LANES)));
-#define CHOOSE(mark, x, y) ((lanes)(((mark) & (marks)(x)) | (~(mark) & (marks)(y))))
-#define OF_ONE(f)            \
-  INLINE lanes each_##f(lanes x) \
-  {                          \
-    for (int l = 0; l < LANES; l++) \
-      x[l] = f(x[l]);        \
-    return x;                \
-  }
-#define OF_TWO(f)            \
-  INLINE lanes each_##f(lanes x, lanes y) \
-  {                          \
-    for (int l = 0; l < LANES; l++) \
-      x[l] = f(x[l], y[l]);  \
-    return x;                \
-  }
-"""
-
-_OF_ONE = [
-    "sqrt",
-    "fabs",
-    "cos",
-    "sin",
-    "tan",
-    "acos",
-    "asin",
-    "atan",
-    "cosh",
-    "sinh",
-    "tanh",
-    "exp",
-    "log",
-    "erf",
-]
-_OF_TWO = ["pow", "atan2", "fmin", "fmax"]
-
-_NUMBERS = r"[\w\s\[\]().,+\-*/]+"
-"""An expression without comparisons, conditions and blocks."""
-_TABLE = re.compile(r"static const double \w+(\[\d+\])+ = \{.*\};")
-_CUT = re.compile(r"(?<=,)\n")
-"""Within a table of several lines."""
-_LOOP = re.compile(r"for \(int (\w+) = 0; \1 < \d+; \+\+\1\)")
-_ARRAY = re.compile(r"double (\w+(?:\[\d+\])+) = \{0\};")
-_STATEMENT = re.compile(rf"(double )?(\w+(?:\[{_NUMBERS}\])*) (\+?=) ({_NUMBERS});")
-_COMPARISON = re.compile(rf"bool (\w+) = ({_NUMBERS}) (<|>|<=|>=|==|!=) ({_NUMBERS});")
-_CHOICE = re.compile(rf"double (\w+) = (\w+) \? ({_NUMBERS}) : ({_NUMBERS});")
-_CALL = re.compile(r"\b([A-Za-z_]\w*)\(")
+"""Cells of a rank from which lanes pay: a kernel takes half a second longer to compile, once, and
+0.05 to 0.1 us a cell less each time."""
 
 
 @dataclass(frozen=True)
@@ -116,86 +39,21 @@ class Kernel:
         """The kernel as TABULATE(A, w, c, y), of LANES cells at once, and loops that call it.
 
         Vectors A, w, c and y, of the type `lanes`, have a number of each cell.  LANES is 1 where
-        there are few cells, or where the kernel has other code than arithmetic and functions of
-        numbers, as conditions: then TABULATE calls the function at `kernel`, a variable.
+        there are few cells, or where `vectorise` does not know the kernel's code: then TABULATE
+        calls the function at `kernel`, a variable.
 
         Args:
             loops: Code in C.
             many: There are so many cells that lanes pay.
         """
-        here = Path(__file__).read_text(encoding="utf-8") if many else ""
-        which = f"{self.folder.name} {self.number}" if many else ""
-        head = f"#define ARGUMENTS {self.arguments}\n"
-        key = "\n".join([head, which, here, HEADER, loops])
-        return Code(key, lambda: head + self._text(many=many) + loops)
 
-    def _text(self, *, many: bool) -> str:
-        body = _in_lanes(_body(self.folder, self.number)) if many else None
-        if body is None:
-            return f"#define LANES 1\n{HEADER}#endif\n"
-        functions = [f"OF_ONE({f})\n#define {f}_lanes(x) each_{f}(SPREAD(x))\n" for f in _OF_ONE]
-        functions += [
-            f"OF_TWO({f})\n#define {f}_lanes(x, y) each_{f}(SPREAD(x), SPREAD(y))\n"
-            for f in _OF_TWO
-        ]
-        return (
-            f"#define LANES {LANES}\n{HEADER}{''.join(functions)}"
-            "static __attribute__((noinline)) void tabulate(lanes* restrict A,\n"
-            "    const lanes* restrict w, const lanes* restrict c,\n"
-            "    const lanes* restrict coordinate_dofs)\n"
-            f"{body}\n#define TABULATE tabulate\n#endif\n"
-        )
+        def make() -> str:
+            # Where it is not yet compiled: its expressions take 2 ms to be compiled, too.
+            from dolfin_elastic.core.jit.vectorise import kernel_in_lanes, kernel_of_one_cell
 
+            found = kernel_in_lanes(self.folder, self.number) if many else None
+            return (found or kernel_of_one_cell(self.arguments)) + loops
 
-def _body(folder: Path, number: int) -> str:
-    """The block of a function in a module's code; empty where it is not found."""
-    text = next(folder.glob("libffcx_*.c")).read_text(encoding="utf-8")
-    integrals = re.search(r"ufcx_integral\* form_integrals_\w+\[\d+\] = \{(.*?)\};", text)
-    names = re.findall(r"&(\w+)", integrals.group(1)) if integrals else [r"\w+"]
-    entry = re.search(
-        rf"^ufcx_\w+ {names[number]} =\n.*?\.tabulate_tensor_float64 = (\w+),", text, re.M | re.S
-    )
-    start = text.find(f"void {entry.group(1)}(") if entry else -1
-    if start < 0:
-        return ""
-    depth, begin = 0, text.index("\n{", start) + 1
-    for brace in re.finditer(r"[{}]", text[begin:]):
-        depth += 1 if brace.group() == "{" else -1
-        if depth == 0:
-            return text[begin : begin + brace.end()]
-    return ""
-
-
-def _in_lanes(body: str) -> str | None:
-    """A block of FFCx's code with vectors in place of numbers; None where it has other code."""
-    lines = list(_lines(body))
-    return None if not lines or "" in lines else "\n".join(lines)
-
-
-def _lines(body: str) -> Iterator[str]:
-    """Lines of code in lanes; an empty one for each that is not of a known kind."""
-    body = _CUT.sub(" ", body)
-    for line in map(str.strip, body.splitlines()):
-        if not line or line.startswith("//"):
-            continue
-        if line in ("{", "}") or _TABLE.fullmatch(line) or _LOOP.fullmatch(line):
-            yield line
-        elif found := _ARRAY.fullmatch(line):
-            yield f"lanes {found.group(1)} = {{ZERO}};"
-        elif not all(name in _OF_ONE or name in _OF_TWO for name in _CALL.findall(line)):
-            yield ""
-        elif found := _STATEMENT.fullmatch(line):
-            new, target, sign, value = found.groups()
-            yield f"{'lanes ' if new else ''}{target} {sign} {_vector(value)};"
-        elif found := _COMPARISON.fullmatch(line):
-            name, one, sign, two = found.groups()
-            yield f"marks {name} = {_vector(one)} {sign} {_vector(two)};"
-        elif found := _CHOICE.fullmatch(line):
-            name, mark, one, two = found.groups()
-            yield f"lanes {name} = CHOOSE({mark}, {_vector(one)}, {_vector(two)});"
-        else:
-            yield ""
-
-
-def _vector(value: str) -> str:
-    return "SPREAD(" + _CALL.sub(r"\1_lanes(", value) + ")"
+        rules = Path(__file__).with_name("vectorise.py").read_text(encoding="utf-8")
+        which = [self.folder.name, self.number] if many else []
+        return Code("\n".join(map(str, [rules, self.arguments, *which, loops])), make)

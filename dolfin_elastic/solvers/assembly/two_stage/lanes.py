@@ -1,7 +1,7 @@
 """The C code of half of a symmetric tangent, of several cells at once.
 
-Moduli of `core.jit.lanes.LANES` cells and their contraction with shape functions stay in the first
-cache of a core; `kernel` has the formulas, and the same for one cell after the other.
+Moduli of LANES cells (`core.jit.vectorise`) and their contraction with shape functions stay in the
+first cache of a core; `kernel` has the formulas, and the same for one cell after the other.
 """
 
 from __future__ import annotations
