@@ -43,8 +43,21 @@ from dolfin_elastic.core.signals import launched
 _SLEEPS = b"libpsm2.so.2"
 _FIRST = ("hashlib", "numpy", "pydantic_core", "uuid", "zoneinfo")
 """Modules with libraries: to load one waits for any that is being loaded."""
-_MEANWHILE = "dolfin_elastic.core.schema"
-"""A module of Python alone, once the first are there; another is UFL."""
+_MEANWHILE = (
+    "dolfin_elastic.model.contact",
+    "dolfin_elastic.model.loads.base",
+    "dolfin_elastic.model.materials.law",
+    "dolfin_elastic.model.materials.mixed",
+    "dolfin_elastic.model.materials.spatial",
+    "dolfin_elastic.model.supports.displacement",
+    "dolfin_elastic.model.supports.rigid_surface",
+    "dolfin_elastic.model.supports.springs",
+    "dolfin_elastic.model.tie",
+    "dolfin_elastic.mesh.selectors",
+    "dolfin_elastic.case.toml",
+    "dolfin_elastic.results.fields",
+)
+"""Modules of Python alone, once the first are there, with UFL: they import no other library."""
 _COMPILED = ("basix.ufl", "ffcx", "cffi", "mpi4py.MPI")
 """What DOLFINx imports and has byte code."""
 _FOR_NUMBA = "dolfinx.utils"
@@ -87,9 +100,11 @@ def _import_beside_psm2() -> None:
     # Nothing may change the environment while the library looks at it: pydantic's `schema` would.
     os.environ.setdefault("PYDANTIC_SKIP_VALIDATING_CORE_SCHEMAS", "1")
     loading.start()
-    import_module(_MEANWHILE)
+    import_module("dolfin_elastic.core.schema")
     with _versions_alone():
         import_module("ufl")
+    for name in _MEANWHILE:
+        import_module(name)
     loading.join()
 
 

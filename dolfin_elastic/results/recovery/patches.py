@@ -31,6 +31,7 @@ from itertools import combinations_with_replacement, permutations
 import basix
 import numpy as np
 from dolfinx import fem, la
+from dolfinx.mesh import Mesh
 
 from dolfin_elastic.core.jit import JitOptions, compile_c, options
 from dolfin_elastic.core.parallel import total
@@ -149,18 +150,17 @@ class Patches:
             values: Of one of `parts`, shape (cells, sampling points, columns). Not collective.
         """
         size = len(self._powers)
-        sums = np.zeros((len(self._used), size * width))
+        sums = _Sums(self._mesh, self._used, size * width)
         for part in self.parts():
             found = np.ascontiguousarray(values(part))
             if found.any():  # else as of a body at rest
                 cells, corners = self.cells[part], self._corners[part]
                 where = (len(cells), cells, *self._geometry, self._samples, corners)
                 others = (self._centres, self._size, width, found)
-                self._loops.call("add_moments", *where, *others, sums)
-        right = self._over_ranks(sums).reshape(-1, size, width)
+                self._loops.call("add_moments", *where, *others, sums.rows)
+        right = sums.over_ranks().reshape(-1, size, width)
         if not total(self._mesh.comm, float(right.any())):
             return right
-        del sums
         for first in range(0, len(right), _CHUNK):  # in place: both would be large
             some = slice(first, first + _CHUNK)
             right[some] = self._solve[some] @ right[some]
@@ -177,11 +177,11 @@ class Patches:
         Returns:
             Those of one of `parts`, shape (cells, corners, columns). Local.
         """
-        table = np.zeros((len(self._used), values.shape[1]))
+        table = _Sums(self._mesh, self._used, values.shape[1])
         for column, row in enumerate(values.T):
             for corners in self._corners.T:
-                table[:, column] += np.bincount(corners, row, len(table))
-        summed = self._over_ranks(table)
+                table.rows[:, column] += np.bincount(corners, row, len(self._used))
+        summed = table.over_ranks()
         return lambda part: np.asarray(summed[self._corners[part]])
 
     def add_at_nodes(
@@ -274,21 +274,10 @@ class Patches:
             name: Of the loop that adds them up.
             arguments: What it needs but cells, geometry and the table of sums.
         """
-        table = np.zeros((len(self._used), width))
+        table = _Sums(self._mesh, self._used, width)
         where = (len(self.cells), self.cells, *self._geometry)
-        self._loops.call(name, *where, *arguments, table)
-        return self._over_ranks(table)
-
-    def _over_ranks(self, table: FloatArray) -> FloatArray:
-        """Sums over the ranks of rows of the used vertices; of the same shape, or the table."""
-        if self._mesh.comm.size == 1:
-            return table
-        work = la.vector(self._map, table.shape[1])
-        rows = work.array.reshape(-1, table.shape[1])
-        rows[self._used] = table
-        work.scatter_reverse(la.InsertMode.add)
-        work.scatter_forward()
-        return np.asarray(rows[self._used])
+        self._loops.call(name, *where, *arguments, table.rows)
+        return table.over_ranks()
 
     def _normal_equations(self) -> tuple[FloatArray, BoolArray]:
         """Inverse of the normal equations of each patch, and where it serves.
@@ -315,9 +304,9 @@ class Patches:
             corners = self._corners[~known[self._corners].all(axis=1)]
             has = known[corners]
             beside = np.where(has, 0, has.sum(axis=1, keepdims=True)).astype(np.float64)
-            table = np.zeros((len(known), 1))
-            np.add.at(table[:, 0], corners, beside)
-            count = self._over_ranks(table)[:, 0]
+            table = _Sums(self._mesh, self._used, 1)
+            np.add.at(table.rows[:, 0], corners, beside)
+            count = table.over_ranks()[:, 0]
             new = count > 0
             if not total(comm, int(np.sum(new))):
                 break
@@ -337,9 +326,9 @@ class Patches:
             both = step.new[to] & step.known[of]
             np.add.at(sums, place[to[both]], self._shift(fitted[of[both]], of[both], to[both]))
         if self._mesh.comm.size > 1:
-            table = np.zeros((len(fitted), width))
-            table[rows] = sums.reshape(-1, width)
-            sums = self._over_ranks(table)[rows].reshape(sums.shape)
+            table = _Sums(self._mesh, self._used, width)
+            table.rows[rows] = sums.reshape(-1, width)
+            sums = table.over_ranks()[rows].reshape(sums.shape)
         fitted[rows] = sums / step.count[rows, None, None]
 
     def _shift(self, polynomials: FloatArray, of: IndexArray, to: IndexArray) -> FloatArray:
@@ -378,6 +367,50 @@ class Patches:
             "take_nodal", len(chosen), chosen, *self._geometry, *where, width, fitted, found
         )
         return found
+
+
+class _Sums:
+    """Sums over the cells around vertices on all ranks.
+
+    Args:
+        mesh: Whose vertices.
+        used: Those that a row is for.
+        width: Columns of a row.
+
+    Attributes:
+        rows: To be added to; shape (used vertices, columns).
+    """
+
+    def __init__(self, mesh: Mesh, used: IntArray, width: int) -> None:
+        self._vertices, self._used, self._width = mesh.topology.index_map(0), used, width
+        self._comm = mesh.comm
+        self._work: la.Vector | None = None
+        if (
+            mesh.comm.size > 1
+            and len(used) == self._vertices.size_local + self._vertices.num_ghosts
+        ):
+            self._work, self.rows = self._shared()  # no copies
+        else:
+            self.rows = np.zeros((len(used), width))
+
+    def _shared(self) -> tuple[la.Vector, FloatArray]:
+        work = la.vector(self._vertices, self._width)
+        return work, work.array.reshape(-1, self._width)
+
+    def over_ranks(self) -> FloatArray:
+        """The sums. Collective; called once.
+
+        Returns:
+            Of the shape of `rows`, which it may overwrite.
+        """
+        if self._comm.size == 1:
+            return self.rows
+        work, rows = self._shared() if self._work is None else (self._work, self.rows)
+        if self._work is None:
+            rows[self._used] = self.rows
+        work.scatter_reverse(la.InsertMode.add)
+        work.scatter_forward()
+        return np.asarray(rows[self._used]) if self._work is None else rows
 
 
 @dataclass(frozen=True)
