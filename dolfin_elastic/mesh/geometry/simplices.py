@@ -200,6 +200,27 @@ def facet_corners(mesh: Mesh, facets: IndexArray) -> FloatArray:
     return np.asarray(mesh.geometry.x[facet_nodes(mesh, facets), : mesh.topology.dim])
 
 
+def facet_normals(mesh: Mesh, facets: IndexArray) -> FloatArray:
+    """Normals of straight local facets, to one side or the other, of the length of their area.
+
+    Local, after `prepare_facets`.
+
+    Args:
+        mesh: The mesh.
+        facets: Local facets, shape (n,).
+
+    Returns:
+        Shape (n, d) [m^2], in a plane [m].
+    """
+    corners = facet_corners(mesh, facets)
+    a = corners[:, 1] - corners[:, 0]
+    if mesh.topology.dim == 2:
+        return np.stack([a[:, 1], -a[:, 0]], axis=1)
+    b = corners[:, 2] - corners[:, 0]
+    turned = [a[:, i] * b[:, j] - a[:, j] * b[:, i] for i, j in ((1, 2), (2, 0), (0, 1))]
+    return np.stack(turned, axis=1) / 2
+
+
 def outward_normals(mesh: Mesh, facets: IndexArray) -> FloatArray:
     """Unit normals of straight local facets, outward of the cell beside them, shape (n, d).
 
@@ -209,17 +230,12 @@ def outward_normals(mesh: Mesh, facets: IndexArray) -> FloatArray:
         mesh: The mesh.
         facets: Local facets, shape (n,).
     """
-    d = mesh.topology.dim
-    corners = facet_corners(mesh, facets)
-    if d == 2:
-        along = corners[:, 1] - corners[:, 0]
-        normals = np.stack([along[:, 1], -along[:, 0]], axis=1)
-    else:
-        arms = corners[:, 1:] - corners[:, :1]
-        normals = np.asarray(np.cross(arms[:, 0], arms[:, 1]), dtype=np.float64)
+    normals = facet_normals(mesh, facets)
     cells, local = cells_beside_facets(mesh, facets)
-    opposite = cell_corners(mesh, cells)[np.arange(len(facets)), local]
-    inward = np.einsum("ij,ij->i", normals, opposite - corners[:, 0]) > 0
+    corners = cell_corners(mesh, cells)
+    opposite = corners[np.arange(len(facets)), local]
+    on_it = corners[np.arange(len(facets)), np.where(local == 0, 1, 0)]
+    inward = np.einsum("ij,ij->i", normals, opposite - on_it) > 0
     normals[inward] *= -1
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.asarray(normals / np.where(length > 0, length, 1.0))

@@ -16,7 +16,7 @@ from dolfin_elastic.mesh.geometry.curved import cell_volumes, facet_areas
 from dolfin_elastic.mesh.geometry.simplices import (
     boundary_facets,
     cells_beside_facets,
-    outward_normals,
+    facet_normals,
 )
 from dolfin_elastic.mesh.geometry.thickness_loops import DECLARATIONS, SOURCE
 
@@ -59,11 +59,18 @@ def local_thickness(mesh: Mesh, without: IndexArray) -> Thickness:
     """
     facets = np.setdiff1d(boundary_facets(mesh), without)
     beside, _ = cells_beside_facets(mesh, facets)
-    normals = outward_normals(mesh, facets)
-    faces = np.einsum("f,fi,fj->fij", facet_areas(mesh, facets), normals, normals)
     walk = _Walk(mesh)
     # Single cells of an irregular mesh are oblong at random; their neighbourhood is what bends.
-    return walk.thickness(walk.far(walk.added(beside, faces)), walk.step(walk.edges))
+    return walk.thickness(walk.far(walk.added(beside, _faces(mesh, facets))), walk.step(walk.edges))
+
+
+def _faces(mesh: Mesh, facets: IndexArray) -> FloatArray:
+    """Integrals of n n over local facets [m^2], shape (n, d, d), n the normal of their corners."""
+    normals = facet_normals(mesh, facets)
+    area = np.linalg.norm(normals, axis=1)
+    weights = area if mesh.geometry.cmap.degree == 1 else facet_areas(mesh, facets)
+    weights = weights / np.where(area > 0, area, 1.0) ** 2
+    return np.asarray(np.einsum("f,fi,fj->fij", weights, normals, normals))
 
 
 class _Walk:
@@ -163,20 +170,16 @@ class _Walk:
         def stepped(rows: SingleArray) -> SingleArray:
             sums = self._rows(np.float32)
             self._loops.call("rounded_step", len(self._volumes), *where, rows, sums)
-            return np.asarray(self._gathered(sums) * inverse)
+            return np.asarray(self._gathered(sums))
 
         weights = _power(_STEPS - 1)
         before = (rows / self._length ** (self._dim - 1)).astype(np.float32)
-        now = 2 * stepped(before) - before  # Chebyshev polynomials of 2 x - 1
+        now = 2 * stepped(before) * inverse - before  # Chebyshev polynomials of 2 x - 1
         found = weights[0] * before + weights[1] * now
-        inverse *= 4
-        for weight in weights[2:]:
-            new = stepped(now)
-            before += now
-            before += now
-            new -= before
-            found += weight * new
-            before, now = now, new
+        for degree in range(2, len(weights)):
+            sums = stepped(now)
+            last = (inverse, sums, degree, weights, before, now, found)
+            self._loops.call("next_polynomial", len(inverse), *last)
         return found
 
     def thickness(self, density: SingleArray, metric: FloatArray) -> Thickness:

@@ -11,6 +11,8 @@ int64_t step(int64_t count, const int32_t* vertices, const double* volumes, cons
              double* sums);
 int64_t rounded_step(int64_t count, const int32_t* vertices, const double* volumes,
                      const float* before, float* sums);
+int64_t next_polynomial(int64_t count, const float* inverse, const float* sums, int64_t degree,
+                        const float* weights, float* before, float* now, float* found);
 int64_t at_cells(int64_t count, const int32_t* vertices, const float* density,
                  const double* metric, double* thickness, double* across, double* along);
 """
@@ -113,6 +115,26 @@ int64_t add_cells(int64_t count, int64_t width, const int32_t* geometry, const d
 
 STEP(step, double)
 STEP(rounded_step, float)
+
+/* Chebyshev polynomial of 2 S - 1 of some degree, 2 (2 S - 1) now - before, and what it adds to a
+   sum with weights, where S now is the sums of a step by the inverse of each vertex's volume. */
+int64_t next_polynomial(int64_t count, const float* inverse, const float* sums, int64_t degree,
+                        const float* weights, float* before, float* now, float* found)
+{
+  const float weight = weights[degree];
+  for (int64_t n = 0; n < count; n++)
+  {
+    const float four = 4 * inverse[n];
+    for (int64_t i = ROW * n; i < ROW * (n + 1); i++)
+    {
+      const float new = four * sums[i] - 2 * now[i] - before[i];
+      before[i] = now[i];
+      now[i] = new;
+      found[i] += weight * new;
+    }
+  }
+  return 0;
+}
 
 #define CELL_MEAN(NAME, REAL)                                                                     \
   static inline void NAME(const int32_t* vertices, const REAL* rows, double mean[DIM][DIM])       \
