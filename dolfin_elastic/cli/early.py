@@ -141,19 +141,19 @@ def _versions_alone() -> Iterator[None]:
     try:
         yield
     finally:
-        if sys.modules.get(_METADATA) is light:
-            _forget_metadata()
+        _forget_light_metadata()
 
 
 def _of_metadata(name: str) -> object:
     """Whatever else `importlib.metadata` has."""
-    _forget_metadata()
+    _forget_light_metadata()
     return getattr(import_module(_METADATA), name)
 
 
-def _forget_metadata() -> None:
-    sys.modules.pop(_METADATA, None)
-    vars(importlib).pop("metadata", None)
+def _forget_light_metadata() -> None:
+    if getattr(sys.modules.get(_METADATA), "__spec__", None) is None:  # a real one has where from
+        sys.modules.pop(_METADATA, None)
+        vars(importlib).pop("metadata", None)
 
 
 def _version(name: str) -> str:
@@ -166,7 +166,7 @@ def _version(name: str) -> str:
                     for line in (root / folder / "METADATA").read_text("utf-8").splitlines():
                         if line.startswith("Version: "):
                             return line.removeprefix("Version: ").strip()
-    _forget_metadata()
+    _forget_light_metadata()
     return str(import_module(_METADATA).version(name))
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from helpers.processes import started
 
-from dolfin_elastic.cli import early
+from dolfin_elastic.cli import app, early
 
 EARLY = "from dolfin_elastic.cli import early; early.import_early()\n"
 LAUNCHER = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "SLURM_PROCID")
@@ -126,3 +127,75 @@ print(len(os.listdir("/proc/self/fd")) - before,
 def test_without_the_library_of_omni_path(tmp_path: Path) -> None:
     program = "early._SLEEPS = b'libnone.so.0'; early._import_beside_psm2(); print('as ever')"
     assert told(program, tmp_path) == ["as ever"]
+
+
+@pytest.mark.usefixtures("serial_only")
+def test_no_library_is_loaded_beside_that_of_omni_path(tmp_path: Path) -> None:
+    """Its loader would wait; and MPI's must not come before all of the first modules are there."""
+    program = """
+import importlib, sys
+from dolfin_elastic.cli import early
+def libraries():
+    return {name for name, one in sys.modules.items()
+            if str(getattr(one, "__file__", "")).endswith(".so")}
+for name in early._FIRST:
+    importlib.import_module(name)
+before = libraries()
+early._import_beside_psm2()
+print(sorted(libraries() - before - {"_ctypes"}))
+"""
+    with started([sys.executable, "-c", program], tmp_path, 1) as process:
+        out, err = process.communicate(timeout=60)
+    assert (out, err) == ("[]\n", "")
+
+
+@pytest.mark.usefixtures("serial_only")
+def test_versions_are_those_of_the_metadata(tmp_path: Path) -> None:
+    """Without the readers of mail, and with all of `importlib.metadata` for who asks."""
+    program = """
+import sys, ufl, ffcx
+from dolfin_elastic.cli import early
+print("email.message" in sys.modules)
+import importlib.metadata as whole
+print(ufl.__version__ == whole.version("fenics-ufl") == early._version("fenics-ufl"),
+      ffcx.__version__ == whole.version("fenics-ffcx") == early._version("fenics-ffcx"))
+try:
+    early._version("no-such-package")
+except whole.PackageNotFoundError as error:
+    print(error.name)
+del sys.modules["importlib.metadata"]
+with early._versions_alone():
+    from importlib.metadata import version, distributions
+    print(version("fenics-ufl") == ufl.__version__, len(list(distributions())) > 1)
+import importlib.metadata
+print(importlib.metadata.distribution("numpy").name)
+"""
+    mail, *rest = told(program, tmp_path)
+    assert rest == ["True True", "no-such-package", "True True", "numpy"]
+    assert mail == ("True" if ".11" in version("fenics-basix") else "False")
+
+
+@pytest.mark.usefixtures("serial_only")
+def test_elements_of_a_shape_share_a_cell(tmp_path: Path) -> None:
+    program = """
+import ufl
+from basix.ufl import element
+one, two = (element("P", "tetrahedron", degree).cell for degree in (1, 2))
+print(one is two, one == ufl.Cell("tetrahedron"), element("P", "triangle", 1).cell.cellname)
+"""
+    assert told(program, tmp_path)[0].startswith("True True")
+
+
+@pytest.mark.parametrize(
+    ("words", "commands"),
+    [(["check", "a.toml"], ["check"]), (["run", "--help"], ["run"]), ([], None), (["rum"], None)],
+)
+def test_only_the_command_that_is_called_is_made(
+    words: list[str], commands: list[str] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(app.app, "registered_commands", list(app._EVERY))
+    monkeypatch.setattr(sys, "argv", ["dolfin-elastic", *words])
+    app._only_what_is_asked_for()
+    found = [one.callback.__name__ for one in app.app.registered_commands if one.callback]
+    assert found == (commands or [one.callback.__name__ for one in app._EVERY if one.callback])
+    assert len(app._EVERY) > 10

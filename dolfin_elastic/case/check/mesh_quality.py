@@ -128,7 +128,7 @@ def bending_notes(case: Case, problem: Problem) -> list[str]:
     # Where a moment runs through parts of several thicknesses, a cell takes part in the compliance
     # by its volume over the fourth power of its thickness.
     thick = np.minimum(found.thickness / size, 1e3)
-    shares = found.volumes / thick**4
+    shares = found.volumes / np.square(np.square(thick))  # a power takes ten times as long
     terms = [np.ones_like(shares), 1 / stiffness, thick, _ACROSS * size * thick / found.across]
     sums = total(problem.body.comm, np.array([shares @ term for term in terms]))
     factor, thickness, count = sums[0] / sums[1], size * sums[2] / sums[0], sums[3] / sums[0]

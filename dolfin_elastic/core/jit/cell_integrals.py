@@ -66,6 +66,47 @@ static inline void take_cells(int64_t count, const int32_t* cells, const int32_t
         LANE(w, BS * a + i, l) = unknowns[BS * (int64_t)dofs[c * ND + a] + i];
   }
 }
+
+#if LANES == 8
+/* Entry l of in[k] becomes entry k of out[l]. */
+INLINE void transpose(const lanes* in, lanes* out)
+{
+  lanes t[8], u[8];
+  for (int k = 0; k < 8; k += 2)
+  {
+    t[k] = __builtin_shuffle(in[k], in[k + 1], (marks){0, 8, 2, 10, 4, 12, 6, 14});
+    t[k + 1] = __builtin_shuffle(in[k], in[k + 1], (marks){1, 9, 3, 11, 5, 13, 7, 15});
+  }
+  for (int k = 0; k < 8; k += k % 4 == 1 ? 3 : 1)
+  {
+    u[k] = __builtin_shuffle(t[k], t[k + 2], (marks){0, 1, 8, 9, 4, 5, 12, 13});
+    u[k + 2] = __builtin_shuffle(t[k], t[k + 2], (marks){2, 3, 10, 11, 6, 7, 14, 15});
+  }
+  for (int k = 0; k < 4; k++)
+  {
+    out[k] = __builtin_shuffle(u[k], u[k + 4], (marks){0, 1, 2, 3, 8, 9, 10, 11});
+    out[k + 4] = __builtin_shuffle(u[k], u[k + 4], (marks){4, 5, 6, 7, 12, 13, 14, 15});
+  }
+}
+
+/* The values of each cell in a row. */
+static inline void put_cells(int64_t some, int64_t size, const lanes* values, double* out)
+{
+  int64_t j = 0;
+  for (; j + 8 <= size; j += 8)
+  {
+    lanes rows[8];
+    transpose(values + j, rows);
+    for (int64_t l = 0; l < some; l++)
+      memcpy(out + l * size + j, rows + l, sizeof(lanes));
+  }
+  for (; j < size; j++)
+    for (int64_t l = 0; l < some; l++)
+      out[l * size + j] = LANE((const double*)values, j, l);
+}
+#else
+static inline void put_cells(int64_t some, int64_t size, const lanes* values, double* out) {}
+#endif
 """
 """After a kernel's code: what it needs to know of cells."""
 
@@ -131,10 +172,7 @@ int64_t evaluate(int64_t kernel, int64_t count, const int32_t* cells, const int3
     lanes* values = LANES == 1 ? (lanes*)next : room;
     memset(values, 0, size * sizeof(lanes));
     TABULATE(values, w, c, y);
-    if (LANES > 1)
-      for (int l = 0; l < some; l++)
-        for (int64_t j = 0; j < size; j++)
-          next[l * size + j] = LANE((const double*)values, j, l);
+    put_cells(some, size, values, next);
   }
   return 0;
 }

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 LANES = 8
-"""Cells at once: numbers in a register of 512 bits; two or four registers are as good."""
+"""Cells at once: numbers in a register of 512 bits, or in two or four smaller ones."""
 
 HEADER = r"""
 #include <math.h>

@@ -88,31 +88,6 @@ static void add_far(const double* K, int pair, int l, int turned, int32_t row, i
               += LANE(K, pair * SQUARE + (turned ? k * DIM + i : i * DIM + k), l);
 }
 
-#if DIM == 3
-typedef int64_t longs __attribute__((vector_size(64)));
-
-/* Entry l of in[k] becomes entry k of out[l]. */
-INLINE void transpose(const lanes* in, doubles* out)
-{
-  lanes t[8], u[8];
-  for (int k = 0; k < 8; k += 2)
-  {
-    t[k] = __builtin_shuffle(in[k], in[k + 1], (longs){0, 8, 2, 10, 4, 12, 6, 14});
-    t[k + 1] = __builtin_shuffle(in[k], in[k + 1], (longs){1, 9, 3, 11, 5, 13, 7, 15});
-  }
-  for (int k = 0; k < 8; k += (k % 4 == 1 ? 3 : 1))
-  {
-    u[k] = __builtin_shuffle(t[k], t[k + 2], (longs){0, 1, 8, 9, 4, 5, 12, 13});
-    u[k + 2] = __builtin_shuffle(t[k], t[k + 2], (longs){2, 3, 10, 11, 6, 7, 14, 15});
-  }
-  for (int k = 0; k < 4; k++)
-  {
-    out[k] = __builtin_shuffle(u[k], u[k + 4], (longs){0, 1, 2, 3, 8, 9, 10, 11});
-    out[k + 4] = __builtin_shuffle(u[k], u[k + 4], (longs){4, 5, 6, 7, 12, 13, 14, 15});
-  }
-}
-#endif
-
 int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
                  const int32_t* nodes, const double* unknowns, int64_t known,
                  const double* constants, const double* tables, const double* geometry_tables,
@@ -143,7 +118,7 @@ int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, co
       for (int b = a; b < ND; b++, pair++)
       {
 #if DIM == 3
-        doubles blocks[LANES];
+        lanes blocks[LANES];
         transpose(K[pair], blocks);
 #endif
         for (int l = 0; l < some; l++)
@@ -156,7 +131,7 @@ int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, co
           {
             const int64_t k = (start[row] + places[cell * PAIRS + pair]) * SQUARE;
 #if DIM == 3
-            static const longs order[2]
+            static const marks order[2]
                 = {{0, 3, 6, 1, 4, 7, 2, 5}, {0, 1, 2, 3, 4, 5, 6, 7}};
             add_eight(high + k, low + k, __builtin_shuffle(blocks[l], order[turned]));
             add_split(high + k + 8, low + k + 8, LANE(entries, pair * SQUARE + 8, l));
