@@ -159,11 +159,9 @@ def _uses(case: Case, integrals: Integrals) -> Iterator[_Use]:
         every = partial(_cells, integrals, body.owned_cells())
         yield _Use("dynamics.initial_displacement", motion.displacement, every, None)
         yield _Use("dynamics.initial_velocity", motion.velocity, every, None)
-    filled = {n: _cells_of(body, m.regions) for n, m in case.materials.items() if m.regions}
     ring = integrals.problem.geometry == "axisymmetric"
-    rest = np.setdiff1d(body.owned_cells(), _cells_of(body, [], *filled.values()))
     for name, material in case.materials.items():
-        places = partial(_cells, integrals, filled.get(name, rest))
+        places = partial(_filled, case, name, integrals)
         for constant, item in material.law.spatial_constants().items():
             formula = item.known(body.fields) if isinstance(item, SpatialFormula) else None
             if formula is not None and formula.names <= set(PLACE):
@@ -175,6 +173,15 @@ def _cells_of(body: Body, names: Sequence[str], *more: IndexArray) -> IndexArray
     """Owned cells of regions and others, each once, sorted."""
     found = [np.empty(0, dtype=np.int32), *more, *(body.owned_cells(name) for name in names)]
     return np.unique(np.concatenate(found))
+
+
+def _filled(case: Case, name: str, integrals: Integrals) -> FloatArray:
+    """Places in the cells of a material: of its regions, or of none of the others'."""
+    body, regions = integrals.body, case.materials[name].regions
+    if regions:
+        return _cells(integrals, _cells_of(body, regions))
+    others = [_cells_of(body, one.regions) for one in case.materials.values() if one.regions]
+    return _cells(integrals, np.setdiff1d(body.owned_cells(), _cells_of(body, [], *others)))
 
 
 def _of_load(key: str, load: Load, integrals: Integrals) -> Iterator[_Use]:
