@@ -12,6 +12,8 @@ import os
 import sys
 import time
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -175,14 +177,16 @@ def info() -> None:
         print(f"warning: {line}", file=sys.stderr)
 
 
-_EVERY = list(app.registered_commands)
-
-
-def _only_what_is_asked_for() -> None:
+@contextmanager
+def _only_what_is_asked_for() -> Iterator[None]:
     """Typer makes all commands of a program at each start, of which one is called: 15 ms."""
-    asked = sys.argv[1] if len(sys.argv) > 1 else ""
-    one = [known for known in _EVERY if known.callback and known.callback.__name__ == asked]
-    app.registered_commands = one or list(_EVERY)
+    every, asked = app.registered_commands, sys.argv[1] if len(sys.argv) > 1 else ""
+    one = [known for known in every if known.callback and known.callback.__name__ == asked]
+    app.registered_commands = one or every
+    try:
+        yield
+    finally:
+        app.registered_commands = every
 
 
 # --- errors and exit codes ---
@@ -205,9 +209,9 @@ def main() -> None:
 
 def guarded() -> int:
     """Runs the command line; returns its exit code, which is the same on every rank."""
-    _only_what_is_asked_for()
     try:
-        result = app(prog_name="dolfin-elastic", standalone_mode=False)
+        with _only_what_is_asked_for():
+            result = app(prog_name="dolfin-elastic", standalone_mode=False)
         return result if isinstance(result, int) else 0
     except ClickException as error:
         if launched_rank() == 0:

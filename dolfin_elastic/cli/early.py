@@ -18,20 +18,19 @@ their declarations and loads the library once more, 25 ms of each start.  Nothin
 And Debian keeps no byte code of DOLFINx's modules, which lie beside PETSc: Python compiles them at
 each start, 30 ms, where it is not told of a folder that it may write to.
 
-UFL and FFCx ask `importlib.metadata` for their version, which imports readers of mail and archives:
-15 ms.  Basix's elements make a UFL cell, with a cell of each of its faces, edges and vertices, each
-time that they are asked for theirs: 20 ms.
+UFL and FFCx ask `importlib.metadata` for their version, which lists all packages and imports
+readers of mail: 10 ms.  Basix's elements make a UFL cell, with a cell of each of its faces, edges
+and vertices, each time that they are asked for theirs: 20 ms.
 """
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from stat import S_ISDIR, S_ISSOCK
@@ -61,7 +60,6 @@ _MEANWHILE = (
 _COMPILED = ("basix.ufl", "ffcx", "cffi", "mpi4py.MPI")
 """What DOLFINx imports and has byte code."""
 _FOR_NUMBA = "dolfinx.utils"
-_METADATA = "importlib.metadata"
 
 
 def import_early(at_start: Sequence[str] = ()) -> None:
@@ -130,34 +128,23 @@ def _import_dolfinx(byte_code: str | None) -> None:
 
 @contextmanager
 def _versions_alone() -> Iterator[None]:
-    """Gives who asks for `importlib.metadata` one that knows versions; the whole for all else."""
-    if _METADATA in sys.modules:
-        yield
-        return
-    light = ModuleType(_METADATA)
-    vars(light).update(version=_version, __getattr__=_of_metadata)
-    sys.modules[_METADATA] = light
-    vars(importlib)["metadata"] = light
+    """Gives who asks `importlib.metadata` for a version no more than that."""
+    metadata = import_module("importlib.metadata")
+    whole = metadata.version
+    vars(metadata)["version"] = partial(_version, whole)
     try:
         yield
     finally:
-        _forget_light_metadata()
+        vars(metadata)["version"] = whole
 
 
-def _of_metadata(name: str) -> object:
-    """Whatever else `importlib.metadata` has."""
-    _forget_light_metadata()
-    return getattr(import_module(_METADATA), name)
+def _version(whole: Callable[[str], str], name: str) -> str:
+    """Version of a package, as the first folder of metadata on Python's path says.
 
-
-def _forget_light_metadata() -> None:
-    if getattr(sys.modules.get(_METADATA), "__spec__", None) is None:  # a real one has where from
-        sys.modules.pop(_METADATA, None)
-        vars(importlib).pop("metadata", None)
-
-
-def _version(name: str) -> str:
-    """Version of a package, as the first folder of metadata on Python's path says."""
+    Args:
+        whole: Is asked where there is no such folder.
+        name: Of the package.
+    """
     start = name.replace("-", "_") + "-"
     for root in map(Path, sys.path):
         with suppress(OSError):
@@ -166,8 +153,7 @@ def _version(name: str) -> str:
                     for line in (root / folder / "METADATA").read_text("utf-8").splitlines():
                         if line.startswith("Version: "):
                             return line.removeprefix("Version: ").strip()
-    _forget_light_metadata()
-    return str(import_module(_METADATA).version(name))
+    return whole(name)
 
 
 def _share_cells() -> None:

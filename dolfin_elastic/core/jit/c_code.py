@@ -20,6 +20,7 @@ from dolfin_elastic.core.jit.compile import (
     load_library,
     roots,
 )
+from dolfin_elastic.core.parallel import agree
 from dolfin_elastic.core.timing import stage
 
 Array: TypeAlias = NDArray[np.generic]
@@ -146,4 +147,11 @@ def compile_c(
 
     with stage("compile"):
         folder = find_on_all_ranks(comm, roots(jit_options), {key: compile_into})[0]
-        return CFunctions(load_library(next(folder.glob("*.so"))))
+        error: Exception | None = None
+        library: Library | None = None
+        try:
+            library = load_library(next(folder.glob("*.so")))
+        except Exception as caught:  # raised on all ranks just below
+            error = caught
+        agree(comm, error)
+        return CFunctions(cast("Library", library))

@@ -42,11 +42,12 @@ int64_t evaluate(int64_t kernel, int64_t count, const int32_t* cells, const int3
 TAKING = r"""
 #define LANE(values, entry, l) ((values)[(entry) * LANES + (l)])
 
-static inline void spread(int64_t count, const double* values, double* spread)
+/* Constants, the same in all lanes. */
+static inline void spread(int64_t count, const double* values, double* out)
 {
   for (int64_t i = 0; i < count; i++)
     for (int l = 0; l < LANES; l++)
-      LANE(spread, i, l) = values[i];
+      LANE(out, i, l) = values[i];
 }
 
 /* Of the next LANES cells, or of count and the last of them again.  Unknowns stand in rows of BS at
@@ -161,7 +162,7 @@ int64_t evaluate(int64_t kernel, int64_t count, const int32_t* cells, const int3
                  const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
                  int64_t first, int64_t known, const double* constants, int64_t size, double* out)
 {
-  lanes y[3 * NG], w[packed], c[known + 1], room[size];
+  lanes y[3 * NG], w[packed], c[known + 1], room[LANES == 1 ? 1 : size];
   memset(w, 0, sizeof(w));
   spread(known, constants, (double*)c);
   for (int64_t n = 0; n < count; n += LANES)
@@ -177,6 +178,11 @@ int64_t evaluate(int64_t kernel, int64_t count, const int32_t* cells, const int3
   return 0;
 }
 """
+
+
+_MOST = 4096
+"""Numbers of a cell that are evaluated in lanes: 256 kB of the stack, of which most systems give
+8 MB. Rules of the highest degrees have more."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +220,7 @@ class CellIntegrals:
         self._elements = _elements(w)
         self._packed, self._first = _room(form, w)
         self._integrals = [
-            _Integral(kernel, cells, _loops_over_cells(w, kernel, jit_options))
+            _Integral(kernel, cells, _loops_over_cells(w, kernel, jit_options, many=pays(w)))
             for kernel, cells in kernels
         ]
 
@@ -273,7 +279,8 @@ class CellExpression:
         if self.kernel is None:
             return
         self._elements = _elements(w)
-        self._loops = _loops_over_cells(w, self.kernel, jit_options)
+        many = pays(w) and self.size <= _MOST
+        self._loops = _loops_over_cells(w, self.kernel, jit_options, many=many)
         self._packed = w.function_space.element.space_dimension
         self.in_lanes = self._loops.call("width") > 1
 
@@ -325,15 +332,18 @@ def pays(w: fem.Function) -> bool:
     return mesh.topology.index_map(mesh.topology.dim).size_global >= lanes.FROM * mesh.comm.size
 
 
-def _loops_over_cells(w: fem.Function, kernel: Kernel, jit_options: JitOptions) -> CFunctions:
+def _loops_over_cells(
+    w: fem.Function, kernel: Kernel, jit_options: JitOptions, *, many: bool
+) -> CFunctions:
     """The loops for a kernel. Collective.
 
     Args:
         w: The unknowns.
         kernel: FFCx's function.
         jit_options: From `options`.
+        many: There are so many cells that lanes pay.
     """
-    code = kernel.code(TAKING + SOURCE, many=pays(w))
+    code = kernel.code(TAKING + SOURCE, many=many)
     comm = w.function_space.mesh.comm
     return compile_c(comm, DECLARATIONS, code, sizes_of_cells(w), jit_options)
 

@@ -28,7 +28,8 @@ typedef void (*tabulate)(double*, const double*, const double*, const double*, c
 #define TABULATE(...) ((tabulate)(intptr_t)kernel)(__VA_ARGS__, NULL, NULL)
 #endif
 #else
-typedef double lanes __attribute__((vector_size(8 * LANES)));
+/* Its numbers are read and written one by one, too. */
+typedef double lanes __attribute__((vector_size(8 * LANES), may_alias));
 #define ZERO ((lanes){0})
 /* The same in all lanes, where it is a number; a vector as it is: x - 0 is x, also for x = -0. */
 #define SPREAD(x) ((x) - ZERO)
@@ -55,9 +56,12 @@ _OF_ANGLES = ["cos", "sin", "tan", "acos", "asin", "atan", "cosh", "sinh", "tanh
 _OF_ONE = ["sqrt", "fabs", "exp", "log", "erf", *_OF_ANGLES]
 _OF_TWO = ["pow", "atan2", "fmin", "fmax"]
 
+_FUNCTIONS = {*_OF_ONE, *_OF_TWO}
+
 _NUMBERS = r"[\w\s\[\]().,+\-*/]+"
 """An expression without comparisons, conditions and blocks."""
 _TABLE = re.compile(r"static const double \w+(\[\d+\])+ = \{.*\};")
+_COMMENT = re.compile(r"//.*")
 _CUT = re.compile(r"(?<=,)\n")
 """Within a table of several lines."""
 _LOOP = re.compile(r"for \(int (\w+) = 0; \1 < \d+; \+\+\1\)")
@@ -65,6 +69,8 @@ _ARRAY = re.compile(r"double (\w+(?:\[\d+\])+) = \{0\};")
 _STATEMENT = re.compile(rf"(double )?(\w+(?:\[{_NUMBERS}\])*) (\+?=) ({_NUMBERS});")
 _COMPARISON = re.compile(rf"bool (\w+) = ({_NUMBERS}) (<|>|<=|>=|==|!=) ({_NUMBERS});")
 _CHOICE = re.compile(rf"double (\w+) = (\w+) \? ({_NUMBERS}) : ({_NUMBERS});")
+_OTHER = re.compile(r"\((double|float|int)\)|\b(I|entity_local_index|quadrature_permutation)\b")
+"""Casts, complex numbers, and arguments that are not handed on."""
 _CALL = re.compile(r"\b([A-Za-z_]\w*)\(")
 
 
@@ -126,15 +132,14 @@ def _in_lanes(body: str) -> str | None:
 
 def _lines(body: str) -> Iterator[str]:
     """Lines of code in lanes; an empty one for each that is not of a known kind."""
-    body = _CUT.sub(" ", body)
-    for line in map(str.strip, body.splitlines()):
-        if not line or line.startswith("//"):
+    for line in map(str.strip, _CUT.sub(" ", _COMMENT.sub("", body)).splitlines()):
+        if not line:
             continue
         if line in ("{", "}") or _TABLE.fullmatch(line) or _LOOP.fullmatch(line):
             yield line
         elif found := _ARRAY.fullmatch(line):
             yield f"lanes {found.group(1)} = {{ZERO}};"
-        elif not all(name in _OF_ONE or name in _OF_TWO for name in _CALL.findall(line)):
+        elif not set(_CALL.findall(line)) <= _FUNCTIONS or _OTHER.search(line):
             yield ""
         elif found := _STATEMENT.fullmatch(line):
             new, target, sign, value = found.groups()

@@ -370,7 +370,10 @@ class Patches:
 
 
 class _Sums:
-    """Sums over the cells around vertices on all ranks.
+    """Sums over the cells around vertices on all ranks. Collective to make.
+
+    Nothing collective may stand between that and `over_ranks`: which of the two makes the vector
+    of DOLFINx differs between ranks.
 
     Args:
         mesh: Whose vertices.

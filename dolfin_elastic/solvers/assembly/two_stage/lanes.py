@@ -1,7 +1,8 @@
 """The C code of half of a symmetric tangent, of several cells at once.
 
-Moduli of LANES cells (`core.jit.vectorise`) and their contraction with shape functions stay in the
-first cache of a core; `kernel` has the formulas, and the same for one cell after the other.
+Moduli of LANES cells (`core.jit.vectorise`) are contracted with shape functions where they are: in
+the first cache of a core, or in the second one.  `kernel` has the formulas, and the same for one
+cell after the other.
 """
 
 from __future__ import annotations
