@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import cffi
 import numpy as np
@@ -24,7 +25,7 @@ from dolfin_elastic.core.jit import lanes
 from dolfin_elastic.core.jit.c_code import CFunctions, compile_c
 from dolfin_elastic.core.jit.compile import JitOptions, Library, expression_and_module
 from dolfin_elastic.core.jit.lanes import Kernel
-from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 
 DECLARATIONS = """
 int64_t width(void);
@@ -251,6 +252,22 @@ class CellIntegrals:
             one.loops.call(loop, *where, *unknowns, len(constants), constants, out)
 
 
+class LaneLoops(NamedTuple):
+    """Loops in C that use a kernel for several cells at once.
+
+    Attributes:
+        declarations: Of the functions, for cffi.
+        source: In C; it has the code of `TAKING`, and stands where LANES > 1 only.
+        otherwise: The same functions where LANES is 1: they are not called.
+        sizes: Macros, by name.
+    """
+
+    declarations: str
+    source: str
+    otherwise: str
+    sizes: dict[str, int]
+
+
 class CellExpression:
     """An expression without arguments, compiled, at points in cells. Collective to make.
 
@@ -261,15 +278,21 @@ class CellExpression:
         points: Of the reference cell, shape (points, dim).
         w: The unknowns.
         jit_options: From `options`.
+        more: What else is to be done with it in lanes.
 
     Attributes:
         size: Numbers in a cell: points times components.
         kernel: FFCx's function, which has no coefficient but the unknowns; else None.
-        in_lanes: It has code for several cells at once.
+        in_lanes: It has code for several cells at once, and so have the functions of `more`.
     """
 
     def __init__(
-        self, expression: Expr, points: FloatArray, w: fem.Function, jit_options: JitOptions
+        self,
+        expression: Expr,
+        points: FloatArray,
+        w: fem.Function,
+        jit_options: JitOptions,
+        more: LaneLoops | None = None,
     ) -> None:
         comm = w.function_space.mesh.comm
         self._expression, library = expression_and_module(comm, expression, points, jit_options)
@@ -280,7 +303,9 @@ class CellExpression:
             return
         self._elements = _elements(w)
         many = pays(w) and self.size <= _MOST
-        self._loops = _loops_over_cells(w, self.kernel, jit_options, many=many)
+        self._loops = _loops_over_cells(
+            w, self.kernel, jit_options, many=many, more=more if many else None
+        )
         self._packed = w.function_space.element.space_dimension
         self.in_lanes = self._loops.call("width") > 1
 
@@ -288,6 +313,10 @@ class CellExpression:
     def constants(self) -> FloatArray:
         """Values of the constants of the expression."""
         return pack_constants(self._expression._cpp_object)
+
+    def call(self, name: str, *arguments: int | AnyArray) -> int:
+        """Calls a function of `more`, where it is `in_lanes`. Not collective."""
+        return self._loops.call(name, *arguments)
 
     def eval(self, cells: IndexArray, out: FloatArray | None = None) -> FloatArray:
         """Values in cells, shape (cells, size). Not collective.
@@ -309,16 +338,6 @@ class CellExpression:
         return out
 
 
-def sizes_of_cells(w: fem.Function) -> dict[str, int]:
-    """Macros that `TAKING` uses.
-
-    Args:
-        w: The unknowns.
-    """
-    corners, _, dofs = _elements(w)
-    return {"NG": corners.shape[1], "ND": dofs.shape[1], "BS": w.function_space.dofmap.bs}
-
-
 def _elements(w: fem.Function) -> tuple[IndexArray, FloatArray, IndexArray]:
     """Geometry nodes of cells, their places, nodes of unknowns."""
     mesh, dofmap = w.function_space.mesh, w.function_space.dofmap
@@ -333,7 +352,12 @@ def pays(w: fem.Function) -> bool:
 
 
 def _loops_over_cells(
-    w: fem.Function, kernel: Kernel, jit_options: JitOptions, *, many: bool
+    w: fem.Function,
+    kernel: Kernel,
+    jit_options: JitOptions,
+    *,
+    many: bool,
+    more: LaneLoops | None = None,
 ) -> CFunctions:
     """The loops for a kernel. Collective.
 
@@ -342,10 +366,17 @@ def _loops_over_cells(
         kernel: FFCx's function.
         jit_options: From `options`.
         many: There are so many cells that lanes pay.
+        more: Further loops.
     """
-    code = kernel.code(TAKING + SOURCE, many=many)
-    comm = w.function_space.mesh.comm
-    return compile_c(comm, DECLARATIONS, code, sizes_of_cells(w), jit_options)
+    corners, _, dofs = _elements(w)
+    sizes = {"NG": corners.shape[1], "ND": dofs.shape[1], "BS": w.function_space.dofmap.bs}
+    declarations, loops = DECLARATIONS, TAKING + SOURCE
+    if more is not None:
+        declarations += more.declarations
+        loops += f"#if LANES > 1\n{more.source}\n#else\n{more.otherwise}\n#endif\n"
+        sizes |= more.sizes
+    code = kernel.code(loops, many=many)
+    return compile_c(w.function_space.mesh.comm, declarations, code, sizes, jit_options)
 
 
 def _kernel(expression: fem.Expression, library: Library, w: fem.Function) -> Kernel | None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Timer
+from time import monotonic
 from typing import Protocol, TypeAlias, TypedDict, TypeVar, cast
 from uuid import uuid4
 
@@ -42,7 +43,7 @@ from dolfin_elastic.core.types import FloatArray
 log = logging.getLogger("dolfin_elastic")
 T = TypeVar("T")
 SLOW = 3.0
-"""Seconds of compiling after which a line says so."""
+"""Seconds of compiling, of one form or of several, after which a line says so."""
 # No -ffast-math: it would hide the NaN and Inf by which an inverted element is seen.
 # Without the second scheduling pass: on the long straight-line code of a tangent at one point gcc
 # takes minutes for it (130 s against 0.4 s for a neo-Hookean solid), and the code is no faster.
@@ -220,7 +221,7 @@ def find_on_all_ranks(
         return before
     every = list(wanted.items())
     mine = every[comm.rank :: comm.size]
-    with _told_after(SLOW):
+    with _silence.broken_after(SLOW):
         for share in [mine, every] if comm.size > 1 else [every]:
             found: list[Path] = []
             error: Exception | None = None
@@ -254,16 +255,35 @@ def _named(form: Compilable, jit_options: JitOptions) -> tuple[str, Compile]:
     return compute_signature([form], tag), compile_into
 
 
-@contextmanager
-def _told_after(seconds: float) -> Iterator[None]:
-    """A line says what is waited for, be it FFCx, gcc or another rank."""
-    timer = Timer(seconds, log.info, ["compiling ... (the first run of this form)"])
-    timer.daemon = True  # it keeps no run from its end
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
+class _Silence:
+    """How long forms have been compiled, one after the other, since a line has last said so."""
+
+    def __init__(self) -> None:
+        self._seconds, self._since = 0.0, 0.0
+
+    def _break(self) -> None:
+        log.info("compiling ... (the first run of this form)")
+        self._since = monotonic()
+
+    @contextmanager
+    def broken_after(self, seconds: float) -> Iterator[None]:
+        """A line says what is waited for, be it FFCx, gcc or another rank.
+
+        Args:
+            seconds: Of silence, those of the forms before among them.
+        """
+        self._since = monotonic() - self._seconds
+        timer = Timer(max(seconds - self._seconds, 0.0), self._break)
+        timer.daemon = True  # it keeps no run from its end
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+            self._seconds = monotonic() - self._since
+
+
+_silence = _Silence()
 
 
 @contextmanager

@@ -9,7 +9,7 @@ times as fast.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import basix
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.jit import CFunctions, compile_c, compile_forms
+from dolfin_elastic.core.jit import compile_c, compile_forms
 from dolfin_elastic.core.jit.cell_integrals import CellExpression
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
@@ -28,8 +28,8 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.weak_form import UNUSED
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, Conditions
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
-from dolfin_elastic.solvers.assembly.two_stage import lanes
 from dolfin_elastic.solvers.assembly.two_stage.kernel import DECLARATIONS, SOURCE
+from dolfin_elastic.solvers.assembly.two_stage.lanes import half_of
 
 BLOCK = 262144
 """Doubles of moduli that are evaluated at once: 2 MB stay in the cache of a core, and hide what a
@@ -187,9 +187,8 @@ class TwoStageForm(BilinearForm):
         places = (fixed, self._places, n, blocks.start, blocks.high, blocks.low)
         others = (far.start, far.columns, far.blocks)
         for term in self._terms:
-            if term.in_lanes is not None:
-                arrays = (*self._elements, *term.unknowns(), *places, *others)
-                term.in_lanes.call("add_half", len(term.cells), term.cells, *arrays)
+            if term.in_lanes:
+                term.add_half(self._elements, (*places, *others))
                 continue
             for cells, values in term.blocks(term.cells):
                 arrays = (*self._elements, values, *term.tables, *places)
@@ -241,7 +240,6 @@ class _Term:
         # At least what integrates the product of two pressures.
         degree = max(2 if mixed else 0, problem.weak_form.rule(region))
         points, weights = basix.make_quadrature(mesh.basix_cell(), degree)
-        self._moduli = CellExpression(moduli(problem, region), points, problem.w, problem.jit)
         gradients, corners, sizes = tabulated(problem, points)
         pressures = np.zeros((len(weights), 0))
         if mixed:
@@ -251,21 +249,25 @@ class _Term:
         sizes |= {"NP": pressures.shape[1], "SYMMETRIC": int(problem.symmetric)}
         sizes |= {"STRIDE": _stride(problem)}
         self.code = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
+        half = half_of(sizes) if problem.symmetric and not mixed else None
+        values = moduli(problem, region)
+        self._moduli = CellExpression(values, points, problem.w, problem.jit, half)
+        self.in_lanes = half is not None and self._moduli.in_lanes
         self._block = max(1, BLOCK // self._moduli.size)
         self._w = problem.w
-        self.in_lanes: CFunctions | None = None
-        kernel = self._moduli.kernel
-        if kernel is not None and self._moduli.in_lanes and problem.symmetric and not mixed:
-            code = kernel.code(lanes.SOURCE, many=True)
-            sizes |= {"BS": problem.body.dim}
-            options = problem.jit
-            self.in_lanes = compile_c(mesh.comm, lanes.DECLARATIONS, code, sizes, options)
 
-    def unknowns(self) -> tuple[int | AnyArray, ...]:
-        """What moduli depend on, and the tables, for loops in lanes."""
+    def add_half(self, elements: Sequence[AnyArray], places: Sequence[int | AnyArray]) -> None:
+        """Adds half of the tangent, where it is `in_lanes`.
+
+        Args:
+            elements: Geometry nodes of cells, their places, nodes of the displacement.
+            places: Which entries are fixed, and where blocks stand; see `lanes`.
+        """
         constants = self._moduli.constants
         gradients, _, corners, weights = self.tables
-        return self._w.x.array, len(constants), constants, gradients, corners, weights
+        state = (self._w.x.array, len(constants), constants, gradients, corners, weights)
+        where = (len(self.cells), self.cells)
+        self._moduli.call("add_half", *where, *elements, *state, *places)
 
     def blocks(self, cells: IndexArray) -> Iterator[tuple[IndexArray, FloatArray]]:
         """Cells, some at a time, with their `moduli` at the points, until the next ones."""

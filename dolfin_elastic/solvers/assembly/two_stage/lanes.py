@@ -7,22 +7,20 @@ cell after the other.
 
 from __future__ import annotations
 
-from dolfin_elastic.core.jit.cell_integrals import TAKING
+from dolfin_elastic.core.jit.cell_integrals import LaneLoops
 from dolfin_elastic.solvers.assembly.symmetric.loops import ADDING
 from dolfin_elastic.solvers.assembly.two_stage.kernel import GRADIENTS
 
-DECLARATIONS = """
+_HEAD = """
 int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
                  const int32_t* nodes, const double* unknowns, int64_t known,
                  const double* constants, const double* tables, const double* geometry_tables,
                  const double* weights, const int8_t* fixed, const uint16_t* places, int64_t owned,
                  const int64_t* start, float* high, float* low, const int64_t* far_start,
-                 const int32_t* far_columns, double* far_blocks);
-"""
+                 const int32_t* far_columns, double* far_blocks)"""
 
-SOURCE = (
-    TAKING
-    + ADDING
+_SOURCE = (
+    ADDING
     + "#define real lanes\n#define MAGNITUDE(x) fabs_lanes(x)\n"
     + GRADIENTS
     + r"""
@@ -88,13 +86,9 @@ static void add_far(const double* K, int pair, int l, int turned, int32_t row, i
           far_blocks[f * SQUARE + i * DIM + k]
               += LANE(K, pair * SQUARE + (turned ? k * DIM + i : i * DIM + k), l);
 }
-
-int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
-                 const int32_t* nodes, const double* unknowns, int64_t known,
-                 const double* constants, const double* tables, const double* geometry_tables,
-                 const double* weights, const int8_t* fixed, const uint16_t* places, int64_t owned,
-                 const int64_t* start, float* high, float* low, const int64_t* far_start,
-                 const int32_t* far_columns, double* far_blocks)
+"""
+    + _HEAD
+    + r"""
 {
   lanes y[NG][3], w[DIM * ND], c[known + 1], A[NQ * MODULI], K[PAIRS][SQUARE];
   const double* entries = (const double*)K;
@@ -157,3 +151,12 @@ int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, co
 }
 """
 )
+
+
+def half_of(sizes: dict[str, int]) -> LaneLoops:
+    """The function `add_half`.
+
+    Args:
+        sizes: See `form.tabulated`.
+    """
+    return LaneLoops(f"{_HEAD};", _SOURCE, f"{_HEAD}\n{{\n  return -1;\n}}", sizes)
