@@ -251,7 +251,11 @@ def _check_cover(body: Body, cells: Mapping[str, IndexArray]) -> None:
 def locking_notes(
     body: Body, regions: Sequence[MaterialRegion], degree: int, geometry: Geometry
 ) -> list[str]:
-    """What to expect of linear elements of nearly incompressible materials. Collective.
+    """What to expect of nearly incompressible materials. Collective.
+
+    The pressure is one continuous field.  Where two materials meet, that of the body jumps, by what
+    their tangential strains and moduli differ in: the best approximation is off by half of that in
+    the cells there, an error of the order of the square root of their size in the energy norm.
 
     Args:
         body: The mesh and its names.
@@ -259,10 +263,20 @@ def locking_notes(
         degree: Degree of the displacement.
         geometry: Kind of a two-dimensional body.
     """
-    if degree > 1 or geometry == "plane-stress":
+    if geometry == "plane-stress":
         return []
-    across = span(body) / cell_size(body)
     notes = []
+    carried = [region for region in regions if region.compliance is not None]
+    if any(region.typical != carried[0].typical for region in carried[1:]):
+        names = ", ".join(f"'{region.name}'" for region in carried)
+        notes.append(
+            f"one continuous pressure for the materials {names}: where they meet, stress and its "
+            "estimated error converge slowly; refine the mesh there, or, up to nu = 0.49, use "
+            'mesh.formulation = "displacement" with mesh.degree = 2'
+        )
+    if degree > 1:
+        return notes
+    across = span(body) / cell_size(body)
     for region in regions:
         nu = poisson(region.typical)
         if region.compliance is None and nu > STIFF_IN_VOLUME:

@@ -401,6 +401,23 @@ def test_locking_is_warned_of(caplog):
     assert "displacement P2 and pressure P1 (nearly incompressible: body)" in chosen
 
 
+@pytest.mark.parametrize(("other", "told"), [(0.49, True), (0.46, False), (0.3, False)])
+def test_one_pressure_for_two_materials_is_told(other, told, caplog):
+    """It does not jump where they meet; a material without a pressure has none to share."""
+    half = {
+        "a": Selector(box=[[0, 0, 0], [0.5, 1, 1]]),
+        "b": Selector(box=[[0.5, 0, 0], [1, 1, 1]]),
+    }
+    body = name_parts(box_body(size=(1, 1, 1), cells=(2, 2, 2)), regions=half)
+    laws = {"a": NeoHookean(E=1e6, nu=0.46), "b": NeoHookean(E=1e6, nu=other)}
+    with caplog.at_level("WARNING", logger="dolfin_elastic"):
+        Problem(body, laws, degree=2)
+    said = body.comm.bcast([r.getMessage() for r in caplog.records])  # only rank 0 speaks
+    assert [
+        text.startswith("one continuous pressure for the materials 'a', 'b'") for text in said
+    ] == ([True] if told else [])
+
+
 def test_what_locking_costs():
     """At nu = 0.4 lmbda is 4 mu: with cells of half the body x = 4/2^2 = 1, of a quarter 1/4."""
     assert locking(0.4, 2.0) == pytest.approx((1.013, 3.0), rel=1e-12)
