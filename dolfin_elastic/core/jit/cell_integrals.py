@@ -315,7 +315,12 @@ class CellExpression:
         return pack_constants(self._expression._cpp_object)
 
     def call(self, name: str, *arguments: int | AnyArray) -> int:
-        """Calls a function of `more`, where it is `in_lanes`. Not collective."""
+        """Calls a function of `more`, where it is `in_lanes`. Not collective.
+
+        Args:
+            name: Of the function.
+            arguments: Integers and arrays.
+        """
         return self._loops.call(name, *arguments)
 
     def eval(self, cells: IndexArray, out: FloatArray | None = None) -> FloatArray:

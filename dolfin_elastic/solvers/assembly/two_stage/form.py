@@ -20,7 +20,7 @@ from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.jit import compile_c, compile_forms
-from dolfin_elastic.core.jit.cell_integrals import CellExpression
+from dolfin_elastic.core.jit.cell_integrals import CellExpression, LaneLoops
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.material_regions import MaterialRegion
@@ -28,8 +28,8 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.weak_form import UNUSED
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, Conditions
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
+from dolfin_elastic.solvers.assembly.two_stage import lanes
 from dolfin_elastic.solvers.assembly.two_stage.kernel import DECLARATIONS, SOURCE
-from dolfin_elastic.solvers.assembly.two_stage.lanes import half_of
 
 BLOCK = 262144
 """Doubles of moduli that are evaluated at once: 2 MB stay in the cache of a core, and hide what a
@@ -249,7 +249,9 @@ class _Term:
         sizes |= {"NP": pressures.shape[1], "SYMMETRIC": int(problem.symmetric)}
         sizes |= {"STRIDE": _stride(problem)}
         self.code = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
-        half = half_of(sizes) if problem.symmetric and not mixed else None
+        half = None
+        if problem.symmetric and not mixed:
+            half = LaneLoops(lanes.DECLARATIONS, lanes.SOURCE, lanes.OTHERWISE, sizes)
         values = moduli(problem, region)
         self._moduli = CellExpression(values, points, problem.w, problem.jit, half)
         self.in_lanes = half is not None and self._moduli.in_lanes

@@ -7,7 +7,6 @@ cell after the other.
 
 from __future__ import annotations
 
-from dolfin_elastic.core.jit.cell_integrals import LaneLoops
 from dolfin_elastic.solvers.assembly.symmetric.loops import ADDING
 from dolfin_elastic.solvers.assembly.two_stage.kernel import GRADIENTS
 
@@ -19,7 +18,7 @@ int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, co
                  const int64_t* start, float* high, float* low, const int64_t* far_start,
                  const int32_t* far_columns, double* far_blocks)"""
 
-_SOURCE = (
+SOURCE = (
     ADDING
     + "#define real lanes\n#define MAGNITUDE(x) fabs_lanes(x)\n"
     + GRADIENTS
@@ -151,12 +150,9 @@ static void add_far(const double* K, int pair, int l, int turned, int32_t row, i
 }
 """
 )
+"""Where LANES > 1, after what `core.jit.cell_integrals.TAKING` has."""
 
+DECLARATIONS = f"{_HEAD};"
 
-def half_of(sizes: dict[str, int]) -> LaneLoops:
-    """The function `add_half`.
-
-    Args:
-        sizes: See `form.tabulated`.
-    """
-    return LaneLoops(f"{_HEAD};", _SOURCE, f"{_HEAD}\n{{\n  return -1;\n}}", sizes)
+OTHERWISE = f"{_HEAD}\n{{\n  return -1;\n}}"
+"""Where LANES is 1."""
