@@ -18,9 +18,9 @@ from dolfin_elastic.core.jit.compile import (
     Library,
     find_on_all_ranks,
     load_library,
+    on_all_ranks,
     roots,
 )
-from dolfin_elastic.core.parallel import agree
 from dolfin_elastic.core.timing import stage
 
 Array: TypeAlias = NDArray[np.generic]
@@ -147,11 +147,4 @@ def compile_c(
 
     with stage("compile"):
         folder = find_on_all_ranks(comm, roots(jit_options), {key: compile_into})[0]
-        error: Exception | None = None
-        library: Library | None = None
-        try:
-            library = load_library(next(folder.glob("*.so")))
-        except Exception as caught:  # raised on all ranks just below
-            error = caught
-        agree(comm, error)
-        return CFunctions(cast("Library", library))
+        return CFunctions(on_all_ranks(comm, lambda: load_library(folder)))

@@ -257,14 +257,13 @@ class LaneLoops(NamedTuple):
 
     Attributes:
         declarations: Of the functions, for cffi.
-        source: In C; it has the code of `TAKING`, and stands where LANES > 1 only.
-        otherwise: The same functions where LANES is 1: they are not called.
+        source: In C; it has the code of `TAKING`, and stands where LANES > 1 only.  Else the same
+            functions do nothing, and are not called.
         sizes: Macros, by name.
     """
 
     declarations: str
     source: str
-    otherwise: str
     sizes: dict[str, int]
 
 
@@ -378,7 +377,8 @@ def _loops_over_cells(
     declarations, loops = DECLARATIONS, TAKING + SOURCE
     if more is not None:
         declarations += more.declarations
-        loops += f"#if LANES > 1\n{more.source}\n#else\n{more.otherwise}\n#endif\n"
+        idle = more.declarations.replace(";", " { return -1; }")
+        loops += f"#if LANES > 1\n{more.source}\n#else\n{idle}\n#endif\n"
         sizes |= more.sizes
     code = kernel.code(loops, many=many)
     return compile_c(w.function_space.mesh.comm, declarations, code, sizes, jit_options)

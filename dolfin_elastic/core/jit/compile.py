@@ -8,6 +8,7 @@ import os
 import sysconfig
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from threading import Timer
 from time import monotonic
@@ -130,7 +131,7 @@ def compile_forms(
     with stage("compile"):
         found = _compiled(comm, forms, jit_options)
         return [
-            _on_all_ranks(comm, folder, lambda f=form: fem.form(f))[0]  # type: ignore[misc]
+            on_all_ranks(comm, partial(_made_of, folder, partial(fem.form, form)))[0]
             for form, folder in zip(forms, found, strict=True)
         ]
 
@@ -166,7 +167,8 @@ def expression_and_module(
     places = np.reshape(points, (-1, np.shape(points)[-1]))
     with stage("compile"):
         folder = _compiled(comm, [(expression, places)], jit_options)[0]
-        return _on_all_ranks(comm, folder, lambda: fem.Expression(expression, points))
+        make = partial(fem.Expression, expression, points)
+        return on_all_ranks(comm, partial(_made_of, folder, make))
 
 
 def _with_numbered_labels(expression: Expr) -> Expr:
@@ -303,8 +305,9 @@ def _given(library: Library) -> Iterator[None]:
         jit.ffcx_jit = compiling
 
 
-def load_library(file: Path) -> Library:
-    """A module that cffi has compiled; its name is that of the file. Not collective."""
+def load_library(folder: Path) -> Library:
+    """The module that cffi has compiled into a folder, whose name is its file's. Not collective."""
+    file = next(folder.glob("*.so"))
     name = file.name.partition(".")[0]
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None
@@ -325,24 +328,32 @@ def _root_log_kept() -> Iterator[None]:
         root.handlers = before
 
 
-def _on_all_ranks(comm: MPI.Comm, folder: Path, make: Callable[[], T]) -> tuple[T, Library]:
-    """Makes a compiled object of DOLFINx on every rank; all raise the error of any. Collective.
+def on_all_ranks(comm: MPI.Comm, make: Callable[[], T]) -> T:
+    """Calls a function on every rank, which is not collective; all raise the error of any.
+
+    Collective.
 
     Args:
         comm: The ranks.
-        folder: Of its code.
-        make: Makes it of what `jit.ffcx_jit` returns.
-
-    Returns:
-        The object, and the library that it is in.
+        make: The function.
     """
     error: Exception | None = None
-    made: tuple[T, Library] | None = None
+    made: T | None = None
     try:
-        library = load_library(next(folder.glob("libffcx_*.so")))
-        with _given(library):
-            made = make(), library
+        made = make()
     except Exception as caught:  # raised on all ranks just below
         error = caught
     agree(comm, error)
-    return cast("tuple[T, Library]", made)
+    return cast("T", made)
+
+
+def _made_of(folder: Path, make: Callable[[], T]) -> tuple[T, Library]:
+    """A compiled object of DOLFINx, and the library that it is in. Not collective.
+
+    Args:
+        folder: Of its code.
+        make: Makes it of what `jit.ffcx_jit` returns.
+    """
+    library = load_library(folder)
+    with _given(library):
+        return make(), library

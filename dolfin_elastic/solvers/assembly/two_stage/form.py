@@ -251,7 +251,7 @@ class _Term:
         self.code = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
         half = None
         if problem.symmetric and not mixed:
-            half = LaneLoops(lanes.DECLARATIONS, lanes.SOURCE, lanes.OTHERWISE, sizes)
+            half = LaneLoops(lanes.DECLARATIONS, lanes.SOURCE, sizes)
         values = moduli(problem, region)
         self._moduli = CellExpression(values, points, problem.w, problem.jit, half)
         self.in_lanes = half is not None and self._moduli.in_lanes

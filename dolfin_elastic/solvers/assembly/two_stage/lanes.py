@@ -153,6 +153,3 @@ static void add_far(const double* K, int pair, int l, int turned, int32_t row, i
 """Where LANES > 1, after what `core.jit.cell_integrals.TAKING` has."""
 
 DECLARATIONS = f"{_HEAD};"
-
-OTHERWISE = f"{_HEAD}\n{{\n  return -1;\n}}"
-"""Where LANES is 1."""
