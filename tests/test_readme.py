@@ -152,10 +152,11 @@ def test_tie() -> None:
 
 @pytest.mark.usefixtures("serial_only")
 def test_examples_run(tmp_path: Path) -> None:
-    """The case and both Python programs."""
+    """The case and the Python programs."""
     (tmp_path / "block.toml").write_text(blocks("toml", PAGES["docs/guide/case-file.md"])[0])
     python = blocks("python", PAGES["docs/guide/python.md"])
-    assert len(python) == 2
+    assert len(python) == 3
+    said = ""
     for code in python:
         done = subprocess.run(
             [sys.executable, "-c", code],
@@ -167,7 +168,9 @@ def test_examples_run(tmp_path: Path) -> None:
             env={**os.environ, "PYTHONPATH": str(ROOT)},
         )
         assert done.returncode == 0, done.stderr
-    assert "the left end carries" in done.stdout
+        said += done.stdout
+    assert "the left end carries" in said
+    assert float(said.split()[-2]) == pytest.approx(2.45e-3, abs=5e-6)
     for folder in ("block_results", "beam_results"):
         assert (tmp_path / folder / "results.xdmf").exists()
 

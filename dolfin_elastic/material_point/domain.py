@@ -11,7 +11,8 @@ from ufl.classes import Division, Exp, Expr, Ln, Power, ScalarValue, Sqrt
 from ufl.corealg.traversal import unique_post_traversal
 
 from dolfin_elastic.core.types import BoolArray, FloatArray
-from dolfin_elastic.material_point.ufl_to_numpy import NumpyProgram, gradient_symbol
+from dolfin_elastic.material_point.ufl_to_numpy import NumpyProgram
+from dolfin_elastic.model.kinematics import gradient_symbol
 from dolfin_elastic.model.materials.law import Law
 
 

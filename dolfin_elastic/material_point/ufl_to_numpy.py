@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
-import basix.ufl
 import numpy as np
 import ufl
 from ufl.algorithms import expand_derivatives
@@ -39,6 +38,7 @@ from ufl.classes import (
 from ufl.corealg.traversal import unique_post_traversal
 
 from dolfin_elastic.core.types import AnyArray, FloatArray
+from dolfin_elastic.model.kinematics import gradient_symbol
 from dolfin_elastic.model.materials.law import Law
 
 Step = Callable[[list[AnyArray]], AnyArray]
@@ -219,12 +219,6 @@ class NumpyProgram:
                 done.append(at if step is None else step([done[s] for s in slots]))
         full = np.broadcast_to(done[-1], (*self.shape, at.shape[-1]))
         return np.array(np.moveaxis(full, -1, 0))
-
-
-def gradient_symbol() -> Expr:
-    """A 3x3 UFL constant that stands for F in expressions."""
-    cell = ufl.Mesh(basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)))
-    return ufl.Constant(cell, (3, 3))
 
 
 class LawAtPoints:

@@ -10,6 +10,7 @@ Cambridge 2008, chapters 4 (kinematics) and 5 (stress); equation numbers below a
 
 from __future__ import annotations
 
+import basix.ufl
 import ufl
 from ufl.core.expr import Expr
 
@@ -226,3 +227,9 @@ def von_mises(sigma: Expr) -> Expr:
     """sqrt(3/2 s:s), s the deviator of a 3x3 Cauchy stress (von Mises, 1913)."""
     s = ufl.dev(sigma)
     return ufl.sqrt(3 / 2 * ufl.inner(s, s))
+
+
+def gradient_symbol() -> Expr:
+    """A UFL constant of shape (3, 3) that stands for F in expressions without a mesh."""
+    cell = ufl.Mesh(basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)))
+    return ufl.Constant(cell, (3, 3))

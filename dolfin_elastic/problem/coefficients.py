@@ -33,9 +33,11 @@ from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import (
     PLACE,
     Range,
+    SpatialCells,
     SpatialDirection,
     SpatialField,
     SpatialFormula,
+    SpatialFunction,
 )
 
 _SHORTEST = 1e-6
@@ -107,6 +109,10 @@ class CoefficientSampler:
             case SpatialField():
                 with _within("field"):
                     return self._scalar(item.field, cells) * item.factor
+            case SpatialFunction():
+                return self._function(item, cells)
+            case SpatialCells():
+                return self._of_cells(item, cells)
             case SpatialDirection(components=parts):
                 shape = (len(cells), len(self.points))
                 return np.stack(
@@ -126,6 +132,30 @@ class CoefficientSampler:
         for name in sorted(formula.names - set(PLACE)):
             values[name] = self._scalar(name, cells)
         return np.asarray(formula.evaluate(**values))
+
+    def _function(self, item: SpatialFunction, cells: IndexArray) -> FloatArray:
+        # The C++ mesh, for a function may have been made on another Python object of it.
+        mesh, own = self.body.mesh, getattr(item.function, "function_space", None)
+        if own is None or own.mesh._cpp_object is not mesh._cpp_object:
+            raise InputError(
+                "the function is defined on another mesh",
+                expected="a scalar DOLFINx function on body.mesh",
+            )
+        table = fem.Expression(item.function, self.points).eval(mesh, cells)
+        return np.asarray(table, dtype=np.float64).reshape(len(cells), len(self.points))
+
+    def _of_cells(self, item: SpatialCells, cells: IndexArray) -> FloatArray:
+        owned, count = len(self.body.owned_cells()), len(item.values)
+        ghosts = self.body.mesh.topology.index_map(self.body.dim).num_ghosts
+        wrong = count not in (owned, owned + ghosts)
+        if largest(self.body.comm, float(wrong)):
+            raise InputError(
+                f"an array of {count} values for the {owned} cells of this rank"
+                if wrong
+                else "an array that does not have a value for each cell of another rank",
+                expected="a value for each owned cell of the rank, in the order of body.mesh",
+            )
+        return np.repeat(item.values[cells][:, None], len(self.points), axis=1)
 
     def _scalar(self, name: str, cells: IndexArray) -> FloatArray:
         table = self._field(name, cells)
@@ -220,7 +250,7 @@ class CoefficientBinder:
         ranges = law.ranges()
         symbols = {name: self._constant(number) for name, number in numbers.items()}
         for name, table in values.items():
-            symbols[name] = self._function(table, cells, ranges[name])
+            symbols[name] = self._function(table, cells, ranges.get(name, Range()))
         typical = law
         if values:
             symbols = law.complete_constants(symbols)
@@ -254,7 +284,8 @@ class CoefficientBinder:
         for name in [*found, *(n for n in every if n not in found)]:
             values = every[name]
             if isinstance(values, np.ndarray) and values.ndim == 2:
-                self._check_one(name, values, ranges[name], cells, given=name in found)
+                possible = ranges.get(name, Range())
+                self._check_one(name, values, possible, cells, given=name in found)
 
     def _check_one(
         self, name: str, values: FloatArray, possible: Range, cells: IndexArray, *, given: bool
@@ -337,7 +368,7 @@ class CoefficientBinder:
         typical = law.complete_constants({**numbers, **means})
         if isinstance(nu, np.ndarray) and nu.ndim == 2:
             typical["nu"] = largest(comm, float(nu.max(initial=-1.0)))
-        return law.model_copy(update=typical)
+        return law.with_symbols(typical)
 
 
 def _across(law: Law, values: Mapping[str, FloatArray]) -> dict[str, tuple[float, ...]]:

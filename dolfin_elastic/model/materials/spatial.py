@@ -2,7 +2,8 @@
 
 A constant of a law is a number; or a text such as ``"1e9*(1 - 0.5*z/0.1)"`` in x, y, z [m] and in
 the names of scalar fields of the mesh, which gives SI units; or a field as it is,
-``{field = "E_cell", unit = "MPa"}``.  What a name means is known only on a body, to which
+``{field = "E_cell", unit = "MPa"}``.  In Python it may also be a scalar DOLFINx function, or an
+array with a value for each cell.  What a name means is known only on a body, to which
 `dolfin_elastic.problem.coefficients` binds the law.
 """
 
@@ -19,6 +20,7 @@ import numpy as np
 from pydantic import AliasChoices, BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import core_schema
+from ufl import Coefficient
 
 from dolfin_elastic.core.errors import InputError, UnitError
 from dolfin_elastic.core.formula import Formula
@@ -30,6 +32,7 @@ from dolfin_elastic.core.units import (
     SpatialValue,
     as_written,
     is_quantity,
+    to_base,
     to_si,
 )
 from dolfin_elastic.model.values import misspelt_unit
@@ -93,6 +96,38 @@ class SpatialField(SpatialValue):
         return {"field": self.field, **({"unit": self.unit} if self.unit else {})}
 
 
+@dataclass(frozen=True, eq=False)
+class SpatialFunction(SpatialValue):
+    """The values of a function on the mesh, taken where a problem is made.
+
+    Attributes:
+        function: A scalar DOLFINx function [SI].
+    """
+
+    function: Coefficient
+
+    @property
+    def written(self) -> str:
+        """Its name: no case file can hold it."""
+        return f"function {self.function}"
+
+
+@dataclass(frozen=True, eq=False)
+class SpatialCells(SpatialValue):
+    """A value for each cell.
+
+    Attributes:
+        values: In the order of this rank's cells, of the owned ones or of all [SI], shape (n,).
+    """
+
+    values: FloatArray
+
+    @property
+    def written(self) -> str:
+        """What it is: no case file can hold it."""
+        return "values of cells"
+
+
 @dataclass(frozen=True)
 class SpatialDirection(SpatialValue):
     """A direction: three components, of which at least one is a formula."""
@@ -112,30 +147,54 @@ class _FieldTable(Record):
     unit: str = ""
 
 
-def constant(value: object, unit: str) -> object:
+def constant(value: object, unit: str | None) -> object:
     """Reads a constant that may vary in space; any other value is returned unchanged.
 
     Args:
         value: As a user wrote it.
-        unit: SI unit of the constant.
+        unit: SI unit of the constant; None: it may have any.
 
     Raises:
-        InputError: A formula or table that cannot be right on any mesh.
+        InputError: What cannot be right on any mesh.
     """
     if isinstance(value, Mapping):
         return _field(value, unit)
+    if isinstance(value, Coefficient):
+        return _function(value)
+    if isinstance(value, np.ndarray) and value.ndim:
+        return _cells(value)
     if not isinstance(value, str) or is_quantity(value) or misspelt_unit(value, PLACE):
         return value
     # Any name may be a field's: other errors of the formula are raised before a mesh is read.
     names = {*PLACE, *usable(_NAME.findall(value))}
     formula = Formula.parse(value, allowed=names)
-    return SpatialFormula(value, unit) if formula.names else float(formula.evaluate())
+    return SpatialFormula(value, unit or "") if formula.names else float(formula.evaluate())
 
 
-def _field(value: Mapping[str, object], unit: str) -> SpatialField:
+def _function(value: Coefficient) -> SpatialFunction:
+    if value.ufl_shape:
+        raise InputError(
+            f"a function of shape {value.ufl_shape}", expected="expected a scalar function"
+        )
+    return SpatialFunction(value)
+
+
+def _cells(values: FloatArray) -> SpatialCells:
+    if values.ndim != 1 or values.dtype.kind not in "fiu":
+        raise InputError(
+            f"an array of shape {values.shape} and type {values.dtype}",
+            expected="expected a real number for each cell of this rank",
+        )
+    return SpatialCells(np.array(values, dtype=np.float64))
+
+
+def _field(value: Mapping[str, object], unit: str | None) -> SpatialField:
     table = _FieldTable(**value)
+    one = f"1 {table.unit}"
     try:
-        factor = to_si(f"1 {table.unit}", unit) if table.unit else 1.0
+        factor = 1.0
+        if table.unit:
+            factor = to_base(one) if unit is None else to_si(one, unit)
     except UnitError as error:
         raise error.at("unit") from None
     return SpatialField(table.field, table.unit, factor)

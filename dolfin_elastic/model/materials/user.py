@@ -3,31 +3,33 @@
 from __future__ import annotations
 
 import inspect
-import re
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, cast
 
-from pydantic import Field, PrivateAttr, field_validator, model_validator
+from pydantic import Field, PrivateAttr, field_serializer, field_validator, model_validator
+from ufl import Coefficient, replace
+from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import FormulaError, InputError, nearest
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.formula_functions import CONSTANTS, FUNCTIONS
 from dolfin_elastic.core.schema import quoted, within
-from dolfin_elastic.core.units import Stress, to_base
-from dolfin_elastic.model.materials import user_names
+from dolfin_elastic.core.units import SpatialValue, Stress, to_base
+from dolfin_elastic.model.kinematics import gradient_symbol
+from dolfin_elastic.model.materials import spatial, user_names
 from dolfin_elastic.model.materials.isochoric import Volumetric
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import Direction
-from dolfin_elastic.model.values import COORDINATES
 
 
 class UserEnergy(Law):
     """Base of energies that users write: parameters and fibres, which are constants of the forms.
 
     Attributes:
-        parameters: Name to value [SI]; in a case file numbers, or texts with any unit.
+        parameters: Name to value [SI]; in a case file numbers or texts with any unit, and what
+            varies in space as in `materials.spatial`.
         fibre: Direction a of fibres in the undeformed body; its length does not matter.
         fibre2: Direction b of a second family of fibres.
     """
@@ -43,22 +45,29 @@ class UserEnergy(Law):
 
     @field_validator("parameters", mode="before")
     @classmethod
-    def _numbers(cls, table: object) -> dict[str, float]:
+    def _values_or_varying(cls, table: object) -> dict[str, float | SpatialValue]:
         if not isinstance(table, Mapping):
             raise InputError(f"{quoted(table)} is wrong", expected='expected {mu = "1 MPa", ...}')
-        numbers = {}
+        found = {}
         for name, value in table.items():
             try:
-                numbers[name] = to_base(value)
+                read = spatial.constant(value, None)
+                found[name] = (
+                    read if isinstance(read, SpatialValue) else to_base(cast("float | str", read))
+                )
             except InputError as error:
-                raise within(str(name), _if_formula(value) or error) from None
-        return numbers
+                raise within(str(name), error) from None
+        return found
 
     @model_validator(mode="after")
     def _one_before_two(self) -> Self:
         if self.fibre2 is not None and self.fibre is None:
             raise InputError("there is no first fibre", where="fibre2", expected="name it fibre")
         return self
+
+    @field_serializer("parameters")
+    def _as_written(self, table: Mapping[str, object]) -> dict[str, object]:
+        return {name: getattr(value, "written", value) for name, value in table.items()}
 
     @property
     def checked(self) -> bool:
@@ -72,7 +81,21 @@ class UserEnergy(Law):
     def constants(self) -> dict[str, float | list[float]]:
         """See `Law.constants`; parameters have a dot in their names."""
         found = super().constants()
-        found |= {f"parameters.{name}": value for name, value in self.parameters.items()}
+        found |= {
+            f"parameters.{name}": value
+            for name, value in self.parameters.items()
+            if not isinstance(value, SpatialValue)
+        }
+        return found
+
+    def spatial_constants(self) -> dict[str, SpatialValue]:
+        """See `Law.spatial_constants`; parameters have a dot in their names."""
+        found = super().spatial_constants()
+        found |= {
+            f"parameters.{name}": value
+            for name, value in self.parameters.items()
+            if isinstance(value, SpatialValue)
+        }
         return found
 
     def with_symbols(self, symbols: Mapping[str, Any]) -> Self:
@@ -186,24 +209,6 @@ class SplitFormulaEnergy(UserVolumetric, FormulaEnergy):
     """A formula and a volumetric part."""
 
 
-def _if_formula(value: object) -> InputError | None:
-    """The error where a formula stands in place of a number; None where the value is none."""
-    if not isinstance(value, str) or not any(mark in value for mark in (*"+-*/^(", *COORDINATES)):
-        return None
-    try:
-        Formula.parse(value, allowed={*COORDINATES, *re.findall(_NAME, value)} - {*FUNCTIONS})
-    except InputError:
-        return None
-    return InputError(
-        f"'{value}' is a formula, and parameters are numbers that hold everywhere",
-        expected='a number or a text with a unit, such as "0.4 MPa"; the constants of a `law` may '
-        "be formulas in x, y, z",
-    )
-
-
-_NAME = r"[A-Za-z_][A-Za-z_0-9]*"
-
-
 def _check_parameter(name: str, taken: frozenset[str]) -> None:
     where = f"parameters.{name}"
     if not (name.isascii() and name.isidentifier()):
@@ -247,13 +252,19 @@ class Energy(UserEnergy):
     The names of the function's arguments say what it is given: F, C or E the tensors; J, I1, I2,
     I3, I1bar, I2bar, lambda1 to lambda3, with fibres I4, I5, I4bar, I6, I7, I6bar, I8, and the
     components F11 to E33 the scalars of case files; every other argument is a parameter and
-    wants a value, a number or a text with a unit, or has a default.
+    wants a value, a number or a text with a unit, or has a default.  A parameter may vary in space:
+    a formula in x, y, z [m] and fields of the mesh, ``{"field": "mu", "unit": "MPa"}``, a scalar
+    DOLFINx function on the mesh, or an array with a value for each cell of the rank.  Functions
+    that the energy uses beside its arguments are treated alike.  All values are taken where the
+    problem is made.
 
     Attributes:
         function: Energy per reference volume [J/m^3] as a UFL expression.
     """
 
     function: Callable[..., Expr]
+
+    _in_place: Mapping[Coefficient, Expr] = PrivateAttr(default={})
 
     own_keys: ClassVar[tuple[str, ...]] = (
         "density",
@@ -270,11 +281,33 @@ class Energy(UserEnergy):
             function=function, parameters=_parameter_values(function, given, keys), **keys
         )
 
+    def _used_beside(self) -> dict[str, Coefficient]:
+        """Functions that the energy uses beside its arguments, by a name each."""
+        if self._in_place:
+            return {}
+        numbers = dict.fromkeys(super().spatial_constants(), 1.0)
+        psi = UserEnergy.with_symbols(self, numbers).energy(gradient_symbol())
+        return {f"used.{i}": f for i, f in enumerate(extract_coefficients(psi))}
+
+    def spatial_constants(self) -> dict[str, SpatialValue]:
+        """See `Law.spatial_constants`; functions that the energy uses have a dot in their names."""
+        used = {name: spatial.constant(f, None) for name, f in self._used_beside().items()}
+        return {**super().spatial_constants(), **used}  # type: ignore[dict-item]
+
+    def with_symbols(self, symbols: Mapping[str, Any]) -> Self:
+        """See `Law.with_symbols`."""
+        used = {f: symbols[name] for name, f in self._used_beside().items() if name in symbols}
+        law = super().with_symbols(symbols)
+        law._in_place = used or self._in_place
+        return law
+
     def written_energy(self, F: Expr) -> Expr:
         """The function's value [J/m^3], a UFL scalar."""
         arguments = inspect.signature(self.function).parameters
         found = self._values(F, [name for name in arguments if name not in self.parameters])
         result = self.function(**found, **self.parameters)
+        if self._in_place and isinstance(result, Expr):
+            result = replace(result, dict(self._in_place))
         if not isinstance(result, Expr) or result.ufl_shape:
             raise InputError(
                 "the function of an energy returned no scalar expression",

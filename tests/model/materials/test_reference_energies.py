@@ -18,7 +18,8 @@ from helpers.laws import FREE, ROLLERS, SIZE, homogeneous, random_F, rotation
 from mpi4py import MPI
 from ufl.algorithms import expand_derivatives
 
-from dolfin_elastic.material_point.ufl_to_numpy import NumpyProgram, gradient_symbol
+from dolfin_elastic.material_point.ufl_to_numpy import NumpyProgram
+from dolfin_elastic.model.kinematics import gradient_symbol
 from dolfin_elastic.model.materials.isochoric import VOLUME_STRAINS, Volumetric
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS

@@ -244,9 +244,14 @@ def test_simo_taylor_has_no_seam():
         *(
             (
                 {"parameters": {"mu": formula, "lmbda": 1}},
-                f"materials.gel.parameters.mu: '{formula}' is a formula, and parameters are",
+                f"materials.gel.parameters.mu: {said}",
             )
-            for formula in ("1e3*z", "2*3", "ash^2", "x")
+            for formula, said in (
+                ("1e3*(z", "this parenthesis is never closed"),
+                ("2*3*", "a value is missing at the end"),
+                ("x y", "an operator is missing"),
+                ("1e3*zz(x)", "'zz' is not a function"),
+            )
         ),
         (
             {"parameters": {"mu": True, "lmbda": 1}},
