@@ -38,7 +38,7 @@ from ufl.classes import (
 from ufl.corealg.traversal import unique_post_traversal
 
 from dolfin_elastic.core.types import AnyArray, FloatArray
-from dolfin_elastic.model.kinematics import gradient_symbol
+from dolfin_elastic.model.kinematics import gradient_symbol, variables
 from dolfin_elastic.model.materials.law import Law
 
 Step = Callable[[list[AnyArray]], AnyArray]
@@ -247,5 +247,5 @@ class LawAtPoints:
     @cached_property
     def tangent(self) -> NumpyProgram:
         """dP/dF [Pa], of shape (n, 3, 3, 3, 3)."""
-        F = ufl.variable(self._F)
-        return self._program(ufl.diff(self.law.stress(F), F))
+        H, F = variables(self._F)
+        return self._program(ufl.diff(self.law.stress(F), H))

@@ -10,7 +10,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.model.kinematics import deformation_gradient, padded
+from dolfin_elastic.model.kinematics import deformation_from, padded
 
 Geometry = Literal["plane-strain", "plane-stress", "axisymmetric"]
 GEOMETRIES: tuple[str, ...] = get_args(Geometry)
@@ -66,12 +66,7 @@ def full_gradient(geometry: Geometry, u: Expr, x: Expr, stretch: Expr | None) ->
     Source: Holzapfel, Nonlinear Solid Mechanics (2000), section 2.4 (gradient in cylindrical
     coordinates).
     """
-    F = deformation_gradient(u)
-    if len(u) == 3:
-        return F
-    if geometry == "axisymmetric":
-        return padded(F, 1 + u[0] / x[0])
-    return padded(F, 1.0 if stretch is None else 1 + stretch)
+    return deformation_from(gradient_variation(geometry, u, x, stretch))
 
 
 def gradient_variation(geometry: Geometry, v: Expr, x: Expr, stretch: Expr | None) -> Expr:

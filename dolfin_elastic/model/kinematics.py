@@ -4,6 +4,10 @@ Every function takes and returns UFL expressions (or anything UFL can make one o
 mesh, and works in 2D and 3D: tensors are of shape (d, d).  X is a point of the reference
 configuration, x = X + u its place in the current one.
 
+Strains are differences from F = I, and F = I + grad u has rounded off all digits of grad u below
+1e-16.  So strains are computed from the displacement gradient H = grad u, which
+`displacement_gradient` finds in an F that is written as the sum I + H.
+
 Source: Bonet & Wood, Nonlinear Continuum Mechanics for Finite Element Analysis, 2nd ed.,
 Cambridge 2008, chapters 4 (kinematics) and 5 (stress); equation numbers below are theirs.
 """
@@ -12,17 +16,46 @@ from __future__ import annotations
 
 import basix.ufl
 import ufl
+from ufl.classes import Identity, Sum
 from ufl.core.expr import Expr
 
 
 def deformation_gradient(u: Expr) -> Expr:
     """F = I + grad u, grad with respect to X (4.42)."""
-    return ufl.Identity(len(u)) + ufl.grad(u)
+    return deformation_from(ufl.grad(u))
+
+
+def deformation_from(H: Expr) -> Expr:
+    """F = I + H, in which `displacement_gradient` finds the displacement gradient H again."""
+    return ufl.Identity(H.ufl_shape[0]) + H
+
+
+def displacement_gradient(F: Expr) -> Expr:
+    """H = F - I: of a sum I + H the term H itself, without the rounding of I + H."""
+    if isinstance(F, Sum):
+        first, second = F.ufl_operands
+        if isinstance(first, Identity):
+            return second
+        if isinstance(second, Identity):
+            return first
+    return F - ufl.Identity(F.ufl_shape[0])
+
+
+def variables(F: Expr) -> tuple[Expr, Expr]:
+    """H = F - I as a UFL variable, and F = I + H: derivatives with respect to H are those by F."""
+    H = ufl.variable(displacement_gradient(F))
+    return H, deformation_from(H)
 
 
 def jacobian(F: Expr) -> Expr:
     """J = det F, current over reference volume (4.57)."""
     return ufl.det(F)
+
+
+def volume_change(F: Expr) -> Expr:
+    """J - 1 of a 3D F: the sum of the principal invariants of F - I."""
+    H = displacement_gradient(F)
+    return ufl.tr(H) + (ufl.tr(H) ** 2 - ufl.inner(H.T, H)) / 2 + ufl.det(H)
 
 
 def right_cauchy_green(F: Expr) -> Expr:
@@ -36,18 +69,20 @@ def left_cauchy_green(F: Expr) -> Expr:
 
 
 def green_strain(F: Expr) -> Expr:
-    """E = (F^T F - I) / 2 (4.18b)."""
-    return (F.T * F - ufl.Identity(F.ufl_shape[0])) / 2
+    """E = (F^T F - I) / 2 (4.18b), from H = F - I: (H + H^T + H^T H) / 2."""
+    H = displacement_gradient(F)
+    return (H + H.T + H.T * H) / 2
 
 
 def almansi_strain(F: Expr) -> Expr:
-    """e = (I - b^-1) / 2 (4.19b)."""
-    return (ufl.Identity(F.ufl_shape[0]) - ufl.inv(F * F.T)) / 2
+    """e = (I - b^-1) / 2 (4.19b), the push-forward F^-T E F^-1 of E (4.21)."""
+    inverse = ufl.inv(F)
+    return inverse.T * green_strain(F) * inverse
 
 
 def infinitesimal_strain(F: Expr) -> Expr:
     """eps = (grad u + grad u^T) / 2, from F = I + grad u (4.96)."""
-    return ufl.sym(F) - ufl.Identity(F.ufl_shape[0])
+    return ufl.sym(displacement_gradient(F))
 
 
 def invariants(C: Expr) -> tuple[Expr, Expr, Expr]:
@@ -97,6 +132,12 @@ def cofactor(F: Expr) -> Expr:
         return F[a, c] * F[b, d] - F[a, d] * F[b, c]
 
     return ufl.as_matrix([[minor(i, j) for j in range(3)] for i in range(3)])
+
+
+def less_cofactor(F: Expr) -> Expr:
+    """F - cof F of a 3D F, from H = F - I with cof F = (1 + tr H) I - H^T + cof H."""
+    H = displacement_gradient(F)
+    return H + H.T - ufl.tr(H) * ufl.Identity(3) - cofactor(H)
 
 
 # Conversions between stress measures.  P first Piola-Kirchhoff (force over reference area),

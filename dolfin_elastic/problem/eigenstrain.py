@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.model.kinematics import deformation_from, displacement_gradient
 from dolfin_elastic.model.loads import Eigenstrain, Load
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion
@@ -49,7 +49,9 @@ def _joined(region: MaterialRegion, growth: Expr, before: Expr | None) -> Expr:
     """Growth after growth: a product, but small strains add up."""
     if before is None:
         return growth
-    return growth + before - ufl.Identity(3) if region.law.linear else growth * before
+    second, first = displacement_gradient(growth), displacement_gradient(before)
+    both = second + first
+    return deformation_from(both if region.law.linear else both + second * first)
 
 
 def _share(context: FormContext, regions: Sequence[str]) -> fem.Function:

@@ -3,8 +3,9 @@
 The Cauchy stress and what follows from it are recovered at the nodes, see `results/recovery`.
 Fields of cells are evaluated once per cell: they are constant in linear elements, and taken at the
 barycentre of quadratic ones.  Tensors are 3x3 also in a plane body, with the stress across the
-plane.  A law that is linear in the displacement gradient has one stress, for reference and current
-configuration coincide: its Cauchy stress.
+plane.  A law that is linear in the displacement gradient H has one stress, its Cauchy stress, and
+one strain, sym H: reference and current configuration coincide, and others would show the square
+of a rotation, of which such a law knows nothing.
 """
 
 from __future__ import annotations
@@ -210,8 +211,22 @@ def _fibre(law: Law, number: int) -> Expr | None:
     return None if value is None else direction(value)
 
 
+def _total_strain(law: Law, F: Expr) -> Expr:
+    """Green strain; of a linear law its own measure sym H.
+
+    Args:
+        law: Law of the material.
+        F: Deformation gradient, 3x3.
+    """
+    return kinematics.infinitesimal_strain(F) if law.linear else kinematics.green_strain(F)
+
+
+def _almansi_strain(law: Law, F: Expr) -> Expr:
+    return kinematics.infinitesimal_strain(F) if law.linear else kinematics.almansi_strain(F)
+
+
 def _fibre_strain(number: int) -> Callable[[Law, Expr], Expr | None]:
-    """Green strain along a fibre, a.E a (Holzapfel, Nonlinear Solid Mechanics (2000), (2.75))."""
+    """Strain along a fibre, a.E a (Holzapfel, Nonlinear Solid Mechanics (2000), (2.75))."""
 
     def formula(law: Law, F: Expr) -> Expr | None:
         """See `Field.formula`.
@@ -221,14 +236,16 @@ def _fibre_strain(number: int) -> Callable[[Law, Expr], Expr | None]:
             F: Deformation gradient, 3x3.
         """
         a = _fibre(law, number)
-        return None if a is None else (ufl.inner(F * a, F * a) - 1) / 2
+        return None if a is None else ufl.inner(a, _total_strain(law, F) * a)
 
     return formula
 
 
 def _fibre_stretch(law: Law, F: Expr) -> Expr | None:
-    a = _fibre(law, 0)
-    return None if a is None else ufl.sqrt(ufl.inner(F * a, F * a))
+    strain = _fibre_strain(0)(law, F)
+    if strain is None:
+        return None
+    return 1 + strain if law.linear else ufl.sqrt(1 + 2 * strain)
 
 
 _FORMULAS: dict[RecoveredField, Callable[[Law, Expr], Expr | None]] = {
@@ -270,19 +287,30 @@ def _recovered(name: RecoveredField, description: str) -> Field:
     )
 
 
-def _of_F(
-    shape: Literal["scalar", "vector", "tensor"],
+def _stretching(law: Law, F: Expr) -> Expr:
+    """Displacement gradient H; of a linear law without the rotation, sym H.
+
+    Args:
+        law: Law of the material.
+        F: Deformation gradient, 3x3.
+    """
+    H = kinematics.displacement_gradient(F)
+    return ufl.sym(H) if law.linear else H
+
+
+def _of_stretches(
+    shape: Literal["vector", "tensor"],
     description: str,
-    of_tensor: Callable[[AnyArray], AnyArray] | None = None,
+    of_tensor: Callable[[AnyArray], AnyArray],
 ) -> Field:
-    """A field of cells without a unit that follows from the deformation gradient in NumPy.
+    """A field of cells without a unit that follows from the displacement gradient in NumPy.
 
     Args:
         shape: Of the field.
         description: One line for listings.
-        of_tensor: See `Field`; None: the deformation gradient itself.
+        of_tensor: See `Field`.
     """
-    return Field(shape, "cell", "", description, lambda law, F: F, of_tensor=of_tensor)
+    return Field(shape, "cell", "", description, _stretching, of_tensor=of_tensor)
 
 
 FIELDS: dict[str, Field] = {
@@ -369,30 +397,43 @@ FIELDS: dict[str, Field] = {
     "pressure_cell": Field(
         "scalar", "cell", "Pa", "pressure of the cell: minus its mean Cauchy stress", _pressure
     ),
-    "green_strain": Field(
-        "tensor", "cell", "", "Green strain", lambda law, F: kinematics.green_strain(F)
+    "strain": Field(
+        "tensor",
+        "cell",
+        "",
+        "strain from which the law computes the stress, without thermal strain and growth",
+        lambda law, F: law.strain(F),
     ),
-    "deformation_gradient": _of_F("tensor", "deformation gradient F, row by row"),
-    "log_strain": _of_F("tensor", "logarithmic strain ln V (Hencky)", spectral.log_strain),
+    "green_strain": Field(
+        "tensor",
+        "cell",
+        "",
+        "Green strain; of a small-strain law its strain, the symmetric displacement gradient",
+        _total_strain,
+    ),
+    "deformation_gradient": Field(
+        "tensor", "cell", "", "deformation gradient F, row by row", lambda law, F: F
+    ),
+    "log_strain": _of_stretches("tensor", "logarithmic strain ln V (Hencky)", spectral.log_strain),
     "almansi_strain": Field(
         "tensor",
         "cell",
         "",
         "Almansi strain, of the current configuration",
-        lambda law, F: kinematics.almansi_strain(F),
+        _almansi_strain,
     ),
-    "principal_stretches": _of_F(
+    "principal_stretches": _of_stretches(
         "vector", "principal stretches, largest first", spectral.principal_stretches
     ),
-    "stretch_direction_1": _of_F(
+    "stretch_direction_1": _of_stretches(
         "vector",
         "direction of the largest stretch, undeformed body",
         spectral.stretch_direction(0),
     ),
-    "stretch_direction_2": _of_F(
+    "stretch_direction_2": _of_stretches(
         "vector", "direction of the middle stretch, undeformed body", spectral.stretch_direction(1)
     ),
-    "stretch_direction_3": _of_F(
+    "stretch_direction_3": _of_stretches(
         "vector",
         "direction of the smallest stretch, undeformed body",
         spectral.stretch_direction(2),
@@ -414,10 +455,10 @@ FIELDS: dict[str, Field] = {
         fixed=True,
     ),
     "fibre_strain": Field(
-        "scalar", "cell", "", "Green strain along the law's first direction", _fibre_strain(0)
+        "scalar", "cell", "", "green_strain along the law's first direction", _fibre_strain(0)
     ),
     "fibre2_strain": Field(
-        "scalar", "cell", "", "Green strain along the law's second direction", _fibre_strain(1)
+        "scalar", "cell", "", "green_strain along the law's second direction", _fibre_strain(1)
     ),
     "fibre_stretch": Field(
         "scalar", "cell", "", "stretch along the law's first direction", _fibre_stretch

@@ -33,7 +33,15 @@ _BINARY = {
     classes.Atan2: np.arctan2,
     classes.Conditional: np.where,
 }
-_FUNCTIONS = {"ln": np.log, "exp": np.exp, "sqrt": np.sqrt, "cos": np.cos, "sin": np.sin}
+_FUNCTIONS = {
+    "ln": np.log,
+    **{n: getattr(np, n) for n in ("exp", "sqrt", "cos", "sin", "cosh", "sinh")},
+}
+
+
+def tensor() -> Any:
+    """A symbol of shape (3, 3), for a `Program`."""
+    return ufl.Coefficient(_TENSORS)
 
 
 class Program:
@@ -80,7 +88,7 @@ class Point:
     """Energy, stress and tangent of a law at one or many F."""
 
     def __init__(self, law: Law) -> None:
-        self.F, self.H = ufl.Coefficient(_TENSORS), ufl.Coefficient(_TENSORS)
+        self.F, self.H = tensor(), tensor()
         P = law.stress(self.F)
         self._psi = Program(law.energy(self.F)) if law.has_energy else None
         self._P = Program(P)

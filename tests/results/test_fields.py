@@ -109,7 +109,7 @@ def test_homogeneous_deformation(law: type[Law], dim: int, degree: int) -> None:
         "cauchy_stress": sigma,
         "first_piola": first,
         "pressure": -np.trace(sigma) / 3,
-        "green_strain": (F.T @ F - np.eye(3)) / 2,
+        "green_strain": (F + F.T) / 2 - np.eye(3) if law.linear else (F.T @ F - np.eye(3)) / 2,
         "jacobian": J,
         "energy_density": energy,
     }

@@ -11,6 +11,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.kinematics import deformation_from
 from dolfin_elastic.model.loads.base import Load, LoadContext, keyed
 from dolfin_elastic.model.values import Component, component
 
@@ -63,7 +64,7 @@ class Thermal(Eigenstrain):
         """See `Eigenstrain.growth`."""
         assert expansion is not None
         strain = expansion * context.scalar(self.values[0], self.amplitude)
-        return (1 + (strain if share is None else share * strain)) * ufl.Identity(3)
+        return deformation_from((strain if share is None else share * strain) * ufl.Identity(3))
 
 
 class Growth(Eigenstrain):
@@ -116,7 +117,7 @@ class Growth(Eigenstrain):
             rest = [1.0 if k % 4 == 0 else 0.0 for k in range(9)]
             terms = [f * (g - r) for f, g, r in zip(factors, items, rest, strict=True)]
             strain = ufl.as_matrix([terms[i : i + 3] for i in (0, 3, 6)])
-        return one + (strain if share is None else share * strain)
+        return deformation_from(strain if share is None else share * strain)
 
 
 _GROWTH = "expected stretches such as [1.1, 1, 1], or a 3x3 list"

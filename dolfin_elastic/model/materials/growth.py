@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import ufl
 from ufl.core.expr import Expr
 
+from dolfin_elastic.model.kinematics import deformation_from, displacement_gradient
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, once
 from dolfin_elastic.model.materials.mixed import Mixed
 
@@ -34,9 +35,9 @@ class GrownLaw(ModifiedLaw):
     @once
     def elastic(self, F: Expr) -> Expr:
         """Elastic part Fe of a deformation gradient, shape (3, 3)."""
-        if self.law.linear:
-            return F - (self.growth - ufl.Identity(3))
-        return F * ufl.inv(self.growth)
+        # F Fg^-1 - I = (F - Fg) Fg^-1
+        H = displacement_gradient(F) - displacement_gradient(self.growth)
+        return deformation_from(H if self.law.linear else H * ufl.inv(self.growth))
 
     @property
     def _volume(self) -> Expr:
@@ -51,6 +52,10 @@ class GrownLaw(ModifiedLaw):
         """First Piola-Kirchhoff stress [Pa]."""
         P = self.law.stress(self.elastic(F))
         return P if self.law.linear else self._volume * P * ufl.inv(self.growth).T
+
+    def strain(self, F: Expr) -> Expr:
+        """That of the elastic part, without growth."""
+        return self.law.strain(self.elastic(F))
 
     def gap(self, F: Expr) -> Expr:
         """Residual of the pressure's equation, see `Mixed.gap`."""

@@ -15,40 +15,46 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import Scalar
 from dolfin_elastic.core.units import Number, Stress
-from dolfin_elastic.model.kinematics import cofactor
+from dolfin_elastic.model.kinematics import (
+    cofactor,
+    green_strain,
+    less_cofactor,
+    volume_change,
+)
 from dolfin_elastic.model.materials import moduli
 from dolfin_elastic.model.materials.law import SplitLaw, placeholder
 from dolfin_elastic.model.materials.spatial import Range
+from dolfin_elastic.model.near_zero import log1p
 
 NEAR = 0.15
 """|J - 1|/(J + 1) below which a series stands for the logarithm, which would cancel."""
 TERMS = 9
 
 
-def simo_taylor(J: Expr) -> Expr:
-    """g = sign(J - 1) sqrt((J^2 - 1 - 2 ln J)/2), so that K/2 g^2 = K/4 (J^2 - 1 - 2 ln J).
+def simo_taylor(j: Expr) -> Expr:
+    """g = sign(j) sqrt((J^2 - 1 - 2 ln J)/2), J = 1 + j, so that K/2 g^2 = K/4 (J^2 - 1 - 2 ln J).
 
-    With t = (J - 1)/(J + 1) it is t times a root that is smooth at J = 1, see `_root`.
+    With t = j/(2 + j) = (J - 1)/(J + 1) it is t times a root that is smooth at J = 1, see `_root`.
 
     Source: J. C. Simo and R. L. Taylor, Comput. Methods Appl. Mech. Eng. 35 (1982) 107.
     """
-    return (J - 1) / (J + 1) * _root(J)
+    return j / (2 + j) * _root(j)
 
 
-def _root(J: Expr) -> Expr:
+def _root(j: Expr) -> Expr:
     """The root g/t of `simo_taylor`.
 
     J = (1 + t)/(1 - t) and ln J = 2 artanh t, so it is sqrt(2 (2 - t)/(1 - t)^2 - 2 t s) with
     s = (artanh t - t)/t^3 = 1/3 + t^2/5 + t^4/7 + ...
     """
-    t = (J - 1) / (J + 1)
+    t = j / (2 + j)
     series: Scalar = 0.0
     for n in reversed(range(TERMS)):
         series = series * t**2 + 1 / (2 * n + 3)
     near = ufl.lt(abs(t), NEAR)
     # UFL evaluates both branches: the one that is not chosen must not divide by zero.
     away = ufl.conditional(near, 1.0, t)
-    s = ufl.conditional(near, series, (ufl.ln(J) / (2 * away) - 1) / away**2)
+    s = ufl.conditional(near, series, (ufl.ln(1 + j) / (2 * away) - 1) / away**2)
     return ufl.sqrt(2 * (2 - t) / (1 - t) ** 2 - 2 * t * s)
 
 
@@ -56,11 +62,12 @@ def _root(J: Expr) -> Expr:
 class VolumeStrain:
     """A measure g(J) of the change of volume, with g = 0 and g' = 1 at J = 1.
 
+    All are functions of j = J - 1, which is known without rounding where J is nearly 1.
     Derivatives are written out: those that UFL makes of g and its conditions are many times longer.
 
     Attributes:
-        strain: g(J).
-        slope: g'(J).
+        strain: g.
+        slope: g'.
         stress: g g', the derivative of g^2/2; like g it is NaN for J < 0 if ln J is in it.
     """
 
@@ -73,11 +80,11 @@ class VolumeStrain:
 VOLUME_STRAINS: dict[str, VolumeStrain] = {
     "simo-taylor": VolumeStrain(
         simo_taylor,
-        lambda J: (J + 1) ** 2 / (2 * J * _root(J)),
-        lambda J: (J - 1) * (J + 1) / (2 * ufl.sqrt(J) ** 2),
+        lambda j: (2 + j) ** 2 / (2 * (1 + j) * _root(j)),
+        lambda j: j * (2 + j) / (2 * ufl.sqrt(1 + j) ** 2),
     ),
-    "quadratic": VolumeStrain(lambda J: J - 1, lambda J: 1.0, lambda J: J - 1),
-    "log": VolumeStrain(ufl.ln, lambda J: 1 / J, lambda J: ufl.ln(J) / J),
+    "quadratic": VolumeStrain(lambda j: j, lambda j: 1.0, lambda j: j),
+    "log": VolumeStrain(log1p, lambda j: 1 / (1 + j), lambda j: log1p(j) / (1 + j)),
 }
 """Name to measure."""
 
@@ -102,15 +109,15 @@ class Volumetric(SplitLaw):
 
     def volume_strain(self, F: Expr) -> Expr:
         """See `VOLUME_STRAINS`."""
-        return VOLUME_STRAINS[self.volumetric].strain(ufl.det(F))
+        return VOLUME_STRAINS[self.volumetric].strain(volume_change(F))
 
     def volume_gradient(self, F: Expr) -> Expr:
         """g'(J) cof F."""
-        return VOLUME_STRAINS[self.volumetric].slope(ufl.det(F)) * cofactor(F)
+        return VOLUME_STRAINS[self.volumetric].slope(volume_change(F)) * cofactor(F)
 
     def volume_stress(self, F: Expr) -> Expr:
         """g g' cof F."""
-        return VOLUME_STRAINS[self.volumetric].stress(ufl.det(F)) * cofactor(F)
+        return VOLUME_STRAINS[self.volumetric].stress(volume_change(F)) * cofactor(F)
 
 
 class Isochoric(Volumetric):
@@ -168,34 +175,80 @@ class Isochoric(Volumetric):
         return moduli.complete(mu=self.shear(), nu=self.nu)
 
 
-def isochoric_part(F: Expr) -> Expr:
-    """C of the isochoric part of F: J^-2/3 F^T F (Flory, Trans. Faraday Soc. 57 (1961) 829)."""
-    return ufl.det(F) ** (-2 / 3) * F.T * F
+def isochoric_strain(F: Expr) -> Expr:
+    """Green strain of the isochoric part J^-1/3 F: (J^-2/3 C - I)/2.
+
+    With r = J^1/3 it is (E - (r^2 - 1)/2 I)/r^2, and r^2 - 1 = (J - 1)(1 + r)/(1 + r + r^2).
+
+    Source: P. J. Flory, Trans. Faraday Soc. 57 (1961) 829.
+    """
+    r = ufl.det(F) ** (1 / 3)
+    swelling = volume_change(F) * (1 + r) / (2 * (1 + r + r * r))
+    return (green_strain(F) - swelling * ufl.Identity(3)) / (r * r)
 
 
 def isochoric_stress(psi: Callable[[Expr], Expr], F: Expr) -> Expr:
-    """First Piola-Kirchhoff stress of an energy of the isochoric C.
+    """First Piola-Kirchhoff stress of an energy of the isochoric Green strain.
 
-    P = J^-2/3 (F S - (S:C)/3 F^-T) with S = 2 dpsi/dC, for anisotropic energies: a tangent made
-    from this compiles several times faster than one from derivatives through F.
+    P = J^-2/3 (F S - (S:C)/3 F^-T) with S = dpsi/dE, for anisotropic energies whose S is 0 at rest:
+    a tangent made from this compiles several times faster than one from derivatives through F.
 
     Source: G. A. Holzapfel, Nonlinear Solid Mechanics (2000), section 6.4.
 
     Args:
-        psi: Energy [J/m^3] as a function of the isochoric C, shape (3, 3).
+        psi: Energy [J/m^3] as a function of the isochoric Green strain, shape (3, 3).
         F: Deformation gradient, shape (3, 3).
     """
-    C = ufl.variable(isochoric_part(F))
-    S, J = 2 * ufl.sym(ufl.diff(psi(C), C)), ufl.det(F)
-    FS = F * S
-    return J ** (-2 / 3) * (FS - ufl.inner(FS, F) / (3 * J) * cofactor(F))
+    E = ufl.variable(isochoric_strain(F))
+    S, J = ufl.sym(ufl.diff(psi(E), E)), ufl.det(F)
+    FS, r = F * S, J ** (1 / 3)
+    return (FS - ufl.inner(FS, F) / (3 * J) * cofactor(F)) / (r * r)
 
 
-def invariants(F: Expr) -> tuple[Expr, Expr]:
-    """First and second invariant of the isochoric C: I1 J^-2/3 and I2 J^-4/3.
+def _strains_of_shape(F: Expr) -> tuple[Expr, Expr]:
+    """m = I1/3 and A = C - m I, twice the deviator of E: C = m I + A."""
+    E = green_strain(F)
+    return 1 + 2 / 3 * ufl.tr(E), 2 * ufl.dev(E)
 
-    Source: Bonet & Wood (2008), (6.51).
+
+def excess_invariants(F: Expr) -> tuple[Expr, Expr]:
+    """I1 J^-2/3 - 3 and I2 J^-4/3 - 3, both of second order in the strain.
+
+    From the characteristic polynomial of C/m = I + A/m, with a = A:A/(2 m^2):
+    det C/m^3 = 1 - y, y = a - det A/m^3, and I2/m^2 = 3 - a.  With r = (1 - y)^1/3 the two are
+    3/r - 3 and (3 - a)/r^2 - 3, where 1 - r = y/(1 + r + r^2).
+
+    Source: Bonet & Wood (2008), (6.51) and (6.16).
     """
-    C, J = F.T * F, ufl.det(F)
-    first = ufl.tr(C)
-    return first * J ** (-2 / 3), (first**2 - ufl.inner(C, C)) / 2 * J ** (-4 / 3)
+    m, A = _strains_of_shape(F)
+    a = ufl.inner(A, A) / (2 * m**2)
+    y, r = a - ufl.det(A) / m**3, ufl.det(F) ** (2 / 3) / m
+    rest = y / (1 + r + r**2)  # 1 - r
+    return 3 * rest / r, (3 * rest * (1 + r) - a) / r**2
+
+
+def stress_of_invariants(psi: Callable[[Expr, Expr], Expr], F: Expr) -> Expr:
+    """First Piola-Kirchhoff stress of an energy of the isochoric invariants.
+
+    With C = m I + A, A the deviator, and T = F - m F^-T = F - cof F + (J - m)/J cof F, they are
+    dI1/dF = 2 J^-2/3 T and dI2/dF = 2 J^-4/3 (2 m T - F A + A:A/3 F^-T), of the isochoric I1 and
+    I2: no part of them is large where the strain is small.
+
+    Source: Bonet & Wood (2008), (6.49) to (6.55).
+
+    Args:
+        psi: Energy [J/m^3] as a function of I1 - 3 and I2 - 3, the isochoric ones.
+        F: Deformation gradient, shape (3, 3).
+    """
+    (m, A), J = _strains_of_shape(F), ufl.det(F)
+    q, inverse = J ** (-2 / 3), cofactor(F) / J
+    # Rounded as 1 is, which the derivatives of psi do not see.
+    first = ufl.variable(3 * m * q - 3)
+    second = ufl.variable((3 * m**2 - ufl.inner(A, A) / 2) * q**2 - 3)
+    energy = psi(first, second)
+    by_first, by_second = q * ufl.diff(energy, first), q**2 * ufl.diff(energy, second)
+    swelling = volume_change(F) - 2 / 3 * ufl.tr(green_strain(F))  # J - m
+    T = less_cofactor(F) + swelling * inverse
+    return 2 * (
+        (by_first + 2 * m * by_second) * T + by_second * (ufl.inner(A, A) / 3 * inverse - F * A)
+    )

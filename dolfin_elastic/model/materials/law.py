@@ -20,7 +20,13 @@ from dolfin_elastic.core.units import (
     Stress,
     Viscosity,
 )
-from dolfin_elastic.model.kinematics import cofactor
+from dolfin_elastic.model.kinematics import (
+    cofactor,
+    green_strain,
+    infinitesimal_strain,
+    variables,
+    volume_change,
+)
 from dolfin_elastic.model.materials import moduli, spatial
 from dolfin_elastic.model.materials.fibres import as_floats
 
@@ -88,8 +94,12 @@ class Law(Record):
 
     def stress(self, F: Expr) -> Expr:
         """First Piola-Kirchhoff stress P = dpsi/dF [Pa], shape of F."""
-        F = ufl.variable(F)
-        return ufl.diff(self.energy(F), F)
+        H, F = variables(F)
+        return ufl.diff(self.energy(F), H)
+
+    def strain(self, F: Expr) -> Expr:
+        """The strain from which the stress is computed, shape of F: by default Green's."""
+        return infinitesimal_strain(F) if self.linear else green_strain(F)
 
     def small_strain(self) -> moduli.Moduli | None:
         """Constants of the isotropic solid to which the law reduces at small strains; else None."""
@@ -156,17 +166,17 @@ class SplitLaw(Law):
 
     def volume_strain(self, F: Expr) -> Expr:
         """Measure of the change of volume: 0 at F = I, with derivative I there."""
-        return ufl.det(F) - 1
+        return volume_change(F)
 
     def shape_stress(self, F: Expr) -> Expr:
         """Derivative of the shape energy with respect to F [Pa]."""
-        F = ufl.variable(F)
-        return ufl.diff(self.shape_energy(F), F)
+        H, F = variables(F)
+        return ufl.diff(self.shape_energy(F), H)
 
     def volume_gradient(self, F: Expr) -> Expr:
         """Derivative of the volume strain with respect to F."""
-        F = ufl.variable(F)
-        return ufl.diff(self.volume_strain(F), F)
+        H, F = variables(F)
+        return ufl.diff(self.volume_strain(F), H)
 
     def volume_stress(self, F: Expr) -> Expr:
         """Derivative of half the squared volume strain with respect to F."""
@@ -185,7 +195,7 @@ class SplitLaw(Law):
         with the integral of J given by the supports only J - 1 leaves room for a J that is not 1
         at each point: a curved g makes the elements lock.
         """
-        return ufl.det(F) - 1 if self.strain_of_volume else self.volume_strain(F)
+        return volume_change(F) if self.strain_of_volume else self.volume_strain(F)
 
     def incompressibility_gradient(self, F: Expr) -> Expr:
         """Derivative of `incompressibility` with respect to F."""
@@ -265,6 +275,10 @@ class ModifiedLaw(ABC):
     def stress(self, F: Expr) -> Expr:
         """First Piola-Kirchhoff stress [Pa] at a deformation gradient, shape (3, 3)."""
 
+    def strain(self, F: Expr) -> Expr:
+        """The strain from which the stress is computed, see `Law.strain`."""
+        return self.law.strain(F)
+
 
 def placeholder() -> float:
     """Placeholder of a constant that is computed from the given ones."""
@@ -302,6 +316,10 @@ class Isotropic(Law):
             self.__dict__.update({**dict.fromkeys(moduli.NAMES), **given})
         else:
             self.__dict__.update(vars(moduli.complete(**given)))
+
+    def strain(self, F: Expr) -> Expr:
+        """The strain from which the stress is computed, shape of F: by default Green's."""
+        return infinitesimal_strain(F) if self.linear else green_strain(F)
 
     def small_strain(self) -> moduli.Moduli | None:
         """See `Law.small_strain`."""

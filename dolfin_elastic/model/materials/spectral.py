@@ -16,12 +16,15 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.types import Scalar
-from dolfin_elastic.model.kinematics import cofactor
+from dolfin_elastic.model.kinematics import green_strain, less_cofactor, volume_change
+from dolfin_elastic.model.near_zero import polynomial
 
 CLOSE = 1e-4
 """Value of j2 below which series stand for the eigenvalues: stretches within about one per cent."""
 ORDER = 8
 """Powers of the deviator in the series: its next term is below round-off."""
+ORDER_OF_D = 4
+"""The same of d - 1, which is at most about `CLOSE`."""
 SPLIT = 1e-12
 """Keeps the angle differentiable where two stretches meet; costs the energy 1e-13 of itself."""
 CRUSHED = 1e-6
@@ -39,12 +42,21 @@ class Shape(ABC):
     d: Expr
 
     @abstractmethod
-    def total(self, f: Callable[[Expr], Expr], series: Sequence[Scalar]) -> Expr:
-        """Sum of f over the three squared stretches, a UFL scalar.
+    def excess(self, f: Callable[[Expr], Expr], series: Sequence[Scalar]) -> Expr:
+        """Sum of f - f(1) over the three squared stretches, a UFL scalar.
 
         Args:
             f: Function of one squared stretch over q.
             series: Its Taylor coefficients at 1, of the powers 0 to `ORDER`.
+        """
+
+    @abstractmethod
+    def of_d(self, f: Callable[[Expr], Expr], series: Sequence[Scalar]) -> Expr:
+        """f(d) - f(1), a UFL scalar.
+
+        Args:
+            f: Function of d.
+            series: As for `excess`.
         """
 
 
@@ -58,9 +70,13 @@ class _Apart(Shape):
 
     squares: tuple[Expr, Expr, Expr]
 
-    def total(self, f: Callable[[Expr], Expr], series: Sequence[Scalar]) -> Expr:
+    def excess(self, f: Callable[[Expr], Expr], series: Sequence[Scalar]) -> Expr:
         """See `Shape`."""
-        return sum(f(square) for square in self.squares)
+        return sum(f(square) for square in self.squares) - 3 * series[0]
+
+    def of_d(self, f: Callable[[Expr], Expr], series: Sequence[Scalar]) -> Expr:
+        """See `Shape`."""
+        return f(self.d) - series[0]
 
 
 @dataclass(frozen=True)
@@ -69,13 +85,19 @@ class _Close(Shape):
 
     Attributes:
         powers: Traces of the powers 0, 1, ... `ORDER` of C/q - I.
+        change: d - 1.
     """
 
     powers: tuple[Scalar, ...]
+    change: Expr
 
-    def total(self, f: Callable[[Expr], Expr], series: Sequence[Scalar]) -> Expr:
+    def excess(self, f: Callable[[Expr], Expr], series: Sequence[Scalar]) -> Expr:
         """See `Shape`."""
-        return sum(c * s for c, s in zip(series, self.powers, strict=True))
+        return sum(c * s for c, s in zip(series[2:], self.powers[2:], strict=True))
+
+    def of_d(self, f: Callable[[Expr], Expr], series: Sequence[Scalar]) -> Expr:
+        """See `Shape`."""
+        return polynomial(series[1 : ORDER_OF_D + 1], self.change)
 
 
 def _cosine(j2: Expr, j3: Expr) -> Expr:
@@ -83,18 +105,19 @@ def _cosine(j2: Expr, j3: Expr) -> Expr:
     return 4 * j3 / (2 * ufl.sqrt(ufl.max_value(j2, CLOSE) / 3)) ** 3
 
 
-def _close(j2: Expr, j3: Expr, d: Expr) -> _Close:
+def _close(j2: Expr, j3: Expr, d: Expr, change: Expr) -> _Close:
     """From the invariants of b = C/q - I: b^3 = j2 b + j3, Cayley and Hamilton.
 
     Args:
         j2: b:b/2.
         j3: Determinant of b.
         d: Product of the squares, 1 - j2 + j3.
+        change: d - 1.
     """
     powers: list[Scalar] = [3.0, 0.0, 2 * j2]
     while len(powers) <= ORDER:
         powers.append(j2 * powers[-2] + j3 * powers[-3])
-    return _Close(d, tuple(powers))
+    return _Close(d, tuple(powers), change)
 
 
 def _apart(j2: Expr, d: Expr, r: Expr) -> _Apart:
@@ -122,34 +145,59 @@ def _apart(j2: Expr, d: Expr, r: Expr) -> _Apart:
 
 
 def _invariants(F: Expr) -> tuple[Expr, Expr, Expr, Expr, Expr]:
-    """b = C/q - I, q = tr C / 3, and j2, j3, d."""
-    q = ufl.inner(F, F) / 3
-    b = F.T * F / q - ufl.Identity(3)
+    """b = C/q - I = 2 dev E/q, q = tr C / 3 = 1 + 2/3 tr E, and j2, j3, d."""
+    E = green_strain(F)
+    q = 1 + 2 / 3 * ufl.tr(E)
+    b = 2 / q * ufl.dev(E)
     d = ufl.exp(2 * ufl.ln(ufl.det(F))) / q**3  # the logarithm refuses J < 0, which J^2 would not
     return b, q, ufl.inner(b, b) / 2, ufl.det(b), d
 
 
-def polar(F: Expr) -> tuple[Expr, Expr]:
-    """Rotation R of F = R U, and tr U.
+@dataclass(frozen=True)
+class Polar:
+    """The polar decomposition F = R U.
 
-    With J < 0 the smallest stretch counts as negative, so R stays a rotation and both stay smooth
-    up to where the two smallest stretches add to zero.  x = tr U is a root of
-    x^4 - 2 I1 x^2 - 8 J x + I1^2 - 4 I2 = 0, I1 and I2 invariants of C, and R = dx/dF follows from
-    that: R = ((x^2 + I1) F - 2 F C + 2 x cof F)/(x^3 - I1 x - 2 J).
+    With J < 0 the smallest stretch counts as negative, so R stays a rotation and all stay smooth
+    up to where the two smallest stretches add to zero.
+
+    Attributes:
+        R: Rotation.
+        stretching: F - R = R (U - I), without the rounding of F and R.
+        trace: tr U - 3, without the rounding of tr U.
+    """
+
+    R: Expr
+    stretching: Expr
+    trace: Expr
+
+
+def polar(F: Expr) -> Polar:
+    """The polar decomposition of a deformation gradient, shape (3, 3).
+
+    x = tr U is a root of x^4 - 2 I1 x^2 - 8 J x + I1^2 - 4 I2 = 0, I1 and I2 invariants of C, and
+    R = dx/dF follows from that: R = ((x^2 + I1) F - 2 F C + 2 x cof F)/(2 h) with
+    h = x (x^2 - I1)/2 - J, the product of the sums of two stretches.  F - R is written in strains:
+    2 h (F - R) = k F + 2 x (F - cof F) + 2 F (C - I) with k = 2 h - x^2 - I1 + 2 - 2 x, in which
+    x = 3 + t, I1 = 3 + 2 tr E and J = 1 + j leave no constant.
 
     Source: L. P. Franca, Comput. Math. Appl. 18 (1989) 459 (the quartic); differentiated here.
     """
-    b, q, j2, j3, _ = _invariants(F)
+    _, q, j2, j3, _ = _invariants(F)
     J, root = ufl.det(F), ufl.sqrt(q)
     d = 1 - j2 + j3
-    near = _close(j2, j3, d).total(ufl.sqrt, power_series(0.5))
+    near = _close(j2, j3, d, j3 - j2).excess(ufl.sqrt, power_series(0.5))
     first, second = (ufl.sqrt(square) for square in _apart(j2, d, _cosine(j2, j3)).squares[:2])
     # The smallest stretch follows from the product of all, with the sign of J.
-    apart = first + second + J / (root**3 * first * second)
-    x = root * ufl.conditional(ufl.lt(j2, CLOSE), near, apart)
-    I1 = 3 * q
-    upper = (x * x + I1) * F - 2 * q * (F * b + F) + 2 * x * cofactor(F)
-    return upper / ((x * x - I1) * x - 2 * J), x
+    apart = first + second + J / (root**3 * first * second) - 3
+    E, j, I1 = green_strain(F), volume_change(F), 3 * q
+    s = ufl.tr(E)
+    # tr U - 3, of which sqrt(q) - 1 is (q - 1)/(1 + sqrt(q)).
+    t = 2 * s / (1 + root) + root * ufl.conditional(ufl.lt(j2, CLOSE), near, apart)
+    x = 3 + t
+    k = t * (16 + t * (8 + t) - 2 * s) - 8 * s - 2 * j
+    h2 = (x * x - I1) * x - 2 * J
+    stretching = (k * F + 2 * x * less_cofactor(F) + 4 * (F * E)) / h2
+    return Polar(F - stretching, stretching, t)
 
 
 def isochoric_energy(psi: Callable[[Shape], Expr], F: Expr) -> Expr:
@@ -161,7 +209,9 @@ def isochoric_energy(psi: Callable[[Shape], Expr], F: Expr) -> Expr:
     """
     _, _, j2, j3, d = _invariants(F)
     apart = psi(_apart(j2, d, _cosine(j2, j3)))
-    return ufl.conditional(ufl.lt(j2, CLOSE), psi(_close(j2, j3, d)), apart)
+    # d - 1 is of second order; the logarithm refuses J < 0.
+    change = ufl.conditional(ufl.gt(ufl.det(F), 0), j3 - j2, ufl.ln(ufl.det(F)))
+    return ufl.conditional(ufl.lt(j2, CLOSE), psi(_close(j2, j3, d, change)), apart)
 
 
 def isochoric_stress(psi: Callable[[Shape], Expr], F: Expr) -> Expr:
@@ -175,7 +225,7 @@ def isochoric_stress(psi: Callable[[Shape], Expr], F: Expr) -> Expr:
     """
     b, q, *values = _invariants(F)
     j2, j3, d, r = (ufl.variable(value) for value in (*values, _cosine(values[0], values[1])))
-    near, apart = psi(_close(j2, j3, d)), psi(_apart(j2, d, r))
+    near, apart = psi(_close(j2, j3, d, d - 1)), psi(_apart(j2, d, r))
     near_d, apart_d = ufl.diff(near, d), ufl.diff(apart, d)
     # Where stretches meet the angle's derivatives are large, and cancel only along dr/dF = 0:
     # they are taken once, by r, and then along j2 and j3.
@@ -197,6 +247,11 @@ def power_series(exponent: Scalar) -> list[Scalar]:
     for n in range(1, ORDER + 1):
         terms.append(terms[-1] * (exponent - (n - 1)) / n)
     return terms
+
+
+def log_series() -> list[float]:
+    """Taylor coefficients of ln(1 + b)."""
+    return [0.0] + [(-1) ** (n + 1) / n for n in range(1, ORDER + 1)]
 
 
 def square_of_log_series() -> list[float]:

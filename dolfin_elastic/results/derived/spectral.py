@@ -81,38 +81,46 @@ def von_mises(rows: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(1.5) * np.linalg.norm(deviator, axis=1, keepdims=True))
 
 
-def _right_cauchy_green(rows: FloatArray) -> FloatArray:
-    F = rows.reshape(-1, 3, 3)
-    return np.asarray(np.swapaxes(F, 1, 2) @ F)
+def _strains(rows: FloatArray, *, spatial: bool) -> FloatArray:
+    """C - I = H + H^T + H^T H, or b - I = H + H^T + H H^T, without the rounding of I + H.
+
+    Args:
+        rows: Of the displacement gradient H = F - I.
+        spatial: b = F F^T in place of C = F^T F.
+    """
+    H = rows.reshape(-1, 3, 3)
+    transposed = np.swapaxes(H, 1, 2)
+    square = H @ transposed if spatial else transposed @ H
+    return np.asarray(H + transposed + square)
 
 
 def principal_stretches(rows: FloatArray) -> FloatArray:
     """Stretches lambda_i, roots of the principal values of C = F^T F (4.27), largest first.
 
     Args:
-        rows: Of the deformation gradient F.
+        rows: Of the displacement gradient H = F - I.
     """
-    return np.asarray(np.sqrt(np.maximum(_decomposed(_right_cauchy_green(rows))[0], 0.0)))
+    squares = 1.0 + _decomposed(_strains(rows, spatial=False))[0]
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
 
 def stretch_direction(number: int) -> Rows:
-    """The function of F that gives a principal direction N_i of C, in the reference configuration.
+    """The function of H = F - I that gives a principal direction N_i of C, undeformed body.
 
     Sense as in `principal_direction`.
     """
-    return lambda rows: _decomposed(_right_cauchy_green(rows))[1][:, number]
+    return lambda rows: _decomposed(_strains(rows, spatial=False))[1][:, number]
 
 
 def log_strain(rows: FloatArray) -> FloatArray:
     """Hencky's strain ln V = sum ln(lambda_i) n_i n_i, in the current configuration; shape (n, 9).
 
     Args:
-        rows: Of the deformation gradient F; V^2 = F F^T (4.35).
+        rows: Of the displacement gradient H = F - I; V^2 = F F^T (4.35).
 
     Source: H. Hencky, Z. techn. Physik 9 (1928) 215; it is what Abaqus calls LE.
     """
-    F = rows.reshape(-1, 3, 3)
-    squares, n = _decomposed(np.asarray(F @ np.swapaxes(F, 1, 2)))
+    excess, n = _decomposed(_strains(rows, spatial=True))
     with np.errstate(divide="ignore", invalid="ignore"):
-        logarithms = np.log(squares) / 2
+        logarithms = np.log1p(excess) / 2
     return np.einsum("pi,pij,pik->pjk", logarithms, n, n).reshape(-1, 9)

@@ -48,6 +48,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.geometry.curved import quadrature_rule, shape_gradients
+from dolfin_elastic.model.kinematics import green_strain, infinitesimal_strain
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw
 from dolfin_elastic.model.materials.mixed import Mixed
@@ -270,9 +271,9 @@ def _work_pairs(
         response = response.law
     P = response.law.shape_stress(F) if isinstance(response, Mixed) else response.stress(F)
     if response.linear:
-        S, E = P, (F + F.T) / 2 - ufl.Identity(3)
+        S, E = P, infinitesimal_strain(F)
     else:
-        S, E = ufl.inv(F) * P, (F.T * F - ufl.Identity(3)) / 2
+        S, E = ufl.inv(F) * P, green_strain(F)
     pairs = [(volume * (S[i, j] + S[j, i]) / 2, (E[i, j] + E[j, i]) / 2) for i, j in COMPONENTS]
     shares = list(_SHARES)
     if isinstance(response, Mixed):

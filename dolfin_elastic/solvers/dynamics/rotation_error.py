@@ -24,6 +24,7 @@ from dolfinx import fem
 from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.model.kinematics import green_strain
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.audit.offences import Offence
 
@@ -57,7 +58,7 @@ class RotationError:
         points, _ = basix.make_quadrature(kind, 1)
         self._change = fem.Function(problem.V)
         D, F = ufl.grad(self._change), problem.weak_form.F(problem.w)
-        change, strain = D.T * D, (F.T * F - ufl.Identity(3)) / 2
+        change, strain = D.T * D, green_strain(F)
         squares = ufl.as_vector([ufl.inner(change, change), ufl.inner(strain, strain)])
         self._expression = compile_expression(mesh.comm, squares, points, problem.jit)
         self._cells = problem.body.owned_cells()

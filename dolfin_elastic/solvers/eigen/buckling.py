@@ -40,6 +40,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.model.amplitude import Amplitude
+from dolfin_elastic.model.kinematics import displacement_gradient
 from dolfin_elastic.model.values import depends_on_time
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
@@ -300,7 +301,7 @@ class _Path:
         problem, w = self._problem, fem.Function(self._problem.W)
         w.x.array[:] = along
         rate = ufl.sym(
-            problem.weak_form.F(problem.w).T * (problem.weak_form.F(w) - ufl.Identity(3))
+            problem.weak_form.F(problem.w).T * displacement_gradient(problem.weak_form.F(w))
         )
         forms = [ufl.inner(rate, rate), problem.constant(1.0)]
         volume = problem.weak_form.volume(None, 2)

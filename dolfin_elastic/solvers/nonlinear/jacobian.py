@@ -14,6 +14,7 @@ from petsc4py import PETSc
 from dolfin_elastic.core.jit import compile_c, compile_expression
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.model.kinematics import displacement_gradient
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.two_stage.form import tabulated
@@ -165,7 +166,7 @@ class _ByExpression:
         F = problem.weak_form.F(problem.w)
         seen = [ufl.det(F)]
         if small is not None:
-            H = F - ufl.Identity(3)
+            H = displacement_gradient(F)
             seen.append(ufl.inner(H, H))
         self._columns = len(seen)
         self._seen_in = compile_expression(

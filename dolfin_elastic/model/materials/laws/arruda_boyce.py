@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import ClassVar, Literal
 
@@ -9,7 +10,12 @@ from pydantic import Field
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.units import Number, Stress
-from dolfin_elastic.model.materials.isochoric import Isochoric, invariants
+from dolfin_elastic.model.materials.isochoric import (
+    Isochoric,
+    excess_invariants,
+    stress_of_invariants,
+)
+from dolfin_elastic.model.near_zero import polynomial
 
 SERIES = (1 / 2, 1 / 20, 11 / 1050, 19 / 7000, 519 / 673750)
 """Of the inverse Langevin function, integrated."""
@@ -42,9 +48,22 @@ class ArrudaBoyce(Isochoric):
         terms = (i * c * (3 / self.limit**2) ** (i - 1) for i, c in enumerate(SERIES, start=1))
         return 2 * self.mu * sum(terms)
 
+    def _psi(self, first: Expr, second: Expr) -> Expr:
+        """The first five terms, I1^i - 3^i as a polynomial in I1 - 3 (binomial theorem)."""
+        chains = 1 / self.limit**2
+        powers = [
+            sum(
+                SERIES[i - 1] * math.comb(i, k) * 3 ** (i - k) * chains ** (i - 1)
+                for i in range(k, len(SERIES) + 1)
+            )
+            for k in range(1, len(SERIES) + 1)
+        ]
+        return self.mu * polynomial(powers, first)
+
     def shape_energy(self, F: Expr) -> Expr:
         """The first five terms."""
-        I1 = invariants(F)[0]
-        chains = 1 / self.limit**2
-        terms = (c * chains ** (i - 1) * (I1**i - 3**i) for i, c in enumerate(SERIES, start=1))
-        return self.mu * sum(terms)
+        return self._psi(*excess_invariants(F))
+
+    def shape_stress(self, F: Expr) -> Expr:
+        """Its derivative."""
+        return stress_of_invariants(self._psi, F)

@@ -8,8 +8,16 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.kinematics import (
+    cofactor,
+    displacement_gradient,
+    green_strain,
+    less_cofactor,
+    volume_change,
+)
 from dolfin_elastic.model.materials.law import Isotropic
 from dolfin_elastic.model.materials.spatial import Range
+from dolfin_elastic.model.near_zero import expm1, expm1_less, log1p, log1p_less
 
 
 class BlatzKo(Isotropic):
@@ -42,8 +50,22 @@ class BlatzKo(Isotropic):
 
     def energy(self, F: Expr) -> Expr:
         """See the class."""
-        C, J = F.T * F, ufl.det(F)
-        I2 = (ufl.tr(C) ** 2 - ufl.inner(C, C)) / 2
-        # The logarithm refuses J < 0, where a whole power of J would be finite.
-        volume = ufl.exp(self.lmbda / self.mu * ufl.ln(J)) - 1
-        return self.mu / 2 * (I2 / J**2 - 3) + self.mu**2 / self.lmbda * volume
+        # I2/J^2 = tr C^-1 = 3 - 2 tr E + C^-1 : (2 E)^2, whose part of first order in H = F - I is
+        # that of the volume.  The logarithm refuses J < 0, where a power of J could be finite.
+        E, H, inverse, j = green_strain(F), displacement_gradient(F), ufl.inv(F), volume_change(F)
+        drawn = E * inverse
+        rest = (ufl.tr(H) ** 2 - ufl.inner(H.T, H) - ufl.inner(H, H)) / 2 + ufl.det(H)  # j - tr E
+        ratio, log = self.lmbda / self.mu, log1p_less(j)
+        volume = expm1_less(ratio * (log + j)) / ratio + log
+        return self.mu * (rest + 2 * ufl.inner(drawn, drawn) + volume)
+
+    def stress(self, F: Expr) -> Expr:
+        """mu F^-T (J^(lmbda/mu) I - C^-1), with C^-1 - I from Y = F^-T - I.
+
+        J Y = cof F - J I = F - (F - cof F) - J I.
+        """
+        H, J, j = displacement_gradient(F), ufl.det(F), volume_change(F)
+        Y = (H - less_cofactor(F) - j * ufl.Identity(3)) / J
+        volume = expm1(self.lmbda / self.mu * log1p(j))
+        rest = volume * ufl.Identity(3) - (Y + Y.T + Y.T * Y)
+        return self.mu / J * (cofactor(F) * rest)

@@ -8,7 +8,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.materials.law import Isotropic, SplitLaw, once
-from dolfin_elastic.model.materials.spectral import polar
+from dolfin_elastic.model.materials.spectral import Polar, polar
 
 
 class Corotated(Isotropic, SplitLaw):
@@ -26,27 +26,33 @@ class Corotated(Isotropic, SplitLaw):
     volume_modulus: ClassVar[str] = "lmbda"
 
     @once
-    def _polar(self, F: Expr) -> tuple[Expr, Expr]:
+    def _polar(self, F: Expr) -> Polar:
         return polar(F)
 
     def shape_energy(self, F: Expr) -> Expr:
-        """mu (F:F - 2 tr U + 3)."""
-        return self.mu * (ufl.inner(F, F) - 2 * self._polar(F)[1] + 3)
+        """mu (F - R):(F - R)."""
+        stretching = self._polar(F).stretching
+        return self.mu * ufl.inner(stretching, stretching)
 
     def shape_stress(self, F: Expr) -> Expr:
         """2 mu (F - R)."""
-        return 2 * self.mu * (F - self._polar(F)[0])
+        return 2 * self.mu * self._polar(F).stretching
 
     def stress(self, F: Expr) -> Expr:
         """2 mu (F - R) + lmbda tr(U - I) R, as R is the derivative of tr U."""
         # R and U once, not once a part: equal trees of this size take long to be found equal.
-        R, x = self._polar(F)
-        return 2 * self.mu * (F - R) + self.lmbda * (x - 3) * R
+        found = self._polar(F)
+        return 2 * self.mu * found.stretching + self.lmbda * found.trace * found.R
 
     def volume_strain(self, F: Expr) -> Expr:
         """Trace of U - I."""
-        return self._polar(F)[1] - 3
+        return self._polar(F).trace
 
     def volume_gradient(self, F: Expr) -> Expr:
         """R, as d(tr U)/dF = R."""
-        return self._polar(F)[0]
+        return self._polar(F).R
+
+    def strain(self, F: Expr) -> Expr:
+        """Biot's strain U - I."""
+        found = self._polar(F)
+        return found.R.T * found.stretching

@@ -7,9 +7,9 @@ from typing import ClassVar, Literal
 import ufl
 from ufl.core.expr import Expr
 
-from dolfin_elastic.model.kinematics import cofactor
+from dolfin_elastic.model.kinematics import cofactor, volume_change
 from dolfin_elastic.model.materials.law import Isotropic, SplitLaw, once
-from dolfin_elastic.model.materials.spectral import polar
+from dolfin_elastic.model.materials.spectral import Polar, polar
 
 
 class FixedCorotated(Isotropic, SplitLaw):
@@ -29,16 +29,17 @@ class FixedCorotated(Isotropic, SplitLaw):
     strain_of_volume: ClassVar[bool] = True
 
     @once
-    def _polar(self, F: Expr) -> tuple[Expr, Expr]:
+    def _polar(self, F: Expr) -> Polar:
         return polar(F)
 
     def shape_energy(self, F: Expr) -> Expr:
-        """mu (F:F - 2 tr U + 3)."""
-        return self.mu * (ufl.inner(F, F) - 2 * self._polar(F)[1] + 3)
+        """mu (F - R):(F - R)."""
+        stretching = self._polar(F).stretching
+        return self.mu * ufl.inner(stretching, stretching)
 
     def shape_stress(self, F: Expr) -> Expr:
         """2 mu (F - R)."""
-        return 2 * self.mu * (F - self._polar(F)[0])
+        return 2 * self.mu * self._polar(F).stretching
 
     @property
     def curved_strain(self) -> bool:
@@ -47,8 +48,13 @@ class FixedCorotated(Isotropic, SplitLaw):
 
     def volume_strain(self, F: Expr) -> Expr:
         """J - 1."""
-        return ufl.det(F) - 1
+        return volume_change(F)
 
     def volume_gradient(self, F: Expr) -> Expr:
         """Cof F."""
         return cofactor(F)
+
+    def strain(self, F: Expr) -> Expr:
+        """Biot's strain U - I."""
+        found = self._polar(F)
+        return found.R.T * found.stretching

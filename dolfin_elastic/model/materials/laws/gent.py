@@ -10,7 +10,12 @@ from pydantic import Field
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.units import Number, Stress
-from dolfin_elastic.model.materials.isochoric import Isochoric, invariants
+from dolfin_elastic.model.materials.isochoric import (
+    Isochoric,
+    excess_invariants,
+    stress_of_invariants,
+)
+from dolfin_elastic.model.near_zero import log1p
 
 
 class Gent(Isochoric):
@@ -40,5 +45,18 @@ class Gent(Isochoric):
 
     def shape_energy(self, F: Expr) -> Expr:
         """-mu limit/2 ln(1 - (I1 - 3)/limit)."""
-        drawn = (invariants(F)[0] - 3) / self.limit
-        return -self.mu * self.limit / 2 * ufl.ln(1 - drawn)
+        return -self.mu * self.limit / 2 * log1p(-excess_invariants(F)[0] / self.limit)
+
+    def shape_stress(self, F: Expr) -> Expr:
+        """Its derivative."""
+
+        def psi(first: Expr, second: Expr) -> Expr:
+            """The energy with a logarithm whose derivative has no condition.
+
+            Args:
+                first: I1 - 3.
+                second: I2 - 3.
+            """
+            return -self.mu * self.limit / 2 * ufl.ln(1 - first / self.limit)
+
+        return stress_of_invariants(psi, F)

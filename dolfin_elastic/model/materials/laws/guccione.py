@@ -11,8 +11,9 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.units import Number, Stress
 from dolfin_elastic.model.materials.fibres import direction
-from dolfin_elastic.model.materials.isochoric import Volumetric, isochoric_part, isochoric_stress
+from dolfin_elastic.model.materials.isochoric import Volumetric, isochoric_strain, isochoric_stress
 from dolfin_elastic.model.materials.spatial import Direction
+from dolfin_elastic.model.near_zero import expm1
 
 
 class Guccione(Volumetric):
@@ -52,20 +53,18 @@ class Guccione(Volumetric):
         "fibre": [1, 0.5, 0.2],
     }
 
-    def _psi(self, C: Expr) -> Expr:
-        """C/2 (exp Q - 1), Q by the products of E and f that need no direction across."""
-        E = (C - ufl.Identity(3)) / 2
+    def _Q(self, E: Expr) -> Expr:
+        """By the products of the isochoric E and f that need no direction across."""
         f = direction(self.fibre)
         e = E * f
         along, drawn = ufl.inner(f, e) ** 2, ufl.inner(e, e)
         across = ufl.inner(E, E) - 2 * drawn + along
-        Q = self.bf * along + self.bt * across + 2 * self.bfs * (drawn - along)
-        return self.C / 2 * (ufl.exp(Q) - 1)
+        return self.bf * along + self.bt * across + 2 * self.bfs * (drawn - along)
 
     def shape_energy(self, F: Expr) -> Expr:
         """C/2 (exp Q - 1)."""
-        return self._psi(isochoric_part(F))
+        return self.C / 2 * expm1(self._Q(isochoric_strain(F)))
 
     def shape_stress(self, F: Expr) -> Expr:
         """Its derivative."""
-        return isochoric_stress(self._psi, F)
+        return isochoric_stress(lambda E: self.C / 2 * ufl.exp(self._Q(E)), F)

@@ -7,14 +7,16 @@ from typing import ClassVar, Literal
 import ufl
 from ufl.core.expr import Expr
 
-from dolfin_elastic.model.kinematics import cofactor
+from dolfin_elastic.model.kinematics import cofactor, volume_change
 from dolfin_elastic.model.materials.law import Isotropic, SplitLaw
 from dolfin_elastic.model.materials.spectral import (
     Shape,
     isochoric_energy,
     isochoric_stress,
+    log_series,
     square_of_log_series,
 )
+from dolfin_elastic.model.near_zero import log1p
 
 
 class Hencky(Isotropic, SplitLaw):
@@ -34,8 +36,8 @@ class Hencky(Isotropic, SplitLaw):
     strain_of_volume: ClassVar[bool] = True
 
     def _psi(self, shape: Shape) -> Expr:
-        squares = shape.total(lambda square: ufl.ln(square) ** 2, square_of_log_series())
-        return self.mu * (squares / 4 - ufl.ln(shape.d) ** 2 / 12)
+        squares = shape.excess(lambda square: ufl.ln(square) ** 2, square_of_log_series())
+        return self.mu * (squares / 4 - shape.of_d(ufl.ln, log_series()) ** 2 / 12)
 
     def shape_energy(self, F: Expr) -> Expr:
         """mu sum_i (ln (l_i J^-1/3))^2."""
@@ -47,8 +49,13 @@ class Hencky(Isotropic, SplitLaw):
 
     def volume_strain(self, F: Expr) -> Expr:
         """ln J."""
-        return ufl.ln(ufl.det(F))
+        return log1p(volume_change(F))
 
     def volume_gradient(self, F: Expr) -> Expr:
         """F^-T."""
         return cofactor(F) / ufl.det(F)
+
+    def strain(self, F: Expr) -> Expr:
+        """The logarithmic strain ln U, which F^T P = 2 mu ln U + lmbda ln J I gives."""
+        shape = ufl.sym(F.T * self.shape_stress(F)) / (2 * self.mu)
+        return shape + self.volume_strain(F) / 3 * ufl.Identity(3)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import ClassVar, Literal
 
 import ufl
@@ -11,8 +11,15 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.units import Number, Stress
 from dolfin_elastic.model.materials.fibres import direction
-from dolfin_elastic.model.materials.isochoric import Volumetric, isochoric_part, isochoric_stress
+from dolfin_elastic.model.materials.isochoric import (
+    Volumetric,
+    excess_invariants,
+    isochoric_strain,
+    isochoric_stress,
+    stress_of_invariants,
+)
 from dolfin_elastic.model.materials.spatial import Direction
+from dolfin_elastic.model.near_zero import expm1
 
 
 class HolzapfelGasserOgden(Volumetric):
@@ -61,19 +68,29 @@ class HolzapfelGasserOgden(Volumetric):
 
     def shape_energy(self, F: Expr) -> Expr:
         """Matrix and fibres."""
-        return self._psi(isochoric_part(F))
+        matrix = self._matrix(*excess_invariants(F))
+        return matrix + self._fibres(isochoric_strain(F), expm1)
 
     def shape_stress(self, F: Expr) -> Expr:
         """Its derivative."""
-        return isochoric_stress(self._psi, F)
+        fibres = isochoric_stress(lambda E: self._fibres(E, lambda x: ufl.exp(x) - 1), F)
+        return stress_of_invariants(self._matrix, F) + fibres
 
-    def _psi(self, C: Expr) -> Expr:
-        I1 = ufl.tr(C)
+    def _matrix(self, first: Expr, second: Expr) -> Expr:
+        return self.mu / 2 * first
+
+    def _fibres(self, E: Expr, exponential: Callable[[Expr], Expr]) -> Expr:
+        """Energy of all families.
+
+        Args:
+            E: Isochoric Green strain, shape (3, 3).
+            exponential: e^x - 1.
+        """
         families = [f for f in (self.fibre, self.fibre2) if f is not None]
-        fibres = sum(self._family(C, I1, direction(f)) for f in families)
-        return self.mu / 2 * (I1 - 3) + self.k1 / (2 * self.k2) * fibres
+        stored = sum(self._family(E, direction(f), exponential) for f in families)
+        return self.k1 / (2 * self.k2) * stored
 
-    def _family(self, C: Expr, I1: Expr, f: Expr) -> Expr:
-        e = self.kappa * I1 + (1 - 3 * self.kappa) * ufl.inner(f, C * f) - 1
-        stored = ufl.exp(self.k2 * e**2) - 1
+    def _family(self, E: Expr, f: Expr, exponential: Callable[[Expr], Expr]) -> Expr:
+        e = 2 * (self.kappa * ufl.tr(E) + (1 - 3 * self.kappa) * ufl.inner(f, E * f))
+        stored = exponential(self.k2 * e**2)
         return ufl.conditional(ufl.gt(e, 0), stored, 0) if self.slack else stored

@@ -9,7 +9,11 @@ from pydantic import Field
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.units import Stress
-from dolfin_elastic.model.materials.isochoric import Isochoric, invariants
+from dolfin_elastic.model.materials.isochoric import (
+    Isochoric,
+    excess_invariants,
+    stress_of_invariants,
+)
 
 
 class MooneyRivlin(Isochoric):
@@ -38,7 +42,13 @@ class MooneyRivlin(Isochoric):
         """2 (c10 + c01)."""
         return 2 * (self.c10 + self.c01)
 
+    def _psi(self, first: Expr, second: Expr) -> Expr:
+        return self.c10 * first + self.c01 * second
+
     def shape_energy(self, F: Expr) -> Expr:
         """c10 (I1 - 3) + c01 (I2 - 3)."""
-        I1, I2 = invariants(F)
-        return self.c10 * (I1 - 3) + self.c01 * (I2 - 3)
+        return self._psi(*excess_invariants(F))
+
+    def shape_stress(self, F: Expr) -> Expr:
+        """Its derivative."""
+        return stress_of_invariants(self._psi, F)

@@ -7,7 +7,14 @@ from typing import ClassVar, Literal
 import ufl
 from ufl.core.expr import Expr
 
+from dolfin_elastic.model.kinematics import (
+    cofactor,
+    displacement_gradient,
+    less_cofactor,
+    volume_change,
+)
 from dolfin_elastic.model.materials.law import Isotropic, SplitLaw
+from dolfin_elastic.model.near_zero import log1p, log1p_less
 
 
 class NeoHookean(Isotropic, SplitLaw):
@@ -25,9 +32,19 @@ class NeoHookean(Isotropic, SplitLaw):
     strain_of_volume: ClassVar[bool] = True
 
     def shape_energy(self, F: Expr) -> Expr:
-        """mu/2 (tr F^T F - 3) - mu ln J."""
-        return self.mu / 2 * (ufl.inner(F, F) - 3) - self.mu * ufl.ln(ufl.det(F))
+        """mu/2 (tr F^T F - 3) - mu ln J, without the terms of first order in H = F - I."""
+        H = displacement_gradient(F)
+        squares = ufl.inner(H, H) - ufl.tr(H) ** 2 + ufl.inner(H.T, H) - 2 * ufl.det(H)
+        return self.mu * (squares / 2 - log1p_less(volume_change(F)))
+
+    def shape_stress(self, F: Expr) -> Expr:
+        """mu (F - F^-T) = mu (F - cof F + (J - 1)/J cof F)."""
+        return self.mu * (less_cofactor(F) + volume_change(F) / ufl.det(F) * cofactor(F))
 
     def volume_strain(self, F: Expr) -> Expr:
         """ln J."""
-        return ufl.ln(ufl.det(F))
+        return log1p(volume_change(F))
+
+    def volume_gradient(self, F: Expr) -> Expr:
+        """F^-T."""
+        return cofactor(F) / ufl.det(F)

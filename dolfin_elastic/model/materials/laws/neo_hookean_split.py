@@ -6,7 +6,11 @@ from typing import ClassVar, Literal
 
 from ufl.core.expr import Expr
 
-from dolfin_elastic.model.materials.isochoric import Volumetric, invariants
+from dolfin_elastic.model.materials.isochoric import (
+    Volumetric,
+    excess_invariants,
+    stress_of_invariants,
+)
 from dolfin_elastic.model.materials.law import Isotropic
 
 
@@ -24,6 +28,13 @@ class NeoHookeanSplit(Isotropic, Volumetric):
 
     barrier: ClassVar[bool] = True
 
+    def _psi(self, first: Expr, second: Expr) -> Expr:
+        return self.mu / 2 * first
+
     def shape_energy(self, F: Expr) -> Expr:
         """mu/2 (I1 - 3)."""
-        return self.mu / 2 * (invariants(F)[0] - 3)
+        return self._psi(*excess_invariants(F))
+
+    def shape_stress(self, F: Expr) -> Expr:
+        """Its derivative."""
+        return stress_of_invariants(self._psi, F)

@@ -73,8 +73,19 @@ class Ogden(Isochoric):
                 """
                 return square**half
 
-            total = shape.total(power, power_series(half))
-            energy += self.mu[p] / self.alpha[p] * (total * shape.d ** (-half / 3) - 3)
+            def volume(d: Expr, half: Scalar = half) -> Expr:
+                """What makes the sum of these powers isochoric.
+
+                Args:
+                    d: See `Shape`.
+                    half: Half the exponent.
+                """
+                return d ** (-half / 3)
+
+            excess = shape.excess(power, power_series(half))
+            factor = shape.of_d(volume, power_series(-half / 3))
+            # (3 + excess) (1 + factor) - 3
+            energy += self.mu[p] / self.alpha[p] * (excess * (1 + factor) + 3 * factor)
         return energy
 
     def shape_energy(self, F: Expr) -> Expr:

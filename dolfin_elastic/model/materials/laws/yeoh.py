@@ -9,7 +9,11 @@ from pydantic import Field
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.units import Stress
-from dolfin_elastic.model.materials.isochoric import Isochoric, invariants
+from dolfin_elastic.model.materials.isochoric import (
+    Isochoric,
+    excess_invariants,
+    stress_of_invariants,
+)
 
 
 class Yeoh(Isochoric):
@@ -44,7 +48,13 @@ class Yeoh(Isochoric):
         """2 c10."""
         return 2 * self.c10
 
+    def _psi(self, first: Expr, second: Expr) -> Expr:
+        return first * (self.c10 + first * (self.c20 + first * self.c30))
+
     def shape_energy(self, F: Expr) -> Expr:
         """A cubic in I1 - 3."""
-        s = invariants(F)[0] - 3
-        return s * (self.c10 + s * (self.c20 + s * self.c30))
+        return self._psi(*excess_invariants(F))
+
+    def shape_stress(self, F: Expr) -> Expr:
+        """Its derivative."""
+        return stress_of_invariants(self._psi, F)

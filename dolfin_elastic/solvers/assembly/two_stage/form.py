@@ -23,6 +23,7 @@ from dolfin_elastic.core.jit import compile_c, compile_forms
 from dolfin_elastic.core.jit.cell_integrals import CellExpression, LaneLoops
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.model.kinematics import variables
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.weak_form import UNUSED
@@ -91,8 +92,8 @@ def moduli(problem: Problem, region: MaterialRegion) -> Expr:
 
 def _of_displacement(problem: Problem, region: MaterialRegion) -> Expr:
     weak_form = problem.weak_form
-    F = ufl.variable(weak_form.F(problem.w))
-    A = ufl.diff(weak_form.response(region, problem.w).stress(F), F)
+    H, F = variables(weak_form.F(problem.w))
+    A = ufl.diff(weak_form.response(region, problem.w).stress(F), H)
     return ufl.as_vector(_in_a_row(problem, A))
 
 
@@ -106,10 +107,10 @@ def _in_a_row(problem: Problem, A: Expr) -> list[Expr]:
 def _mixed(problem: Problem, region: MaterialRegion) -> Expr:
     weak_form, n = problem.weak_form, range(problem.body.dim)
     scale = problem.unknowns.scale["pressure"]
-    F = ufl.variable(weak_form.F(problem.w))
+    H, F = variables(weak_form.F(problem.w))
     p = ufl.variable(problem.unknowns.auxiliary("pressure", problem.w))
     P = weak_form.response(region, problem.w, pressure=p).stress(F)
-    A = ufl.diff(P, F)
+    A = ufl.diff(P, H)
     found = _in_a_row(problem, A)
     if region.compliance is None:
         rows = 1 if problem.symmetric else 2
@@ -117,8 +118,8 @@ def _mixed(problem: Problem, region: MaterialRegion) -> Expr:
         found.append(-(scale**2) * UNUSED / region.shear)
     else:
         gap = weak_form.gap(region, F, pressure=p)
-        G, H = ufl.diff(P, p), ufl.diff(gap, F)
-        couplings = [G] if problem.symmetric else [G, H]
+        by_pressure, of_gap = ufl.diff(P, p), ufl.diff(gap, H)
+        couplings = [by_pressure] if problem.symmetric else [by_pressure, of_gap]
         found += [scale * X[i, J] for X in couplings for i in n for J in n]
         found.append(scale**2 * ufl.diff(gap, p))
     return ufl.as_vector(found)

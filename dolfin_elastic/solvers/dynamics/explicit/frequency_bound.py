@@ -10,6 +10,7 @@ from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.model.kinematics import variables
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
@@ -77,9 +78,9 @@ class FrequencyBound:
     def _norm(self, part: MaterialRegion) -> Expr:
         """kappa/V in cells of a part [N/m^4] (UFL)."""
         problem, d = self._problem, self._dim
-        F = ufl.variable(problem.weak_form.F(problem.w))
+        gradient, F = variables(problem.weak_form.F(problem.w))
         P = problem.weak_form.response(part, problem.w).stress(F)
-        A = ufl.diff(P, F)
+        A = ufl.diff(P, gradient)
         if d == 2:
             axes = range(2)
             A = ufl.as_tensor(
