@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from dolfinx import cpp, fem
 from dolfinx.graph import adjacencylist
-from dolfinx.io import XDMFFile
-from dolfinx.mesh import GhostMode, Mesh, MeshTags, create_cell_partitioner
+from dolfinx.mesh import GhostMode, Mesh, create_cell_partitioner
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -175,28 +174,6 @@ def interpolation_matrix(coarse: fem.FunctionSpace, fine: fem.FunctionSpace) -> 
     matrix = petsc.interpolation_matrix(coarse, fine)
     matrix.assemble()
     return matrix
-
-
-def reads_attributes_by_name() -> bool:
-    """True where one of several attributes of an XDMF grid can be read (0.10)."""
-    return "attribute_name" in inspect.signature(XDMFFile.read_meshtags).parameters
-
-
-def read_meshtags(file: XDMFFile, mesh: Mesh, grid: str, attribute: str) -> MeshTags:
-    """Integer cell data of a grid of an XDMF file. Collective.
-
-    DOLFINx 0.9 reads the first attribute of the grid whatever `attribute` says; see
-    `reads_attributes_by_name`.
-
-    Args:
-        file: The open file.
-        mesh: The mesh read from it.
-        grid: Name of the grid, of cells or of facets.
-        attribute: Name of the data.
-    """
-    if reads_attributes_by_name():
-        return file.read_meshtags(mesh, name=grid, attribute_name=attribute)
-    return file.read_meshtags(mesh, name=grid)
 
 
 def surface_of(

@@ -27,6 +27,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import OutputError
+from dolfin_elastic.core.files import hdf5 as guarded
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.results.files import need_space, open_together, write_at, writing
@@ -126,12 +127,13 @@ def shapes(path: Path) -> dict[str, tuple[int, int]]:
     """Name to (rows, columns) of the arrays in a file. Not collective.
 
     Raises:
-        OSError: The file is missing, or no HDF5 file.
+        OSError: The file is missing, no HDF5 file, or holds something else.
     """
-    import h5py
-
-    with h5py.File(path, "r") as file:
-        return {name: (int(data.shape[0]), int(data.shape[1])) for name, data in file.items()}
+    with guarded.opened(path) as file:
+        found = {name: guarded.shape_in(file, name) for name in file}
+    if any(len(shape) != 2 for shape in found.values()):
+        raise OSError(f"{path} has arrays of other shapes")
+    return {name: (shape[0], shape[1]) for name, shape in found.items()}
 
 
 def read(path: Path, name: str, first: int, count: int) -> AnyArray:
@@ -149,9 +151,4 @@ def read(path: Path, name: str, first: int, count: int) -> AnyArray:
     Raises:
         OSError: The file is missing, damaged, or has fewer rows.
     """
-    import h5py
-
-    with h5py.File(path, "r") as file:
-        if name not in file or file[name].shape[0] < first + count:
-            raise OSError(f"{path} has no such rows")
-        return np.asarray(file[name][first : first + count])
+    return guarded.read_rows(path, name, first, first + count)

@@ -194,7 +194,7 @@ DAMAGES = (
     ("/point_0<", "/point_7<", "the point 'tip' cannot be read"),
     ("/point_0<", "/far<", "the point 'tip' has points that do not exist; numbers from 0 to"),
     ("/region_0<", "/folder<", "the region 'soft part': it cannot be read: "),
-    ("/region_0<", "/far<", "the region 'soft part': it cannot be read: .*reshape"),
+    ("/region_0<", "/far<", "the region 'soft part': it cannot be read: '/far' has 1 rows"),
     ("<Topology", MANY + "<Topology", "facets do not cover 'many' nodes of 'rim'; a whole number"),
 )
 """What is changed in the file, and what is said of it."""

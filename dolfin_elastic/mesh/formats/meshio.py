@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.files import hdf5
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.mesh.fields import as_columns
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile
@@ -68,9 +69,31 @@ def _cell_data(mesh: meshio.Mesh, i: int) -> dict[str, FloatArray]:
     return found
 
 
+def check_hdf5(path: Path, where: str) -> None:
+    """Refuses an HDF5 file that leads out of itself, or states more than it can hold. Local.
+
+    Args:
+        path: The HDF5 file, which meshio is to read.
+        where: The file that names it, or itself, for the message.
+
+    Raises:
+        MeshError: It is such a file, or damaged.
+    """
+    try:
+        hdf5.check(path)
+    except OSError as error:
+        raise MeshError(
+            f"the HDF5 file '{path.name}' cannot be read: {error}",
+            where=where,
+            expected="the file as it was written, without links to other files",
+        ) from None
+
+
 def _read(path: Path) -> meshio.Mesh:
     import meshio
 
+    if hdf5.is_hdf5(path):
+        check_hdf5(path, path.name)
     output = io.StringIO()
     try:
         # meshio prints its errors and ends the process.

@@ -20,6 +20,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.files.xml import parsed
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.mesh.fields import as_columns
 from dolfin_elastic.mesh.formats.meshio import (
@@ -296,7 +297,7 @@ def _split(content: bytes) -> tuple[ElementTree.Element, bytes, str]:
     if b"<!DOCTYPE" in text or b"<!ENTITY" in text:
         raise MeshError("XML with definitions of its own is not read")
     try:
-        root = ElementTree.fromstring(text)
+        root = parsed(text)
     except ElementTree.ParseError as error:
         raise MeshError(f"this is no XML file: {error}") from None
     appended = root.find("AppendedData")

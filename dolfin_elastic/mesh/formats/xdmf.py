@@ -1,22 +1,28 @@
-"""XDMF: read in parts by all ranks; with the meshtags that DOLFINx and meshio put beside."""
+"""XDMF: read in parts by all ranks; with the meshtags that DOLFINx and meshio put beside.
+
+Read here rather than by DOLFINx 0.9, which takes the arrays from the file that has the name of the
+`.xdmf`, whatever file the text names, and of several data of a grid always the first.
+"""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 from xml.etree import ElementTree
 
 import numpy as np
-from dolfinx import la
-from dolfinx.io import XDMFFile
-from dolfinx.mesh import Mesh
+from dolfinx import cpp, graph, la
+from dolfinx.io import distribute_entity_data
+from dolfinx.mesh import CellType, Mesh, meshtags_from_entities
 from mpi4py import MPI
 
-from dolfin_elastic.core.compat import read_meshtags, reads_attributes_by_name
-from dolfin_elastic.core.errors import MeshError, not_shown
-from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.core.types import IndexArray
+from dolfin_elastic.core.errors import MeshError, not_shown, why_no_file
+from dolfin_elastic.core.files.xml import read_xml
+from dolfin_elastic.core.parallel import agree, on_root, total
+from dolfin_elastic.core.types import AnyArray, IndexArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import build_body, make_mesh
@@ -24,9 +30,12 @@ from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.mesh.formats.cleaning import check_distributed, straight
 from dolfin_elastic.mesh.formats.raw import RawMesh, assemble
 from dolfin_elastic.mesh.formats.xdmf_named import (
+    Array,
     Names,
+    check_arrays,
     dimensions,
     distributed,
+    hdf_rows,
     kind_of,
     named,
     names_in,
@@ -34,26 +43,46 @@ from dolfin_elastic.mesh.formats.xdmf_named import (
 )
 from dolfin_elastic.mesh.geometry.simplices import prepare_edges, vertex_nodes
 
-_DIMS = {
-    "tetrahedron": 3,
-    "tetrahedron_10": 3,
-    "tet_10": 3,
-    "triangle": 2,
-    "triangle_6": 2,
-    "tri_6": 2,
-    "polyline": 1,
-    "polyvertex": 0,
+_KINDS = {
+    "tetrahedron": (CellType.tetrahedron, 4),
+    "tetrahedron_10": (CellType.tetrahedron, 10),
+    "tet_10": (CellType.tetrahedron, 10),
+    "triangle": (CellType.triangle, 3),
+    "triangle_6": (CellType.triangle, 6),
+    "tri_6": (CellType.triangle, 6),
+    "polyline": (CellType.interval, 2),
+    "edge_3": (CellType.interval, 3),
+    "polyvertex": (CellType.point, 1),
 }
+"""Shape of the cells of a topology, and number of their nodes."""
+_DIMS = {
+    name: {CellType.tetrahedron: 3, CellType.triangle: 2, CellType.interval: 1}.get(kind, 0)
+    for name, (kind, _) in _KINDS.items()
+}
+_NOWHERE = Array("", "", (0,))
 _MOST = 200  # more distinct values than this are data, not names
 
 
 @dataclass(frozen=True)
 class _Tags:
-    """Integer cell data of one grid: name of the grid, name of the data, dimension of the cells."""
+    """Integer data of the cells of one grid.
 
-    grid: str
+    Attributes:
+        attribute: Name of the data.
+        kind: Of the cells.
+        cells: Nodes of each cell.
+        values: One number for each cell.
+    """
+
     attribute: str
-    dim: int
+    kind: str
+    cells: Array
+    values: Array
+
+    @property
+    def dim(self) -> int:
+        """Of the cells."""
+        return _DIMS[self.kind]
 
 
 @dataclass(frozen=True)
@@ -62,26 +91,41 @@ class _Data:
 
     name: str
     centre: Literal["cell", "point"]
-    file: str
-    path: str
-    shape: tuple[int, int]
+    array: Array
 
 
 @dataclass(frozen=True)
 class _Contents:
-    """Content of the file; `grid` is empty if DOLFINx cannot read it, and meshio must.
+    """Content of the file, without its arrays.
 
-    `order` is the geometric degree of its cells, 0 where it is not known; `names` is what
-    `dolfin-elastic convert` has put into it.
+    Attributes:
+        kind: Of the cells; empty if the file is not of those that ranks read in shares: then
+            meshio must.
+        cells: Nodes of each cell.
+        points: Coordinates of the points, in the file's unit.
+        tags: Integer data of cells and of facets, edges and points.
+        data: Fields.
+        names: What `dolfin-elastic convert` has put into it.
+        notes: How it was read.
     """
 
-    grid: str
-    dim: int
-    spatial: int
-    tags: tuple[_Tags, ...]
+    kind: str = ""
+    cells: Array = _NOWHERE
+    points: Array = _NOWHERE
+    tags: tuple[_Tags, ...] = ()
     data: tuple[_Data, ...] = ()
-    order: int = 0
     names: Names = field(default_factory=Names)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def dim(self) -> int:
+        """Of the cells."""
+        return _DIMS[self.kind]
+
+    @property
+    def order(self) -> int:
+        """Geometric degree of the cells, 0 where it is not known."""
+        return (2 if self.kind.endswith(("_6", "_10")) else 1) if self.kind else 0
 
     def shared(self, dim: int | None) -> bool:
         """Whether all ranks read the file in shares.
@@ -89,7 +133,29 @@ class _Contents:
         Args:
             dim: See `read_xdmf`.
         """
-        return bool(self.grid) and self.spatial == self.dim and (dim or self.dim) == self.dim
+        return bool(self.kind) and self.points.columns == self.dim == (dim or self.dim)
+
+    def arrays(self) -> list[Array]:
+        """All arrays that are read."""
+        return [
+            self.cells,
+            self.points,
+            *(array for tags in self.tags for array in (tags.cells, tags.values)),
+            *(data.array for data in self.data),
+        ]
+
+    def stored(self, as_they_are: Mapping[Array, Array]) -> _Contents:
+        """The same with arrays from `check_arrays`."""
+        tags = [
+            replace(t, cells=as_they_are[t.cells], values=as_they_are[t.values]) for t in self.tags
+        ]
+        return replace(
+            self,
+            cells=as_they_are[self.cells],
+            points=as_they_are[self.points],
+            tags=tuple(tags),
+            data=tuple(replace(data, array=as_they_are[data.array]) for data in self.data),
+        )
 
 
 def read_xdmf(
@@ -120,27 +186,55 @@ def read_xdmf(
     if not contents.shared(dim):
         return build_body(lambda: _by_meshio(path, dim), comm=comm, unit=unit, source=path.name)
     try:
-        with XDMFFile(comm, str(path), "r") as file:
-            body = Body(_mesh(file, contents, unit.metres), source=path.name, unit=unit)
-            body = named(_tagged(body, file, contents), path, contents.names)
+        mesh = _mesh(comm, path, contents, unit.metres)
+        body = Body(mesh, source=path.name, unit=unit, notes=contents.notes)
+        body = named(_tagged(body, path, contents), path, contents.names)
         return replace(body, fields={d.name: _field(body, path, d) for d in contents.data})
-    except RuntimeError as error:
-        raise MeshError(f"cannot be read: {error}", where=path.name) from None
     except MeshError as error:
         raise error.at(path.name) from None
 
 
-def _mesh(file: XDMFFile, contents: _Contents, scale: float) -> Mesh:
-    _, order = file.read_cell_type(contents.grid)
-    cells = np.ascontiguousarray(file.read_topology_data(contents.grid), dtype=np.int64)
-    x = np.ascontiguousarray(file.read_geometry_data(contents.grid), dtype=np.float64)
-    check_distributed(file.comm, cells, len(x), contents.dim)
-    return make_mesh(file.comm, cells, x * scale, order)
+def _mesh(comm: MPI.Comm, path: Path, contents: _Contents, scale: float) -> Mesh:
+    width = _KINDS[contents.kind][1]
+    cells = _cells(comm, path, contents.kind, contents.cells)
+    x = np.ascontiguousarray(_share(comm, path, contents.points), dtype=np.float64)
+    order = 1 if width == contents.dim + 1 else 2
+    bad = int(np.count_nonzero(~np.isfinite(x).all(axis=1)))
+    if count := int(total(comm, bad)):
+        raise MeshError(f"{count} points have coordinates that are not numbers")
+    check_distributed(comm, cells, len(x), contents.dim)
+    return make_mesh(comm, cells, x * scale, order)
+
+
+def _cells(comm: MPI.Comm, path: Path, kind: str, cells: Array) -> IntArray:
+    """This rank's share of the cells of a grid, in DOLFINx's node order. Collective."""
+    rows = _share(comm, path, cells)
+    if rows.dtype.kind not in "iu":
+        raise MeshError(f"the cells in '{cells.file}:{cells.path}' are no whole numbers")
+    order = cpp.io.perm_vtk(*_KINDS[kind]) if _DIMS[kind] > 1 else slice(None)
+    return np.ascontiguousarray(rows[:, order], dtype=np.int64)
+
+
+def _share(comm: MPI.Comm, path: Path, array: Array) -> AnyArray:
+    """This rank's share of the rows of an array, as DOLFINx divides them. Collective."""
+    each, more = divmod(array.rows, comm.size)
+    start = comm.rank * each + min(comm.rank, more)
+    rows: AnyArray = np.empty((0, array.columns))
+    error = None
+    try:
+        rows = hdf_rows(path, array, start, start + each + (comm.rank < more))
+    except OSError as caught:
+        error = MeshError(f"the array '{array.file}:{array.path}' cannot be read: {caught}")
+    agree(comm, error)
+    return rows
 
 
 def _contents(path: Path) -> _Contents:
     try:
-        return _in(ElementTree.parse(path).getroot(), path)
+        found = _in(read_xml(path), path)
+        return (
+            found.stored(check_arrays(path, found.arrays(), found.names)) if found.kind else found
+        )
     except ElementTree.ParseError as error:
         raise MeshError(f"this is no XML file: {error}", where=path.name) from None
     except MeshError as error:
@@ -158,18 +252,76 @@ def _in(root: ElementTree.Element, path: Path) -> _Contents:
     _data_files(path, root)
     main = grids[0]
     kind = _kind(main)
-    width = _width(main)
+    notes = _others(root, main, grids[1:])
+    cells, points = main.find("Topology/DataItem"), main.find("Geometry/DataItem")
     plain = all(item.get("Format") == "HDF" for item in root.iter("DataItem"))
-    if kind not in _DIMS or not plain or main.find("Geometry") is None:
-        return _Contents("", 0, 0, ())
-    if len(_tags(main)) > 1 and not reads_attributes_by_name():
-        return _Contents("", 0, 0, ())
+    if kind not in _DIMS or not plain or cells is None or points is None or not _width(main):
+        return _Contents()
     tags = [t for g in grids if _kind(g) in _DIMS and not kind_of(g) for t in _tags(g)]
     data = _data(main, [g for g in root.iter("Grid") if g.find("Topology") is None])
-    order = 2 if kind.endswith(("_6", "_10")) else 1
+    found = _topology(kind, cells)
     return _Contents(
-        main.get("Name", ""), _DIMS[kind], width, tuple(tags), tuple(data), order, names_in(root)
+        kind, found, Array.of(points), tuple(tags), tuple(data), names_in(root), tuple(notes)
     )
+
+
+def _topology(kind: str, item: ElementTree.Element) -> Array:
+    """The nodes of the cells of a grid.
+
+    Raises:
+        MeshError: They are not as many to a cell as its kind has.
+    """
+    array, width = Array.of(item), _KINDS[kind][1]
+    if len(array.shape) == 1 and array.rows % width == 0:
+        array = replace(array, shape=(array.rows // width, width))
+    if array.columns != width:
+        raise MeshError(
+            f"cells of the kind {kind} have {width} nodes, not {array.columns} as in "
+            f"'{array.file}:{array.path}'"
+        )
+    return array
+
+
+def _others(
+    root: ElementTree.Element, main: ElementTree.Element, others: list[ElementTree.Element]
+) -> list[str]:
+    """Notes on grids with cells that are not read.
+
+    Raises:
+        MeshError: One is a further part of the body.
+    """
+    blocks = {
+        grid
+        for collection in root.iter("Grid")
+        if collection.get("CollectionType", "").lower() == "spatial"
+        or collection.get("GridType", "").lower() == "tree"
+        for grid in collection.iter("Grid")
+    }
+    left = []
+    for grid in others:
+        same = _texts(grid, "Geometry") in (_texts(main, "Geometry"), [])
+        if kind_of(grid) or (same and _is_part(main, grid)):
+            continue
+        if main in blocks or same:
+            raise MeshError(
+                f"the cells of the grid '{grid.get('Name', '')}' are beside those of "
+                f"'{main.get('Name', '')}'",
+                expected="one grid with all cells (in ParaView: Merge Blocks)",
+            )
+        left.append(grid.get("Name", ""))
+    names = ", ".join(dict.fromkeys(left))
+    return [f"of {1 + len(left)} meshes in the file the first is read, not {names}"] if left else []
+
+
+def _is_part(main: ElementTree.Element, grid: ElementTree.Element) -> bool:
+    """Whether a grid has cells of the main one, or facets, edges and points of it."""
+    low = _DIMS.get(_kind(grid), 3) < _DIMS.get(_kind(main), 3)
+    return low or bool(_tags(grid)) or _texts(grid, "Topology") == _texts(main, "Topology")
+
+
+def _texts(grid: ElementTree.Element, part: str) -> list[str]:
+    """Where the arrays of a grid are."""
+    return ["".join((item.text or "").split()) for item in grid.findall(f"{part}/DataItem")]
 
 
 def is_shared(path: Path, dim: int | None) -> bool:
@@ -184,14 +336,19 @@ def is_shared(path: Path, dim: int | None) -> bool:
 
 def _tags(grid: ElementTree.Element) -> list[_Tags]:
     """Cell data of a grid that may be integers; DOLFINx writes tags without a number type."""
-    found = []
+    found: list[_Tags] = []
+    cells = grid.find("Topology/DataItem")
     for attribute in grid.findall("Attribute"):
         item = attribute.find("DataItem")
-        kind = "Float" if item is None else item.get("NumberType", item.get("DataType", "Int"))
-        if kind_of(attribute):
+        if item is None or cells is None or kind_of(attribute) or _kind(grid) not in _DIMS:
             continue
+        kind = item.get("NumberType", item.get("DataType", "Int"))
         if attribute.get("Center") == "Cell" and kind in ("Int", "UInt", "Char", "UChar"):
-            found.append(_Tags(grid.get("Name", ""), attribute.get("Name", ""), _DIMS[_kind(grid)]))
+            topology = _topology(_kind(grid), cells)
+            values = Array.of(item)
+            if values.shape not in ((topology.rows,), (topology.rows, 1)):
+                continue
+            found.append(_Tags(attribute.get("Name", ""), _kind(grid), topology, values))
     return found
 
 
@@ -203,7 +360,7 @@ def _data(main: ElementTree.Element, functions: list[ElementTree.Element]) -> li
         for attribute in grid.findall("Attribute"):
             # Without a type it is a float in XDMF; but of a mesh's own grid, DOLFINx's tags.
             data = _one(attribute, "Int" if grid is main else "Float")
-            if data is None or (grid is not main and data.shape[0] != counts[data.centre]):
+            if data is None or (grid is not main and data.array.rows != counts[data.centre]):
                 continue
             found[data.name] = data
     return list(found.values())
@@ -216,10 +373,7 @@ def _one(attribute: ElementTree.Element, usual: str) -> _Data | None:
         return None
     if centre == "cell" and item.get("NumberType", item.get("DataType", usual)) != "Float":
         return None  # numbers of regions
-    file, path = place_of(item)
-    rows, *columns = dimensions(item)
-    width = int(np.prod(columns, dtype=np.int64))
-    return _Data(attribute.get("Name", ""), centre, file, path, (rows, width))  # type: ignore[arg-type]
+    return _Data(attribute.get("Name", ""), centre, Array.of(item))  # type: ignore[arg-type]
 
 
 def _rows(grid: ElementTree.Element, part: str) -> int:
@@ -230,7 +384,7 @@ def _rows(grid: ElementTree.Element, part: str) -> int:
 def _field(body: Body, path: Path, data: _Data) -> MeshField:
     """Reads a field on rank 0, in pieces. Collective."""
     try:
-        return distributed(body, data.centre, data.shape, path.parent / data.file, data.path)
+        return distributed(body, data.centre, path, data.array)
     except MeshError as error:
         raise MeshError(f"the field '{data.name}': {error}") from None
 
@@ -247,8 +401,16 @@ def _width(grid: ElementTree.Element) -> int:
     return {"XY": 2, "XYZ": 3}.get(str(kind).upper(), 0)
 
 
-def _data_files(path: Path, root: ElementTree.Element) -> None:
+def _data_files(path: Path, root: ElementTree.Element) -> list[str]:
+    """The HDF5 files that the text names.
+
+    Raises:
+        MeshError: One is not there, or the text names files of another kind.
+    """
+    found = {}
     for item in root.iter("DataItem"):
+        if item.get("Format") == "Binary":
+            _check_binary(path, Path((item.text or "").strip()))
         if item.get("Format") == "HDF" and item.text:
             name, _ = place_of(item)
             if not (path.parent / name).is_file():
@@ -257,6 +419,25 @@ def _data_files(path: Path, root: ElementTree.Element) -> None:
                     where=path.name,
                     expected=not_shown(path.parent / name) or "keep the .xdmf and the .h5 together",
                 )
+            found[name] = True
+    return list(found)
+
+
+def _check_binary(path: Path, named: Path) -> None:
+    """Refuses an array in a raw file other than beside the `.xdmf`.
+
+    Args:
+        path: The `.xdmf` file.
+        named: The raw file, which meshio looks for in the current folder.
+    """
+    beside = path.parent / named.name
+    if why_no_file(beside, sys.maxsize) or not beside.is_file():
+        fault = f"its data file '{named}' is not beside it"
+    elif not named.exists() or not named.samefile(beside):
+        fault = f"its data file '{named}' is looked for in the current folder, not beside it"
+    else:
+        return
+    raise MeshError(fault, where=path.name, expected="save it with its arrays in HDF5")
 
 
 def _straight(path: Path, dim: int | None) -> RawMesh:
@@ -272,14 +453,16 @@ def _straight(path: Path, dim: int | None) -> RawMesh:
 
 
 def _by_meshio(path: Path, dim: int | None) -> RawMesh:
-    from dolfin_elastic.mesh.formats.meshio import read_meshio
+    from dolfin_elastic.mesh.formats.meshio import check_hdf5, read_meshio
 
+    for name in _data_files(path, read_xml(path)):
+        check_hdf5(path.parent / name, path.name)
     return assemble(read_meshio(path), source=path.name, dim=dim)
 
 
-def _tagged(body: Body, file: XDMFFile, contents: _Contents) -> Body:
+def _tagged(body: Body, path: Path, contents: _Contents) -> Body:
     for tags in contents.tags:
-        parts = _parts(body.mesh, file, tags)
+        parts = _parts(body.mesh, path, tags)
         low = contents.dim - tags.dim
         kind = "points" if tags.dim == 0 else {0: "regions", 1: "surfaces"}.get(low, "edges")
         if kind == "points":
@@ -289,16 +472,38 @@ def _tagged(body: Body, file: XDMFFile, contents: _Contents) -> Body:
     return body
 
 
-def _parts(mesh: Mesh, file: XDMFFile, tags: _Tags) -> dict[str, IndexArray]:
+def _parts(mesh: Mesh, path: Path, tags: _Tags) -> dict[str, IndexArray]:
     if tags.dim == 1 and mesh.topology.dim == 3:
         prepare_edges(mesh)
-    found = read_meshtags(file, mesh, tags.grid, tags.attribute)
-    values = np.unique(np.concatenate(mesh.comm.allgather(np.unique(found.values))))
-    if len(values) > _MOST:
+    if tags.dim < mesh.topology.dim:
+        mesh.topology.create_connectivity(tags.dim, mesh.topology.dim)
+    mesh.topology.create_connectivity(tags.dim, 0)
+    cells = _cells(mesh.comm, path, tags.kind, tags.cells)
+    numbers = _share(mesh.comm, path, tags.values).reshape(-1).astype(np.int32)
+    _check_nodes(mesh, cells, tags)
+    entities, values = distribute_entity_data(mesh, tags.dim, cells, numbers)
+    found = meshtags_from_entities(mesh, tags.dim, graph.adjacencylist(entities), values)
+    present = np.unique(np.concatenate(mesh.comm.allgather(np.unique(found.values))))
+    if len(present) > _MOST:
         return {}
     return {
-        f"{tags.attribute}_{value}": _shared(mesh, tags.dim, found.find(value)) for value in values
+        f"{tags.attribute}_{value}": _shared(mesh, tags.dim, found.find(value)) for value in present
     }
+
+
+def _check_nodes(mesh: Mesh, cells: IntArray, tags: _Tags) -> None:
+    """Refuses data of cells whose points do not exist. Collective.
+
+    Raises:
+        MeshError: There are some.
+    """
+    count = mesh.geometry.index_map().size_global
+    bad = int(np.count_nonzero((cells < 0) | (cells >= count)))
+    if total(mesh.comm, bad):
+        raise MeshError(
+            f"the cells of '{tags.attribute}' have points that do not exist",
+            expected=f"numbers from 0 to {count - 1}",
+        )
 
 
 def _shared(mesh: Mesh, dim: int, entities: IndexArray) -> IndexArray:

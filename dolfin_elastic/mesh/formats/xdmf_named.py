@@ -15,8 +15,9 @@ while a mesh is read, as they are of other formats: they are a small part of it.
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -27,6 +28,8 @@ from dolfinx import cpp
 from dolfinx.mesh import CellType
 
 from dolfin_elastic.core.errors import MeshError, OutputError
+from dolfin_elastic.core.files import hdf5
+from dolfin_elastic.core.files.xml import read_xml
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
@@ -45,22 +48,54 @@ _UNIT = "metres per unit of length"
 
 
 @dataclass(frozen=True)
+class Array:
+    """An array in an HDF5 file, as the text of the `.xdmf` states it.
+
+    Attributes:
+        file: The HDF5 file, relative to the folder of the `.xdmf`.
+        path: Of the array in it.
+        shape: Its shape.
+        flat: It is stored in one dimension, row after row.
+    """
+
+    file: str
+    path: str
+    shape: tuple[int, ...]
+    flat: bool = False
+
+    @classmethod
+    def of(cls, item: ElementTree.Element) -> Array:
+        """The array that a `DataItem` states.
+
+        Raises:
+            MeshError: It has no shape, or is in no file beside the `.xdmf`.
+        """
+        return cls(*place_of(item), dimensions(item))
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return self.shape[0]
+
+    @property
+    def columns(self) -> int:
+        """Numbers of a row."""
+        return math.prod(self.shape[1:])
+
+
+@dataclass(frozen=True)
 class NamedPart:
     """A named part in the file.
 
     Attributes:
         kind: "region", "surface", "edge" or "point".
         name: As the mesh had it.
-        file: The HDF5 file, beside the `.xdmf`.
-        path: Of the array in it.
-        rows: Cells of the mesh, for a region; else facets, edges or nodes.
+        array: Its rows: cells of the mesh, for a region; else facets, edges or nodes.
     """
 
     kind: str
     name: str
-    file: str
-    path: str
-    rows: int
+    array: Array
 
 
 @dataclass(frozen=True)
@@ -81,6 +116,43 @@ class Names:
 
 
 # --- reading ---
+
+
+def check_arrays(path: Path, arrays: Iterable[Array], names: Names) -> dict[Array, Array]:
+    """Looks at the files of arrays, and at whether they are as the text states. Local.
+
+    Args:
+        path: The `.xdmf` file.
+        arrays: All that are to be read.
+        names: What the text says of parts, whose arrays are looked at where they are read.
+
+    Returns:
+        The same arrays, with `flat` as they are stored.
+
+    Raises:
+        MeshError: A file is not there, is none to be read, or an array is of another shape.
+    """
+    found: dict[Array, Array] = {}
+    wanted = set(arrays)
+    for name in sorted({array.file for array in (*wanted, *(p.array for p in names.parts))}):
+        try:
+            with hdf5.opened(path.parent / name) as file:
+                for array in (one for one in wanted if one.file == name):
+                    shape = hdf5.shape_in(file, array.path)
+                    flat = shape == (math.prod(array.shape),) != array.shape
+                    if not flat and (shape[0], math.prod(shape[1:])) != (array.rows, array.columns):
+                        raise MeshError(
+                            f"the array '{array.file}:{array.path}' has the shape {shape}, the "
+                            f"text says {array.shape}",
+                            expected="the .xdmf and the .h5 of the same mesh",
+                        )
+                    found[array] = replace(array, flat=flat)
+        except OSError as error:
+            raise MeshError(
+                f"its data file '{name}' cannot be read: {error}",
+                expected="the .h5 as it was written, without links to other files",
+            ) from None
+    return found
 
 
 def dimensions(item: ElementTree.Element) -> tuple[int, ...]:
@@ -105,37 +177,55 @@ def _count(name: str, text: str) -> int:
 
 
 def place_of(item: ElementTree.Element) -> tuple[str, str]:
-    """The HDF5 file that has an array, and its path in there. Local."""
-    file, _, path = (item.text or "").strip().partition(":")
+    """The HDF5 file that has an array, and its path in there. Local.
+
+    Raises:
+        MeshError: The file is not beside the `.xdmf` or below.
+    """
+    text = (item.text or "").strip()
+    file, _, path = text.partition(":")
+    if not file or not path or Path(file).is_absolute() or ".." in Path(file).parts:
+        raise MeshError(
+            f"'{text[:100]}' is no place in a file beside it",
+            expected="for example 'body.h5:/points'",
+        )
     return file, path
 
 
-def hdf_rows(file: Path, path: str, start: int = 0, stop: int | None = None) -> AnyArray:
-    """Some rows of an array. Local.
+def hdf_rows(file: Path, array: Array, start: int = 0, stop: int | None = None) -> AnyArray:
+    """Some rows of an array in a file that `check_arrays` has looked at. Local.
 
     Args:
-        file: The HDF5 file.
-        path: Of the array in it.
+        file: The `.xdmf` file.
+        array: The array.
         start: The first row.
         stop: The row after the last one; None: all of them.
-    """
-    import h5py
 
-    with h5py.File(file, "r") as data:
-        return np.asarray(data[path][start:stop])
+    Returns:
+        Shape (stop - start, columns).
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    count, columns = array.rows, array.columns
+    stop = count if stop is None else stop
+    flat = columns if array.flat else 1
+    found = hdf5.read_rows(
+        file.parent / array.file, array.path, start * flat, stop * flat, checked=True
+    )
+    return found.reshape(stop - start, columns)
 
 
 def distributed(
-    body: Body, centre: Literal["cell", "point"], shape: tuple[int, int], file: Path, path: str
+    body: Body, centre: Literal["cell", "point"], file: Path, array: Array
 ) -> MeshField:
     """A field whose rows rank 0 reads in pieces. Collective.
 
     Args:
         body: Read from the same file.
         centre: What the rows belong to.
-        shape: Rows and columns of the whole array; it may have more dimensions.
-        file: The HDF5 file.
-        path: Of the array in it.
+        file: The `.xdmf` file.
+        array: The rows.
 
     Raises:
         MeshError: It cannot be read, or has another number of rows.
@@ -148,9 +238,9 @@ def distributed(
             start: The first row.
             stop: The row after the last one.
         """
-        rows = np.asarray(hdf_rows(file, path, start, stop), dtype=np.float64)
-        return rows.reshape(stop - start, shape[1])
+        return np.asarray(hdf_rows(file, array, start, stop), dtype=np.float64)
 
+    shape = array.rows, array.columns
     return distribute_rows(body.mesh, centre, shape, read if body.comm.rank == 0 else None)
 
 
@@ -183,8 +273,8 @@ def unit_of_xdmf(path: Path) -> LengthUnit | None:
         MeshError: It is no length.
     """
     try:
-        for _, element in ElementTree.iterparse(path):
-            if element.tag == "Information" and element.get("Name") == _UNIT:
+        for element in read_xml(path).iter("Information"):
+            if element.get("Name") == _UNIT:
                 return _unit(element.get("Value", ""), path)
     except ElementTree.ParseError:
         pass  # the reader says what is wrong
@@ -249,7 +339,7 @@ def _part(kind: str, element: ElementTree.Element) -> NamedPart:
     item = element.find("DataItem" if kind == "region" else "Topology/DataItem")
     if item is None or not item.text:
         raise MeshError(f"the {kind} '{element.get('Name')}' has no array")
-    return NamedPart(kind, element.get("Name", ""), *place_of(item), dimensions(item)[0])
+    return NamedPart(kind, element.get("Name", ""), Array.of(item))
 
 
 def _tables(
@@ -272,14 +362,14 @@ def _tables(
             known = ", ".join(("region", *widths))
             raise MeshError(f"'{part.name}' is a part of kind '{part.kind}'", expected=known)
         try:
-            rows = hdf_rows(path.parent / part.file, part.path)
+            rows = hdf5.read_rows(path.parent / part.array.file, part.array.path, checked=True)
         except (OSError, KeyError, TypeError, ValueError) as error:
             raise MeshError(f"the {part.kind} '{part.name}' cannot be read: {error}") from None
-        if rows.dtype.kind not in "iu" or rows.shape != (part.rows, widths[part.kind]):
+        if rows.dtype.kind not in "iu" or rows.shape != (part.array.rows, widths[part.kind]):
             raise MeshError(
                 f"the array of the {part.kind} '{part.name}' has the shape {rows.shape} and the "
                 f"type {rows.dtype}",
-                expected=f"({part.rows}, {widths[part.kind]}) and integers",
+                expected=f"({part.array.rows}, {widths[part.kind]}) and integers",
             )
         if rows.size and not 0 <= rows.min() <= rows.max() < points:
             raise MeshError(
@@ -294,7 +384,7 @@ def _tables(
 def _region(body: Body, path: Path, part: NamedPart) -> AnyArray:
     """Local cells of a region, read on rank 0 in pieces. Collective."""
     try:
-        marks = distributed(body, "cell", (part.rows, 1), path.parent / part.file, part.path)
+        marks = distributed(body, "cell", path, part.array)
     except MeshError as error:
         raise MeshError(f"the region '{part.name}': {error}") from None
     return np.flatnonzero(marks.values[:, 0]).astype(np.int32)

@@ -11,6 +11,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.files import hdf5
+from dolfin_elastic.core.files.xml import read_xml
 from dolfin_elastic.core.types import AnyArray
 
 if TYPE_CHECKING:
@@ -90,8 +92,7 @@ def read_frames(path: Path) -> list[Frame]:
     if not path.is_file():
         return []
     try:
-        tree = ElementTree.parse(path)
-        return [_frame(grid) for grid in tree.iterfind(".//Grid/Grid")]
+        return [_frame(grid) for grid in read_xml(path).iterfind(".//Grid/Grid")]
     except (OSError, ElementTree.ParseError, KeyError, ValueError, AttributeError) as error:
         raise InputError(
             f"cannot be read: {error}", where=str(path), expected="expected a file from a run"
@@ -138,13 +139,10 @@ def read_array(folder: Path, stored: Stored) -> AnyArray:
     Raises:
         InputError: The file is missing or damaged.
     """
-    import h5py
-
     path = folder / stored.file
     try:
-        with h5py.File(path, "r") as file:
-            found = np.asarray(file[stored.name][()])
-    except (OSError, KeyError, RuntimeError) as error:
+        found = hdf5.read_rows(path, stored.name)
+    except OSError as error:
         raise InputError(
             f"cannot be read: {error}",
             where=f"{path}:/{stored.name}",

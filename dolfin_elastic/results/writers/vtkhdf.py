@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, TypedDict
 import numpy as np
 
 from dolfin_elastic.core.errors import OutputError
+from dolfin_elastic.core.files import hdf5
 from dolfin_elastic.core.types import IntArray
 from dolfin_elastic.problem.state import State, plain
 from dolfin_elastic.results.fields import FIELDS
@@ -112,9 +113,8 @@ class VtkhdfWriter(Hdf5Series):
         return [content["mesh"], content["file"]]
 
     def _entries(self) -> list[str]:
-        import h5py
-
-        with h5py.File(self.path, "r") as file:
+        # Its virtual arrays name the files of the states; these are not read here.
+        with hdf5.opened(self.path, virtual=True) as file:
             return [text.decode() for text in file[_FRAMES][:]]
 
     def _replace_index(self, frames: Sequence[str]) -> None:

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.files.memory import free_memory as _free_memory
 from dolfin_elastic.core.signals import raise_if_asked
 from dolfin_elastic.mesh.formats.cad import landlock
 
@@ -256,18 +257,3 @@ def _largest_file(folder: Path) -> int:
     """Size of a file [byte] that leaves as much free as it takes, within the user's own limit."""
     own = [one for one in resource.getrlimit(resource.RLIMIT_FSIZE) if one >= 0]
     return min([int(shutil.disk_usage(folder).free / 2), *own])
-
-
-def _free_memory() -> float:
-    """Memory [byte] that nobody uses on this machine, or in this container."""
-    with open("/proc/meminfo", encoding="ascii") as file:
-        lines = dict(line.split(":", 1) for line in file)
-    free = 1024.0 * int(lines["MemAvailable"].split()[0])
-    try:
-        most, used = (
-            int(Path(f"/sys/fs/cgroup/memory.{name}").read_text(encoding="ascii"))
-            for name in ("max", "current")
-        )
-    except (OSError, ValueError):  # there are none, or the limit is "max"
-        return free
-    return min(free, max(most - used, 0))

@@ -1,0 +1,172 @@
+"""XDMF: the files that its text names, and what is refused in them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import meshio
+import numpy as np
+import pytest
+from helpers.decks import box
+from mpi4py import MPI
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.mesh import mesh_statistics, read_body
+
+COMM = MPI.COMM_WORLD
+POINTS, CUBE = box((1, 1, 1), (1, 1, 1))
+
+
+def made(action: Callable[[], object]) -> None:
+    """Makes files on rank 0 while the others wait."""
+    on_root(COMM, lambda: action() and None)
+
+
+def write_cube(path: Path) -> None:
+    meshio.Mesh(POINTS, [("tetra", CUBE)]).write(path)
+
+
+def with_values(path: Path, data: Path, length: float) -> None:
+    """A mesh whose text names another HDF5 file than that of its own name."""
+    write_cube(path.with_name("made.xdmf"))
+    text = path.with_name("made.xdmf").read_text()
+    path.write_text(text.replace("made.h5:", f"{data.name}:"))
+    path.with_name("made.h5").rename(data)
+    with h5py.File(data, "r+") as file:
+        name = next(n for n in file if file[n].shape == (8, 3))
+        file[name][:] *= length
+
+
+def test_the_text_says_which_file(folder: Path) -> None:
+    """`p.h5` was read, the arrays of DOLFINx's name."""
+    made(lambda: with_values(folder / "p.xdmf", folder / "p.h5", 3.0))
+    made(lambda: with_values(folder / "p.xdmf", folder / "o.h5", 2.0))
+    assert mesh_statistics(read_body(folder / "p.xdmf")).volume == pytest.approx(8)
+
+
+def test_a_field_in_another_file(folder: Path) -> None:
+    """Mesh and fields from two files; one in a folder below."""
+
+    def write() -> None:
+        with_values(folder / "p.xdmf", folder / "o.h5", 1.0)
+        (folder / "below").mkdir()
+        for name, value in (("p.h5", 5.0), ("below/q.h5", 7.0)):
+            with h5py.File(folder / name, "w") as file:
+                file["heat"] = np.full(8, value)
+        text = (folder / "p.xdmf").read_text()
+        kind = 'Dimensions="8" NumberType="Float" Format="HDF"'
+        item = f"<DataItem {kind}>below/q.h5:/heat</DataItem>"
+        field = f'<Attribute Name="heat" Center="Node">{item}</Attribute></Grid>'
+        (folder / "p.xdmf").write_text(text.replace("</Grid>", field, 1))
+
+    made(write)
+    values = read_body(folder / "p.xdmf").fields["heat"].values
+    assert values.shape[1] == 1 and np.all(values == 7.0)
+
+
+def rows_of(file: Path, change: Callable[[h5py.File, str], None]) -> None:
+    with h5py.File(file, "r+") as data:
+        change(data, next(n for n in data if data[n].shape == (8, 3)))
+
+
+def replaced(data: h5py.File, name: str, **how: object) -> None:
+    del data[name]
+    data.create_dataset(name, (8, 3), "f8", **how)  # type: ignore[arg-type]
+
+
+def giant(data: h5py.File, name: str) -> None:
+    data.create_dataset("giant", (1 << 31,), "f8", chunks=(1 << 20,), compression="gzip")
+
+
+def to_another_file(data: h5py.File, name: str) -> None:
+    del data[name]
+    data[name] = h5py.ExternalLink("other.h5", "/points")
+
+
+def not_a_number(data: h5py.File, name: str) -> None:
+    data[name][3, 1] = np.nan
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (giant, "its data file 'o.h5' cannot be read: '/giant' states 17.2 GB"),
+        (to_another_file, "'o.h5' cannot be read: '/.*' is a link to another file"),
+        (
+            lambda data, name: replaced(data, name, external=[("/etc/passwd", 0, 192)]),
+            "'o.h5' cannot be read: '/.*' is stored in another file",
+        ),
+        (not_a_number, "1 points have coordinates that are not numbers"),
+    ],
+)
+def test_unsafe_data_of_xdmf(
+    folder: Path,
+    change: Callable[[h5py.File, str], None],
+    said: str,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """One message, and nothing of HDF5's own before it."""
+    made(lambda: with_values(folder / "p.xdmf", folder / "o.h5", 1.0))
+    made(lambda: rows_of(folder / "o.h5", change))
+    with pytest.raises(MeshError, match=said):
+        read_body(folder / "p.xdmf")
+    assert "HDF5" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("o.h5:/", "/etc/o.h5:/", "'/etc/o.h5:/data0' is no place in a file beside it"),
+        ("o.h5:/", "../o.h5:/", r"'\.\./o.h5:/data0' is no place in a file beside it"),
+        ("o.h5:/data0", "o.h5:/data7", "it has no array '/data7'"),
+        ("o.h5:/data0", "nowhere.h5:/data0", "its data file 'nowhere.h5' is not beside it"),
+        ('Dimensions="8 3"', 'Dimensions="9 3"', r"has the shape \(8, 3\), the text says \(9, 3\)"),
+        ('Dimensions="6 4"', 'Dimensions="4 6"', "of the kind tetrahedron have 4 nodes, not 6"),
+        ("<Xdmf", '<!DOCTYPE x [<!ENTITY a "b">]><Xdmf', "definitions of entities"),
+    ],
+)
+def test_texts_of_xdmf(folder: Path, old: str, new: str, said: str) -> None:
+    made(lambda: with_values(folder / "p.xdmf", folder / "o.h5", 1.0))
+
+    def change() -> None:
+        text = (folder / "p.xdmf").read_text()
+        assert old in text
+        (folder / "p.xdmf").write_text(text.replace(old, new))
+
+    made(change)
+    with pytest.raises(MeshError, match=said):
+        read_body(folder / "p.xdmf")
+
+
+def test_blocks_of_xdmf(folder: Path) -> None:
+    """The second half of a body was left out without a word."""
+
+    def write() -> None:
+        with_values(folder / "p.xdmf", folder / "o.h5", 1.0)
+        text = (folder / "p.xdmf").read_text()
+        start, end = text.index("<Grid"), text.index("</Grid>") + len("</Grid>")
+        both = text[start:end] + text[start:end].replace("data1", "data9")
+        blocks = f'<Grid GridType="Collection" CollectionType="Spatial">{both}</Grid>'
+        (folder / "p.xdmf").write_text(text[:start] + blocks + text[end:])
+
+    made(write)
+    with pytest.raises(MeshError, match="the cells of the grid .* are beside those of"):
+        read_body(folder / "p.xdmf")
+
+
+def test_a_raw_file_of_xdmf_elsewhere(folder: Path) -> None:
+    """It was looked for in the current folder, and read whatever it is."""
+
+    def write() -> None:
+        mesh = meshio.Mesh(POINTS, [("tetra", CUBE)])
+        meshio.xdmf.write(folder / "cube.xdmf", mesh, data_format="Binary")
+        text = (folder / "cube.xdmf").read_text()
+        (folder / "cube.xdmf").write_text(re.sub(r">[^<>]*1\.bin", ">/dev/zero", text))
+
+    made(write)
+    with pytest.raises(MeshError, match="its data file '/dev/zero' is not beside it"):
+        read_body(folder / "cube.xdmf")
