@@ -11,6 +11,7 @@ import numpy as np
 
 from dolfin_elastic.case.case import locate_errors, read_materials
 from dolfin_elastic.core.errors import CaseError, nearest
+from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.schema import known_keys
 from dolfin_elastic.core.units import stress_unit
 from dolfin_elastic.material_point.homogeneous_tests import ResponseCurve
@@ -197,8 +198,10 @@ def _draw(name: str, found: MaterialReport, path: Path) -> None:
     axes[-1].axis("off")
     lines = [f"{f.check}: {f.text}" for f in found.findings if f.check.startswith(("ell", "small"))]
     axes[-1].text(0, 1, "\n".join([f"{name}", *lines]), va="top", fontsize=8, wrap=True)
+    draft = path.with_name(f".{path.stem}.part{path.suffix}")
     with writing(path):
-        figure.savefig(path, dpi=130)
+        figure.savefig(fresh(draft), dpi=130)
+        draft.replace(path)
 
 
 def _panel(axis: Axes, curve: ResponseCurve) -> None:

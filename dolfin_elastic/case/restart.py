@@ -18,6 +18,7 @@ from dolfin_elastic.case.case import Case, read_case
 from dolfin_elastic.case.curve_files import CURVED
 from dolfin_elastic.case.toml import toml_text
 from dolfin_elastic.core.errors import InputError, RestartError, nearest_file
+from dolfin_elastic.core.files.links import refuse_links
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import Record
@@ -206,6 +207,7 @@ def _check_folder(folder: Path) -> None:
         others = [p.parent.parent for p in parent.glob(f"*/{FOLDER}/{CASE}")]
         hint = nearest_file(folder.name, [p.name for p in others]) if others else ""
         raise RestartError("there is no such folder", where=where, expected=hint)
+    refuse_links(folder)
     check_free(folder)
     _check_unfinished(folder)
 
@@ -236,7 +238,7 @@ def _status(folder: Path) -> str:
     """Status of a run in its summary; empty if there is none."""
     try:
         return str(json.loads((folder / "summary.json").read_text(encoding="utf-8"))["status"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return ""
 
 

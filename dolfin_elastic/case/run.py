@@ -149,7 +149,7 @@ class _Run:
         Args:
             before: The run that is continued; None: from the start.
         """
-        with closing(FolderLock(self.comm, self.folder)) as lock:
+        with closing(FolderLock(self.comm, self.folder, self.case.output.names())) as lock:
             lock.acquire()  # before computing, if the folder exists; else in `_write_all`
             if before is not None:
                 before.check_newest()

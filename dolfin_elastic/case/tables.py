@@ -468,6 +468,10 @@ class Output(Record):
         drawn = [ModePicture(**{**table_of(p), "amplitude": self.amplitude}) for p in pictures]
         return [*found, Modes(frames=self.frames, amplitude=self.amplitude), *drawn, Summary()]
 
+    def names(self) -> list[str]:
+        """Names of files that the case gives its results."""
+        return [picture.file for picture in self.pictures]
+
 
 # --- reading ---
 

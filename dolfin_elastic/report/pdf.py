@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 
 from dolfin_elastic.core.errors import OutputError
+from dolfin_elastic.core.files.regular import fresh
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome-stable", "google-chrome")
 _SECONDS = 120
@@ -58,7 +59,7 @@ def print_pdf(page: Path, pdf: Path) -> Path:
             last = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
             raise OutputError(f"no PDF: {browser} has failed: {' '.join(last)}")
         try:
-            shutil.copyfile(printed, draft)
+            shutil.copyfile(printed, fresh(draft))
             draft.replace(pdf)
         except OSError as error:
             raise OutputError(f"cannot write {pdf}: {error.strerror}") from None

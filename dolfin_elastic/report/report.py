@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import logging
@@ -14,6 +15,7 @@ import numpy as np
 
 from dolfin_elastic.case.toml import toml_text
 from dolfin_elastic.core import __version__
+from dolfin_elastic.core.files.regular import irregular, read_regular
 from dolfin_elastic.report import contents
 from dolfin_elastic.report.charts import Axis, histogram
 from dolfin_elastic.report.drawn import drawn_frames, mesh_quality, scene_of
@@ -213,11 +215,12 @@ def _own_pictures(folder: Path, room: int) -> Iterator[OwnPicture]:
         last[stem if stem.endswith("_") else path.stem] = path
     for path in last.values():
         try:
-            data = path.read_bytes()
+            data = read_regular(path, room)
         except OSError as error:
-            log.warning("%s is left out: %s", path, error)
+            if error.errno != errno.EFBIG:
+                log.warning("%s is left out: %s", path, error.strerror)
             continue
-        if data[:8] != b"\x89PNG\r\n\x1a\n" or len(data) > room:
+        if data[:8] != b"\x89PNG\r\n\x1a\n":
             continue
         room -= len(data)
         yield OwnPicture(
@@ -351,7 +354,7 @@ def _goal(folder: Path) -> list[str] | None:
     try:
         found = json.loads((folder / "converge.json").read_text(encoding="utf-8"))
         return [str(found["quantity"]), f"{100 * float(found['tolerance']):g}%"]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
 
@@ -362,7 +365,7 @@ def _checksums(folder: Path) -> Iterator[tuple[str, str, str]]:
     paths += sorted((folder / "results_data").glob("*.h5"))[-1:]
     paths += sorted((folder / "modes_data").glob("*.h5"))[:1]
     for path in paths:
-        if not path.is_file() or path.stat().st_size > _HASHED:
+        if irregular(path) or not path.is_file() or path.stat().st_size > _HASHED:
             continue
         digest = hashlib.sha256()
         with path.open("rb") as file:

@@ -14,6 +14,7 @@ from typing import cast
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import OutputError, RestartError
+from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.parallel import agree
 from dolfin_elastic.core.types import AnyArray
 
@@ -132,7 +133,7 @@ def replace_text(path: Path, text: str, *, durable: bool = False) -> None:
     """
     draft = path.with_name(f".{path.name}.part")
     with writing(path):
-        draft.write_text(text, encoding="utf-8")
+        fresh(draft).write_text(text, encoding="utf-8")
         if durable:
             sync(draft)
         draft.replace(path)

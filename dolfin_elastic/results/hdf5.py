@@ -28,6 +28,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.errors import OutputError
 from dolfin_elastic.core.files import hdf5 as guarded
+from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.results.files import need_space, open_together, write_at, writing
@@ -88,7 +89,7 @@ def _allocate(path: Path, arrays: Mapping[str, Rows]) -> dict[str, int]:
 
     need_space(path.parent, sum(rows.size for rows in arrays.values()))
     try:
-        with writing(path), h5py.File(path, "w") as file:
+        with writing(path), h5py.File(fresh(path), "w") as file:
             return {name: _create_array(h5py, file, name, rows) for name, rows in arrays.items()}
     except RuntimeError as error:  # what h5py raises where closing fails
         raise OutputError(f"cannot write {path}: {error}") from error

@@ -8,6 +8,7 @@ import base64
 import hashlib
 import json
 import math
+import os
 import re
 from functools import cache
 from html.parser import HTMLParser
@@ -624,3 +625,16 @@ def test_older_run(folders: Any, tmp_path: Path) -> None:
     page = Page((tmp_path / "page.html").read_text(encoding="utf-8"))
     assert [head for head in page.heads if head != "History"] == SECTIONS
     assert FinishedRun(folder).summary["model"]["parts"]["left"]["area"] == pytest.approx(1.0)
+
+
+def test_pictures_that_are_none(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A pipe was waited for, /dev/zero filled the memory, a link shows bytes from elsewhere."""
+    os.mkfifo(tmp_path / "a.png")
+    (tmp_path / "b.png").symlink_to("/dev/zero")
+    (tmp_path / "secret").write_bytes(b"\x89PNG\r\n\x1a\n" + b"secret")
+    (tmp_path / "c.png").symlink_to(tmp_path / "secret")
+    (tmp_path / "d.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    assert [one.name for one in _own_pictures(tmp_path, 1000)] == ["d.png"]
+    kinds = {"a": "a pipe", "b": "a link", "c": "a link"}
+    for name, kind in kinds.items():
+        assert f"{name}.png is left out: this is {kind}, not a file" in caplog.text

@@ -100,7 +100,7 @@ def converge(
     """
     _check_kind(case)
     folder = output or default_folder(case)
-    with closing(FolderLock(comm, folder)) as lock:
+    with closing(FolderLock(comm, folder, case.output.names())) as lock:
         lock.acquire()
         if comm.rank == 0:
             remove_stop_file(folder)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from dolfin_elastic.case.converge.progress import Level, Progress
+from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.results.files import make_folder, replace_text, writing
 
 TABLE, SUMMARY, PLOT = FILES = ("converge.csv", "converge.json", "converge.png")
@@ -91,7 +92,7 @@ def _draw(progress: Progress, path: Path) -> None:
         axis.legend(fontsize=8)
     draft = path.with_name(f".{path.stem}.part{path.suffix}")
     with writing(path):
-        figure.savefig(draft, dpi=130)
+        figure.savefig(fresh(draft), dpi=130)
         draft.replace(path)
 
 

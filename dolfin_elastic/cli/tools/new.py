@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from dolfin_elastic.core.errors import CaseError, check_kept
+from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.signals import launched_rank
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -58,7 +59,7 @@ def new(
             )
         draft = file.with_name(f".{file.name}.part")
         try:
-            draft.write_text(template(kind, str(file)), encoding="utf-8")
+            fresh(draft).write_text(template(kind, str(file)), encoding="utf-8")
             draft.replace(file)
         except OSError as error:
             raise CaseError(

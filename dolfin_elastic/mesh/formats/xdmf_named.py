@@ -29,6 +29,7 @@ from dolfinx.mesh import CellType
 
 from dolfin_elastic.core.errors import MeshError, OutputError
 from dolfin_elastic.core.files import hdf5
+from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.files.xml import read_xml
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
@@ -412,9 +413,9 @@ def write_named(
     data = path.with_suffix(".h5")
     drafts = {one: one.with_name(f".{one.name}.part") for one in (data, path)}
     try:
-        with h5py.File(drafts[data], "w") as file:
+        with h5py.File(fresh(drafts[data]), "w") as file:
             tree = _Writer(file, data.name).document(raw, unit, permutation)
-        drafts[path].write_bytes(ElementTree.tostring(tree, "utf-8", xml_declaration=True))
+        fresh(drafts[path]).write_bytes(ElementTree.tostring(tree, "utf-8", xml_declaration=True))
         for final, draft in drafts.items():
             draft.replace(final)
     except (OSError, RuntimeError) as error:

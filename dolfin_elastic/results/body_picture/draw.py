@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.results.body_picture.scene import Scene
 from dolfin_elastic.results.files import make_folder, writing
 from dolfin_elastic.results.pictures.renderer import Renderer
@@ -71,5 +72,5 @@ def draw_scene(scene: Scene, file: Path) -> None:
             renderer.close()
         draft = file.with_name(f".{file.name}.part")
         with writing(file):
-            draft.write_bytes(drawn.read_bytes())
+            fresh(draft).write_bytes(drawn.read_bytes())
             draft.replace(file)

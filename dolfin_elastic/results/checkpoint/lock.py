@@ -14,6 +14,7 @@ import logging
 import os
 import socket
 import time
+from collections.abc import Iterable
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +22,8 @@ from pathlib import Path
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import RestartError
+from dolfin_elastic.core.files.links import refuse_links
+from dolfin_elastic.core.files.regular import open_regular
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.signals import STOP_FILE
 from dolfin_elastic.results.files import make_folder, writing
@@ -40,10 +43,11 @@ class FolderLock:
     Args:
         comm: The ranks that compute.
         folder: Of the results.
+        files: Names in it that the case gives.
     """
 
-    def __init__(self, comm: MPI.Comm, folder: Path) -> None:
-        self._comm, self._folder = comm, folder
+    def __init__(self, comm: MPI.Comm, folder: Path, files: Iterable[str] = ()) -> None:
+        self._comm, self._folder, self._files = comm, folder, tuple(files)
         self._descriptor: int | None = None
         self._locked = False
 
@@ -55,12 +59,14 @@ class FolderLock:
 
         Raises:
             RestartError: Another run writes into it.
+            InputError: A name in it stands for a file elsewhere.
             OutputError: The folder cannot be made.
         """
         if not self._locked:
             self._locked = on_root(self._comm, lambda: self._acquire(create))
 
     def _acquire(self, create: bool) -> bool:
+        refuse_links(self._folder, self._files)
         if create:
             make_folder(self._folder)
         with writing(self._folder):  # a name that is too long, or of a folder that is closed
@@ -94,7 +100,7 @@ def check_free(folder: Path) -> None:
         RestartError: One does.
     """
     try:
-        descriptor = os.open(folder / LOCK, os.O_RDWR)
+        descriptor = open_regular(folder / LOCK, os.O_RDWR)
     except OSError:
         return  # no lock file; or it cannot be opened, which the first written file reports
     try:
@@ -115,7 +121,7 @@ def _locked(path: Path) -> int:
         OSError: It cannot be locked.
     """
     for _ in range(_ATTEMPTS):
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        descriptor = open_regular(path, os.O_RDWR | os.O_CREAT)
         try:
             _lock(descriptor)
             if _has_name(path, descriptor):

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import replace_text, writing
@@ -229,7 +230,7 @@ def draw_curves(curves: Curves, file: Path) -> None:
     draft = file.with_name(f".{file.stem}.part{file.suffix}")
     with writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(draft)
+        figure.savefig(fresh(draft))
         draft.replace(file)
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError, nearest_file
+from dolfin_elastic.core.files.links import refuse_links
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.finished.units import column_unit
 from dolfin_elastic.results.finished.xdmf import Frame, damaged, read_frames, read_grid
@@ -61,6 +62,7 @@ class FinishedRun:
             others = [path.parent.name for path in folder.parent.glob(f"*/{_SUMMARY}")]
             hint = nearest_file(folder.name, others) if others else expected
             raise InputError("there is no such folder", where=where, expected=hint)
+        refuse_links(folder)
         if not (folder / _SUMMARY).is_file():
             raise InputError(f"it holds no {_SUMMARY}", where=where, expected=expected)
 
@@ -137,7 +139,7 @@ class FinishedRun:
 def _read_json(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise damaged(f"cannot be read: {error}", str(path)) from None
     if not isinstance(found, dict):
         raise damaged("this is no summary of a run", str(path))

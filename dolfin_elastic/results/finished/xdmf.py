@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,19 +13,25 @@ import numpy as np
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.files import hdf5
+from dolfin_elastic.core.files.regular import irregular
 from dolfin_elastic.core.files.xml import read_xml
 from dolfin_elastic.core.types import AnyArray
 
 if TYPE_CHECKING:
     import pyvista
 
-# XDMF's name of a cell -> VTK's number, dimension.
+# XDMF's name of a cell -> VTK's number, dimension, nodes.
 _CELLS = {
-    "Triangle": (5, 2),
-    "Triangle_6": (22, 2),
-    "Tetrahedron": (10, 3),
-    "Tetrahedron_10": (24, 3),
+    "Triangle": (5, 2, 3),
+    "Triangle_6": (22, 2, 6),
+    "Tetrahedron": (10, 3, 4),
+    "Tetrahedron_10": (24, 3, 10),
 }
+
+
+_COLUMNS = 9
+"""Numbers of a value, at most: those of a tensor."""
+_NAME = re.compile(r"\w[\w -]{0,99}")
 
 
 @dataclass(frozen=True)
@@ -89,7 +96,7 @@ def read_frames(path: Path) -> list[Frame]:
     Raises:
         InputError: It is no such file.
     """
-    if not path.is_file():
+    if not path.exists():
         return []
     try:
         return [_frame(grid) for grid in read_xml(path).iterfind(".//Grid/Grid")]
@@ -105,12 +112,19 @@ def _frame(grid: ElementTree.Element) -> Frame:
     if kind not in _CELLS:
         raise ValueError(f"unknown cells '{kind}'")
     arrays = {
-        row.attrib["Name"]: _stored(row, row.attrib["Center"].lower())
-        for row in grid.iterfind("Attribute")
+        _name(row): _stored(row, row.attrib["Center"].lower()) for row in grid.iterfind("Attribute")
     }
     number = int(grid.attrib["Name"].rpartition(" ")[2])
     t = float(time.attrib["Value"])
     return Frame(number, t, kind, _stored(geometry), _stored(topology, "cell"), arrays)
+
+
+def _name(row: ElementTree.Element) -> str:
+    """Name of a field; names of pictures are made of it."""
+    name = row.attrib["Name"]
+    if not _NAME.fullmatch(name):
+        raise ValueError(f"{name[:100]!r} is no name of a field")
+    return name
 
 
 def _child(parent: ElementTree.Element, name: str) -> ElementTree.Element:
@@ -140,6 +154,9 @@ def read_array(folder: Path, stored: Stored) -> AnyArray:
         InputError: The file is missing or damaged.
     """
     path = folder / stored.file
+    above = [folder / part for part in Path(stored.file).parents[:-1]]
+    if kind := next(filter(None, map(irregular, (*above, path))), ""):
+        raise damaged(f"this is {kind}, which is not followed", str(path))
     try:
         found = hdf5.read_rows(path, stored.name)
     except OSError as error:
@@ -165,6 +182,15 @@ def read_grid(folder: Path, frame: Frame) -> pyvista.UnstructuredGrid:
     import pyvista as pv
 
     cells, points = read_array(folder, frame.cells), read_array(folder, frame.points)
+    for array, columns, where in (
+        (cells, _CELLS[frame.kind][2], frame.cells),
+        (points, 3, frame.points),
+    ):
+        if array.shape[1:] != (columns,):
+            raise damaged(
+                f"it has the shape {array.shape}, not (n, {columns})",
+                f"{folder / where.file}:/{where.name}",
+            )
     if cells.size and not 0 <= cells.min() <= cells.max() < len(points):
         raise damaged("cells have nodes that are not there", str(folder / frame.cells.file))
     kinds = np.full(len(cells), _CELLS[frame.kind][0], dtype=np.uint8)
@@ -177,7 +203,7 @@ def read_grid(folder: Path, frame: Frame) -> pyvista.UnstructuredGrid:
     for name, stored in frame.arrays.items():
         count, data = sizes[stored.centre]
         values = read_array(folder, stored)
-        if len(values) != count:
-            raise damaged(f"'{name}' has {len(values)} values, not {count}", str(folder))
+        if len(values) != count or values.ndim != 2 or not 1 <= values.shape[1] <= _COLUMNS:
+            raise damaged(f"'{name}' has the shape {values.shape}, not ({count}, n)", str(folder))
         data[name] = values[:, 0] if values.shape[1] == 1 else values
     return grid

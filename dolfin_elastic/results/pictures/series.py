@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from dolfin_elastic.core.errors import OutputError
+from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.results.files import writing
 from dolfin_elastic.results.pictures import scene as scenes
@@ -84,7 +85,7 @@ class Series:
             with writing(self._folder):
                 self._folder.mkdir(parents=True, exist_ok=True)
                 for i, panel in enumerate(panels):
-                    np.savez(self._folder / f"{number:08d}_{i}.npz", **_small(panel))
+                    np.savez(fresh(self._folder / f"{number:08d}_{i}.npz"), **_small(panel))
 
     def numbers(self) -> list[int]:
         """Steps whose scenes are kept, in their order."""
@@ -236,6 +237,7 @@ def encode(frames: Path, file: Path, fps: float) -> None:
     command = [program, "-v", "error", "-y", "-framerate", f"{fps:g}", "-i", str(frames)]
     with writing(file):
         file.parent.mkdir(parents=True, exist_ok=True)
+        fresh(draft)
         try:
             done = subprocess.run(
                 [*command, *kinds[file.suffix], str(draft.absolute())],
@@ -315,7 +317,7 @@ def draw_scenes(user: object, panels: Sequence[Scene], file: Path) -> None:
         RENDERER.draw(user, data, drawn)
         file.parent.mkdir(parents=True, exist_ok=True)
         draft = file.with_name(f".{file.name}.part")
-        draft.write_bytes(drawn.read_bytes())
+        fresh(draft).write_bytes(drawn.read_bytes())
         draft.replace(file)
 
 

@@ -6,10 +6,12 @@ import csv
 import errno
 import io
 import math
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
+from dolfin_elastic.core.files.regular import fresh, open_regular
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.problem.state import Audit, State, plain
@@ -66,13 +68,13 @@ class HistoryWriter:
     def _open(self) -> None:
         make_folder(self.path.parent)
         with writing(self.path):
-            self._file = self.path.open("wb", buffering=0)
+            self._file = fresh(self.path).open("wb", buffering=0)
 
     def _cut(self, size: int) -> None:
         if not self.path.is_file() or self.path.stat().st_size < size:
             raise missing_results(self.path, "rows")
         with writing(self.path):
-            self._file = self.path.open("r+b", buffering=0)
+            self._file = os.fdopen(open_regular(self.path, os.O_RDWR), "r+b", buffering=0)
             head = self._file.readline() if size else b""
             self._file.truncate(size)
             self._file.seek(size)

@@ -13,12 +13,14 @@ Source: https://gmsh.info/doc/texinfo/gmsh.html#MSH-file-format-version-2-_0028L
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from functools import cached_property
 from typing import cast
 
 import numpy as np
 
+from dolfin_elastic.core.files.regular import open_regular
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.types import IntArray
 from dolfin_elastic.problem.state import State, plain
@@ -132,7 +134,7 @@ class MshWriter(SeriesWriter):
     def _cut(self) -> None:
         if not self.path.is_file() or self.path.stat().st_size < self._end:
             raise missing_results(self.path, "steps")
-        with writing(self.path), self.path.open("r+b") as file:
+        with writing(self.path), open(open_regular(self.path, os.O_RDWR), "r+b") as file:
             file.truncate(self._end)
 
     def _sync(self) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 from mpi4py import MPI
 
+from dolfin_elastic.core.files.regular import fresh, open_regular
 from dolfin_elastic.core.parallel import agree, on_root, total
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.results.files import open_together, write_at, writing
@@ -48,8 +50,12 @@ def add_text(comm: MPI.Comm, path: Path, text: str, start: int) -> int:
 
 
 def _cut(path: Path, size: int) -> None:
-    with writing(path), path.open("r+b" if size else "wb") as file:
-        file.truncate(size)
+    with writing(path):
+        descriptor = open_regular(path if size else fresh(path), os.O_RDWR)
+        try:
+            os.ftruncate(descriptor, size)
+        finally:
+            os.close(descriptor)
 
 
 def lines_of(table: FloatArray, first: IntArray, between: str = " ") -> str:

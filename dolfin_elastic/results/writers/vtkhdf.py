@@ -26,6 +26,7 @@ import numpy as np
 
 from dolfin_elastic.core.errors import OutputError
 from dolfin_elastic.core.files import hdf5
+from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.types import IntArray
 from dolfin_elastic.problem.state import State, plain
 from dolfin_elastic.results.fields import FIELDS
@@ -123,7 +124,7 @@ class VtkhdfWriter(Hdf5Series):
         draft = self.path.with_name(f".{self.path.name}.part")
         with writing(self.path):
             try:
-                with h5py.File(draft, "w") as file:
+                with h5py.File(fresh(draft), "w") as file:
                     file[_FRAMES] = [entry.encode() for entry in frames]
                     self._fill(file.create_group(_ROOT), [json.loads(entry) for entry in frames])
             except RuntimeError as error:  # what h5py raises where closing fails

@@ -21,6 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
+from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.problem.state import State, plain
@@ -111,7 +112,7 @@ class VtuWriter(IndexedSeries):
         )
         path = self.data / name
         with writing(path):
-            meshio.vtu.write(path, mesh, compression=None, header_type="UInt64")
+            meshio.vtu.write(fresh(path), mesh, compression=None, header_type="UInt64")
 
     def _named(self, entry: str) -> list[str]:
         """See `SeriesWriter`; as many pieces as the .pvtu names."""

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -134,3 +137,94 @@ def check_damaged(beam: Path) -> None:
 def test_units_of_columns(column: str, unit: str) -> None:
     """By the rules by which columns get their names."""
     assert column_unit(column, moving=False) == unit
+
+
+# --- folders of strangers ---
+
+
+def changed_array(beam: Path, name: str, **how: Any) -> None:
+    """An array of the last step in place of one that the run has written."""
+    with h5py.File(beam / "results_data/000001.h5", "a") as data:
+        shape = data[name].shape
+        del data[name]
+        data.create_dataset(name, **{"shape": shape, "dtype": "f8", **how})
+
+
+def linked_array(beam: Path) -> None:
+    with h5py.File(beam / "results_data/000001.h5", "a") as data:
+        del data["displacement"]
+        data["displacement"] = h5py.ExternalLink("/etc/other.h5", "/a")
+
+
+def renamed_field(beam: Path, name: str) -> None:
+    xdmf = (beam / "results.xdmf").read_text()
+    (beam / "results.xdmf").write_text(xdmf.replace('Name="von_mises"', f'Name="{name}"'))
+
+
+def shape_in_text(beam: Path, name: str, old: str, new: str) -> None:
+    """Another shape in text and file."""
+    xdmf = (beam / "results.xdmf").read_text()
+    (beam / "results.xdmf").write_text(xdmf.replace(f'"{old}"', f'"{new}"'))
+    changed = tuple(int(n) for n in new.split())
+    with h5py.File(beam / "results_data/mesh.h5", "a") as data:
+        del data[name]
+        data.create_dataset(name, changed, "i8")
+
+
+def giant(beam: Path) -> None:
+    how = {"shape": (1 << 31, 3), "chunks": (1 << 18, 3), "compression": "gzip"}
+    changed_array(beam, "displacement", **how)
+
+
+STRANGE: dict[str, tuple[Callable[[Path], None], str]] = {
+    "giant": (giant, "'/displacement' states 51.5 GB, more than a file of"),
+    "external storage": (
+        lambda beam: changed_array(beam, "von_mises", external=[("/etc/passwd", 0, 1 << 20)]),
+        "'/von_mises' is stored in another file",
+    ),
+    "external link": (linked_array, "'/displacement' is a link to another file"),
+    "texts": (
+        lambda beam: changed_array(beam, "von_mises", dtype="S8"),
+        "'von_mises' holds .*, no numbers",
+    ),
+    "field outside": (
+        lambda beam: renamed_field(beam, "x/../../outside"),
+        "'x/../../outside' is no name of a field",
+    ),
+    "escape": (lambda beam: renamed_field(beam, "&#10;a"), "is no name of a field"),
+    "cells": (lambda beam: shape_in_text(beam, "cells", "4 3", "4 2"), r"\(4, 2\), not \(n, 3\)"),
+    "entity": (
+        lambda beam: (beam / "results.xdmf").write_text('<!DOCTYPE x [<!ENTITY a "b">]><x/>'),
+        "definitions of entities",
+    ),
+    "deep summary": (
+        lambda beam: (beam / "summary.json").write_text("[" * 100000),
+        "summary.json: cannot be read",
+    ),
+    "pipe": (
+        lambda beam: (beam / "results.xdmf").unlink() or os.mkfifo(beam / "results.xdmf"),
+        "'results.xdmf' in it is a pipe",
+    ),
+    "link": (
+        lambda beam: (
+            (beam / "results_data/000001.h5").unlink()
+            or (beam / "results_data/000001.h5").symlink_to("/dev/zero")
+        ),
+        "'results_data/000001.h5' in it is a link",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", STRANGE)
+def test_folders_of_strangers(folder: Path, kind: str, capfd: pytest.CaptureFixture[str]) -> None:
+    """One message, before anything large is read, and nothing of HDF5's own."""
+    change, said = STRANGE[kind]
+    written(folder / "beam", 2, 1)
+
+    def look() -> None:
+        change(folder / "beam")
+        with pytest.raises(InputError, match=said):
+            FinishedRun(folder / "beam").grid()
+
+    on_root(COMM, look)
+    assert "HDF5" not in capfd.readouterr().err
