@@ -262,6 +262,10 @@ def _other_reader(suffix: str) -> Callable[[Path], MeshFile]:
         from dolfin_elastic.mesh.formats.unv import read_unv
 
         return read_unv
+    if suffix in (".bdf", ".nas", ".fem"):
+        from dolfin_elastic.mesh.formats.nastran import read_nastran
+
+        return read_nastran
     from dolfin_elastic.mesh.formats.meshio import read_meshio
 
     return read_meshio
