@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import io
+import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +16,7 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.files import hdf5
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.mesh.fields import as_columns
+from dolfin_elastic.mesh.formats.losses import check_before, check_cells, check_warnings
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile
 
 if TYPE_CHECKING:
@@ -49,6 +52,7 @@ def read_meshio(path: Path) -> MeshFile:
         for name, values in mesh.point_data.items()
         if name != "point_tags" and is_number(np.asarray(values))
     }
+    check_cells(path, sum(len(block.nodes) for block in blocks))
     return MeshFile(points, blocks, point_sets=sets, point_data=data)
 
 
@@ -94,11 +98,17 @@ def _read(path: Path) -> meshio.Mesh:
 
     if hdf5.is_hdf5(path):
         check_hdf5(path, path.name)
+    check_before(path)
     output = io.StringIO()
     try:
-        # meshio prints its errors and ends the process.
-        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
-            return meshio.read(path)
+        with ExitStack() as stack:
+            # meshio prints its errors and ends the process.
+            stack.enter_context(contextlib.redirect_stdout(output))
+            stack.enter_context(contextlib.redirect_stderr(output))
+            stack.enter_context(warnings.catch_warnings())
+            # What numpy says of words amid numbers, from which on it reads nothing.
+            warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
+            mesh = meshio.read(path)
     except SystemExit:
         raise MeshError(
             f"meshio cannot read it: {' '.join(output.getvalue().split())[:300]}", where=path.name
@@ -110,6 +120,8 @@ def _read(path: Path) -> meshio.Mesh:
             expected="formats: .msh, .xdmf, .inp, .unv, .vtu, .vtk, .med, .mesh, .bdf; "
             ".geo, .step, .brep",
         ) from None
+    check_warnings(output.getvalue(), path)
+    return mesh
 
 
 def _reason(path: Path, error: Exception) -> str:

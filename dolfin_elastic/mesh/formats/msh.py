@@ -138,6 +138,16 @@ class _Numbers:
         have = len(self._data) - self._at
         return self.ints(have // 4 if self._binary else len(self._values) - self._at)
 
+    def end(self) -> None:
+        """Checks that nothing is left.
+
+        Raises:
+            MeshError: The section has more than it states.
+        """
+        left = self._data[self._at :].strip() if self._binary else self._values[self._at :]
+        if len(left):
+            raise MeshError(f"section ${self._name} holds more than the numbers that it states")
+
     def line(self) -> int:
         """An integer that stands as text on a line of its own, in binary files too."""
         if not self._binary:
@@ -170,6 +180,9 @@ def read_msh(path: Path) -> MeshFile:
     every = _sections(data)
     sections = {name: parts[0] for name, parts in every.items()}
     names = _names(sections.get("PhysicalNames", b""))
+    for name in ("Nodes", "Elements", "Entities"):
+        if len(every.get(name, [])) > 1:
+            raise MeshError(f"there are {len(every[name])} sections ${name}", expected="one")
     if "PartitionedEntities" in sections:
         raise MeshError(
             "the mesh is partitioned", expected="save it whole (in Gmsh: Mesh > Unpartition)"
@@ -256,6 +269,7 @@ def _nodes2(numbers: _Numbers, binary: bool) -> tuple[IntArray, FloatArray]:
     count = numbers.line()
     if not binary:
         rows = numbers.doubles(4 * count).reshape(-1, 4)
+        numbers.end()
         return rows[:, 0].astype(np.int64), rows[:, 1:]
     return numbers.points(count)
 
@@ -282,6 +296,8 @@ def _elements2(numbers: _Numbers, binary: bool) -> Iterator[_Run]:
         yield _Run(kind, own, groups, rows[:, lead + tags :])
         at += skip + rows.size
         count -= len(rows)
+    if at < len(words):
+        raise MeshError("section $Elements holds more than the numbers that it states")
 
 
 def _run(words: IntArray, width: int, alike: list[int], most: int, whole: bool) -> IntArray:
@@ -333,6 +349,7 @@ def _nodes4(numbers: _Numbers) -> tuple[IntArray, FloatArray]:
         width = 3 + (int(dim) if parametric else 0)
         tags.append(numbers.sizes(count))
         points.append(numbers.doubles(width * count).reshape(-1, width)[:, :3])
+    numbers.end()
     return np.concatenate(tags), np.concatenate(points)
 
 
@@ -345,6 +362,7 @@ def _elements4(numbers: _Numbers, entities: dict[tuple[int, int], IntArray]) -> 
         groups = entities.get((dim, entity), np.empty(0, dtype=np.int64))
         of_each = np.broadcast_to(groups, (len(rows), len(groups)))
         yield _Run(kind, rows[:, 0], of_each, rows[:, 1:], entity)
+    numbers.end()
 
 
 def _named(

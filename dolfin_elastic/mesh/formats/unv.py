@@ -26,9 +26,11 @@ _GROUPS = dict.fromkeys((752, 2417, 2429, 2430, 2432), 2) | dict.fromkeys(
     (2435, 2452, 2467, 2477), 4
 )
 """Numbers that each dataset of groups has for an entity."""
-_UNITS = 164
+_UNITS, _UNREAD = 164, (71,)
 _NODE, _ELEMENT = 7, 8  # kinds of entities in groups
 _BEAMS = range(11, 33)  # rods, beams and pipes
+_OTHERS = (*range(121, 123), *range(136, 143), *range(151, 153))
+"""Rigid bars and elements, springs, dampers and gaps: no elements of a body."""
 
 # Descriptor of the element; quadratic ones list corners and midside nodes in turns around a face.
 _LINEAR = {
@@ -126,6 +128,7 @@ class _Contents:
         labels: Of the nodes.
         points: Coordinates of the nodes, shape (n, 3) each.
         elements: Descriptor and number of nodes, to labels and nodes of elements.
+        first: Descriptor and number of nodes to the file and line of its dataset.
         groups: Name to the labels of the nodes, and of the elements, of a group.
         lost: Name of a group to the reason why it is not whole.
     """
@@ -133,6 +136,7 @@ class _Contents:
     labels: list[IntArray] = field(default_factory=list)
     points: list[FloatArray] = field(default_factory=list)
     elements: dict[tuple[int, int], tuple[list[int], list[list[int]]]] = field(default_factory=dict)
+    first: dict[tuple[int, int], str] = field(default_factory=dict)
     groups: dict[str, tuple[list[IntArray], list[IntArray]]] = field(default_factory=dict)
     lost: dict[str, str] = field(default_factory=dict)
 
@@ -151,6 +155,8 @@ def read_unv(path: Path) -> MeshFile:
             _take_elements(found, dataset)
         elif dataset.number in _GROUPS:
             _take_groups(found, dataset)
+        elif dataset.number in _UNREAD:
+            raise dataset.error("elements of this kind of dataset are not read")
     if not found.points or not found.elements:
         raise MeshError(
             "there are no nodes (dataset 2411) or no elements (dataset 2412)", where=path.name
@@ -161,9 +167,12 @@ def read_unv(path: Path) -> MeshFile:
 def _datasets(path: Path) -> Iterator[_Dataset]:
     """The datasets between lines with nothing but -1, one at a time."""
     start, count, lines = 0, 0, list[str]()  # start: line of the -1 before, 0 outside a dataset
+    stray: tuple[int, str] | None = None
     with path.open(encoding="latin-1") as file:
         for number, line in enumerate(file, start=1):
             if line.strip() != "-1":
+                if not start and line.strip():
+                    stray = stray or (number, line.strip()[:60])
                 lines.append(line)
                 continue
             if start:
@@ -174,6 +183,12 @@ def _datasets(path: Path) -> Iterator[_Dataset]:
         raise MeshError("the last dataset has no end", where=f"{path.name}:{start}")
     if not count:
         raise MeshError("this is no universal file: no dataset between lines -1", where=path.name)
+    if stray:  # where a line -1 is missing, all that follows would be of no dataset
+        raise MeshError(
+            f"'{stray[1]}' stands outside of a dataset",
+            where=f"{path.name}:{stray[0]}",
+            expected="datasets between lines -1",
+        )
 
 
 def _dataset(path: Path, start: int, lines: list[str]) -> _Dataset:
@@ -210,6 +225,7 @@ def _take_elements(found: _Contents, dataset: _Dataset) -> None:
         at += width + (beam if kind in _BEAMS else 0)
         if count < 0 or at + count > len(numbers):
             raise dataset.error(f"the element {label} is cut short", len(dataset.lines) - 1)
+        found.first.setdefault((kind, count), f"{dataset.file}:{dataset.start}")
         labels, nodes = found.elements.setdefault((kind, count), ([], []))
         labels.append(label)
         nodes.append(numbers[at : at + count])
@@ -280,6 +296,13 @@ def _mesh(found: _Contents, path: Path) -> MeshFile:
     present = []
     for (number, count), (own, nodes) in found.elements.items():
         kind = _kind(number, count)
+        if kind is None and number not in _OTHERS:
+            raise MeshError(
+                f"{len(own)} elements of the type {number} with {count} nodes, such as {own[0]}, "
+                "are not understood",
+                where=found.first[number, count],
+                expected="tetrahedra (111, 118) or triangles (41, 91, 42, 92 ...)",
+            )
         if kind is None:
             left_out.append(f"{len(own)} of type {number}")
             continue

@@ -253,6 +253,13 @@ def _in(root: ElementTree.Element, path: Path) -> _Contents:
     main = grids[0]
     kind = _kind(main)
     notes = _others(root, main, grids[1:])
+    for topology in root.iter("Topology"):
+        for key in ("BaseOffset", "Order"):
+            if topology.get(key, "0").strip() != "0":
+                raise MeshError(
+                    f"a Topology with {key} = '{topology.get(key)}' is not understood",
+                    expected="nodes numbered from 0, in XDMF's own order",
+                )
     cells, points = main.find("Topology/DataItem"), main.find("Geometry/DataItem")
     plain = all(item.get("Format") == "HDF" for item in root.iter("DataItem"))
     if kind not in _DIMS or not plain or cells is None or points is None or not _width(main):

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,26 @@ _OF_A_CASE = (
     *("TIE", "EQUATION", "MPC", "COUPLING", "RIGID BODY", "SPRING", "DASHPOT", "MASS"),
 )
 """Keywords of the model, which are not read, and reported so that nobody relies on them."""
-_UNREAD = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "NMAP", "SYSTEM")
+_UNREAD = (
+    *("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "NMAP", "SYSTEM", "USER ELEMENT", "PARAMETER"),
+    *("IMPERFECTION", "SYMMETRIC MODEL GENERATION", "IMPORT", "SUPERELEMENT", "SUBSTRUCTURE PATH"),
+)
+"""Keywords that make or move nodes and elements."""
+_OF_RESULTS = (
+    *("NODE OUTPUT", "NODE PRINT", "NODE FILE", "NODE RESPONSE", "NODAL THICKNESS", "NODAL ENERGY"),
+    *("ELEMENT OUTPUT", "ELEMENT RESPONSE", "ELEMENT MATRIX OUTPUT", "ELEMENT OPERATOR OUTPUT"),
+    *("ELEMENT RECOVERY MATRIX", "ELEMENT PROPERTIES"),
+)
+"""Keywords about results at nodes and elements, not about the mesh."""
+_OPTIONS = {
+    "NODE": ("NSET", "SYSTEM", "INPUT"),
+    "ELEMENT": ("TYPE", "ELSET", "INPUT", "SOLID ELEMENT NUMBERING"),
+    "INSTANCE": ("NAME", "PART"),
+    "PART": ("NAME",),
+}
+"""Parameters that are understood."""
+_ALIKE = 0.8
+"""Likeness from which on an unknown keyword is one of the mesh, misspelt."""
 
 
 @dataclass
@@ -95,16 +115,23 @@ def read_abaqus(path: Path) -> MeshFile:
     Raises:
         MeshError: The file is damaged, or makes its mesh by commands instead of listing it.
     """
-    deck = _Deck()
+    deck, stray = _Deck(), ""
     for card in read_cards(path):
-        if card.word in _UNREAD:
-            raise card.error("this is not understood", expected="write the mesh out in full")
+        if not card.word and card.lines:
+            stray = stray or f"{card.file}:{card.at[0]}"
+        _check_understood(card)
         if card.word in _TAKE:
             _TAKE[card.word](deck, card)
         elif card.word in _OF_A_CASE:
             deck.others.append(f"*{card.word}")
     if not deck.points or not deck.elements:
         raise MeshError("there are no *NODE or no *ELEMENT lines", where=path.name)
+    if stray:
+        raise MeshError(
+            "numbers stand before the first keyword",
+            where=stray,
+            expected="for example *NODE above them",
+        )
     numbers, points = _points(deck, path)
     blocks = [*_blocks(deck, numbers), *_surfaces(deck, numbers)]
     sets = {
@@ -114,6 +141,26 @@ def read_abaqus(path: Path) -> MeshFile:
     lost = {deck.names[key]: reason for key, reason in deck.lost.items()}
     information = _information(deck)
     return MeshFile(points, blocks, information=information, point_sets=sets, incomplete=lost)
+
+
+def _check_understood(card: Card) -> None:
+    """Refuses what would define nodes, elements or coordinates and is not understood.
+
+    Raises:
+        MeshError: It does.
+    """
+    if card.word in _UNREAD:
+        raise card.error("this is not understood", expected="write the mesh out in full")
+    unknown = [key for key in card.options if key not in _OPTIONS.get(card.word, card.options)]
+    if unknown:
+        known = ", ".join(_OPTIONS[card.word])
+        raise card.error(f"{unknown[0]} is not understood", expected=f"known: {known}")
+    if card.word in _TAKE or card.word in _OF_RESULTS or card.word in _OF_A_CASE:
+        return
+    alike = get_close_matches(card.word, _TAKE, n=1, cutoff=_ALIKE)
+    if alike or card.word.startswith(("NODE ", "ELEMENT ")):
+        hint = f"did you mean *{alike[0]}?" if alike else "*NODE, *ELEMENT"
+        raise card.error("this keyword is not understood", expected=hint)
 
 
 def _information(deck: _Deck) -> list[str]:
