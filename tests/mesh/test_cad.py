@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.bodies import drawing
 from helpers.cad import block, stack, write
 from mpi4py import MPI
 
@@ -16,6 +17,8 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh import Selector, mesh_statistics, name_parts, read_body
 from dolfin_elastic.mesh.body import extent
+from dolfin_elastic.mesh.formats.cad import sizes
+from dolfin_elastic.mesh.formats.cad.shapes import Lengths
 from dolfin_elastic.mesh.formats.cad.units import stated_unit
 from dolfin_elastic.mesh.refine.refinement import refine_body
 
@@ -294,7 +297,7 @@ def test_a_default_size_that_gmsh_cannot_mesh_is_changed(folder: Path) -> None:
     write(folder / "tube.brep", thin_tube)
     (how,) = read_body(folder / "tube.brep", curved=False).information
     assert how.startswith(
-        "meshed by Gmsh, 0.5 times the default size, a tenth of the diagonal (0.2"
+        "meshed by Gmsh, 0.5 times the default size, 0.0144 m to 0.287 m: 12 elements round a circle"
     )
     assert how.endswith("with which Gmsh finds no valid mesh")
     with pytest.raises(MeshError, match="Gmsh cannot mesh it: .* another mesh.size"):
@@ -318,7 +321,7 @@ def test_cells_that_are_large_for_a_small_fillet_are_told_with_their_place(folde
         occ.cut(body, [(3, occ.addCylinder(45, y, -1, 0, 0, 10, 3.5)) for y in (10, 30)])
 
     write(folder / "bracket.step", bracket)
-    body = read_body(folder / "bracket.step")
+    body = read_body(folder / "bracket.step", size=9.4)
     (note,) = body.notes
     told = re.search(
         r"turns by (\d+) degrees along a curved surface, near \((.*)\) mm: a peak of stress there "
@@ -338,3 +341,87 @@ def test_cells_that_are_large_for_a_small_fillet_are_told_with_their_place(folde
     places = np.array([[*map(float, p.split(","))] for p in re.findall(r"\(([^)]*)\)", found[2])])
     assert len(places) == min(int(found[1]), 3)
     assert (np.hypot(places[:, 0] - 11, places[:, 2] - 11) < 12).all(), "at the fillet"
+
+
+# --- sizes where nobody gives one ---
+
+
+def tray(occ: Any, radius: float = 1.0) -> None:
+    """A block of 60 x 40 x 8 with a hole of some radius."""
+    occ.cut([(3, occ.addBox(0, 0, 0, 60, 40, 8))], [(3, occ.addCylinder(30, 20, -1, 0, 0, 10, radius))])
+
+
+def chords(body: Any, radius: float) -> int:
+    """Number of mesh edges round the lower end of the hole of `tray`. Collective."""
+    x = body.mesh.geometry.x / body.unit.metres
+    off = np.abs(np.hypot(x[:, 0] - 30, x[:, 1] - 20) - radius)
+    rim = (off < 1e-6 * radius) & (np.abs(x[:, 2]) < 1e-9)
+    places = body.comm.allgather(np.round(x[rim], 6))
+    return len(np.unique(np.concatenate(places), axis=0)) // body.mesh.geometry.cmap.degree
+
+
+def test_the_default_size_follows_curvature(folder: Path) -> None:
+    """A tenth of the diagonal was 7.3 mm, of which five go round the hole of 1 mm."""
+    write(folder / "tray.step", tray)
+    body = read_body(folder / "tray.step")
+    assert chords(body, 1.0) >= 12
+    (how,) = [line for line in body.information if "Gmsh" in line]
+    text = "meshed by Gmsh, default size, 0.363 mm to 7.26 mm: 12 elements round a circle"
+    assert how.startswith(text)
+    assert body.notes == ()
+    assert body.num_cells < 4000
+
+
+def test_only_where_nobody_gives_a_size(folder: Path) -> None:
+    """Neither beside `mesh.size` nor beside sizes or options of a file."""
+    write(folder / "tray.step", tray)
+    assert chords(read_body(folder / "tray.step", size=7), 1.0) < 8
+    script = 'SetFactory("OpenCASCADE"); Merge "tray.step";\n'
+    for name, line in {
+        "most": "Mesh.MeshSizeMax = 7;",
+        "points": "MeshSize{ PointsOf{ Volume{1}; } } = 7;",
+        "own": "Mesh.MeshSizeFromCurvature = 5;",
+    }.items():
+        path = folder / f"{name}.geo"
+        on_root(COMM, lambda path=path, line=line: path.write_text(f"{script}{line}\n"))
+        body = read_body(path)
+        assert chords(body, 1.0) < 8, name
+        assert any("sizes of the file" in text for text in body.information), body.information
+    path = folder / "none.geo"
+    on_root(COMM, lambda: path.write_text(script))
+    assert chords(read_body(path), 1.0) >= 12
+
+
+def test_faces_that_are_too_sharp_for_the_default_size_are_told(folder: Path) -> None:
+    """A hole of 0.2 mm in 73 mm would need elements of 0.1 mm: the smallest size is 0.36 mm."""
+    write(folder / "tray.step", lambda occ: tray(occ, 0.2))
+    note, coarse = read_body(folder / "tray.step").notes
+    assert "turns by" in coarse
+    assert note.startswith("curved faces of a radius below 0.693 mm have fewer than 12 elements")
+    assert "the smallest radius is 0.2 mm" in note
+    assert 'for the smallest default size is 0.363 mm: a peak' in note
+    assert 'size = "0.105 mm"' in note
+
+
+def test_the_default_mesh_is_bounded(monkeypatch: Any) -> None:
+    """The smallest size grows until there are few enough cells, and the radii missed are told."""
+
+    def meshed() -> tuple[sizes.DefaultSize, int]:
+        with drawing() as gmsh:
+            tray(gmsh.model.occ, 0.8)
+            gmsh.model.occ.synchronize()
+            found = sizes.set_default_size(gmsh, 3)
+            gmsh.model.mesh.generate(3)
+            return found, len(gmsh.model.mesh.getElementsByType(4)[0])
+
+    def both() -> None:
+        free, many = meshed()
+        assert (free.raised, free.missed) == (False, None)
+        monkeypatch.setattr(sizes, "_MOST_CELLS", 2000)
+        bound, few = meshed()
+        assert bound.raised and bound.missed == pytest.approx(0.8)
+        assert bound.smallest > 1.2 * free.smallest and few < min(many, 1.5 * 2000)
+        (note,) = bound.notes(Lengths("mm", 1.0))
+        assert "or there would be more than 2000 elements: a peak" in note
+
+    on_root(COMM, both)

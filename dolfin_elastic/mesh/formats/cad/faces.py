@@ -160,6 +160,17 @@ def describe_faces(gmsh: ModuleType, dim: int) -> list[dict[str, object]]:
     return found
 
 
+def face_curvature(gmsh: ModuleType, tag: int) -> float:
+    """Largest curvature of a face in the middle of its samples; 0 where it is not known. Local.
+
+    Args:
+        gmsh: Gmsh with a model.
+        tag: Number of the face.
+    """
+    _, _, curvatures, _, _ = _sampled(gmsh, 2, tag)
+    return float(np.median(np.abs(curvatures).max(axis=1))) if len(curvatures) else 0.0
+
+
 def named_bodies(gmsh: ModuleType, dim: int) -> dict[str, list[int]]:
     """Names of the model's bodies, to their numbers. Local.
 

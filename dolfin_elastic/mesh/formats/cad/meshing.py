@@ -17,11 +17,18 @@ from dolfin_elastic.mesh.formats.cad.shapes import (
     load_shapes,
     touching,
 )
-from dolfin_elastic.mesh.formats.cad.sizes import LocalField, set_sizes
+from dolfin_elastic.mesh.formats.cad.sizes import (
+    DefaultSize,
+    LocalField,
+    set_default_size,
+    set_sizes,
+)
 
 RESULT = "mesh.msh"
 """The file that is saved."""
 _SAVE_OPTIONS = {"Mesh.MshFileVersion": 4.1, "Mesh.Binary": 1, "Mesh.SaveAll": 1}
+_NO_SIZES = {"MeshSizeMin": 0.0, "MeshSizeMax": 1e22, "MeshSizeFromCurvature": 0.0}
+"""Options of sizes, with the values that they have where nobody sets them."""
 _OTHER_SIZES = 0.5, 0.25, 2.0
 """Factors on the default size that are tried where Gmsh fails with it."""
 
@@ -85,9 +92,13 @@ def mesh_model(
     Raises:
         MeshError: It cannot be meshed.
     """
-    how = _mesh(gmsh, size, dim, name, lengths, local)
+    nothing = size is None and not _has_sizes(gmsh) and not _has_options(gmsh)
+    default = set_default_size(gmsh, dim) if nothing else None
+    how = _mesh(gmsh, size, dim, name, lengths, local, default)
     curves, notes = ("", []) if curved is False else follow_curves(gmsh, dim, curved, lengths)
-    return Remarks([f"meshed by Gmsh, {how}{curves}"], notes)
+    return Remarks(
+        [f"meshed by Gmsh, {how}{curves}"], [*(default.notes(lengths) if default else ()), *notes]
+    )
 
 
 def load(gmsh: ModuleType, path: Path) -> None:
@@ -122,14 +133,14 @@ def _mesh(
     source: str,
     lengths: Lengths,
     local: Sequence[LocalField],
+    default: DefaultSize | None,
 ) -> str:
     """Meshes the current model; returns the size in words."""
-    has_sizes = _has_sizes(gmsh)
     if size is not None:
         gmsh.model.mesh.clear()
         gmsh.option.setNumber("Mesh.MeshSizeMax", size / lengths.factor)
         # Without a lower limit Gmsh makes no cells above a tenth of the diagonal.
-        if not has_sizes:
+        if not _has_sizes(gmsh):
             gmsh.option.setNumber("Mesh.MeshSizeMin", size / lengths.factor)
         _check_count(gmsh, size, dim, source, lengths)
     if local:
@@ -141,13 +152,10 @@ def _mesh(
     factor = _generate(gmsh, dim, source, retry=size is None)
     if size is not None:
         return f"size {size:g} {lengths.name}"
-    default = "sizes of the file"
-    if not has_sizes:
-        tenth = lengths.text(0.1 * diagonal(gmsh), 1)
-        default = f"default size, a tenth of the diagonal ({tenth})"
+    text = default.text(lengths) if default else "sizes of the file"
     if factor == 1.0:
-        return default
-    return f"{factor:g} times the {default}, with which Gmsh finds no valid mesh"
+        return text
+    return f"{factor:g} times the {text}, with which Gmsh finds no valid mesh"
 
 
 def _generate(gmsh: ModuleType, dim: int, source: str, *, retry: bool) -> float:
@@ -226,6 +234,12 @@ def _has_sizes(gmsh: ModuleType) -> bool:
     return len(gmsh.model.mesh.field.list()) > 0 or any(
         size > 0 for size in (gmsh.model.mesh.getSizes(points) if points else ())
     )
+
+
+def _has_options(gmsh: ModuleType) -> bool:
+    """True where a .geo file has set bounds of sizes, or what they follow."""
+    get = gmsh.option.getNumber
+    return any(get(f"Mesh.{name}") != usual for name, usual in _NO_SIZES.items())
 
 
 def logged_errors(gmsh: ModuleType, start: int = 0) -> str:
