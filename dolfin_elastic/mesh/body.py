@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
 
@@ -18,6 +19,7 @@ from dolfin_elastic.core.units import METRE, LengthUnit
 from dolfin_elastic.mesh.faces import CadFaces
 from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.mesh.formats.cad.process import Permission
+from dolfin_elastic.mesh.geometry.boundary_shape import BoundaryShape, KnownSurface
 from dolfin_elastic.mesh.geometry.curved import edge_points, facet_quadrature, node_points
 
 T = TypeVar("T")
@@ -113,6 +115,7 @@ class Body:
             is refused with that reason.
         unit: Unit of length of the file, in which messages give places.
         information: How the mesh was made, and corrections without effect.
+        known_surface: What is known of the surface for which the facets of the boundary stand.
 
     Names are found whatever the case of their letters, see `PartNames`.
     """
@@ -131,6 +134,7 @@ class Body:
     incomplete: Mapping[str, str] = field(default_factory=dict)
     unit: LengthUnit = METRE
     information: tuple[str, ...] = ()
+    known_surface: KnownSurface | None = None
 
     def __post_init__(self) -> None:
         tables = ("regions", "surfaces", "edges", "points", "uncovered", "incomplete")
@@ -153,6 +157,11 @@ class Body:
     def num_cells(self) -> int:
         """Number of cells on all ranks."""
         return int(self.mesh.topology.index_map(self.mesh.topology.dim).size_global)
+
+    @cached_property
+    def boundary_shape(self) -> BoundaryShape:
+        """Edges and arcs of the boundary. Collective."""
+        return BoundaryShape(self.mesh, self.known_surface)
 
     # --- named parts ---
 

@@ -22,9 +22,12 @@ from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.faces import CadFaces
 from dolfin_elastic.mesh.fields import distribute_fields
+from dolfin_elastic.mesh.geometry.boundary_shape import KnownSurface
 from dolfin_elastic.mesh.geometry.simplices import (
+    boundary_facets,
     edge_nodes,
     facet_nodes,
+    outward_normals,
     prepare_edges,
     prepare_facets,
 )
@@ -96,6 +99,7 @@ def build_body(
         unit=unit,
         information=(*information, *_one_reader(mesh, source)),
         faces=_faces(mesh, raw, unit),
+        known_surface=_known_surface(mesh, raw),
     )
 
 
@@ -244,6 +248,36 @@ def _faces(mesh: Mesh, raw: RawMesh | None, unit: LengthUnit) -> CadFaces | None
     facets, keys = _candidates(mesh, np.unique(vertices), mesh.topology.dim - 1)
     at = match_rows(vertices, keys) if len(keys) else np.empty(0, dtype=np.int64)
     return replace(found, facets=facets[at >= 0], numbers=numbers[at[at >= 0]])
+
+
+def _known_surface(mesh: Mesh, raw: RawMesh | None) -> KnownSurface | None:
+    """The normals of CAD faces at the corners of the boundary's facets. Collective.
+
+    The normals of a face may point to either side: here they point out of the body.
+    """
+    of_faces, of_each = mesh.comm.bcast((raw.face_facets, raw.face_normals) if raw else None)
+    if not of_each:
+        return None
+    from dolfin_elastic.mesh.formats.raw import match_rows
+
+    d = mesh.topology.dim
+    vertices = np.concatenate([of_faces[n] for n in of_each])
+    given = np.concatenate(list(of_each.values()))[..., :d]
+    order = np.argsort(vertices, axis=1)
+    vertices = np.take_along_axis(vertices, order, axis=1)
+    given = np.take_along_axis(given, order[..., None], axis=1)
+    facets = boundary_facets(mesh)
+    found = np.full((len(facets), d, d), np.nan)
+    if len(facets) and len(vertices):
+        own = np.asarray(mesh.geometry.input_global_indices)[facet_nodes(mesh, facets)]
+        order = np.argsort(own, axis=1)
+        at = match_rows(vertices, np.take_along_axis(own, order, axis=1))
+        sorted_ones = np.where((at >= 0)[:, None, None], given[at], np.nan)
+        np.put_along_axis(found, order[..., None], sorted_ones, axis=1)
+    outward = np.einsum("fkj,fj->f", found, outward_normals(mesh, facets)) >= 0
+    return KnownSurface(
+        np.where(outward[:, None, None], found, -found), None, np.full(len(facets), np.nan)
+    )
 
 
 def _entities(

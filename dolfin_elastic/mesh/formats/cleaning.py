@@ -139,11 +139,14 @@ def _restricted(raw: RawMesh, used: BoolArray, why: str) -> RawMesh:
                 incomplete.setdefault(name, f"{lost} {why}")
             kept[parts][name] = new[rows[inside]]
     data = {name: values[used] for name, values in raw.point_data.items()}
-    of_faces = {n: new[rows[used[rows].all(axis=1)]] for n, rows in raw.face_facets.items()}
+    whole = {n: used[rows].all(axis=1) for n, rows in raw.face_facets.items()}
+    of_faces = {n: new[rows[whole[n]]] for n, rows in raw.face_facets.items()}
+    normals = {n: rows[whole[n]] for n, rows in raw.face_normals.items()}
     return replace(
         raw,
         points=raw.points[used],
         face_facets=of_faces,
+        face_normals=normals,
         cells=new[raw.cells],
         point_data=data,
         incomplete=incomplete,

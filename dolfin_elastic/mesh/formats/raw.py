@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from dolfin_elastic.core.errors import MeshError
-from dolfin_elastic.core.types import FloatArray, IntArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.mesh.formats.cad.faces import CadFace
 
+Array = TypeVar("Array", bound=AnyArray)
 _DIMS = {
     "vertex": 0,
     "line": 1,
@@ -50,6 +52,8 @@ class Block:
         parts: Name to the rows of `nodes` that carry it; names may overlap.
         data: Name to numbers of each element, shape (n, columns).
         entity: Number of the entity of a CAD model that they mesh; 0: not known.
+        normals: Normals of that entity at the vertices, of either side, shape (n, vertices, 3); NaN
+            where they are not known.
     """
 
     kind: str
@@ -57,6 +61,7 @@ class Block:
     parts: Mapping[str, IntArray] = field(default_factory=dict)
     data: Mapping[str, FloatArray] = field(default_factory=dict)
     entity: int = 0
+    normals: FloatArray | None = None
 
     @property
     def dim(self) -> int:
@@ -112,6 +117,8 @@ class RawMesh:
         incomplete: Name of a part of which members are missing, to the reason with their number.
         faces: Of the CAD model that was meshed.
         face_facets: Number of a face to its facets' vertices (rows of `points`), shape (F, dim).
+        face_normals: Number of a face to its normals at these vertices, shape (F, dim, 3), see
+            `Block`; of all faces, or of none.
     """
 
     points: FloatArray
@@ -130,6 +137,7 @@ class RawMesh:
     unit: str = "m"
     faces: tuple[CadFace, ...] = ()
     face_facets: Mapping[int, IntArray] = field(default_factory=dict)
+    face_normals: Mapping[int, FloatArray] = field(default_factory=dict)
 
     @property
     def dim(self) -> int:
@@ -190,17 +198,30 @@ def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh
         incomplete=found.incomplete,
         information=tuple(found.information),
         faces=tuple(found.faces),
-        face_facets=_of_faces(below, dim) if found.faces else {},
+        face_facets=_of_faces(below, lambda b: b.nodes[:, :dim]) if found.faces else {},
+        face_normals=_of_faces(below, lambda b: _normals(b, dim)) if found.faces else {},
     )
 
 
-def _of_faces(below: Sequence[Block], dim: int) -> dict[int, IntArray]:
-    """Number of a CAD face to the vertices of its facets."""
-    found: dict[int, list[IntArray]] = {}
+def _of_faces(below: Sequence[Block], rows: Callable[[Block], Array]) -> dict[int, Array]:
+    """Number of a CAD face to rows of its facets.
+
+    Args:
+        below: Elements one dimension lower than the cells.
+        rows: Those of a block.
+    """
+    found: dict[int, list[Array]] = {}
     for block in below:
         if block.entity:
-            found.setdefault(block.entity, []).append(block.nodes[:, :dim])
-    return {number: np.concatenate(rows) for number, rows in found.items()}
+            found.setdefault(block.entity, []).append(rows(block))
+    return {number: np.concatenate(parts) for number, parts in found.items()}
+
+
+def _normals(block: Block, dim: int) -> FloatArray:
+    """Normals of a block's facets, see `Block`; NaN where it has none."""
+    if block.normals is None:
+        return np.full((len(block.nodes), dim, 3), np.nan)
+    return block.normals
 
 
 def _cell_data(solid: Sequence[Block]) -> dict[str, FloatArray]:

@@ -106,6 +106,19 @@ class Ridges:
         whole = sums_by_row(self._here, parts, self._different)
         return np.asarray(self._exchange.send_back(whole[self._here]))
 
+    def of_rows(self, values: FloatArray) -> FloatArray:
+        """For each row that was given the sum over those of the same ridge. Collective.
+
+        Args:
+            values: A number or several for each row, shape (..., columns) or (...), where the rows
+                may have any shape.
+
+        Returns:
+            Of the same shape.
+        """
+        table = values.reshape(len(self._of_row), -1)
+        return self.sums(slice(None), table)[self._of_row].reshape(values.shape)
+
     def nodes(self, V: fem.FunctionSpace) -> IndexArray:
         """Local nodes of each ridge, shape (count, nodes of a ridge). Local.
 

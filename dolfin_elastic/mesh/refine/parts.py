@@ -18,6 +18,9 @@ from dolfinx.mesh import Mesh
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.faces import CadFaces
+from dolfin_elastic.mesh.geometry.boundary_shape import KnownSurface, facet_ridges, facet_vertices
+from dolfin_elastic.mesh.geometry.ridges import cell_ridges
+from dolfin_elastic.mesh.geometry.simplices import boundary_facets, cells_beside_facets
 from dolfin_elastic.mesh.refine.division import barycentric, lagrange
 
 _SHAPES = {2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
@@ -120,6 +123,44 @@ def carry_faces(
     own = np.einsum("cij,cj->ci", within.astype(np.int64), of_parents(numbers))
     facets, first = np.unique(_around(mesh, d - 1)[own > 0], return_index=True)
     return replace(body.faces, facets=facets.astype(np.int32), numbers=own[own > 0][first])
+
+
+def carry_surface(
+    body: Body, mesh: Mesh, corners: FloatArray, of_parents: Callable[[AnyArray], AnyArray]
+) -> KnownSurface:
+    """What is known of the surface of the coarse body, on the finer mesh.  Collective.
+
+    Args:
+        body: See `carry_parts`, as the others.
+        mesh: The finer mesh.
+        corners: In the parents.
+        of_parents: To finer cells.
+    """
+    shape, d, count = body.boundary_shape, body.dim, len(body.mesh.geometry.dofmap)
+    known, vertices = shape.known(), facet_vertices(body.dim)
+    assert known.arcs is not None  # since it is of a shape
+    _, of_facets = cells_beside_facets(body.mesh, shape.facets)
+    facets = boundary_facets(mesh)
+    cells, local = cells_beside_facets(mesh, facets)
+    within = _entities_within(d, d - 1, corners)[cells, local]  # (facets, parent's facet)
+    normals, gap = np.full((len(facets), d, d), np.nan), np.full(len(facets), np.nan)
+    own = corners[cells[:, None], vertices[local]]  # (facets, corner, parent's corner)
+    for facet in range(d + 1):
+        rows = np.full((count, d, d + 1), np.nan)
+        there = of_facets == facet
+        rows[shape.cells[there], :, :d] = known.normals[there]
+        rows[shape.cells[there], 0, d] = known.gap[there]
+        parents = of_parents(rows)[cells]
+        here = within[:, facet]
+        mean = np.einsum("fkv,fvj->fkj", own[here][:, :, vertices[facet]], parents[here][..., :d])
+        normals[here] = mean / np.linalg.norm(mean, axis=2, keepdims=True)
+        gap[here] = parents[here, 0, d]
+    ridges = np.zeros((count, len(cell_ridges(d))), dtype=np.uint8)
+    np.maximum.at(ridges, (shape.cells[:, None], shape.numbers), known.arcs.astype(np.uint8))
+    of_cells = _entities_within(d, d - 2, corners)
+    arcs = np.einsum("cij,cj->ci", of_cells.astype(np.uint8), of_parents(ridges)) > 0
+    _, numbers = facet_ridges(d, local)
+    return KnownSurface(normals, arcs[cells[:, None], numbers], gap)
 
 
 def _entities_within(d: int, dim: int, corners: FloatArray) -> AnyArray:

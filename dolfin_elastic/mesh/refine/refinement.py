@@ -25,7 +25,7 @@ from dolfin_elastic.mesh.refine.division import (
     lagrange,
 )
 from dolfin_elastic.mesh.refine.links import CellLinks
-from dolfin_elastic.mesh.refine.parts import carry_faces, carry_parts
+from dolfin_elastic.mesh.refine.parts import carry_faces, carry_parts, carry_surface
 
 
 @dataclass(frozen=True)
@@ -100,6 +100,7 @@ def refine_body(body: Body, cells: IndexArray) -> Refinement:
         edges=parts["edges"],
         points=parts["points"],
         faces=carry_faces(body, mesh, corners, of_parents),
+        known_surface=carry_surface(body, mesh, corners, of_parents),
         fields={},
         notes=notes,
         information=(),

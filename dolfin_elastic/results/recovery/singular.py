@@ -17,8 +17,9 @@ with Hertz: the pressure ends at zero.  Softer springs make a traction that jump
 that leaves the stress bounded, or lets it grow like a logarithm.  Materials: see
 `material_corners`.
 
-Angles that exceed the limit by less than a margin are not counted: facets of a round surface meet
-at angles, too, and the stress there hardly grows.
+Whether an edge of a facet is one of the body at all, or lies within a round face, is told by
+`BoundaryShape`: exactly where the mesh was made of a CAD file.  Elsewhere angles that exceed a limit
+by less than a margin are not counted, for facets of a round surface meet at angles, too.
 
 Source: M. L. Williams, J. Appl. Mech. 19 (1952) 526: lambda = 1 in sin(lambda beta)^2 =
 ((kappa + 1)^2 - 4 lambda^2 sin(beta)^2)/(4 kappa) for a wedge with one clamped side, and kappa =
@@ -37,9 +38,10 @@ from dolfinx import fem, la
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import cell_size
-from dolfin_elastic.mesh.geometry.curved import cell_gradients, facet_areas
-from dolfin_elastic.mesh.geometry.ridges import Ridges, cell_ridges
-from dolfin_elastic.mesh.geometry.simplices import boundary_facets, cells_beside_facets
+from dolfin_elastic.mesh.geometry.boundary_shape import EDGE
+from dolfin_elastic.mesh.geometry.curved import facet_areas
+from dolfin_elastic.mesh.geometry.ridges import Ridges
+from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets
 from dolfin_elastic.model.supports.displacement import PrescribingSupport, Restraint
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.supports.springs import Spring
@@ -51,7 +53,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
 _MARGIN = np.deg2rad(30.0)
-"""Angle above 180 degrees, or 90 with a mirror image, up to which an edge counts as smooth."""
+"""Angle above 90 degrees up to which an edge with a mirror image counts as smooth."""
 _MARGIN_HELD = np.deg2rad(5.0)
 """The same margin for an edge between a clamped and a free facet."""
 RE_ENTRANT = "a re-entrant edge"
@@ -110,7 +112,7 @@ def singular_places(problem: Problem) -> SingularPlaces:
     sums, *angles = (
         ridges.sums(slice(ends[i], ends[i + 1]), rows) for i, rows in enumerate(values)
     )
-    (count, whole, some) = sums[:, 6:9].T
+    (count, whole, some) = sums[:, 3:6].T
     singular = np.zeros((ridges.count, 2 + len(labels) + len(pairs)), dtype=bool)
     singular[:, 0] = material_corners(problem, np.column_stack(angles), count, whole, some)
     outside = np.flatnonzero(count > 0)
@@ -180,63 +182,27 @@ def _at_surface(
     """What boundary facets tell about their edges (vertices in the plane). Collective.
 
     Returns:
-        A row for each facet and edge of it: cell; local edge of that cell; and the outward normal
-        (3), direction into the facet (3), 1, whether the facet is held in all and in some
-        directions, by each support, whether it presses each obstacle and might, Poisson's ratio.
+        A row for each facet and edge of it: cell; local edge of that cell; and the interior angle
+        [rad], whether the face is smooth there, whether the angle is exact, 1, whether the facet is
+        held in all and in some directions, by each support, whether it presses each obstacle and
+        might, Poisson's ratio.
     """
-    body, mesh = problem.body, problem.body.mesh
-    dim = mesh.topology.dim
-    facets = boundary_facets(mesh)
-    cells, local = cells_beside_facets(mesh, facets)
+    shape = problem.body.boundary_shape
     facts = np.column_stack(
-        [np.ones(len(facets)), *_held(problem, held, labels, facets), _nu(problem, cells)]
+        [
+            np.ones(len(shape.facets)),
+            *_held(problem, held, labels, shape.facets),
+            _nu(problem, shape.cells),
+        ]
     )
-    found_cells, found_numbers, values = [], [], []
-    for facet in range(dim + 1):
-        rows = np.flatnonzero(local == facet)
-        nodes = mesh.geometry.x[mesh.geometry.dofmap[cells[rows]], :dim]
-        for number, ridge in enumerate(cell_ridges(dim)):
-            if facet in ridge:
-                continue
-            other = next(k for k in range(dim + 1) if k != facet and k not in ridge)
-            frames = _frames(nodes, mesh.geometry.cmap.degree, facet, tuple(ridge), other)
-            found_cells.append(cells[rows])
-            found_numbers.append(np.full(len(rows), number, dtype=np.int32))
-            values.append(np.concatenate([frames, facts[rows]], axis=1))
-    assert body.dim == dim
-    return np.concatenate(found_cells), np.concatenate(found_numbers), np.concatenate(values)
-
-
-def _frames(
-    nodes: FloatArray, degree: int, facet: int, ridge: tuple[int, ...], other: int
-) -> FloatArray:
-    """Outward normal and direction into the facet at the middle of an edge of cells.
-
-    Args:
-        nodes: Geometry nodes of the cells, shape (cells, nodes, dim).
-        degree: Of the geometry.
-        facet: Local facet.
-        ridge: Corners of one of its edges; in the plane one corner.
-        other: Its other corner.
-
-    Returns:
-        Shape (cells, 6).
-    """
-    dim = nodes.shape[2]
-    corners = np.concatenate([np.zeros((1, dim)), np.eye(dim)])
-    middle = corners[list(ridge)].mean(axis=0)
-    J = cell_gradients(nodes, degree, middle[None])[:, 0]
-    outward = np.ones(dim) if facet == 0 else -np.eye(dim)[facet - 1]
-    n = np.einsum("cji,j->ci", np.linalg.inv(J), outward)
-    inward = J @ (corners[other] - middle)
-    if dim == 3:
-        along = J @ (corners[ridge[1]] - corners[ridge[0]])
-        along /= np.linalg.norm(along, axis=1, keepdims=True)
-        inward -= np.sum(inward * along, axis=1, keepdims=True) * along
-    found = np.zeros((len(nodes), 6))
-    found[:, :dim] = n / np.linalg.norm(n, axis=1, keepdims=True)
-    found[:, 3 : 3 + dim] = inward / np.linalg.norm(inward, axis=1, keepdims=True)
-    return found
+    edges = shape.numbers.shape[1]
+    smooth = np.where(shape.smooth, 1.0, 0.0)
+    own = np.stack([shape.angles, smooth, shape.exact.astype(float)], axis=-1).reshape(-1, 3)
+    return (
+        np.repeat(shape.cells, edges),
+        shape.numbers.reshape(-1),
+        np.concatenate([own, np.repeat(facts, edges, axis=0)], axis=1),
+    )
 
 
 def _held(
@@ -340,25 +306,21 @@ def _classify(sums: FloatArray, problem: Problem, sources: tuple[int, int]) -> B
     Returns:
         Shape (edges, 1 + supports + contacts).
     """
-    normal, inward, (count, whole, some) = sums[:, :3], sums[:, 3:6], sums[:, 6:9].T
+    angle, (count, whole, some) = sums[:, 0] / 2, sums[:, 3:6].T
+    smooth, exact = sums[:, 1] > 1.5, sums[:, 2] > 1.5
     supports, contacts = sources
-    by, nu = sums[:, 9 : 9 + supports], sums[:, -1] / 2
-    pressing, touching = np.split(sums[:, 9 + supports : -1].reshape(len(sums), contacts, 2), 2, 2)
+    by, nu = sums[:, 6 : 6 + supports], sums[:, -1] / 2
+    pressing, touching = np.split(sums[:, 6 + supports : -1].reshape(len(sums), contacts, 2), 2, 2)
     edge = np.abs(count - 2) < 0.5
-    # Of unit vectors a, b: |a + b|^2 = 2 + 2 a.b; seen from outside, a re-entrant edge is a valley.
-    cosine = np.clip(np.sum(inward**2, axis=1) / 2 - 1, -1.0, 1.0)
-    angle = np.arccos(cosine)
-    valley = np.sum(normal * inward, axis=1) > 0
-    angle = np.where(valley, 2 * np.pi - angle, angle)
     free = count - whole - some
     alike = (np.abs(whole - 2) < 0.5) | (np.abs(some - 2) < 0.5) | (np.abs(free - 2) < 0.5)
     clamped = ~alike & (np.abs(some) < 0.5)
     kappa = (3 - nu) / (1 + nu) if problem.geometry == "plane-stress" else 3 - 4 * nu
     limit = np.arcsin(np.sqrt(np.clip((kappa + 1) / 4, 0.0, 1.0)))
-    corner = edge & alike & (angle > np.pi + _MARGIN)
+    corner = edge & alike & ~smooth & (angle > np.pi)
+    margin = np.where(exact, EDGE, _MARGIN)
     rim = edge & np.where(
-        clamped, angle > limit + _MARGIN_HELD, ~alike & (angle > np.pi / 2 + _MARGIN)
+        clamped, angle > limit + _MARGIN_HELD, ~alike & (angle > np.pi / 2 + margin)
     )
-    smooth = np.abs(angle - np.pi) < _MARGIN
     ends = (pressing[..., 0] > 0.5) & ~(smooth[:, None] & (touching[..., 0] > 1.5))
     return np.column_stack([corner, rim[:, None] & (by > 0.5), rim[:, None] & ends])

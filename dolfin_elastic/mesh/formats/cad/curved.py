@@ -59,6 +59,52 @@ def follow_curves(
     ), notes
 
 
+def exact_normals(gmsh: ModuleType, dim: int) -> list[tuple[int, FloatArray]]:
+    """Normals of faces (curves of a plane body) at the vertices of their elements. Local.
+
+    Args:
+        gmsh: Gmsh with a mesh.
+        dim: Of the body.
+
+    Returns:
+        Of each face its number and the unit normals, to one side or the other, shape (elements,
+        dim, 3), in the order in which the mesh is saved; NaN where Gmsh does not know them, as at
+        the tip of a cone.
+    """
+    found = []
+    for _, tag in gmsh.model.getEntities(dim - 1):
+        kinds, _, nodes = gmsh.model.mesh.getElements(dim - 1, tag)
+        rows = [np.empty((0, dim), dtype=np.int64)]
+        for kind, of_kind in zip(kinds, nodes, strict=True):
+            width = gmsh.model.mesh.getElementProperties(kind)[3]
+            rows.append(np.asarray(of_kind, dtype=np.int64).reshape(-1, width)[:, :dim])
+        vertices = np.concatenate(rows)
+        tags, normals = _at_nodes(gmsh, dim, tag)
+        order = np.argsort(tags, kind="stable")
+        at = order[np.minimum(np.searchsorted(tags, vertices, sorter=order), len(tags) - 1)]
+        known = (tags[at] == vertices)[..., None]
+        found.append((int(tag), np.where(known, normals[at], np.nan)))
+    return found
+
+
+def _at_nodes(gmsh: ModuleType, dim: int, tag: int) -> tuple[IntArray, FloatArray]:
+    """Nodes on a face or curve, and its unit normals there."""
+    try:
+        tags, _, t = gmsh.model.mesh.getNodes(dim - 1, tag, True, True)
+        if dim == 3:
+            normals = np.asarray(gmsh.model.getNormal(tag, t)).reshape(-1, 3)
+        else:
+            along = np.asarray(gmsh.model.getDerivative(1, tag, t)).reshape(-1, 3)
+            normals = np.column_stack([along[:, 1], -along[:, 0], np.zeros(len(along))])
+    except Exception:  # Gmsh's own error: a surface without parameters
+        tags, normals = [], np.empty((0, 3))
+    if len(tags) != len(normals) or not len(tags):
+        return np.zeros(1, dtype=np.int64), np.full((1, 3), np.nan)  # no node has the number 0
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    good = np.isfinite(length) & (length > 0)
+    return np.asarray(tags, dtype=np.int64), np.where(good, normals / np.where(good, length, 1), np.nan)
+
+
 _EDGES = {
     1: [(0, 1, 2)],
     2: [(0, 1, 3), (1, 2, 4), (2, 0, 5)],

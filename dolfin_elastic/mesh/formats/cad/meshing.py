@@ -6,8 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
+
 from dolfin_elastic.core.errors import MeshError
-from dolfin_elastic.mesh.formats.cad.curved import follow_curves
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.mesh.formats.cad.curved import exact_normals, follow_curves
 from dolfin_elastic.mesh.formats.cad.script import SCRIPTS
 from dolfin_elastic.mesh.formats.cad.shapes import (
     Lengths,
@@ -26,6 +29,8 @@ from dolfin_elastic.mesh.formats.cad.sizes import (
 
 RESULT = "mesh.msh"
 """The file that is saved."""
+NORMALS = "normals.bin"
+"""The file of the normals of its faces, see `save_normals`."""
 _SAVE_OPTIONS = {"Mesh.MshFileVersion": 4.1, "Mesh.Binary": 1, "Mesh.SaveAll": 1}
 _NO_SIZES = {"MeshSizeMin": 0.0, "MeshSizeMax": 1e22, "MeshSizeFromCurvature": 0.0}
 """Options of sizes, with the values that they have where nobody sets them."""
@@ -124,6 +129,43 @@ def save(gmsh: ModuleType, folder: Path) -> None:
     for name, value in _SAVE_OPTIONS.items():
         gmsh.option.setNumber(name, value)
     gmsh.write(str(folder / RESULT))
+
+
+def save_normals(gmsh: ModuleType, dim: int, folder: Path) -> list[tuple[int, int]]:
+    """Saves the normals of faces at the vertices of their elements; see `exact_normals`.
+
+    Args:
+        gmsh: Gmsh with a mesh.
+        dim: Of the body.
+        folder: In which they become the file `NORMALS`, numbers of 8 byte one after the other.
+
+    Returns:
+        The faces, with the number of their elements.
+    """
+    found = exact_normals(gmsh, dim)
+    np.concatenate([n.reshape(-1) for _, n in found]).astype("<f8").tofile(folder / NORMALS)
+    return [(tag, len(normals)) for tag, normals in found]
+
+
+def read_normals(
+    folder: Path, counts: Sequence[tuple[int, int]], dim: int
+) -> dict[int, FloatArray]:
+    """What `save_normals` has saved: number of a face to normals of shape (elements, dim, 3).
+
+    Args:
+        folder: In which the file is.
+        counts: Faces, with the number of their elements.
+        dim: Of the body.
+
+    Raises:
+        MeshError: The file has another size.
+    """
+    values = np.fromfile(folder / NORMALS, dtype="<f8")
+    ends = np.cumsum([0, *(int(count) for _, count in counts)])
+    if len(values) != ends[-1] * dim * 3:
+        raise MeshError("Gmsh's normals are damaged")
+    rows = values.reshape(-1, dim, 3)
+    return {int(counts[i][0]): rows[ends[i] : ends[i + 1]] for i in range(len(counts))}
 
 
 def _mesh(

@@ -15,7 +15,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import METRE, LengthUnit
 from dolfin_elastic.mesh.faces import CadFaces
 from dolfin_elastic.mesh.formats.cad.faces import CadFace
-from dolfin_elastic.mesh.formats.cad.meshing import RESULT
+from dolfin_elastic.mesh.formats.cad.meshing import RESULT, read_normals
 from dolfin_elastic.mesh.formats.cad.process import (
     GmshProcess,
     Permission,
@@ -24,7 +24,7 @@ from dolfin_elastic.mesh.formats.cad.process import (
 )
 from dolfin_elastic.mesh.formats.cad.script import SCRIPTS, files_of_script
 from dolfin_elastic.mesh.formats.msh import mesh_alone, read_msh
-from dolfin_elastic.mesh.formats.raw import MeshFile
+from dolfin_elastic.mesh.formats.raw import Block, MeshFile
 from dolfin_elastic.mesh.local_size import NO_SIZES, CadSizes
 
 
@@ -65,7 +65,7 @@ def mesh_cad(
         dim, model = int(shapes["dim"]), factor * known.metres
         faces = [CadFace.read(data, model, dim) for data in shapes["faces"]]
         every = CadFaces({face.number: face for face in faces}, dim, known)
-        notes, information = gmsh.ask(
+        answer = gmsh.ask(
             "mesh",
             size=size,
             local=local.for_gmsh(every, shapes["bodies"], model, permission.seconds),
@@ -74,14 +74,27 @@ def mesh_cad(
             **lengths,
         )
         found = read_msh(folder / RESULT)
+        normals = read_normals(folder, answer["normals"], dim)
     return MeshFile(
         found.points * factor,
-        found.blocks,
-        [*found.notes, *shapes["notes"], *notes, *notes_of(permission)],
-        [*shapes["information"], *information, *local.information(known)],
+        [_with_normals(block, dim, normals) for block in found.blocks],
+        [*found.notes, *shapes["notes"], *answer["notes"], *notes_of(permission)],
+        [*shapes["information"], *answer["information"], *local.information(known)],
         # Samples tell where faces are before there is a mesh; after that they are a burden.
         faces=[replace(face, samples=(), normals=()) for face in faces],
     )
+
+
+def _with_normals(block: Block, dim: int, normals: Mapping[int, FloatArray]) -> Block:
+    """A block of facets with the normals of its face.
+
+    Args:
+        block: Elements of any dimension.
+        dim: Of the body.
+        normals: Number of a face to its normals.
+    """
+    found = normals.get(block.entity) if block.dim == dim - 1 else None
+    return block if found is None or len(found) != len(block.nodes) else replace(block, normals=found)
 
 
 def convert_msh(path: Path, permission: Permission) -> MeshFile:

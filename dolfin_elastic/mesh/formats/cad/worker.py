@@ -29,6 +29,7 @@ from dolfin_elastic.mesh.formats.cad.meshing import (
     logged_errors,
     mesh_model,
     save,
+    save_normals,
 )
 from dolfin_elastic.mesh.formats.cad.shapes import Lengths
 from dolfin_elastic.mesh.formats.cad.sizes import LocalField
@@ -160,8 +161,8 @@ class _Worker:
         dim: int,
         unit: str,
         factor: float,
-    ) -> tuple[list[str], list[str]]:
-        """Meshes what is loaded; returns notes and information, see `mesh_model`."""
+    ) -> dict[str, object]:
+        """Meshes what is loaded; returns notes and information, and the faces with normals."""
         remarks = mesh_model(
             self._gmsh,
             self._path.name,
@@ -172,7 +173,11 @@ class _Worker:
             lengths=Lengths(unit, factor),
         )
         save(self._gmsh, self._folder)
-        return remarks.notes, remarks.information
+        return {
+            "notes": remarks.notes,
+            "information": remarks.information,
+            "normals": save_normals(self._gmsh, dim, self._folder),
+        }
 
     def _convert(self) -> None:
         """Saves a mesh in the version that is read."""
