@@ -36,7 +36,7 @@ from dolfin_elastic.problem.state import RestartState, State
 from dolfin_elastic.problem.transfer import refined_unknowns
 from dolfin_elastic.results.checkpoint.lock import FolderLock
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
-from dolfin_elastic.results.recovery.peaks import Peak, find_peaks, largest
+from dolfin_elastic.results.recovery.peaks import Peak, find_peaks, largest, percent
 from dolfin_elastic.results.recovery.singular import singular_places
 from dolfin_elastic.results.writers.summary import SummaryWriter, mark_stopped
 from dolfin_elastic.solvers.messages import coordinates
@@ -183,7 +183,8 @@ class _Convergence:
                         progress,
                         "unknowns",
                         f"the next mesh has {problem.num_dofs} unknowns, above the limit of "
-                        f"{self.goal.unknowns} (--unknowns){_doubt(before.peak)}",
+                        f"{self.goal.unknowns} (--unknowns){_doubt(before.peak)}"
+                        f"{_cut_off(before, self.goal.tolerance)}",
                     )
                     yield progress
                     return
@@ -265,17 +266,20 @@ class _Convergence:
         found = extrapolate(fineness, values, rate=rate)
         # Two meshes may agree by accident: displacements and energies are hardly known better than
         # by the energy's error, and peaks of stress by that of the recovered stress.  The forces of
-        # supports balance the loads on every mesh.
+        # supports balance the loads on every mesh.  A peak that is not resolved is not known (nan).
         recovered = _recovered(solved.peak)
         bare = bool(measured.place) or self.goal.quantity.name.startswith("reaction")
         least = 0.0 if bare else solved.estimate.relative**2
         least = least if solved.peak is None else recovered
+        # No refinement of a finished mesh brings straight cells nearer to a curved face.
+        cut_off = solved.estimate.cut_off if solved.peak is None else 0.0
+        estimated = float(np.maximum(found.error + cut_off, least))
         level = Level(
             number=len(levels) + 1,
             cells=problem.body.num_cells,
             unknowns=problem.num_dofs,
             value=measured.value,
-            error=max(found.error, least) if len(values) > 1 else recovered,
+            error=estimated if len(values) > 1 else recovered,
             limit=found.limit,
             rate=found.rate,
             energy_error=solved.estimate.relative,
@@ -295,7 +299,7 @@ class _Convergence:
                 progress,
                 "refinements",
                 f"that is {self.goal.refinements} refinements, the limit (--refinements)"
-                f"{_doubt(solved.peak)}",
+                f"{_doubt(solved.peak)}{_cut_off(solved, self.goal.tolerance)}",
             )
         return progress
 
@@ -355,9 +359,28 @@ class _Convergence:
 
 
 def _doubt(peak: Peak | None) -> str:
-    """A warning where the quantity is at a singular place; empty elsewhere."""
-    singular = "" if peak is None else peak.singular
-    return f"; it is at {singular}, where the stress has no limit" if singular else ""
+    """A warning where the quantity is at a singular place, or not resolved; empty elsewhere."""
+    if peak is None or not (peak.singular or peak.unresolved):
+        return ""
+    if peak.unresolved:
+        return f"; its peak is not known: {peak.unresolved}"
+    return f"; it is at {peak.singular}, where the stress has no limit"
+
+
+def _cut_off(solved: _Solved, tolerance: float) -> str:
+    """A warning where straight cells at curved faces keep the goal from being reached.
+
+    Args:
+        solved: The solution on the finest mesh.
+        tolerance: That is wanted.
+    """
+    share = solved.estimate.cut_off
+    if share < tolerance or solved.body.cad is not None:
+        return ""
+    return (
+        f"; straight elements cut {percent(share)} of the energy off at curved faces, which no "
+        "refinement of this mesh changes: a mesh of quadratic elements follows them"
+    )
 
 
 def _recovered(peak: Peak | None) -> float:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import fem, la
-from mpi4py import MPI
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.core.units import stress_unit
+from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.results.grid import place_of
 from dolfin_elastic.results.recovery.error import ErrorEstimate
+from dolfin_elastic.results.recovery.resolution import RESOLVED, largest_at_nodes, resolution
 from dolfin_elastic.results.recovery.singular import SingularPlaces, singular_places
 from dolfin_elastic.results.recovery.stress import von_mises
 
@@ -22,6 +24,14 @@ if TYPE_CHECKING:
 
 _EQUAL = 1e-9
 """Relative difference of stresses below which none is the larger one."""
+ERROR = "estimated error"
+_CUT_OFF = 1e-3
+"""Least share of the energy at straight cells that is reported."""
+_MORE, _MORE_OF_ERROR = 0.01, 0.25
+"""By how much the error is larger if another place is named, relative to the stress and to the
+error at its own place."""
+_SAME_PLACE = 2.0
+"""Distance over the size of cells up to which two nodes are at the same peak."""
 _LOWER = 0.5
 """Least ratio of a local maximum that is reported to the largest stress two cells away from all
 singular places."""
@@ -35,9 +45,11 @@ class Peak:
         value: Of the recovered stress [Pa, 1].
         place: Node [m], reference configuration.
         part: Name of its material region.
-        error: Estimated error, relative to the value.
+        error: Estimated error, relative to the value: by how much the largest stress at any regular
+            place may be larger.  NaN where it is not known.
         surface: Name of the smallest surface that the node is on; empty if there is none.
         singular: What makes the exact stress unbounded there; empty if nothing does.
+        unresolved: Why the cells there do not resolve a peak; empty if they do.
     """
 
     value: float
@@ -46,6 +58,7 @@ class Peak:
     error: float
     surface: str = ""
     singular: str = ""
+    unresolved: str = ""
 
     def text(self) -> str:
         """Value and place for people, such as "184 MPa at (0.016, 0, 0.01) m on 'fillet'"."""
@@ -60,6 +73,28 @@ class Peak:
 
 
 @dataclass(frozen=True)
+class Remark:
+    """A line on a largest value.
+
+    Attributes:
+        label: What it is.
+        text: Its value or reason.
+        reserved: It limits how far the value can be believed.
+        indented: It belongs to the line above.
+    """
+
+    label: str
+    text: str
+    reserved: bool = False
+    indented: bool = True
+
+    @property
+    def line(self) -> str:
+        """For people."""
+        return f"  {self.label:<22}  {self.text}" if self.indented else f"{self.label:<24}  {self.text}"
+
+
+@dataclass(frozen=True)
 class Peaks:
     """The largest von Mises stress and the smallest safety factor of a state.
 
@@ -69,12 +104,17 @@ class Peaks:
             `find_peaks`; None where cells are so large that there is no such place.
         safety: Smallest safety factor; None without an allowable stress.
         safety_elsewhere: As `elsewhere`, where the smallest factor is singular.
+        rival: The place where the stress may be larger than the largest regular one and its own
+            error; None: that is the place of the latter.
+        cut_off: Share of the strain energy that straight cells miss or add at curved faces.
     """
 
     largest: Peak
     elsewhere: Peak | None = None
     safety: Peak | None = None
     safety_elsewhere: Peak | None = None
+    rival: Peak | None = None
+    cut_off: float = 0.0
 
     @property
     def regular(self) -> Peak | None:
@@ -87,33 +127,76 @@ class Peaks:
         Args:
             norm: Estimated error of the stress field, relative, in the energy norm.
         """
-        most = f"largest von Mises stress  {self.largest.text()}"
-        found = [most, *_remarks(self.largest, "grows")]
+        return [remark.line for remark in self._remarks(norm)]
+
+    def reservations(self, norm: float) -> list[str]:
+        """Those of the lines that limit how far the values can be believed.
+
+        Args:
+            norm: See `lines`.
+        """
+        return [f"{r.label}: {r.text}" for r in self._remarks(norm) if r.reserved]
+
+    def _remarks(self, norm: float) -> list[Remark]:
+        found = [Remark("largest von Mises stress", self.largest.text(), indented=False)]
+        if self.largest.singular:
+            found.append(_unbounded(self.largest, "grows"))
         if self.elsewhere is not None:
-            other = f"{self.elsewhere.text()}, estimated error {percent(self.elsewhere.error)}"
-            found.append(f"  largest elsewhere       {other}")
+            known = np.isfinite(self.elsewhere.error)
+            error = f", {ERROR} {percent(self.elsewhere.error)}" if known else ""
+            found.append(Remark("largest elsewhere", self.elsewhere.text() + error))
+        elif not self.largest.singular and np.isfinite(self.largest.error):
+            found.append(Remark(ERROR, percent(self.largest.error)))
+        if self.regular is not None:
+            found += _doubts(self.regular, self.rival)
         if self.safety is not None:
-            least = f"smallest safety factor    {self.safety.value:.3g} {self.safety.where()}"
-            found += [least, *_remarks(self.safety, "falls")]
+            least = f"{self.safety.value:.3g} {self.safety.where()}"
+            found.append(Remark("smallest safety factor", least, indented=False))
+            if self.safety.singular:
+                found.append(_unbounded(self.safety, "falls"))
+            elif not np.isfinite(self.safety.error):
+                found.append(Remark("not known", "its error, as that of the stress", reserved=True))
         if self.safety_elsewhere is not None:
             beside = self.safety_elsewhere
-            found.append(f"  smallest elsewhere      {beside.value:.3g} {beside.where()}")
+            found.append(Remark("smallest elsewhere", f"{beside.value:.3g} {beside.where()}"))
         share = f"{percent(norm)} of the whole stress field (energy norm)"
         if not np.isfinite(norm):
             share = "none is known: its energy at these strains has no finite value"
-        return [*found, f"estimated error           {share}"]
+        found.append(Remark(ERROR, share, not np.isfinite(norm), indented=False))
+        if self.cut_off > _CUT_OFF:
+            text = f"their facets cut {percent(self.cut_off)} of the energy off at curved faces"
+            found.append(Remark("straight elements", text, reserved=True))
+        return found
 
 
-def _remarks(peak: Peak, changes: str) -> list[str]:
-    """Lines below that of a largest value.
+def _unbounded(peak: Peak, changes: str) -> Remark:
+    """That a value has no limit.
 
     Args:
         peak: It.
-        changes: "grows" or "falls" with every refinement at a singular place.
+        changes: "grows" or "falls" with every refinement.
     """
-    if peak.singular:
-        return [f"  not to be relied on     at {peak.singular} it {changes} with every refinement"]
-    return [f"  estimated error         {percent(peak.error)}"] if changes == "grows" else []
+    text = f"at {peak.singular} it {changes} with every refinement"
+    return Remark("not to be relied on", text, reserved=True)
+
+
+def _doubts(peak: Peak, rival: Peak | None) -> list[Remark]:
+    """Where the largest regular stress is not known, or may be larger.
+
+    Args:
+        peak: It.
+        rival: See `Peaks`.
+    """
+    if rival is None:
+        return [Remark("peak not known", peak.unresolved, True)] if peak.unresolved else []
+    if not rival.unresolved:
+        may = f"{rival.text()} +- {percent(rival.error)}"
+        return [Remark("may be larger", may, reserved=True)]
+    where = f"may be larger {rival.where()}, now {rival.text().partition(' at ')[0]}"
+    return [
+        Remark("peak not known", where, reserved=True),
+        Remark("", rival.unresolved, reserved=True),
+    ]
 
 
 def percent(share: float) -> str:
@@ -131,53 +214,26 @@ def find_peaks(problem: Problem, estimate: ErrorEstimate) -> Peaks:
     If the largest of them is less than half of the largest stress at least two cells away, as in a
     beam whose bending moment is largest at its clamped end, the latter is taken.
 
+    Its error is that of the largest stress at any regular place: the largest sum of a stress and
+    its own error, less the largest stress.  It is not known where the mesh does not resolve the
+    face at which the stress is largest, or one where it may be larger; see `resolution`.
+
     Args:
         problem: The problem that is solved, in the state of the estimate.
         estimate: The estimated error of the state.
     """
-    places = singular_places(problem)
+    found = _Finder(problem, estimate, singular_places(problem))
     stress = estimate.stress
-    highest, elsewhere = _pair(problem, estimate, von_mises(stress.stress), stress.region, places)
+    highest, elsewhere, rival = found.pair(von_mises(stress.stress), stress.region)
     if all(region.law.allowable is None for region in problem.regions):
-        return Peaks(highest, elsewhere)
+        return Peaks(highest, elsewhere, rival=rival, cut_off=estimate.cut_off)
     # The share of the allowable stress is largest where the factor is smallest.
     use = 1 / np.where(stress.safety > 0, stress.safety, np.nan)
     factors = [
         None if peak is None or peak.value <= 0 else replace(peak, value=1 / peak.value)
-        for peak in _pair(problem, estimate, use, stress.safety_region, places)
+        for peak in found.pair(use, stress.safety_region)[:2]
     ]
-    return Peaks(highest, elsewhere, *factors)
-
-
-def _pair(
-    problem: Problem,
-    estimate: ErrorEstimate,
-    values: FloatArray,
-    regions: IntArray,
-    places: SingularPlaces,
-) -> tuple[Peak, Peak | None]:
-    """The largest value, and where it is singular the largest elsewhere. Collective.
-
-    Args:
-        problem: The problem that is solved.
-        estimate: The estimate for a state.
-        values: In proportion to the von Mises stress, at the owned nodes.
-        regions: Number of the material region that each belongs to.
-        places: Where the stress is singular.
-    """
-    values = np.where(np.isfinite(values), values, -np.inf)
-    reasons = [places.reason(node) for node in _best(values)]
-    first = _at_largest(problem, estimate, values, regions, "".join(reasons))
-    if not first.singular:
-        return first, None
-    chosen = _local_maxima(problem.V, values)
-    others = (~places.anywhere & chosen, ~places.widened(problem.V))
-    maximum, beyond = (
-        _at_largest(problem, estimate, np.where(where, values, -np.inf), regions)
-        for where in others
-    )
-    other = beyond if maximum.value < _LOWER * beyond.value else maximum
-    return first, other if other.place else None
+    return Peaks(highest, elsewhere, *factors, rival=rival, cut_off=estimate.cut_off)
 
 
 def largest(
@@ -191,71 +247,177 @@ def largest(
         chosen: Which of the owned nodes count.
         places: Where the stress is singular.
     """
+    found = _Finder(problem, estimate, places)
     values = von_mises(estimate.stress.stress)
     values = np.where(np.isfinite(values) & chosen, values, -np.inf)
-    reasons = [places.reason(node) for node in _best(values)]
-    return _at_largest(problem, estimate, values, estimate.stress.region, "".join(reasons))
+    peak = found.at_largest(values, estimate.stress.region, singular=True)
+    if peak.singular:
+        return peak
+    regular = found.regular(values)
+    return found.judged(peak, values, regular, regular, estimate.stress.region)[0]
 
 
-def _best(values: FloatArray) -> list[int]:
-    """This rank's node with the largest value, if it has nodes."""
-    return [int(np.argmax(values))] if len(values) else []
-
-
-def _at_largest(
-    problem: Problem,
-    estimate: ErrorEstimate,
-    values: FloatArray,
-    regions: IntArray,
-    singular: str = "",
-) -> Peak:
-    """The largest value. Collective.
+class _Finder:
+    """Finds largest values among the owned nodes of all ranks.  All of it is collective.
 
     Args:
         problem: The problem that is solved.
         estimate: The estimate for a state.
-        values: In proportion to the von Mises stress, at the owned nodes; -inf where none counts.
-        regions: Number of the material region that each belongs to.
-        singular: What is singular at this rank's largest value.
+        places: Where the stress is singular.
     """
-    comm, node = problem.body.comm, next(iter(_best(values)), -1)
-    mine = float(values[node]) if node >= 0 else -np.inf
-    best, rank = max((value, -r) for r, value in enumerate(comm.allgather(mine)))
-    if not np.isfinite(best):
-        return Peak(0.0, (), "", 0.0)
-    own, surface = None, _surface_at(problem, node, -rank)
-    around = _largest_around(problem, node if comm.rank == -rank else -1, estimate.difference)
-    if comm.rank == -rank:
-        x = place_of(problem.V, node)[: problem.body.dim]
-        stress = float(von_mises(estimate.stress.stress[node]))
-        error = max(float(estimate.stress_error[node]), around)
-        own = Peak(
-            mine,
-            tuple(float(a) for a in x),
-            problem.regions[int(regions[node])].name,
-            error / stress if stress > 0 else 0.0,
-            surface,
-            singular,
+
+    def __init__(
+        self, problem: Problem, estimate: ErrorEstimate, places: SingularPlaces
+    ) -> None:
+        self._problem, self._places = problem, places
+        self._resolution = resolution(problem)
+        own = problem.V.dofmap.index_map.size_local
+        nodes = problem.V.dofmap.list[: len(problem.body.owned_cells())]
+        of_cells = estimate.difference[nodes].max(axis=1, initial=0.0)
+        around = largest_at_nodes(problem.V, nodes, np.nan_to_num(of_cells)[:, None])[:, 0]
+        stress = von_mises(estimate.stress.stress)
+        error = np.fmax(estimate.stress_error, around) / np.where(stress > 0, stress, np.inf)
+        self._errors = np.hypot(np.nan_to_num(error), self._resolution.polygon)
+        assert len(self._errors) == own
+
+    def pair(
+        self, values: FloatArray, regions: IntArray
+    ) -> tuple[Peak, Peak | None, Peak | None]:
+        """The largest value, where it is singular the largest elsewhere, and what may be larger.
+
+        Args:
+            values: In proportion to the von Mises stress, at the owned nodes.
+            regions: Number of the material region that each belongs to.
+        """
+        values = np.where(np.isfinite(values), values, -np.inf)
+        first = self.at_largest(values, regions, singular=True)
+        if not first.singular:
+            every = self.regular(values)
+            first, rival = self.judged(first, values, every, every, regions)
+            return first, None, rival
+        others = (~self._places.anywhere & self._maxima(values), self._beyond)
+        maximum, beyond = (
+            self.at_largest(np.where(where, values, -np.inf), regions) for where in others
         )
-    found: Peak = comm.bcast(own, root=-rank)
-    return found
+        other = beyond if maximum.value < _LOWER * beyond.value else maximum
+        if not other.place:
+            return first, None, None
+        # The flank of a singular place is higher than a maximum elsewhere, and none itself.
+        known = others[1] if other is beyond else others[0]
+        every = self.regular(values)
+        return first, *self.judged(other, values, known, every, regions)
 
+    def regular(self, values: FloatArray) -> BoolArray:
+        """Nodes whose stress no singular place raises, see `find_peaks`. Collective."""
+        return np.asarray((~self._places.anywhere & self._maxima(values)) | self._beyond)
 
-def _largest_around(problem: Problem, node: int, values: FloatArray) -> float:
-    """Largest value at the nodes of the cells around a node of one rank. Collective.
+    @cached_property
+    def _beyond(self) -> BoolArray:
+        return ~self._places.widened(self._problem.V)
 
-    Args:
-        problem: The problem that is solved.
-        node: Owned node; negative on all ranks but one.
-        values: At the owned nodes and ghosts.
-    """
-    comm, dofmap = problem.body.comm, problem.V.dofmap
-    first = dofmap.index_map.local_range[0]
-    number = comm.allreduce(first + node if node >= 0 else -1, op=MPI.MAX)
-    (local,) = dofmap.index_map.global_to_local(np.array([number], dtype=np.int64))
-    nodes = dofmap.list[: len(problem.body.owned_cells())]
-    beside = nodes[(nodes == local).any(axis=1)] if local >= 0 else nodes[:0]
-    return float(comm.allreduce(float(values[beside].max(initial=0.0)), op=MPI.MAX))
+    def _maxima(self, values: FloatArray) -> BoolArray:
+        return _local_maxima(self._problem.V, values)
+
+    def judged(
+        self,
+        peak: Peak,
+        values: FloatArray,
+        regular: BoolArray,
+        every: BoolArray,
+        regions: IntArray,
+    ) -> tuple[Peak, Peak | None]:
+        """A largest regular value with the error of the largest one anywhere, and its rival.
+
+        Args:
+            peak: The value, with its own error.
+            values: At the owned nodes.
+            regular: Which of these count.
+            every: Which count where a face is not resolved.
+            regions: See `pair`.
+        """
+        if not peak.place or peak.value <= 0:
+            return peak, None
+        if peak.unresolved:
+            return replace(peak, error=np.nan), None
+        unresolved = self._resolution.unresolved
+        upper = values * (1 + self._errors)
+        may = np.where(unresolved, np.maximum(upper, values * self._resolution.factor), upper)
+        known, unknown = (
+            self._at_largest(np.where(where, may, -np.inf), values, regions)
+            for where in (regular & ~unresolved, every & unresolved)
+        )
+        bound = max(known[0], peak.value * (1 + peak.error))
+        error = bound / peak.value - 1
+        if unknown[0] > bound:
+            return replace(peak, error=np.nan), replace(unknown[1], error=np.nan)
+        apart = np.linalg.norm(np.subtract(known[1].place, peak.place)) if known[1].place else 0.0
+        same = known[0] <= bound * (1 - _EQUAL) or apart <= _SAME_PLACE * self._size_of_cells
+        small = error - peak.error < max(_MORE, _MORE_OF_ERROR * peak.error)
+        return replace(peak, error=error), None if same or small else known[1]
+
+    @cached_property
+    def _size_of_cells(self) -> float:
+        return cell_size(self._problem.body)
+
+    def at_largest(
+        self, values: FloatArray, regions: IntArray, *, singular: bool = False
+    ) -> Peak:
+        """The largest value, with its own error.
+
+        Args:
+            values: At the owned nodes; -inf where none counts.
+            regions: See `pair`.
+            singular: It may be singular.
+        """
+        return self._at_largest(values, values, regions, singular=singular)[1]
+
+    def _at_largest(
+        self,
+        by: FloatArray,
+        values: FloatArray,
+        regions: IntArray,
+        *,
+        singular: bool = False,
+    ) -> tuple[float, Peak]:
+        """Where something is largest: it, and the value there.
+
+        Args:
+            by: What is to be largest; -inf where none counts.
+            values: In proportion to the von Mises stress.
+            regions: See `pair`.
+            singular: See `at_largest`.
+        """
+        problem, comm = self._problem, self._problem.body.comm
+        node = int(np.argmax(by)) if len(by) else -1
+        mine = float(by[node]) if node >= 0 else -np.inf
+        best, rank = max((value, -r) for r, value in enumerate(comm.allgather(mine)))
+        if not np.isfinite(best):
+            return -np.inf, Peak(0.0, (), "", 0.0)
+        own, surface = None, _surface_at(problem, node, -rank)
+        if comm.rank == -rank:
+            x = place_of(problem.V, node)[: problem.body.dim]
+            own = Peak(
+                float(values[node]),
+                tuple(float(a) for a in x),
+                problem.regions[int(regions[node])].name,
+                float(self._errors[node]),
+                surface,
+                self._places.reason(node) if singular else "",
+                self._unresolved(node),
+            )
+        found: Peak = comm.bcast(own, root=-rank)
+        return best, found
+
+    def _unresolved(self, node: int) -> str:
+        """Why a node's stress is not resolved; empty where it is. Not collective."""
+        r, unit = self._resolution, self._problem.body.unit
+        if not r.unresolved[node]:
+            return ""
+        text = f"an element turns by {np.degrees(r.turn[node]):.0f} degrees along the face"
+        if r.bend[node] <= 0:
+            return text
+        size = RESOLVED / r.bend[node] / unit.metres
+        return f"{text}: size = {size:.3g} {unit.name} resolves it"
 
 
 def _surface_at(problem: Problem, node: int, rank: int) -> str:

@@ -367,6 +367,9 @@ def _error(problem: Problem, estimate: ErrorEstimate, *, logs: bool) -> dict[str
         "energy": estimate.energy,
         "von_mises": asdict(peaks.largest),
         "elsewhere": asdict(peaks.elsewhere) if peaks.elsewhere else None,
+        "may_be_larger": asdict(peaks.rival) if peaks.rival else None,
+        "straight_cells": peaks.cut_off,
+        "reservations": peaks.reservations(estimate.relative),
     }
     if peaks.safety is not None:
         other = peaks.safety_elsewhere
