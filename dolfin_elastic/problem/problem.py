@@ -46,6 +46,7 @@ from dolfin_elastic.problem.material_regions import (
 )
 from dolfin_elastic.problem.periodic.fluctuation import Fluctuation
 from dolfin_elastic.problem.periodic.unit_cell import Cell, make_cell
+from dolfin_elastic.problem.pressure.groups import pressure_groups
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.weak_form import WeakForm
 
@@ -138,11 +139,12 @@ class Problem:
         self.regions, fields = make_material_regions(
             body, laws, formulation, degree=degree, order=order, geometry=self.geometry
         )
-        pinned = None
+        pinned, auxiliary = None, fields.auxiliary_fields
+        groups = pressure_groups(body, self.regions, laws, self.loads) if fields.mixed else None
         if self.cell is None:
-            self.unknowns = Unknowns(body.mesh, degree, fields.auxiliary_fields)
+            self.unknowns = Unknowns(body.mesh, degree, auxiliary, groups)
         else:
-            self.unknowns = Fluctuation(body.mesh, degree, fields.auxiliary_fields, self.cell)
+            self.unknowns = Fluctuation(body.mesh, degree, auxiliary, self.cell, groups)
             pinned = self.unknowns.pinned
         self.V, self.u = self.unknowns.V, self.unknowns.u
         self.W, self.w, self.v = self.unknowns.W, self.unknowns.w, self.unknowns.v

@@ -22,8 +22,9 @@ from ufl.finiteelement import AbstractFiniteElement
 from dolfin_elastic.core.compat import collapsed
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.problem.pressure.doubled import DoubledSpace, doubled
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,8 @@ class Unknowns:
         mesh: The mesh.
         degree: Degree of the displacement.
         auxiliary_fields: Scalar fields beside it.
+        groups: Group of each local cell, ghosts too: each has a continuous pressure of its own;
+            None: all have one.
 
     Attributes:
         V: Space of the displacement.
@@ -57,13 +60,20 @@ class Unknowns:
         w: All unknowns; `u` itself when there are no others.
         v: Test function of the displacement.
         degree: Degree of the displacement.
+        groups: See the arguments; None, too, where no pressure is continuous in the cells' groups.
         scale: Name of an auxiliary field to the factor of its unknown (UFL constant, 1 at first).
     """
 
     def __init__(
-        self, mesh: Mesh, degree: int, auxiliary_fields: Sequence[AuxiliaryField] = ()
+        self,
+        mesh: Mesh,
+        degree: int,
+        auxiliary_fields: Sequence[AuxiliaryField] = (),
+        groups: IntArray | None = None,
     ) -> None:
         self.auxiliary_fields, self.degree = tuple(auxiliary_fields), degree
+        jumps = any(e.name == "pressure" and e.continuous for e in self.auxiliary_fields)
+        self.groups = groups if jumps else None
         cell = mesh.basix_cell()
         elements = [basix.ufl.element("Lagrange", cell, degree, shape=(mesh.geometry.dim,))]
         elements += [
@@ -87,9 +97,20 @@ class Unknowns:
         if not self.auxiliary_fields:
             V = fem.functionspace(mesh, elements[0])
             return V, V, V, None
-        W = fem.functionspace(mesh, basix.ufl.mixed_element(elements))
-        V, dofs = collapsed(W.sub(0))
-        return V, V, W, dofs
+        plain = fem.functionspace(mesh, basix.ufl.mixed_element(elements))
+        V, dofs = collapsed(plain.sub(0))
+        split = self._split_pressure(plain)
+        return (V, V, plain, dofs) if split is None else (V, V, split.space, split.new[dofs])
+
+    def _split_pressure(self, plain: fem.FunctionSpace) -> DoubledSpace | None:
+        """The space of all unknowns with a pressure for each group; None: one will do. Collective.
+
+        Args:
+            plain: With one continuous pressure.
+        """
+        if self.groups is None:
+            return None
+        return doubled(plain, 1 + self._index("pressure"), self.groups)
 
     @cached_property
     def places(self) -> FloatArray:
@@ -119,15 +140,16 @@ class Unknowns:
             name: Of the scalar field.
             w: Function, test or trial function of W.
         """
-        index = [e.name for e in self.auxiliary_fields].index(name)
-        return self.scale[name] * self._split(w)[1 + index]
+        return self.scale[name] * self._split(w)[1 + self._index(name)]
+
+    def _index(self, name: str) -> int:
+        return [e.name for e in self.auxiliary_fields].index(name)
 
     def count(self, name: str) -> int:
         """How many unknowns a scalar field has on all ranks."""
         if not self.has(name):
             return 0
-        index = [e.name for e in self.auxiliary_fields].index(name)
-        dofmap = self.W.sub(1 + index).collapse()[0].dofmap
+        dofmap = self.W.sub(1 + self._index(name)).collapse()[0].dofmap
         return int(dofmap.index_map.size_global)
 
     @property

@@ -17,7 +17,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.compat import adjacency, make_index_map, space_like
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.body import Body, connected_components, span
 
 NEAR = 1e-6
@@ -32,10 +32,14 @@ class Field:
         space: Lagrange space of the field alone.
         entries: Local indices of the whole space's map, one row a node of `space`; the fields of
             a row are merged with those of the other row.
+        groups: Where the field jumps between groups of cells: the group of each of the entries of
+            a node, of the shape of `entries`, both -1 where a node has fewer.  Then an entry is
+            merged with that of the same group.
     """
 
     space: fem.FunctionSpace
     entries: IndexArray
+    groups: IntArray | None = None
 
 
 @dataclass(frozen=True)
@@ -53,10 +57,23 @@ class MergedDofmap:
 
 @dataclass(frozen=True)
 class _Points:
-    """Nodes of a surface from all ranks: places and global indices, one row a node."""
+    """Nodes of a surface from all ranks: places, global indices and groups, one row a node."""
 
     x: FloatArray
     index: IntArray
+    group: IntArray
+
+    def joined(self, other: _Points, match: IntArray) -> IntArray:
+        """Pairs of global indices that are one, shape (pairs, 2).
+
+        Args:
+            other: The other surface.
+            match: Which of its nodes each of these is one with.
+        """
+        index, group = other.index[match], other.group[match]
+        same = (self.group[:, :, None] == group[:, None, :]) & (self.group[:, :, None] >= 0)
+        node, here, there = np.nonzero(same)
+        return np.column_stack([index[node, there], self.index[node, here]])
 
 
 class PeriodicPairing:
@@ -154,7 +171,7 @@ class PeriodicPairing:
             for k, vector in enumerate(self.vectors):
                 a, b = self._ends(field, k, V)
                 match = self._match(a.x, b.x, vector, k)
-                found.append(np.column_stack([a.index[match].reshape(-1), b.index.reshape(-1)]))
+                found.append(b.joined(a, match))
         return np.concatenate(found)
 
     def _ends(
@@ -169,11 +186,13 @@ class PeriodicPairing:
     def _points(self, field: Field, V: fem.FunctionSpace, facets: IndexArray) -> _Points:
         tdim, imap, comm = self.body.mesh.topology.dim, V.dofmap.index_map, self.body.comm
         nodes = fem.locate_dofs_topological(field.space, tdim - 1, facets)
-        nodes = nodes[field.entries[nodes, 0] < imap.size_local]
-        x = field.space.tabulate_dof_coordinates()[nodes]
-        columns = field.entries.shape[1]
-        index = imap.local_to_global(field.entries[nodes].reshape(-1)).reshape(-1, columns)
-        return _Points(np.concatenate(comm.allgather(x)), np.concatenate(comm.allgather(index)))
+        nodes = nodes[field.entries[nodes].max(axis=1, initial=-1) < imap.size_local]
+        x, entries = field.space.tabulate_dof_coordinates()[nodes], field.entries[nodes]
+        index = imap.local_to_global(np.maximum(entries, 0).reshape(-1)).reshape(entries.shape)
+        group = np.broadcast_to(np.arange(entries.shape[1]), entries.shape)
+        if field.groups is not None:
+            group = field.groups[nodes]
+        return _Points(*(_gathered(comm, table) for table in (x, index, group)))
 
     def _match(self, a: FloatArray, b: FloatArray, vector: FloatArray, k: int) -> IntArray:
         """Index in a of the image of each point of b."""
@@ -219,6 +238,13 @@ def plain(V: fem.FunctionSpace) -> Field:
     """A Lagrange space as the one field that it consists of."""
     imap = V.dofmap.index_map
     return Field(V, np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)[:, None])
+
+
+def _gathered(comm: MPI.Comm, rows: AnyArray) -> AnyArray:
+    """Rows of all ranks, of which some may have fewer columns: filled up with -1. Collective."""
+    width = max(comm.allgather(rows.shape[1]))
+    filled = np.pad(rows, ((0, 0), (0, width - rows.shape[1])), constant_values=-1)
+    return np.concatenate(comm.allgather(filled))
 
 
 def _middle(x: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from ufl.core.expr import Expr
 from ufl.finiteelement import AbstractFiniteElement
 
 from dolfin_elastic.core.compat import collapsed
-from dolfin_elastic.core.types import IndexArray
+from dolfin_elastic.core.types import IndexArray, IntArray
 from dolfin_elastic.problem.periodic.dofmap import Field, MergedDofmap
 from dolfin_elastic.problem.periodic.unit_cell import Cell
 from dolfin_elastic.problem.spaces import AuxiliaryField, Unknowns
@@ -29,6 +29,7 @@ class Fluctuation(Unknowns):
         degree: Degree of the displacement.
         auxiliary_fields: Scalar fields beside it; they are periodic, too.
         cell: The macroscopic displacement, and which faces are one.
+        groups: See `Unknowns`; on paired faces the pressures of the same group are one.
 
     Attributes:
         pinned: Local entries of V that are the fixed vertex or its images, and one of them for each
@@ -36,10 +37,15 @@ class Fluctuation(Unknowns):
     """
 
     def __init__(
-        self, mesh: Mesh, degree: int, auxiliary_fields: Sequence[AuxiliaryField], cell: Cell
+        self,
+        mesh: Mesh,
+        degree: int,
+        auxiliary_fields: Sequence[AuxiliaryField],
+        cell: Cell,
+        groups: IntArray | None = None,
     ) -> None:
         self.cell, self._dim = cell, int(mesh.geometry.dim)
-        super().__init__(mesh, degree, auxiliary_fields)
+        super().__init__(mesh, degree, auxiliary_fields, groups)
         self.pinned = self._pinned()
 
     def _pinned(self) -> tuple[IndexArray, IndexArray]:
@@ -62,12 +68,19 @@ class Fluctuation(Unknowns):
         plain = fem.functionspace(mesh, basix.ufl.mixed_element(list(elements)))
         V, dofs = collapsed(plain.sub(0))
         dofs = np.asarray(dofs, dtype=np.int32)
+        split = self._split_pressure(plain)
+        space = plain
+        if split is not None:
+            space, dofs = split.space, split.new[dofs]
         fields = [Field(V, dofs.reshape(-1, self._dim))]
         for k, field in enumerate(self.auxiliary_fields, start=1):
             if field.continuous:
                 Q, entries = collapsed(plain.sub(k))
-                fields.append(Field(Q, np.asarray(entries, dtype=np.int32)[:, None]))
-        whole: MergedDofmap = pairing.merged(plain, fields)
+                if split is None or field.name != "pressure":
+                    fields.append(Field(Q, entries[:, None]))
+                else:
+                    fields.append(Field(Q, *split.of_entries(entries)))
+        whole: MergedDofmap = pairing.merged(space, fields)
         self._merged = pairing.merged(V)
         return V, self._merged.space, whole.space, whole.new[dofs]
 

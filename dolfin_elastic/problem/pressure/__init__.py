@@ -1,0 +1,1 @@
+"""The pressure beside the displacement: one continuous field a material."""
