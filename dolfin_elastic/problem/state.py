@@ -118,6 +118,7 @@ class State:
         negative: In statics the number of negative eigenvalues of the tangent, 0 of a stable
             equilibrium; None where the linear solver does not count them.
         limit_points: Load factors of the limit points that the path has passed so far.
+        limit_errors: Estimated errors of these load factors.
         numbers: Further results by name in SI units, for example of probes or the volume of a
             cavity.
         audit: The audit of the step; None with explicit schemes.
@@ -148,6 +149,7 @@ class State:
     max_displacement: float = 0.0
     negative: int | None = None
     limit_points: tuple[float, ...] = ()
+    limit_errors: tuple[float, ...] = ()
     numbers: Mapping[str, float] = field(default_factory=dict)
     audit: Audit | None = None
     failure: str = ""

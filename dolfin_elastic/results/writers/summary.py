@@ -304,6 +304,7 @@ _NUMBERS: dict[str, object] = {
     "moments": {},
     "numbers": {},
     "limit_points": [],
+    "limit_point_errors": [],
 }
 """Numbers of the last step, in the file's order, before there is one."""
 
@@ -325,6 +326,7 @@ def _numbers(state: State) -> dict[str, object]:
         },
         "numbers": dict(state.numbers),
         "limit_points": list(state.limit_points),
+        "limit_point_errors": list(state.limit_errors),
     }
 
 

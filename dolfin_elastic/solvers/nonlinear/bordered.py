@@ -196,6 +196,13 @@ class Bordered:
         self.assembler.residual.evaluate(self._x, self._b)
         self.last = self.scalars.residual()
 
+    def evaluate(self) -> None:
+        """Evaluates everything at the present unknowns, which others have changed. Collective."""
+        x = self.create_vector()
+        self.get(x)
+        self.put(x)
+        x.destroy()
+
     def residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
         """Residual of fields and scalars. Collective.
 
@@ -312,6 +319,33 @@ class Bordered:
             self._solved = [self._inverse(column) for column in self._columns]
             products = [self._products(z) for z in self._solved]
             self._schur = self._corner - np.column_stack(products)
+
+    def tangent(self, rtol: float | None = None) -> tuple[FloatArray, FloatArray]:
+        """Direction of the path along which the first scalar's equation alone changes. Collective.
+
+        Args:
+            rtol: Tolerance of the fields' solver; None: what is known of the last solve will do.
+
+        Returns:
+            Owned entries of the fields, and the scalars, NaN where the tangent is singular.
+        """
+        if rtol is not None:
+            usual, self._solved = self.ksp.getTolerances()[0], None
+            self.ksp.setTolerances(rtol=rtol)
+            self.eliminate()
+            self.ksp.setTolerances(rtol=usual)
+        self.eliminate()
+        assert self._solved is not None
+        right = np.zeros(self.scalars.size)
+        right[0] = 1.0
+        try:
+            scalars = np.asarray(np.linalg.solve(self._schur, right), dtype=np.float64)
+        except np.linalg.LinAlgError:
+            scalars = np.full(self.scalars.size, np.nan)
+        fields = np.zeros(self._size)
+        for s, z in zip(scalars, self._solved, strict=True):
+            fields -= s * z
+        return fields, scalars
 
     def negative(self) -> int:
         """Negative eigenvalues that the scalars add to those of the fields' tangent.

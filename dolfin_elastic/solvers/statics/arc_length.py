@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from dolfin_elastic.solvers.diagnostics.stability import negative_eigenvalues
 from dolfin_elastic.solvers.nonlinear.bordered import JoinedScalars, ScalarUnknowns
 from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
+from dolfin_elastic.solvers.statics.limit_points import LimitPoint, Sample, limit_points
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
 from dolfin_elastic.solvers.statics.step_size import StepSpeed
 
@@ -43,6 +44,12 @@ MIN_COSINE = 0.5
 
 LENGTH_TOLERANCE = 1e-6
 """Relative error of the length of a step: it shifts the point along the path, not off it."""
+
+BALANCED = 10.0
+"""Error of the load of an equilibrium, over what forces out of balance Newton's method has left."""
+
+SLOPE = 1e-8
+"""Relative tolerance of an iterative solver for the tangent of the path."""
 
 
 class ArcLengthConstraint:
@@ -156,7 +163,7 @@ class ArcLength:
         end: Load factor at which the path ends, when it is first reached.
 
     Attributes:
-        limits: Load factors of the limit points passed so far.
+        limits: Limit points passed so far.
     """
 
     def __init__(
@@ -170,8 +177,9 @@ class ArcLength:
         # Increments of the last step: of all scalars, and of the displacement.
         self._scalar_increment: FloatArray = np.zeros(self._all.size)
         self._increment: FloatArray | None = None
-        self.limits: list[float] = []
-        self._points: list[tuple[float, float]] = [(0.0, 0.0)]
+        self.limits: list[LimitPoint] = []
+        # At the last point: the slope of the load factor, and negative eigenvalues.
+        self._slope, self._negative = np.nan, None
         self._size = self._longest = 0.0
         guard = self._newton.guard
         self._bordered = Newton(
@@ -203,6 +211,8 @@ class ArcLength:
                 return
             self._increment, self._size = self._length.increment(), self._length.arc()
             self._longest = MAX_GROWTH * self._size
+            self._bordered.factorise()
+            self._slope, self._negative = self._slopes()[1], found.negative
             yield found
         while self._length.t < self._end * (1 - 1e-12):
             here, t = self._newton.unknowns(), self._length.t
@@ -226,20 +236,129 @@ class ArcLength:
         Args:
             last: Owned displacement increment of the last step [m].
         """
-        before, size = self._all.get(), self._size
+        before, size, here = self._all.get(), self._size, self._newton.unknowns()
         result = self._step(last, size)
         if not result.converged or self._turns_sharply(last):
             log.debug("arc length %g m: %s, a shorter one", size / 2, result.reason)
             return PathPoint(self._length.t, result.refused(result.reason))
+        negative = negative_eigenvalues(self._bordered)
+        along, slope = self._slopes()
+        beginning = self._scalar_increment, self._increment
+        self._increment, self._scalar_increment = self._length.increment(), self._all.get() - before
+        begin = Sample(0.0, float(before[0]), self._slope)
+        end = Sample(self._length.arc(), self._length.t, along)
+        limits, spent = self._limits(begin, end, here)
         if self._length.t < self._end:
-            self._increment, self._scalar_increment = (
-                self._length.increment(),
-                self._all.get() - before,
-            )
-            self._record_point(self._length.t, self._points[-1][1] + size)
+            self.limits += limits
+            negative = self._report(begin.t, negative, limits)
+            self._slope, self._negative = slope, negative
             factor = np.sqrt(DESIRED_ITERATIONS / max(result.newton, 1))
             self._size = min(self._longest, size * float(np.clip(factor, 0.5, 2.0)))
-        return PathPoint(self._length.t, result, negative_eigenvalues(self._bordered))
+        else:
+            self.limits += [limit for limit in limits if limit.t < self._end]
+            self._scalar_increment, self._increment = beginning
+        result = replace(
+            result, newton=result.newton + spent.newton, krylov=result.krylov + spent.krylov
+        )
+        return PathPoint(self._length.t, result, negative)
+
+    # --- limit points ---
+
+    def _slopes(self) -> tuple[float, float]:
+        """Derivative of the load factor by the distance from the step's beginning [1/m].
+
+        And by the length of the path.  Both follow from the last tangent.  Collective.
+        """
+        bordered = self._bordered.bordered
+        assert bordered is not None
+        if not (self._bordered.result.newton or self._bordered.factorised):
+            self._bordered.factorise()
+        fields, scalars = bordered.tangent(None if self._bordered.linear.direct else SLOPE)
+        way, now = fields[self._assembler.displacement_dofs], self._length.increment()
+        product = self._length.product
+        along = product(way, now) / np.sqrt(product(now, now))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = scalars[0] / along
+            return float(slope), float(np.sign(along) * scalars[0] / np.sqrt(product(way, way)))
+
+    def _limits(
+        self, begin: Sample, end: Sample, here: FloatArray
+    ) -> tuple[list[LimitPoint], NewtonResult]:
+        """Limit points inside the step, and what the solves for them have cost. Collective.
+
+        Afterwards the problem is at the end of the step, as before.
+
+        Args:
+            begin: Of the step.
+            end: Of the step.
+            here: `Newton.unknowns` at its beginning.
+        """
+        assert self._increment is not None
+        last, spent = self._increment, NewtonResult()
+        there, lam = self._bordered.unknowns(), self._multipliers()
+
+        def find(s: float) -> Sample | None:
+            nonlocal spent
+            self._undo(here, begin.t)
+            result = self._step(last, s)
+            spent = replace(
+                spent, newton=spent.newton + result.newton, krylov=spent.krylov + result.krylov
+            )
+            if not result.converged:
+                return None
+            return Sample(self._length.arc(), self._length.t, self._slopes()[0])
+
+        least = BALANCED * self._newton.tolerance.rtol
+        found = limit_points(begin, end, find, least=least)
+        if spent.newton:
+            self._bordered.put_back(there)
+            self._put_multipliers(lam)
+            assert self._bordered.bordered is not None
+            self._bordered.bordered.evaluate()
+        return found, spent
+
+    def _multipliers(self) -> list[FloatArray]:
+        return [pair.lam.x.array.copy() for pair in self._problem.contact_pairs]
+
+    def _put_multipliers(self, values: Sequence[FloatArray]) -> None:
+        for pair, own in zip(self._problem.contact_pairs, values, strict=True):
+            pair.lam.x.array[:] = own
+
+    def _report(self, t: float, negative: int | None, limits: Sequence[LimitPoint]) -> int | None:
+        """Logs the limit points of a step, and bifurcations that its pivots show. Collective.
+
+        At a limit point one eigenvalue of the tangent changes its sign; what else changes does so
+        at a bifurcation, which no slope of the load shows.  Where the numbers differ, the tangent
+        of the end itself counts: Newton's last one may belong to the other side of a limit point.
+
+        Args:
+            t: Load factor at its beginning.
+            negative: Negative eigenvalues at its end, if they are known.
+            limits: Those in it.
+
+        Returns:
+            Negative eigenvalues at its end, if they are known.
+        """
+        for limit in limits:
+            log.info("limit point: load factor %.8g, error about %.1g", limit.t, limit.error)
+        if negative is None or self._negative is None:
+            return negative
+        if not _explained(negative - self._negative, len(limits)):
+            self._bordered.factorise()
+            negative = negative_eigenvalues(self._bordered)
+        if negative is None or _explained(negative - self._negative, len(limits)):
+            return negative
+        log.warning(
+            "bifurcation between the load factors %.6g and %.6g: the tangent has %d negative "
+            "eigenvalues before and %d behind, with %d limit points between; another path branches "
+            "off, and small imperfections decide which one a body takes",
+            t,
+            self._length.t,
+            self._negative,
+            negative,
+            len(limits),
+        )
+        return negative
 
     def restart_state(self) -> RestartState:
         """See `Restartable`; the field "way" is the last increment. Not collective."""
@@ -251,8 +370,9 @@ class ArcLength:
             "lead": self._scalar_increment.tolist(),
             "size": self._size,
             "longest": self._longest,
-            "points": self._points,
-            "limits": self.limits,
+            "slope": self._slope,
+            "negative": self._negative,
+            "limits": [[limit.t, limit.error] for limit in self.limits],
             "newton": self._bordered.restart_state(),
         }
         return RestartState({"way": way}, numbers)
@@ -271,8 +391,8 @@ class ArcLength:
         self._increment = way.x.array[self._assembler.displacement_dofs].copy()
         self._scalar_increment = np.array(saved["lead"])
         self._size, self._longest = saved["size"], saved["longest"]
-        self._points = [(load, arc) for load, arc in saved["points"]]
-        self.limits = list(saved["limits"])
+        self._slope, self._negative = saved["slope"], saved["negative"]
+        self.limits = [LimitPoint(*limit) for limit in saved["limits"]]
         self._bordered.restore(saved["newton"])
 
     def _first(self, t: float, smallest: float, longest: float) -> PathPoint:
@@ -298,7 +418,6 @@ class ArcLength:
             too_fast = StepSpeed(self._assembler).too_fast(0.0, t, here, result)
             too_fast = too_fast or self._assembler.max_displacement() > longest
             if result.converged and not (too_fast and t / 2 >= least):
-                self._points.append((t, self._length.arc()))
                 return PathPoint(t, result, negative_eigenvalues(self._newton))
             if t / 2 < least:
                 return PathPoint(0.0, result, good=here, failed=self._retry.failed)
@@ -352,13 +471,7 @@ class ArcLength:
             return PathPoint(t, result, good=here, failed=self._retry.failed)
         return PathPoint(self._end, result, negative_eigenvalues(self._newton))
 
-    def _record_point(self, t: float, arc: float) -> None:
-        """Stores the last three points (load, arc) and finds the limit point between them."""
-        self._points = [*self._points, (t, arc)][-3:]
-        loads = [load for load, _ in self._points]
-        if len(loads) < 3 or (loads[1] - loads[0]) * (loads[2] - loads[1]) >= 0:
-            return
-        a, b, c = np.polyfit([s - arc for _, s in self._points], loads, 2)
-        limit = float(loads[1] if a == 0 else np.polyval([a, b, c], -b / (2 * a)))
-        self.limits.append(limit)
-        log.info("limit point: load factor %.6g", limit)
+
+def _explained(change: int, limits: int) -> bool:
+    """Whether so many limit points can change the number of negative eigenvalues by so much."""
+    return abs(change) <= limits and (change - limits) % 2 == 0

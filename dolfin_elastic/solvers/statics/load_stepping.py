@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Generator, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -449,7 +449,10 @@ class LoadStepping:
             if not result.converged:
                 good = self._newton.unknowns() if point.good is None else point.good
                 raise self._failure(point.t, point.t, result, good, point.failed)
-            self._t, self._limits = point.t, tuple(arc.limits)
-            yield self._states.state(point.t, result, negative=point.negative, limits=self._limits)
+            self._t, self._limits = point.t, tuple(limit.t for limit in arc.limits)
+            state = self._states.state(
+                point.t, result, negative=point.negative, limits=self._limits
+            )
+            yield replace(state, limit_errors=tuple(limit.error for limit in arc.limits))
             if self._ends_early():
                 return

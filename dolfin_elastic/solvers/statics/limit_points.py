@@ -1,0 +1,134 @@
+"""Limit points inside a step of a path: where the load has a largest or smallest value.
+
+The load factor over the length of the step is a cubic from the values and slopes at both ends
+(Hermite).  A root of its derivative is where a further point of the path is found, which replaces
+one of the ends, and so on: the error of the load falls with the fourth power of the length.  The
+slope is that of the tangent of the path, of the factors that Newton's method has left.
+
+Sources: R. Seydel, Practical Bifurcation and Stability Analysis (2010), section 5.5 (test
+functions); C. de Boor, A Practical Guide to Splines (1978), chapter IV (cubic Hermite
+interpolation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+EXACT = 1e-8
+"""Error of a limit load, over itself, at which it counts as found."""
+
+MOST = 6
+"""Further points of the path for each limit point."""
+
+APART = 1e-3
+"""Share of the step by which two limit points in it are apart."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A point of the path in a step.
+
+    Attributes:
+        s: Its distance from the beginning of the step [m].
+        t: Load factor.
+        slope: Derivative of t by s [1/m].
+    """
+
+    s: float
+    t: float
+    slope: float
+
+
+@dataclass(frozen=True)
+class LimitPoint:
+    """A largest or smallest load factor along a path.
+
+    Attributes:
+        t: The load factor.
+        error: Its estimated error.
+    """
+
+    t: float
+    error: float
+
+
+def limit_points(
+    begin: Sample, end: Sample, find: Callable[[float], Sample | None], *, least: float = 0.0
+) -> list[LimitPoint]:
+    """All limit points in a step that its cubics show, in their order.
+
+    Args:
+        begin: Of the step.
+        end: Of the step.
+        find: The point of the path at a distance; None where it is not found.
+        least: Error of the load of a point of the path, over the load.
+    """
+    found: list[LimitPoint] = []
+    left = begin
+    while roots := [x for x in _turns(left, end) if x > left.s + APART * (end.s - begin.s)]:
+        point, limit = _located(left, end, roots[0], find)
+        found.append(LimitPoint(limit.t, max(limit.error, least * abs(limit.t))))
+        if point is None or len(found) > 2:
+            break
+        left = point
+    return found
+
+
+def _located(
+    left: Sample, right: Sample, x: float, find: Callable[[float], Sample | None]
+) -> tuple[Sample | None, LimitPoint]:
+    """The limit point next to x, and the last point of the path that was found there."""
+    samples, point = [left, right], None
+    value = _cubic(left, right, x)
+    error = max(abs(value - left.t), abs(value - right.t))
+    for _ in range(MOST):
+        found = find(x)
+        if found is None:
+            break
+        point = found
+        samples = sorted([*samples, point], key=lambda sample: abs(sample.s - point.s))
+        left, right = (left, point) if left.slope * point.slope <= 0.0 else (point, right)
+        # The two nearest points give the better cubic, the two around the limit one with a root.
+        near = [x for x in _turns(*samples[:2], inside=False) if left.s < x < right.s]
+        pair = samples[:2] if near else (left, right)
+        roots = near or _turns(left, right)
+        if not roots:
+            # The slope is all that is left to tell: the limit is within a step of Newton's method.
+            return point, LimitPoint(point.t, abs(point.slope * (right.s - left.s)))
+        x = min(roots, key=lambda root: abs(root - point.s))
+        value, error = _cubic(*pair, x), abs(point.slope * (x - point.s))
+        if error <= EXACT * max(abs(value), np.finfo(np.float64).tiny):
+            break
+    return point, LimitPoint(value, error)
+
+
+def _coefficients(a: Sample, b: Sample) -> tuple[float, float, float, float]:
+    """Of 1, x, x^2 and x^3, x the share of the distance from a to b."""
+    h = b.s - a.s
+    g, k = h * a.slope, h * b.slope
+    return a.t, g, 3 * (b.t - a.t) - 2 * g - k, 2 * (a.t - b.t) + g + k
+
+
+def _cubic(a: Sample, b: Sample, s: float) -> float:
+    """Load factor of the cubic between two points."""
+    x = (s - a.s) / (b.s - a.s)
+    c = _coefficients(a, b)
+    return c[0] + x * (c[1] + x * (c[2] + x * c[3]))
+
+
+def _turns(a: Sample, b: Sample, *, inside: bool = True) -> list[float]:
+    """Where the cubic of two points has a horizontal tangent, sorted [m].
+
+    Args:
+        a: One point.
+        b: The other one.
+        inside: Between them only.
+    """
+    if not np.isfinite([a.slope, b.slope]).all():
+        return []
+    _, c1, c2, c3 = _coefficients(a, b)
+    shares = [float(x.real) for x in np.roots([3 * c3, 2 * c2, c1]) if abs(x.imag) < 1e-12]
+    return sorted(a.s + x * (b.s - a.s) for x in shares if not inside or 0.0 < x < 1.0)
