@@ -179,7 +179,8 @@ class ArcLength:
         self._increment: FloatArray | None = None
         self.limits: list[LimitPoint] = []
         # At the last point: the slope of the load factor, and negative eigenvalues.
-        self._slope, self._negative = np.nan, None
+        self._slope = np.nan
+        self._negative: int | None = None
         self._size = self._longest = 0.0
         guard = self._newton.guard
         self._bordered = Newton(

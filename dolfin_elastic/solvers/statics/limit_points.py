@@ -89,18 +89,22 @@ def _located(
         if found is None:
             break
         point = found
-        samples = sorted([*samples, point], key=lambda sample: abs(sample.s - point.s))
-        left, right = (left, point) if left.slope * point.slope <= 0.0 else (point, right)
+        if not np.isfinite(found.slope):  # the tangent is singular: it is the limit point
+            return point, LimitPoint(found.t, abs(value - found.t))
+        samples = [found, *sorted(samples, key=lambda sample: abs(sample.s - found.s))]
+        left, right = (left, found) if left.slope * found.slope <= 0.0 else (found, right)
         # The two nearest points give the better cubic, the two around the limit one with a root.
-        near = [x for x in _turns(*samples[:2], inside=False) if left.s < x < right.s]
-        pair = samples[:2] if near else (left, right)
-        roots = near or _turns(left, right)
+        pair = found, samples[1]
+        roots = [at for at in _turns(*pair, inside=False) if left.s < at < right.s]
+        if not roots:
+            pair = left, right
+            roots = _turns(left, right)
         if not roots:
             # The slope is all that is left to tell: the limit is within a step of Newton's method.
-            return point, LimitPoint(point.t, abs(point.slope * (right.s - left.s)))
-        x = min(roots, key=lambda root: abs(root - point.s))
-        value, error = _cubic(*pair, x), abs(point.slope * (x - point.s))
-        if error <= EXACT * max(abs(value), np.finfo(np.float64).tiny):
+            return found, LimitPoint(found.t, abs(found.slope * (right.s - left.s)))
+        x = roots[int(np.argmin(np.abs(np.array(roots) - found.s)))]
+        value, error = _cubic(*pair, x), abs(found.slope * (x - found.s))
+        if error <= EXACT * abs(value):
             break
     return point, LimitPoint(value, error)
 
