@@ -13,6 +13,7 @@ from dolfin_elastic.case.case import locate_errors, read_materials
 from dolfin_elastic.core.errors import CaseError, nearest
 from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.schema import known_keys
+from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.units import stress_unit
 from dolfin_elastic.material_point.homogeneous_tests import ResponseCurve
 from dolfin_elastic.material_point.report import MaterialReport
@@ -185,6 +186,7 @@ def table(curve: ResponseCurve) -> str:
     return "\n".join([",".join(heads), *lines]) + "\n"
 
 
+@plain_matplotlib()
 def _draw(name: str, found: MaterialReport, path: Path) -> None:
     """One picture of all curves."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -36,8 +36,8 @@ from pathlib import Path
 from stat import S_ISDIR, S_ISSOCK
 from types import ModuleType
 
-from dolfin_elastic.core.petsc_options import start_petsc
 from dolfin_elastic.core.signals import launched
+from dolfin_elastic.core.startup.libraries import start
 
 _SLEEPS = b"libpsm2.so.2"
 _FIRST = ("hashlib", "numpy", "pydantic_core", "uuid", "zoneinfo")
@@ -52,12 +52,9 @@ _MEANWHILE = (
     "dolfin_elastic.model.supports.rigid_surface",
     "dolfin_elastic.model.supports.springs",
     "dolfin_elastic.model.tie",
-    "dolfin_elastic.mesh.selectors",
-    "dolfin_elastic.case.toml",
-    "dolfin_elastic.results.fields",
 )
 """Modules of Python alone, once the first are there, with UFL: they import no other library."""
-_COMPILED = ("basix.ufl", "ffcx", "cffi", "mpi4py.MPI")
+_COMPILED = ("basix.ufl", "ffcx", "cffi")
 """What DOLFINx imports and has byte code."""
 _FOR_NUMBA = "dolfinx.utils"
 
@@ -74,8 +71,9 @@ def import_early(at_start: Sequence[str] = ()) -> None:
     if alone:
         os.environ.setdefault("UCX_MEM_EVENTS", "n")
     _import_beside_psm2()
-    start_petsc(list(at_start))
-    _import_dolfinx(_byte_code() if alone else None)  # not from a disk that all of a cluster share
+    # Not from a disk that all of a cluster share.
+    with _importing_dolfinx(_byte_code() if alone else None):
+        start(at_start)
     if "PMIX_RANK" in os.environ:
         _send_at_once()
 
@@ -106,7 +104,8 @@ def _import_beside_psm2() -> None:
     loading.join()
 
 
-def _import_dolfinx(byte_code: str | None) -> None:
+@contextmanager
+def _importing_dolfinx(byte_code: str | None) -> Iterator[None]:
     """Without its utilities for Numba; who imports them later gets them.
 
     Args:
@@ -119,8 +118,8 @@ def _import_dolfinx(byte_code: str | None) -> None:
     sys.modules[_FOR_NUMBA] = ModuleType(_FOR_NUMBA)
     before, sys.pycache_prefix = sys.pycache_prefix, sys.pycache_prefix or byte_code
     try:
-        dolfinx = import_module("dolfinx")
-        vars(dolfinx).pop("utils", None)
+        yield
+        vars(sys.modules["dolfinx"]).pop("utils", None)
     finally:
         sys.pycache_prefix = before
         del sys.modules[_FOR_NUMBA]

@@ -6,6 +6,8 @@ import os
 import platform
 from pathlib import Path
 
+import dolfin_elastic.core.startup.started  # noqa: F401  # before anything starts MPI
+
 import dolfinx.cpp
 import numpy as np
 from mpi4py import MPI

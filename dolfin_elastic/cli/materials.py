@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from dolfin_elastic.core.errors import CaseError
+from dolfin_elastic.core.startup.libraries import start
 
 
 def material(
@@ -47,9 +48,9 @@ def material(
         output: Folder that curves are written to.
         json: Write the report as JSON.
     """
+    start()
     from mpi4py import MPI
 
-    # Imported on all ranks: this starts PETSc, which is collective.
     from dolfin_elastic.case.material_report import read_constants
     from dolfin_elastic.core.parallel import on_root
 

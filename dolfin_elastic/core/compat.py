@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import dolfin_elastic.core.startup.started  # noqa: F401  # before anything starts MPI
+
 import numpy as np
 from dolfinx import cpp, fem
 from dolfinx.graph import adjacencylist

@@ -7,6 +7,8 @@ import pickle
 from collections.abc import Callable, Iterable
 from typing import TypeVar, cast
 
+import dolfin_elastic.core.startup.started  # noqa: F401  # before anything starts MPI
+
 import numpy as np
 from mpi4py import MPI
 

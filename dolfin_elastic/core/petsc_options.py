@@ -1,13 +1,12 @@
 """PETSc options by name: which of them a user may give, and how a command line is read.
 
-PETSc itself is imported in `start_petsc` only: options that it reads when it starts must be known
-before any module that imports petsc4py.
+PETSc itself is started elsewhere, see `startup`: options that it reads as it starts must be known
+before.
 """
 
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Iterable, Mapping
 from typing import TypeAlias
 
@@ -172,7 +171,7 @@ def parse_arguments(arguments: list[str]) -> tuple[dict[str, PetscValue], list[s
 
     Returns:
         Options of the solvers, name to value (None: a switch), and the arguments for
-        `start_petsc`.
+        `startup.libraries.start`.
 
     Raises:
         CaseError: An argument is neither an option nor the value of one, or a key of the case
@@ -204,11 +203,3 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def start_petsc(arguments: list[str]) -> None:
-    """Starts PETSc with the options that it reads itself. Collective."""
-    if arguments:
-        import petsc4py
-
-        petsc4py.init([sys.argv[0], *arguments])

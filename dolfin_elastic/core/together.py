@@ -13,6 +13,8 @@ import time
 import traceback
 from types import FrameType, TracebackType
 
+import dolfin_elastic.core.startup.started  # noqa: F401  # before anything starts MPI
+
 import numpy as np
 from mpi4py import MPI
 

@@ -1,13 +1,15 @@
 """Meshes: reading, generating, naming of parts, checks of cells.
 
 Each name is imported when it is first used: the process of Gmsh (`formats/cad/`) has no use for
-DOLFINx, which takes ten times as long to import.
+DOLFINx, which takes ten times as long to import, and starts no MPI (`stay_without`).
 """
 
 from __future__ import annotations
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+import dolfin_elastic.core.startup.started  # noqa: F401  # before anything starts MPI
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body as Body

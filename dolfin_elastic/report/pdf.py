@@ -52,7 +52,9 @@ def print_pdf(page: Path, pdf: Path) -> Path:
             page.resolve().as_uri(),
         ]
         try:
-            done = subprocess.run(command, capture_output=True, timeout=_SECONDS, check=False)
+            done = subprocess.run(
+                command, capture_output=True, timeout=_SECONDS, check=False, cwd=profile
+            )
         except (OSError, subprocess.TimeoutExpired) as error:
             raise OutputError(f"no PDF: {browser} has failed: {error}") from None
         if done.returncode or not printed.is_file():

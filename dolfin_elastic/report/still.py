@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray
 from dolfin_elastic.report.depth import Window, look
 from dolfin_elastic.report.scene import Marks, Scene, Shown
@@ -79,6 +80,7 @@ class Camera:
         window = _window(np.concatenate([self.flat, *ends]))
         self._seen = look(self.flat, self._depth, scene.triangles, window)
 
+    @plain_matplotlib()
     def picture(self, shown: Shown | None = None) -> str:
         """A picture as a data URL.
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from dolfin_elastic.case.converge.progress import Level, Progress
 from dolfin_elastic.core.files.regular import fresh
+from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.results.files import make_folder, replace_text, writing
 
 TABLE, SUMMARY, PLOT = FILES = ("converge.csv", "converge.json", "converge.png")
@@ -64,6 +65,7 @@ def _summary(progress: Progress) -> dict[str, object]:
     }
 
 
+@plain_matplotlib()
 def _draw(progress: Progress, path: Path) -> None:
     """The quantity and the errors over the unknowns."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg

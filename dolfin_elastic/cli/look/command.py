@@ -12,6 +12,7 @@ import typer
 from dolfin_elastic.cli.run import Trust, collect_garbage, log_to_screen
 from dolfin_elastic.core.errors import CaseError
 from dolfin_elastic.core.signals import interrupt_on_request
+from dolfin_elastic.core.startup.libraries import start
 
 
 def look(
@@ -43,6 +44,7 @@ def look(
     Raises:
         CaseError: The picture cannot have that name.
     """
+    start()
     from mpi4py import MPI
 
     from dolfin_elastic.case.look.look import look_at

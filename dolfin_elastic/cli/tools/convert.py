@@ -9,6 +9,8 @@ from typing import Annotated
 
 import typer
 
+from dolfin_elastic.core.startup.libraries import start
+
 
 def convert(
     mesh: Annotated[Path, typer.Argument(metavar="MESH", hidden=True)],
@@ -35,6 +37,7 @@ def convert(
         MeshError: The mesh cannot be read, or the target is no .xdmf file or exists.
         OutputError: The files cannot be written.
     """
+    start()
     from mpi4py import MPI
 
     from dolfin_elastic.cli.run import collect_garbage

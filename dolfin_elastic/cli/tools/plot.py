@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dolfin_elastic.core.errors import InputError, UnitError, nearest
+from dolfin_elastic.core.startup.libraries import start
 
 if TYPE_CHECKING:
     from dolfin_elastic.core.types import FloatArray
@@ -106,13 +107,13 @@ def plot(
     Raises:
         InputError: Something of it is not there, or cannot be read.
     """
+    start()
     from mpi4py import MPI
 
     from dolfin_elastic.core.parallel import on_root
     from dolfin_elastic.results.finished import draw  # noqa: F401
     from dolfin_elastic.results.finished.run import FinishedRun
 
-    # These imports start PETSc, which all ranks do together.
     limits = None if ends is None else _limits(ends)
 
     def work() -> None:

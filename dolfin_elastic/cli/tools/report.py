@@ -9,6 +9,8 @@ from typing import Annotated
 
 import typer
 
+from dolfin_elastic.core.startup.libraries import start
+
 
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", hidden=True)],
@@ -41,9 +43,9 @@ def report(
         InputError: It is no folder of results.
         OutputError: Something cannot be written, or there is no Chromium for the PDF.
     """
+    start()
     from mpi4py import MPI
 
-    # Imported on all ranks: this starts PETSc, which is collective.
     from dolfin_elastic.core.errors import CaseError
     from dolfin_elastic.core.parallel import on_root
     from dolfin_elastic.report.report import write_report

@@ -19,6 +19,7 @@ from click.exceptions import Exit, UsageError
 
 from dolfin_elastic.core.errors import CaseError
 from dolfin_elastic.core.signals import launched_rank
+from dolfin_elastic.core.startup.libraries import start
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.verify.compare import Difference
@@ -101,6 +102,7 @@ def _counts(text: str) -> list[int]:
 
 def _here(*, full: bool) -> Iterator[dict[str, Any]]:
     """The suite on the ranks of this process. Collective."""
+    start()
     from mpi4py import MPI
 
     from dolfin_elastic.case.verify.suite import verify as suite
@@ -111,9 +113,18 @@ def _here(*, full: bool) -> Iterator[dict[str, Any]]:
         yield outcome.row()
 
 
+_PROGRAM = f"""
+import sys
+sys.path.append({str(Path(__file__).resolve().parents[3])!r})
+from dolfin_elastic.cli.app import main
+main()
+"""
+"""This program, of which nothing is looked for in the current folder."""
+
+
 def _program(count: int) -> list[str]:
     """This program on so many ranks."""
-    alone = [sys.executable, "-m", "dolfin_elastic"]
+    alone = [sys.executable, "-P", "-c", _PROGRAM]
     return alone if count == 1 else ["mpirun", "-n", str(count), *alone]
 
 
@@ -160,6 +171,7 @@ def _end(rows: Sequence[dict[str, Any]]) -> None:
 
 def _write(file: Path, table: object) -> None:
     """Writes a table as JSON. Collective."""
+    start()
     from mpi4py import MPI
 
     from dolfin_elastic.core.parallel import on_root

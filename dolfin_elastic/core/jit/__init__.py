@@ -1,5 +1,7 @@
 """Compiling forms: flags, all ranks at work, a cache that many runs share and that mends itself."""
 
+import dolfin_elastic.core.startup.started  # noqa: F401  # before anything starts MPI
+
 from dolfin_elastic.core.jit.c_code import CFunctions, compile_c
 from dolfin_elastic.core.jit.cache import cache_folder
 from dolfin_elastic.core.jit.compile import (

@@ -22,6 +22,7 @@ import numpy as np
 import ufl
 from dolfinx import fem, jit
 from ffcx.naming import compute_signature
+from ffcx.options import FFCX_DEFAULT_OPTIONS
 from mpi4py import MPI
 from ufl.classes import Label
 from ufl.core.expr import Expr
@@ -38,6 +39,7 @@ from dolfin_elastic.core.jit.cache import (
 from dolfin_elastic.core.jit.processes import NewProcesses
 from dolfin_elastic.core.parallel import agree, on_root, smallest
 from dolfin_elastic.core.signals import interruptible
+from dolfin_elastic.core.startup.elsewhere import without_settings
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 
@@ -57,19 +59,33 @@ FLAGS = (
     "-g0",
 )
 
+# Both read files of options with the first call: ffcx_options.json and dolfinx_jit_options.json in
+# the current folder and in the user's home, where a number such as table_atol changes the code of
+# forms.  Here they find none; if somebody has called them before, all of theirs are overruled.
+with without_settings():
+    ffcx.get_options()
+    jit.get_options()
+FFCX_OPTIONS = {name: row[1] for name, row in FFCX_DEFAULT_OPTIONS.items()}
+"""All of FFCx's options, with its own defaults."""
+FFCX_OPTIONS["scalar_type"] = dolfinx.default_scalar_type
+
 
 class JitOptions(TypedDict):
-    """Options of DOLFINx's form compiler.
+    """Options of DOLFINx's form compiler: all of them.
 
     Attributes:
         cffi_extra_compile_args: Flags of the C compiler.
         cffi_debug: Compile for a debugger.
+        cffi_verbose: Show what the C compiler prints.
+        cffi_libraries: Further libraries to link.
         timeout: Seconds for which FFCx waits for another process; no process here meets that.
         cache_dir: Folder of compiled forms.
     """
 
     cffi_extra_compile_args: list[str]
     cffi_debug: bool
+    cffi_verbose: bool
+    cffi_libraries: list[str] | None
     timeout: int
     cache_dir: Path
 
@@ -96,6 +112,8 @@ def options(comm: MPI.Comm) -> JitOptions:
     return {
         "cffi_extra_compile_args": list(FLAGS),
         "cffi_debug": False,
+        "cffi_verbose": False,
+        "cffi_libraries": None,
         "timeout": 600,
         "cache_dir": folder,
     }
@@ -238,12 +256,11 @@ def find_on_all_ranks(
 
 def _named(form: Compilable, jit_options: JitOptions) -> tuple[str, Compile]:
     """Name of a form, or of an expression with its points, and what compiles it."""
-    scalar = {"scalar_type": dolfinx.default_scalar_type}
     # All that FFCx makes the name of a module from: its options, the flags, Python and the C
     # compiler's own settings.
     flags = [jit_options["cffi_extra_compile_args"], jit_options["cffi_debug"]]
     python = [sysconfig.get_config_var(name) for name in ("CFLAGS", "SOABI")]
-    tag = "".join(map(str, [sorted(ffcx.get_options(scalar).items()), *flags, *python]))
+    tag = "".join(map(str, [sorted(ffcx.get_options(FFCX_OPTIONS).items()), *flags, *python]))
 
     def compile_into(folder: Path) -> None:
         with _root_log_kept():
@@ -251,7 +268,7 @@ def _named(form: Compilable, jit_options: JitOptions) -> tuple[str, Compile]:
                 MPI.COMM_SELF,
                 form,
                 jit_options={**jit_options, "cache_dir": folder},
-                form_compiler_options=scalar,
+                form_compiler_options=FFCX_OPTIONS,
             )
 
     return compute_signature([form], tag), compile_into

@@ -12,6 +12,7 @@ import numpy as np
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.files.regular import fresh
+from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import replace_text, writing
@@ -187,6 +188,7 @@ def write_csv(curves: Curves, file: Path) -> None:
     replace_text(file, text.getvalue())
 
 
+@plain_matplotlib()
 def draw_curves(curves: Curves, file: Path) -> None:
     """Draws curves, each unit with an axis of its own where there are two.
 

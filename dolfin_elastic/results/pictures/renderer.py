@@ -22,6 +22,7 @@ from shutil import which
 from typing import IO, cast
 
 from dolfin_elastic.core.errors import OutputError
+from dolfin_elastic.core.startup.elsewhere import EMPTY
 
 _PROGRAM = Path(__file__).with_name("_draw.py")
 log = logging.getLogger("dolfin_elastic")
@@ -45,6 +46,7 @@ class Renderer:
         self._process = subprocess.Popen(
             [sys.executable, "-P", str(script)],
             env=environment,
+            cwd=EMPTY,  # matplotlib would read a matplotlibrc of the current folder
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._output,
@@ -66,7 +68,7 @@ class Renderer:
         assert into is not None
         assert back is not None
         try:
-            into.write("\t".join(map(str, (*data, drawn))) + "\n")
+            into.write("\t".join(str(file.absolute()) for file in (*data, drawn)) + "\n")
             into.flush()
         except BrokenPipeError:
             raise self._fault() from None
@@ -185,6 +187,7 @@ def _start_xvfb() -> tuple[subprocess.Popen[bytes], int]:
     server = subprocess.Popen(
         ["Xvfb", "-displayfd", str(write), *size, "-nolisten", "tcp", "-terminate"],
         pass_fds=[write],
+        cwd=EMPTY,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,

@@ -257,7 +257,9 @@ class Stability:
         The compliances, inverse stiffnesses, are eigenvalues of the displacement block of the
         inverse tangent, found by Krylov-Schur iterations.
         """
-        from slepc4py import SLEPc  # few runs ask for a mode, all for pivots
+        from dolfin_elastic.core.startup.slepc import (
+            SLEPc,  # few runs ask for a mode, all for pivots
+        )
 
         shell = PETSc.Mat().createPython(
             ((self.assembler.size, None),) * 2, context=_Compliance(self), comm=self.comm

@@ -15,9 +15,9 @@ import logging
 from collections.abc import Sequence
 
 from petsc4py import PETSc
-from slepc4py import SLEPc
 
 from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions
+from dolfin_elastic.core.startup.slepc import SLEPc
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem

@@ -20,13 +20,13 @@ from typing import Protocol
 
 import numpy as np
 from petsc4py import PETSc
-from slepc4py import SLEPc
 
 from dolfin_elastic.core.compat import petsc_errors
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
 from dolfin_elastic.core.signals import raise_if_agreed, stop_agreed
+from dolfin_elastic.core.startup.slepc import SLEPc
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem

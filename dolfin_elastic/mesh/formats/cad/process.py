@@ -32,6 +32,8 @@ from dolfin_elastic.mesh.formats.cad import landlock
 _PROGRAM = """
 import sys
 sys.path[:] = {path}
+from dolfin_elastic.core.startup.libraries import stay_without
+stay_without()
 from dolfin_elastic.mesh.formats.cad.worker import main
 main()
 """

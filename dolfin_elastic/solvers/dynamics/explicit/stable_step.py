@@ -10,10 +10,10 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from petsc4py import PETSc
-from slepc4py import SLEPc
 
 from dolfin_elastic.core.errors import InputError, StabilityError
 from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.core.startup.slepc import SLEPc
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem

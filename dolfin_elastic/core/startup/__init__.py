@@ -1,0 +1,1 @@
+"""How MPI, PETSc and the other libraries start: the current folder decides nothing."""
