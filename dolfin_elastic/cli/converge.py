@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -86,7 +87,7 @@ def converge(
     check_kept(folder, "--output" if output is not None else "output.folder")
     visible = comm.rank == 0 and not quiet
     shown, progress = 0, None
-    Stop(folder, lambda: mark_stopped(folder))
+    Stop(folder, partial(mark_stopped, folder.absolute()))
     try:
         with closing(converge_case(read, goal, output=folder, petsc=options, comm=comm)) as levels:
             for progress in levels:

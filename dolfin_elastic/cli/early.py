@@ -33,11 +33,12 @@ from contextlib import contextmanager, suppress
 from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
-from stat import S_ISDIR, S_ISSOCK
+from stat import S_ISSOCK
 from types import ModuleType
 
 from dolfin_elastic.core.signals import launched
 from dolfin_elastic.core.startup.libraries import start
+from dolfin_elastic.core.startup.private import make_private, user_cache, why_foreign
 
 _SLEEPS = b"libpsm2.so.2"
 _FIRST = ("hashlib", "numpy", "pydantic_core", "uuid", "zoneinfo")
@@ -169,24 +170,11 @@ def _byte_code() -> str | None:
     if sys.dont_write_bytecode:
         return None
     try:
-        root = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-        folder = Path(root) / "dolfin_elastic" / "python"
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        own = _is_own(folder, 0o022) and _is_own(folder.parent, 0o002)
+        folder = user_cache() / "dolfin_elastic" / "python"
+        make_private(folder)
+        return None if why_foreign(folder, own=True) else str(folder)
     except (OSError, RuntimeError):  # there is no home
         return None
-    return str(folder) if own else None
-
-
-def _is_own(folder: Path, of_others: int) -> bool:
-    """Whether a folder is this user's, and no link, and without rights that others must not have.
-
-    Raises:
-        OSError: There is none.
-    """
-    found = folder.lstat()
-    mode = found.st_mode
-    return found.st_uid == os.getuid() and S_ISDIR(mode) and not mode & of_others
 
 
 def _send_at_once() -> None:

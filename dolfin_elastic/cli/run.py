@@ -8,6 +8,7 @@ import logging
 import sys
 from collections.abc import Generator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -91,7 +92,7 @@ def run(
 
     check_kept(folder, "--output" if output is not None else "output.folder")
 
-    stop = Stop(folder, lambda: mark_stopped(folder))
+    stop = Stop(folder, partial(mark_stopped, folder.absolute()))
     states = run_case(read, output=folder, petsc=options, asked=stop.wants_checkpoint)
     shown = _Shown(quiet=quiet or json, verbose=verbose, json=json, profile=profile)
     _compute(_DisplayedRun(read, folder, states, stop, shown), comm)
@@ -136,7 +137,7 @@ def restart(
     found = unfinished(folder, comm=comm, trust=trust)
     logging.getLogger("dolfin_elastic").info("%s", found.message())
 
-    stop = Stop(folder, lambda: mark_stopped(folder))
+    stop = Stop(folder, partial(mark_stopped, folder.absolute()))
     states = restart_case(found, petsc=options, asked=stop.wants_checkpoint)
     shown = _Shown(quiet=quiet or json, verbose=verbose, json=json, profile=profile)
     displayed = _DisplayedRun(found.case, folder, states, stop, shown, since=found.step)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dolfin_elastic.core.startup.elsewhere import elsewhere
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.report.quantity import scaled_unit
 from dolfin_elastic.results.derived.spectral import von_mises
@@ -227,7 +228,8 @@ def surface_of(grid: pyvista.UnstructuredGrid) -> tuple[IntArray, IntArray, IntA
         Nodes of the grid that are used, triangles and edges between these, and the number of
         triangles before they were made fewer.
     """
-    import pyvista as pv
+    with elsewhere():
+        import pyvista as pv
 
     grid = grid.copy(deep=False)
     grid.clear_data()

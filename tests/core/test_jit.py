@@ -8,6 +8,7 @@ import logging
 import os
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import threading
@@ -30,6 +31,7 @@ from dolfin_elastic.core.jit import cache, claim
 from dolfin_elastic.core.jit import compile as compile_module
 from dolfin_elastic.core.jit.cache import find_or_compile, private_folders
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.startup.private import why_foreign
 
 
 def test_an_expression_is_compiled_once(comm: MPI.Comm, folder, monkeypatch: pytest.MonkeyPatch):
@@ -375,6 +377,67 @@ def test_code_that_another_user_may_have_left(number: int, mode: int, tmp_path: 
     found = find_or_compile(roots, "f", write("own"))
     assert found == roots[1 - number] / "f"
     assert (found / "code").read_text() == "own"
+
+
+@serial
+@pytest.mark.parametrize("mask", [0o002, 0o000])
+def test_nobody_else_may_write_where_code_lies(mask: int, tmp_path: Path, monkeypatch):
+    """Whatever the user's mask: with 002, the default of many systems, the group could."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "new"))
+    before = os.umask(mask)
+    try:
+        compiled(MPI.COMM_SELF)
+    finally:
+        os.umask(before)
+    every = [tmp_path / "new", *(tmp_path / "new").rglob("*")]
+    assert any(one.suffix == ".so" for one in every)
+    assert [str(one) for one in every if one.stat().st_mode & 0o022] == []
+    folders = [tmp_path / "new", *(tmp_path / "new").glob("dolfin_elastic/**/forms/*")]
+    assert {stat.S_IMODE(one.stat().st_mode) for one in folders} == {0o700}
+
+
+@serial
+@pytest.mark.parametrize("which", [".", "..", "../..", "f", "f/code", "f/whole.json"])
+def test_code_that_a_group_may_write_is_not_run(which: str, tmp_path: Path):
+    """Wherever it lies: the folder of forms, those above, that of the form and its files."""
+    root, spare = tmp_path / "dolfin_elastic/forms/cpu", tmp_path / "spare"
+    find_or_compile([root], "f", write("first"))
+    place = root / which
+    place.chmod(place.stat().st_mode | 0o020)
+    assert cache.find([root], "f") is None
+    found = find_or_compile([root, spare], "f", write("own"))
+    assert (found / "code").read_text() == "own"
+    assert cache.find([root, spare], "f") == found
+
+
+@serial
+def test_code_of_another_user_is_not_run(tmp_path: Path, monkeypatch):
+    root = tmp_path / "dolfin_elastic/forms/cpu"
+    find_or_compile([root], "f", write("first"))
+    user = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: user + 1)
+    assert (cache.find([root], "f") is None) == (user != 0)  # an administrator's is
+    assert why_foreign(root, own=True).endswith("belongs to another user")
+
+
+@serial
+def test_links_to_code(tmp_path: Path):
+    """A cache may be a link of the user's own; a form's library may not, nor a place in /tmp."""
+    root, real = tmp_path / "dolfin_elastic/forms/cpu", tmp_path / "real"
+    find_or_compile([real], "f", write("first"))
+    root.parent.mkdir(parents=True)
+    root.symlink_to(real)
+    assert cache.find([root], "f") == root / "f"
+    assert why_foreign(root, own=True) == f"{root} is no folder"
+    real.chmod(0o775)
+    assert cache.find([root], "f") is None
+    real.chmod(0o755)
+    tmp_path.chmod(0o777)
+    assert cache.find([root], "f") is None
+    tmp_path.chmod(0o700)
+    (real / "f/code").rename(tmp_path / "code")
+    (real / "f/code").symlink_to(tmp_path / "code")
+    assert cache.find([root], "f") is None
 
 
 class Free:

@@ -19,12 +19,21 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 
 from cffi import VerificationError
 
 from dolfin_elastic.core.errors import OutputError
 from dolfin_elastic.core.jit.claim import EVERY_RANK, Claim
+from dolfin_elastic.core.startup.elsewhere import elsewhere
+from dolfin_elastic.core.startup.private import (
+    OTHERS,
+    is_own,
+    make_private,
+    user_cache,
+    why_foreign,
+)
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -42,8 +51,7 @@ def cache_folder() -> Path:
     Forms are compiled with -march=native: in a home directory shared by unlike machines, none may
     load the code of another.
     """
-    root = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(root) / "dolfin_elastic" / "forms" / _processor()
+    return user_cache() / "dolfin_elastic" / "forms" / _processor()
 
 
 def _processor() -> str:
@@ -73,7 +81,7 @@ def find(roots: Sequence[Path], key: str) -> Path | None:
         key: Name of the form.
     """
     for number, root in enumerate(roots):
-        if _is_whole(root / key) and not _foreign(root, private=number > 0):
+        if _is_whole(root / key) and not why_foreign(root.absolute(), own=number > 0):
             return root / key
     return None
 
@@ -129,7 +137,9 @@ def _compile(root: Path, key: str, compile_into: Compile, *, private: bool) -> P
             for left in root.glob(f".{key}.part-*"):  # by a killed compilation
                 shutil.rmtree(left, ignore_errors=True)
             if target.exists():
-                _warn_once(f"a compiled form in {root} is damaged: it is compiled again")
+                _warn_once(
+                    f"a compiled form in {root} is damaged, or others may write to it: it is compiled again"
+                )
                 _remove_damaged(target)
             try:
                 return _publish(root, key, compile_into)
@@ -140,48 +150,30 @@ def _compile(root: Path, key: str, compile_into: Compile, *, private: bool) -> P
 
 def _make_root(root: Path, *, private: bool) -> None:
     if not private:
-        root.mkdir(parents=True, exist_ok=True)
+        make_private(root)
     else:
         with suppress(FileExistsError):
             root.mkdir(mode=0o700)
             atexit.register(shutil.rmtree, root, ignore_errors=True)
-    if fault := _foreign(root, private=private):
+    if fault := why_foreign(root.absolute(), own=private):
         raise OSError(fault)
-
-
-def _foreign(root: Path, *, private: bool) -> str:
-    """Why what is in a root may be the code of another user; empty where it cannot be.
-
-    A folder in /tmp may have been made by anybody who has seen the name of one in /dev/shm, and
-    with a home folder such as /tmp so may the cache.
-
-    Args:
-        root: The cache, which may be a link, and that of an administrator; or one in its place.
-        private: It is one in its place.
-    """
-    try:
-        found = root.lstat() if private else root.stat()
-    except OSError as error:
-        return _cause(error)
-    if not stat.S_ISDIR(found.st_mode):
-        return "it is no folder"
-    if found.st_uid not in ({os.getuid()} if private else {os.getuid(), 0}):
-        return "it belongs to another user"
-    if found.st_mode & (0o022 if private else 0o002):
-        return "other users may write to it"
-    return ""
 
 
 def _publish(root: Path, key: str, compile_into: Compile) -> Path:
     target = root / key
-    part = Path(tempfile.mkdtemp(prefix=f".{key}.part-", dir=root))
+    part = Path(tempfile.mkdtemp(prefix=f".{key}.part-", dir=root)).absolute()
     try:
+        with elsewhere(), suppress(ImportError):
+            # With it comes setuptools, which looks for a pybuilddir.txt in the current folder.
+            import_module("cffi._shimmed_dist_utils")
         with _temporary_files_in(part):
             compile_into(part)
         for left in part.glob("*.o"):
             left.unlink()
         sums = {file.name: _checksum(file) for file in part.iterdir()}
         (part / _MANIFEST).write_text(json.dumps(sums), encoding="utf-8")
+        for file in part.iterdir():  # whatever the user's mask
+            file.chmod(stat.S_IMODE(file.stat().st_mode) & ~OTHERS)
         part.chmod(0o755)
         part.rename(target)
     except OSError:
@@ -201,10 +193,14 @@ def _remove_damaged(target: Path) -> None:
 
 
 def _is_whole(folder: Path) -> bool:
-    """Whether a compiled form is as it was written; false where there is none."""
+    """Whether a compiled form is as it was written, by nobody else; false where there is none."""
     try:
+        if not (is_own(folder) and is_own(folder / _MANIFEST)):
+            return False
         sums = json.loads((folder / _MANIFEST).read_text(encoding="utf-8"))
-        return bool(sums) and all(_checksum(folder / name) == sums[name] for name in sums)
+        return bool(sums) and all(
+            is_own(folder / name) and _checksum(folder / name) == sums[name] for name in sums
+        )
     except (OSError, ValueError, TypeError, AttributeError):
         return False
 

@@ -67,11 +67,12 @@ def _have_home() -> None:
 
 
 def _check_temporary_folder() -> None:
-    """Open MPI dies where it cannot write there, with thirty lines of its own."""
+    """Open MPI dies where it can neither write nor make it, with thirty lines of its own."""
     name = next((one for one in _TEMPORARY if os.environ.get(one)), "")
-    folder = Path(os.environ[name] if name else "/tmp")
-    if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
+    folder = Path(os.environ[name] if name else "/tmp").absolute()
+    there = next(one for one in (folder, *folder.parents) if one.exists())
+    if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
         raise OutputError(
-            f"MPI cannot start: its folder of temporary files, {folder}, is not there or cannot be "
-            f"written; TMPDIR names another"
+            f"MPI cannot start: {folder}, where it would keep temporary files, cannot be written; "
+            "TMPDIR names another folder"
         )

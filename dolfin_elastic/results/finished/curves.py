@@ -12,7 +12,7 @@ import numpy as np
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.files.regular import fresh
-from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
+from dolfin_elastic.core.startup.elsewhere import elsewhere, plain_matplotlib
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import replace_text, writing
@@ -134,7 +134,8 @@ def along(
     Raises:
         InputError: There is no such field or step, or all points lie outside.
     """
-    import pyvista as pv
+    with elsewhere():
+        import pyvista as pv
 
     for name in names:
         check_field(run, name, step)

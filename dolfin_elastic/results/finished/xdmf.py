@@ -15,6 +15,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.files import hdf5
 from dolfin_elastic.core.files.regular import irregular
 from dolfin_elastic.core.files.xml import read_xml
+from dolfin_elastic.core.startup.elsewhere import elsewhere
 from dolfin_elastic.core.types import AnyArray
 
 if TYPE_CHECKING:
@@ -179,7 +180,8 @@ def read_grid(folder: Path, frame: Frame) -> pyvista.UnstructuredGrid:
         folder: Of the results.
         frame: The step.
     """
-    import pyvista as pv
+    with elsewhere():
+        import pyvista as pv
 
     cells, points = read_array(folder, frame.cells), read_array(folder, frame.points)
     for array, columns, where in (

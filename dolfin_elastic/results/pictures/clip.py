@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dolfin_elastic.core.compat import surface_of
+from dolfin_elastic.core.startup.elsewhere import elsewhere
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.results.pictures.scene import Scene, axes_of
 from dolfin_elastic.results.pictures.surface import Surface
@@ -161,7 +162,8 @@ def clipped(
         view: See `scene.View`.
         up: Axis that is up.
     """
-    import pyvista as pv
+    with elsewhere():
+        import pyvista as pv
 
     skin = pv.PolyData(surface.points, np.insert(surface.triangles, 0, 3, axis=1).ravel())
     _attach(skin, surface)
