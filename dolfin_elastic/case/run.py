@@ -34,7 +34,7 @@ from dolfin_elastic.core.errors import (
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue, chooses_solvers
 from dolfin_elastic.core.signals import acknowledge, remove_stop_file, watched
-from dolfin_elastic.core.together import end_all_if_alone, go_on_together, leave_together
+from dolfin_elastic.core.together import end_all_if_alone, loop_together
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, RestartableSolver, RestartState, State, StateCopy
@@ -44,7 +44,7 @@ from dolfin_elastic.results.files import writing
 from dolfin_elastic.results.outputs import FORMATS, History, Modes, Output, Summary, Xdmf
 from dolfin_elastic.results.writer import ModeWriter, Writer
 from dolfin_elastic.results.writers.modes import clear as clear_modes
-from dolfin_elastic.results.writers.summary import SummaryWriter
+from dolfin_elastic.results.writers.summary import SummaryWriter, mark_stopped
 from dolfin_elastic.solvers.nonlinear.contact import warn_of_untouched
 from dolfin_elastic.solvers.petsc.heap import give_back
 
@@ -82,7 +82,7 @@ def run(
         OutputError: Results cannot be written.
     """
     folder = Path(output) if output is not None else case.results_folder()
-    yield from _Run(case, folder, dict(petsc or {}), comm, asked).states()
+    yield from loop_together(comm, _Run(case, folder, dict(petsc or {}), comm, asked).states())
 
 
 def _options_before(folder: Unfinished) -> PetscOptions:
@@ -130,7 +130,8 @@ def restart(
         folder = unfinished(folder, case=case, comm=comm)
         log.info("%s", folder.message())
     options = {**_options_before(folder), **(petsc or {})}
-    yield from _Run(folder.case, folder.folder, options, comm, asked).states(folder)
+    states = _Run(folder.case, folder.folder, options, comm, asked).states(folder)
+    yield from loop_together(comm, states)
 
 
 @dataclass
@@ -214,10 +215,8 @@ class _Run:
                     try:
                         yield result
                     except GeneratorExit:
-                        leave_together(self.comm)
                         checkpoints.save_at_stop(result, writers)
                         raise
-                    go_on_together(self.comm)
                     checkpoints.remember(result)
                     if isinstance(result, State) and result.done < 1.0:
                         result.derived.clear()  # its stress, which all outputs have written
@@ -230,7 +229,7 @@ class _Run:
 def _steps(solver: Solver, problem: Problem, before: Unfinished | None) -> States:
     """The solver's generator, from the start or from a checkpoint."""
     if before is None:  # after a restart it is unknown whether there was contact before
-        return warn_of_untouched(problem, cast(States, solver.steps()))
+        return warn_of_untouched(problem, solver.steps())
     assert isinstance(solver, RestartableSolver)  # others have no checkpoints
     return cast(States, solver.steps(before.found))
 
@@ -445,7 +444,10 @@ def open_outputs(
     except GeneratorExit:
         ending = ("stopped", "on request")
         raise
-    except BaseException:
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt):  # a second one: nothing waits for what is solved
+            with suppress(OSError, ValueError):
+                mark_stopped(folder)
         writers.clear()  # perhaps on this rank alone: closing is collective and would deadlock
         end_all_if_alone(problem.body.comm)
         raise

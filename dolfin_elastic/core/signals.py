@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from dolfin_elastic.core.errors import StoppedError
 
@@ -47,6 +47,8 @@ class Stop:
         last_words: Called before the process ends at once.
     """
 
+    _first_words: ClassVar[str] = "\nstopping with a checkpoint of the last complete step"
+
     def __init__(self, folder: Path, last_words: Callable[[], object] = lambda: None) -> None:
         self.asked, self._checkpoint, self._file = False, False, folder / STOP_FILE
         self._absolute = self._file.absolute()  # cffi compiles in a folder of its own
@@ -54,10 +56,16 @@ class Stop:
         self._interruptible = self._agreed = self._noticed = False
         self._last: Callable[[], object] = lambda: None
         self._last_words = last_words
+        self._listen()
+
+    def _listen(self) -> None:
         _handle(ENDING, self._request_stop)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)  # see `ignore_more`
         signal.signal(signal.SIGUSR1, self._request_checkpoint)
         _current.append(self)
+
+    def _file_is_there(self) -> bool:
+        return self._absolute.exists()
 
     def _request_stop(self, number: int, frame: FrameType | None) -> None:
         if self._noticed:
@@ -73,12 +81,7 @@ class Stop:
                 self._last_words()
             os._exit(INTERRUPTED)
         if launched_rank() == 0:
-            _tell(
-                "\nstopping with a checkpoint of the last complete step"
-                if self._signals == 1
-                else "\nstopping once the linear solver or the writing of files has ended; once "
-                "more: at once, and only the last checkpoint is left"
-            )
+            _tell(self._first_words if self._signals == 1 else _SECOND_WORDS)
         self._interrupt()
 
     def _interrupt(self) -> None:
@@ -100,7 +103,7 @@ class Stop:
         now = time.monotonic()
         if not self.asked and now - self._looked > LOOK:
             self._looked = now
-            self.asked = self._absolute.exists()
+            self.asked = self._file_is_there()
         return self.asked and not self._agreed
 
     def agreed(self, comm: MPI.Comm) -> bool:
@@ -109,7 +112,7 @@ class Stop:
 
         if self._agreed:
             return True
-        if comm.rank == 0 and self._file.exists():
+        if comm.rank == 0 and self._file_is_there():
             self.asked = True
             _tell(f"stopping: there was a file {self._file}")
             remove_stop_file(self._file.parent)  # or the next run would stop at once
@@ -122,7 +125,7 @@ class Stop:
         All ranks have agreed on it: the file, if it was one, has served.
         """
         self.asked = self._agreed = True
-        if launched_rank() == 0:
+        if launched_rank() == 0 and self._file_is_there():
             remove_stop_file(self._file.parent)
 
     @contextmanager
@@ -154,16 +157,79 @@ class Stop:
         while not end.wait(LOOK):
             if self.asked and not raised:
                 raised = True  # by the signal; what ends now has until the next look
-            elif self.asked or self._absolute.exists():
+            elif self.asked or self._file_is_there():
                 if not self.asked and launched_rank() == 0:
                     _tell(f"stopping: there is a file {self._file}")
                 self.asked = raised = self._noticed = self._interruptible = True
                 signal.pthread_kill(main or 0, signal.SIGUSR2)
 
 
+class PythonStop(Stop):
+    """Ctrl-C in a program of the user's, while one of its loops over states computes.
+
+    The first one ends the loop where all ranks can agree on it, as `Stop` does; the second raises
+    KeyboardInterrupt at once.  It records signals inside `listening` only: in the body of the loop
+    Python's own handler raises.
+    """
+
+    _first_words: ClassVar[str] = "\nstopping after what is being solved; Ctrl-C again: at once"
+
+    def __init__(self) -> None:
+        super().__init__(Path())
+
+    @classmethod
+    def where_nobody_listens(cls, comm: MPI.Comm) -> PythonStop | None:
+        """One for a loop over states; None where a command or the user's program has handlers.
+
+        Collective.
+
+        Args:
+            comm: The ranks of the loop.
+        """
+        from dolfin_elastic.core.parallel import smallest
+
+        here = threading.current_thread() is threading.main_thread()
+        free = here and not _current and _raises_at_once()
+        return cls() if smallest(comm, float(free)) else None
+
+    def _listen(self) -> None:
+        """Nothing yet: see `listening`."""
+
+    def _file_is_there(self) -> bool:
+        return False
+
+    @contextmanager
+    def listening(self) -> Iterator[None]:
+        """Records Ctrl-C inside.  The handlers of before are there again afterwards."""
+        raised_at_once = _raises_at_once()  # the body of the loop may have set a handler
+        if raised_at_once:
+            signal.signal(signal.SIGINT, self._request_stop)
+        _current.append(self)
+        try:
+            yield
+        finally:
+            _current.remove(self)
+            if raised_at_once:
+                signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def _request_stop(self, number: int, frame: FrameType | None) -> None:
+        if self._signals and time.monotonic() - self._since >= SAME_SIGNAL:
+            signal.default_int_handler(number, frame)
+        super()._request_stop(number, frame)
+
+
+def _raises_at_once() -> bool:
+    """Whether Ctrl-C raises KeyboardInterrupt wherever Python is, as it does by default."""
+    return signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
 _WORDS = "stopped on request"
+_SECOND_WORDS = (
+    "\nstopping once the linear solver or the writing of files has ended; once more: at once, and "
+    "only the last checkpoint is left"
+)
 _current: list[Stop] = []
-"""The last one is asked; empty in a program of the user's, who has signals of his own."""
+"""The last one is asked; empty in a program of the user's but in its loops over states."""
 
 
 def _tell(text: str) -> None:

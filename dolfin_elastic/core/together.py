@@ -1,7 +1,7 @@
 """Ranks that a user's Python drives: an exception on one of them ends all, with its traceback.
 
-The others would wait for it for ever, in the next collective call of a run, and a run that is
-closed on one rank alone would wait for them.
+The others would wait for it for ever, in the next collective call of a solver, and a solver that is
+closed on one rank alone would wait for them.  And Ctrl-C amid a loop over states.
 """
 
 from __future__ import annotations
@@ -11,12 +11,20 @@ import math
 import sys
 import time
 import traceback
+from collections.abc import Generator, Iterator
+from contextlib import closing, contextmanager, nullcontext
 from types import FrameType, TracebackType
+from typing import TypeVar
 
 import dolfin_elastic.core.startup.started  # noqa: F401  # before anything starts MPI
 
 import numpy as np
 from mpi4py import MPI
+
+from dolfin_elastic.core.errors import ElasticError, StoppedError
+from dolfin_elastic.core.signals import PythonStop
+
+T = TypeVar("T")
 
 PATIENCE = 4.0
 """Seconds for all ranks to arrive with an exception that all of them have."""
@@ -24,31 +32,81 @@ PATIENCE = 4.0
 _GOES_ON, _LEAVES, _FAILS = 0, 1, 2
 
 
-def go_on_together(comm: MPI.Comm) -> None:
-    """Lets a loop over states go on, if all ranks do. Collective, with `leave_together`.
+def loop_together(comm: MPI.Comm, states: Generator[T, None, None]) -> Generator[T, None, None]:
+    """A generator of states whose loop all ranks leave together.  Collective.
+
+    An exception on one rank in the body of the loop ends all ranks, with its traceback, before any
+    of the solver's objects is freed, for which the others would be waited for.  Ctrl-C ends what
+    is being solved on all ranks together, and then raises KeyboardInterrupt; in the body of the
+    loop it does so at once.  Loops inside another one leave all that to the outermost.
 
     Args:
-        comm: The ranks of the run.
+        comm: The ranks of the loop.
+        states: What computes them.
 
     Raises:
-        RuntimeError: A rank has left the loop.
+        RuntimeError: A rank has left the loop alone.
+        KeyboardInterrupt: The user has asked for the end.
     """
+    if _computing:
+        yield from states
+        return
+    stop = PythonStop.where_nobody_listens(comm)
+    with closing(states):
+        for state in _computed(comm, states, stop):
+            try:
+                yield state
+            except GeneratorExit:
+                _leave_together(comm)
+                raise
+            _go_on_together(comm)
+
+
+_computing: list[object] = []
+"""Loops over states whose next state is being computed."""
+
+
+def _computed(
+    comm: MPI.Comm, states: Generator[T, None, None], stop: PythonStop | None
+) -> Iterator[T]:
+    """The states that are for the body of the loop. Collective.
+
+    Args:
+        comm: The ranks of the loop.
+        states: What computes them.
+        stop: Hears Ctrl-C.
+    """
+    nothing = object()
+    while True:
+        _computing.append(states)
+        try:
+            with nullcontext() if stop is None else stop.listening():
+                state = next(states, nothing)
+        except StoppedError:
+            if stop is None:
+                raise
+            raise KeyboardInterrupt from None
+        finally:
+            _computing.remove(states)
+        if state is not nothing and (stop is None or not getattr(state, "between", False)):
+            yield state  # type: ignore[misc]  # what is between is for commands
+        if stop is not None and stop.agreed(comm):  # the solver has not heard it
+            raise KeyboardInterrupt
+        if state is nothing:
+            return
+
+
+def _go_on_together(comm: MPI.Comm) -> None:
+    """Lets a loop over states go on, if all ranks do. Collective, with `_leave_together`."""
     if comm.size > 1:
         _raise_if_different(_ask(comm, _GOES_ON), _GOES_ON)
 
 
-def leave_together(comm: MPI.Comm) -> None:
+def _leave_together(comm: MPI.Comm) -> None:
     """Lets all ranks leave a loop over states. Called where its generator is closed.
 
-    Collective, with `go_on_together`.  It waits for ranks that are late, but not where this one
-    leaves the loop by an exception and the others do not: then it ends all of them, before any of
-    the solver's objects is freed, for which the others would be waited for.
-
-    Args:
-        comm: The ranks of the run.
-
-    Raises:
-        RuntimeError: Another rank has not left it.
+    Collective, with `_go_on_together`.  It waits for ranks that are late, but not where this one
+    leaves the loop by an exception and the others do not: then it ends all of them.
     """
     if comm.size == 1:
         return
@@ -98,16 +156,18 @@ def _leaving_by() -> BaseException | None:
     that only a loop refers to is closed as the loop is unwound, where Python hides the exception:
     then there is one whose traceback has the loop's frame, at its present instruction.
     """
-    closing = sys.exception()
-    if closing is not None and closing.__context__ is not None:
-        return closing.__context__
+    cause = sys.exception()
+    while isinstance(cause, GeneratorExit):  # also of generators that loop over this one
+        cause = cause.__context__
+    if cause is not None:
+        return cause
     frame: FrameType | None = sys._getframe()
     places = set()
     while frame is not None:
         places.add((id(frame), frame.f_lasti))
         frame = frame.f_back
     for one in gc.get_objects():
-        if isinstance(one, BaseException) and one is not closing:
+        if isinstance(one, BaseException) and not isinstance(one, GeneratorExit):
             trace = one.__traceback__
             while trace is not None:
                 if (id(trace.tb_frame), trace.tb_lasti) in places:
@@ -136,6 +196,24 @@ def end_all_if_alone(comm: MPI.Comm) -> None:
         traceback.print_exc()
         sys.stderr.flush()
         MPI.COMM_WORLD.Abort(1)
+
+
+@contextmanager
+def failing_together(comm: MPI.Comm) -> Iterator[None]:
+    """Ends all ranks by an exception inside that this one has alone.
+
+    To be left before what all ranks free together.  Errors of this package are the same on all.
+
+    Args:
+        comm: The ranks that work together.
+    """
+    try:
+        yield
+    except (ElasticError, GeneratorExit):
+        raise
+    except BaseException:
+        end_all_if_alone(comm)
+        raise
 
 
 class _Hook:

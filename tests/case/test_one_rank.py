@@ -84,6 +84,49 @@ for state in Statics(problem, steps=1).steps():
     pass
 """
 
+PARTS = """
+from dolfin_elastic import Buckling, Dynamics, Modal, NeoHookean, Problem, Statics, Support
+from dolfin_elastic import Traction, box_body
+def bar(**more):
+    body = box_body(size=(1, 0.1, 0.1), cells=(4, 1, 1))
+    return Problem(body, NeoHookean(E=1e6, nu=0.3, density=1e3), supports=[Support(on="left")],
+                   loads=[Traction(on="right", value=[-50, 0, -20])], **more)
+"""
+STATES = """
+for state in {states}:
+    if state.step == 2 and comm.rank == 1:
+        fail()
+"""
+SOLVERS = {
+    "statics": "Statics(bar(), steps=4).steps()",
+    "direct": 'Statics(bar(), steps=4, petsc={"pc_type": "lu"}).steps()',
+    "implicit": "Dynamics(bar(), end=1.0, dt=1e-3).steps()",
+    "alpha2": 'Dynamics(bar(), end=1.0, dt=1e-3, scheme="alpha2").steps()',
+    "explicit": 'Dynamics(bar(degree=1), end=1.0, scheme="central-differences", every=1).steps()',
+    "preload": "Modal(bar(), preload=True, statics=StaticsSettings(steps=4)).steps()",
+}
+MODES = """
+for mode in {modes}:
+    if mode.number == 2 and comm.rank == 1:
+        fail()
+"""
+MODE_SOLVERS = {
+    "modal": "Modal(bar(), count=4).modes()",
+    "steps": "Modal(bar(), count=4).steps()",
+    "buckling": "Buckling(bar(), count=4).modes()",
+}
+IN_THE_SOLVER = """
+import dolfin_elastic.solvers.nonlinear.convergence as convergence
+test = convergence.ConvergenceTest.__call__
+def failing(self, snes, iteration, norms):
+    if comm.rank == 1 and iteration == 1:
+        fail()
+    return test(self, snes, iteration, norms)
+convergence.ConvergenceTest.__call__ = failing
+for state in {states}:
+    pass
+"""
+
 
 def small(folder: Path) -> None:
     made = case(mesh={"rectangle": {"size": [1, 0.2], "cells": [2, 1]}}, statics={"steps": 40})
@@ -94,6 +137,29 @@ def small(folder: Path) -> None:
 @pytest.mark.parametrize("body", [LOOP, OTHERS_WAIT, CLOSING, CAUGHT, OUTPUT, ENERGY])
 def test_all_ranks_end(body: str, tmp_path: Path) -> None:
     """Also where the others wait for it in a call of the user's own."""
+    assert seconds_to_the_end(body, tmp_path) < LONGEST
+
+
+@pytest.mark.sample(2)
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_all_ranks_end_without_a_case(solver: str, tmp_path: Path) -> None:
+    """In the loop over the states of a solver that no case describes."""
+    setting = "from dolfin_elastic.solvers.statics.settings import StaticsSettings\n"
+    body = setting + PARTS + STATES.format(states=SOLVERS[solver])
+    assert seconds_to_the_end(body, tmp_path) < LONGEST
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("solver", MODE_SOLVERS)
+def test_all_ranks_end_among_modes(solver: str, tmp_path: Path) -> None:
+    assert seconds_to_the_end(PARTS + MODES.format(modes=MODE_SOLVERS[solver]), tmp_path) < LONGEST
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("solver", ["direct", "implicit"])
+def test_all_ranks_end_amid_a_step(solver: str, tmp_path: Path) -> None:
+    """Where a function that PETSc calls fails on one rank: factors are freed by all together."""
+    body = PARTS + IN_THE_SOLVER.format(states=SOLVERS[solver])
     assert seconds_to_the_end(body, tmp_path) < LONGEST
 
 

@@ -11,7 +11,6 @@ from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from mpi4py import MPI
@@ -28,6 +27,7 @@ from dolfin_elastic.core.errors import InputError, StoppedError
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
 from dolfin_elastic.core.signals import acknowledge, raise_if_agreed, remove_stop_file
+from dolfin_elastic.core.together import loop_together
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.refine.marking import bulk
 from dolfin_elastic.mesh.refine.refinement import Refinement, refine_body
@@ -99,7 +99,13 @@ def converge(
         StoppedError: A signal has asked for the end; the results of the mesh before are complete.
     """
     _check_kind(case)
-    folder = output or default_folder(case)
+    yield from loop_together(comm, _locked(case, goal, output or default_folder(case), petsc, comm))
+
+
+def _locked(
+    case: Case, goal: Goal, folder: Path, petsc: PetscOptions | None, comm: MPI.Comm
+) -> Generator[Progress, None, None]:
+    """All meshes, while no other run can write into the folder. Collective."""
     with closing(FolderLock(comm, folder, case.output.names())) as lock:
         lock.acquire()
         if comm.rank == 0:
@@ -233,7 +239,7 @@ class _Convergence:
             unknowns = refined_unknowns(refinement, before.problem, before.problem.w, problem)
             near = NearEnd(unknowns, tuple(before.saved.numbers["scalars"]))
         newton, state, saved = 0, None, None
-        with locate_errors(self.case.file), closing(cast(States, solver.steps(near=near))) as steps:
+        with locate_errors(self.case.file), closing(solver.steps(near=near)) as steps:
             for state in steps:
                 newton += state.newton
                 saved = solver.restart_state()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Generator
 from typing import Any
 
 from dolfinx import fem
@@ -12,6 +12,7 @@ from petsc4py import PETSc
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys, settings_from
+from dolfin_elastic.core.together import failing_together, loop_together
 from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
@@ -57,7 +58,7 @@ class Dynamics:
         self.velocity = fem.Function(problem.V, name="velocity")
         self._motion: Explicit | Implicit | None = None
 
-    def steps(self, saved: SavedState | None = None) -> Iterator[State]:
+    def steps(self, saved: SavedState | None = None) -> Generator[State, None, None]:
         """Yields the initial state and then every state asked for. Collective.
 
         Args:
@@ -67,6 +68,9 @@ class Dynamics:
             ConvergenceError: A step found no equilibrium however small it was made.
             StabilityError: The explicit step became larger than the stable one.
         """
+        return loop_together(self.problem.body.comm, self._steps(saved))
+
+    def _steps(self, saved: SavedState | None) -> Generator[State, None, None]:
         if self.problem.cell is not None:
             raise InputError(
                 "a periodic cell has no motion",
@@ -83,7 +87,8 @@ class Dynamics:
         begin_motion(self.problem, warn=saved is None)
         motion = self._motion = self._make()
         try:
-            yield from motion.run(saved)
+            with failing_together(self.problem.body.comm):
+                yield from motion.run(saved)
         finally:
             self._motion = None
             motion.destroy()

@@ -24,7 +24,7 @@ differences along the path.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,7 @@ from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import settings_from
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.together import failing_together
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.model.amplitude import Amplitude
@@ -113,13 +114,8 @@ class Buckling(PreloadedAnalysis):
         why = f"buckling by Krylov-Schur iterations (SLEPc; MUMPS, LDL^T): {size}"
         self.choice = Choice(True, prefixed(factorising(True)), why)
 
-    def steps(self) -> Iterator[State | Mode]:
-        """Yields the states of the preload, if there is one, and then the modes. Collective.
-
-        Raises:
-            InputError: The supports do not hold the body.
-            ConvergenceError: No equilibrium was found, it is unstable, or not all modes were.
-        """
+    def _steps(self) -> Generator[State | Mode, None, None]:
+        """See `steps`."""
         check_no_rigid_motion(self.problem)
         self._warn_of_dashpots("load factors")
         at_rest(self.problem)
@@ -129,10 +125,10 @@ class Buckling(PreloadedAnalysis):
                 log.info("reversed loads are linearised at rest, which is nearer to them")
                 opposite = self._linearised(0.0, [-1])
             yield from self._load(self.statics.model_copy(update={"end": share}))
-        yield from self.about_this_state(opposite)
+        yield from self._about_this_state(opposite)
 
-    def about_this_state(self, opposite: Sequence[_Buckled] = ()) -> Iterator[Mode]:
-        """Yields the modes about the present state of the problem. Collective.
+    def _about_this_state(self, opposite: Sequence[_Buckled] = ()) -> Generator[Mode, None, None]:
+        """See `about_this_state`.
 
         Args:
             opposite: What was found for the reversed loads, if it was looked for elsewhere.
@@ -167,10 +163,11 @@ class Buckling(PreloadedAnalysis):
         base.x.array[:] = self.problem.u.x.array
         path, found = _Path(self.problem, share), list[_Buckled]()
         try:
-            for sign in signs:
-                pairs = self._pairs(path, share, sign)
-                _warn_of_strains(pairs, path.straining, share)
-                found += [(pair, base) for pair in pairs]
+            with failing_together(self.problem.body.comm):
+                for sign in signs:
+                    pairs = self._pairs(path, share, sign)
+                    _warn_of_strains(pairs, path.straining, share)
+                    found += [(pair, base) for pair in pairs]
         finally:
             path.destroy()
         return found

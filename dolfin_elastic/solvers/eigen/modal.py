@@ -7,7 +7,7 @@ mass M.  Source: K.-J. Bathe, Finite Element Procedures (2014), sections 4.2.1 a
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import settings_from
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.together import failing_together
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.problem.problem import Problem
@@ -103,13 +104,8 @@ class Modal(PreloadedAnalysis):
                 expected='count, or solver.method = "direct"',
             )
 
-    def steps(self) -> Iterator[State | Mode]:
-        """Yields the states of the preload, if there is one, and then the modes. Collective.
-
-        Raises:
-            InputError: The supports do not hold a body that is loaded.
-            ConvergenceError: No equilibrium was found, or not all modes.
-        """
+    def _steps(self) -> Generator[State | Mode, None, None]:
+        """See `steps`."""
         self._warn_of_dashpots("undamped modes")
         if self.settings.preload:
             if self.problem.context.linear:
@@ -117,14 +113,15 @@ class Modal(PreloadedAnalysis):
             yield from self._load(self.statics)
         else:
             at_rest(self.problem)
-        yield from self.about_this_state()
+        yield from self._about_this_state()
 
-    def about_this_state(self) -> Iterator[Mode]:
-        """Yields the modes about the present state of the problem. Collective."""
+    def _about_this_state(self) -> Generator[Mode, None, None]:
+        """See `about_this_state`."""
         log.info("%s", self.choice.why)
         vibration = Vibration(self)
         try:
-            yield from vibration.modes()
+            with failing_together(self.problem.body.comm):
+                yield from vibration.modes()
         finally:
             vibration.destroy()
 

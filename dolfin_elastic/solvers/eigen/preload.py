@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Generator
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
 from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys, within
+from dolfin_elastic.core.together import loop_together
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.breakpoints import refuse_times_beyond
@@ -63,13 +64,31 @@ class PreloadedAnalysis(ABC):
         except InputError as error:
             raise within("statics", error) from None
 
-    @abstractmethod
-    def steps(self) -> Iterator[State | Mode]:
-        """Yields the states of the preload, if there is one, and then the modes. Collective."""
+    def steps(self) -> Generator[State | Mode, None, None]:
+        """Yields the states of the preload, if there is one, and then the modes. Collective.
 
-    def modes(self) -> Iterator[Mode]:
-        """Yields the modes only. Collective."""
-        yield from (found for found in self.steps() if isinstance(found, Mode))
+        Raises:
+            InputError: The supports do not hold a body that is loaded.
+            ConvergenceError: No equilibrium was found, it is unstable, or not all modes were found.
+        """
+        return loop_together(self.problem.body.comm, self._steps())
+
+    def modes(self) -> Generator[Mode, None, None]:
+        """Yields the modes only, see `steps`. Collective."""
+        modes = (found for found in self._steps() if isinstance(found, Mode))
+        return loop_together(self.problem.body.comm, modes)
+
+    def about_this_state(self) -> Generator[Mode, None, None]:
+        """Yields the modes about the present state of the problem. Collective."""
+        return loop_together(self.problem.body.comm, self._about_this_state())
+
+    @abstractmethod
+    def _steps(self) -> Generator[State | Mode, None, None]:
+        """Computes what `steps` yields. Collective."""
+
+    @abstractmethod
+    def _about_this_state(self) -> Generator[Mode, None, None]:
+        """Computes what `about_this_state` yields. Collective."""
 
     def of_modes(self, *, loaded: bool) -> dict[str, PetscValue]:
         """PETSc options of the eigenvalue analysis.
@@ -88,7 +107,7 @@ class PreloadedAnalysis(ABC):
         for dashpot in self.problem.dashpots:
             log.warning("the dashpot '%s' does nothing to %s", dashpot.label, found)
 
-    def _load(self, settings: StaticsSettings) -> Iterator[State]:
+    def _load(self, settings: StaticsSettings) -> Generator[State, None, None]:
         """Yields the states on the way to the loaded one. Collective.
 
         Raises:

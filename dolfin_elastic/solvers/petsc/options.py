@@ -20,10 +20,10 @@ def cause_of(error: PETSc.Error) -> str:
     return str(error).strip().splitlines()[-1].split("] ", 1)[-1]
 
 
-def _cause_here(error: BaseException) -> ElasticError | None:
-    """This package's error behind one of PETSc: functions that it calls may call it themselves."""
+def _cause_here(error: BaseException) -> ElasticError | KeyboardInterrupt | None:
+    """What is behind an error of PETSc: functions that it calls may call it themselves."""
     cause = error.__cause__
-    while cause is not None and not isinstance(cause, ElasticError):
+    while cause is not None and not isinstance(cause, ElasticError | KeyboardInterrupt):
         cause = cause.__cause__
     return cause
 
@@ -111,6 +111,7 @@ class Options:
 
         Raises:
             ElasticError: A function that PETSc has called raised it.
+            KeyboardInterrupt: The same, by Ctrl-C.
             InputError: PETSc cannot do what the user's options ask for.
         """
         try:
@@ -144,8 +145,9 @@ class Options:
         self._reported = True
 
 
-_NO_OPTION = (55, 59, 78, 98)
-"""Codes that no option is to blame for: PETSC_ERR_MEM, _SIG, _MEMC and _MPI."""
+_NO_OPTION = (-1, 55, 59, 78, 98)
+"""Codes that no option is to blame for: a Python exception in a function that PETSc calls, and
+PETSC_ERR_MEM, _SIG, _MEMC and _MPI."""
 
 
 def _text(value: PetscValue) -> bool | int | float | str:

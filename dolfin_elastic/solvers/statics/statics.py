@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import ExitStack, closing
 from typing import Any
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import settings_from
+from dolfin_elastic.core.together import failing_together, loop_together
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -64,7 +65,7 @@ class Statics:
 
     def steps(
         self, saved: SavedState | None = None, *, near: NearEnd | None = None
-    ) -> Iterator[State]:
+    ) -> Generator[State, None, None]:
         """Yields the initial state and then one equilibrium a step. Collective.
 
         Args:
@@ -77,6 +78,11 @@ class Statics:
             ConvergenceError: No equilibrium was found even with the smallest step; the problem
                 then holds the last iterate, and all states yielded before are valid.
         """
+        return loop_together(self.problem.body.comm, self._steps(saved, near))
+
+    def _steps(
+        self, saved: SavedState | None, near: NearEnd | None
+    ) -> Generator[State, None, None]:
         check_no_rigid_motion(self.problem)
         self._check_path()
         for dashpot in () if self._preload else self.problem.dashpots:
@@ -87,7 +93,9 @@ class Statics:
         if self._end is not None:
             yield self._end[0]
 
-    def _before_the_last(self, saved: SavedState | None, near: NearEnd | None) -> Iterator[State]:
+    def _before_the_last(
+        self, saved: SavedState | None, near: NearEnd | None
+    ) -> Generator[State, None, None]:
         """All states but the last one, which is left in `_end`. Collective.
 
         Afterwards matrices of tangent and multigrid are freed: outputs need the room.
@@ -118,6 +126,7 @@ class Statics:
             )
             owned.callback(self._forget)
             states = owned.enter_context(closing(self._stepping.run(saved, near)))
+            owned.enter_context(failing_together(self.problem.body.comm))
             for state in states:
                 if state.done < 1.0:
                     yield state
