@@ -108,7 +108,7 @@ class Stop:
 
     def agreed(self, comm: MPI.Comm) -> bool:
         """Whether any rank got a signal to stop, or the file exists; same on all. Collective."""
-        from dolfin_elastic.core.parallel import largest
+        from mpi4py import MPI
 
         if self._agreed:
             return True
@@ -116,7 +116,7 @@ class Stop:
             self.asked = True
             _tell(f"stopping: there was a file {self._file}")
             remove_stop_file(self._file.parent)  # or the next run would stop at once
-        self._agreed = largest(comm, float(self.asked)) > 0
+        self._agreed = bool(comm.allreduce(int(self.asked), op=MPI.MAX))
         return self._agreed
 
     def acknowledge(self) -> None:
@@ -186,11 +186,11 @@ class PythonStop(Stop):
         Args:
             comm: The ranks of the loop.
         """
-        from dolfin_elastic.core.parallel import smallest
+        from mpi4py import MPI
 
         here = threading.current_thread() is threading.main_thread()
         free = here and not _current and _raises_at_once()
-        return cls() if smallest(comm, float(free)) else None
+        return cls() if comm.allreduce(int(free), op=MPI.MIN) else None
 
     def _listen(self) -> None:
         """Nothing yet: see `listening`."""
