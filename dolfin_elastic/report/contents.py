@@ -160,7 +160,14 @@ def _trust(peak: Table) -> tuple[str, str]:
             "on the size of the elements, and a finer mesh makes it worse."
         )
     error = peak.get("error")
-    return (f"± {percent(error)}" if isinstance(error, int | float) else ""), ""
+    if isinstance(error, int | float):
+        return f"± {percent(error)}", ""
+    if "unresolved" not in peak:  # of a run before this was recorded
+        return "", ""
+    return "peak not known", (
+        "The elements are too large for a curved face where the stress is largest, or may be: see "
+        "the reservations under the checks."
+    )
 
 
 def place_text(row: Table, size: float, surface: str = "") -> str:
@@ -690,7 +697,11 @@ def audit_of(run: FinishedRun) -> Checked:
         kind,
         tuple(_audit_lines(audit, summary)),
         tuple(str(text) for text in audit.get("reasons") or []),
-        (*(str(text) for text in audit.get("notes") or []), *_not_judged(run, error)),
+        (
+            *(str(text) for text in audit.get("notes") or []),
+            *_reservations(summary),
+            *_not_judged(run, error),
+        ),
         error,
     )
 
@@ -713,6 +724,12 @@ def _audit_lines(audit: Table, summary: Table) -> Iterator[str]:
     limits = [x for x in summary.get("limit_points") or [] if isinstance(x, int | float)]
     if limits:
         yield f"Limit points were passed at the load factors {', '.join(map(number, limits))}."
+
+
+def _reservations(summary: Table) -> Iterator[str]:
+    """What limits how far the largest stresses can be believed."""
+    for text in (summary.get("error") or {}).get("reservations") or []:
+        yield f"Largest stress: {text}."
 
 
 def _not_judged(run: FinishedRun, error: Value | None) -> Iterator[str]:

@@ -22,7 +22,7 @@ from dolfin_elastic.core import __version__, timing
 from dolfin_elastic.core.errors import SolveError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh.body import span
-from dolfin_elastic.problem.material_regions import shear_modulus
+from dolfin_elastic.problem.material_regions import locking_notes, shear_modulus
 from dolfin_elastic.problem.state import Audit, Mode, State, plain
 from dolfin_elastic.results.extremes import Extreme, Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
@@ -371,7 +371,10 @@ def _error(problem: Problem, estimate: ErrorEstimate, *, logs: bool) -> dict[str
         "elsewhere": asdict(peaks.elsewhere) if peaks.elsewhere else None,
         "may_be_larger": asdict(peaks.rival) if peaks.rival else None,
         "straight_cells": peaks.cut_off,
-        "reservations": peaks.reservations(estimate.relative),
+        "reservations": [
+            *peaks.reservations(estimate.relative),
+            *locking_notes(problem.body, problem.regions, problem.degree, problem.geometry),
+        ],
     }
     if peaks.safety is not None:
         other = peaks.safety_elsewhere
