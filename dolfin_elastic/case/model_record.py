@@ -10,7 +10,7 @@ import numpy as np
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check.loads import LoadSum
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import largest_row, total
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body, extent
@@ -26,6 +26,8 @@ from dolfin_elastic.mesh.geometry.simplices import (
 SAMPLES = 24
 """Places that are noted of a surface or edge."""
 _DIGITS = 6
+_SAME = 1e-12
+"""Distance over the size of the body that is round-off."""
 
 
 def model_record(
@@ -91,28 +93,27 @@ def _part(body: Body, name: str) -> dict[str, object]:
 def _samples(body: Body, rows: FloatArray) -> dict[str, object]:
     """Rows that are spread over all: places [m], of surfaces with the outward normal. Collective.
 
-    Each rank sends no more than `SAMPLES`.
+    Each is the farthest in space from those before, the first that nearest to the origin, so that
+    they are the same on any number of ranks.
     """
-    own = _spread(rows, body.dim)
-    every = body.comm.gather(own.tolist(), root=0)
-    every = [row for part in every or [] for row in part]
-    found = _spread(np.array(every), body.dim) if every else np.empty((0, 0))
-    shown = [[float(f"{value:.{_DIGITS}g}") for value in row] for row in found]
-    return {"places": body.comm.bcast(shown)}
+    comm, x = body.comm, rows[:, : body.dim]
+    size, away, shown = max(extent(body)), np.full(len(rows), np.inf), list[list[float]]()
+    while len(shown) < SAMPLES:
+        found = largest_row(comm, away, lambda some: x[some], least=_SAME * size)
+        if found is None or found.value <= _SAME * size:
+            break
+        row = comm.bcast(rows[found.row].tolist() if comm.rank == found.rank else None, found.rank)
+        away = np.minimum(away, np.linalg.norm(x - np.array(row[: body.dim]), axis=1))
+        shown.append([_plain(value, size) for value in row[: body.dim]])
+        shown[-1] += [_plain(value, 1.0) for value in row[body.dim :]]
+    return {"places": shown}
 
 
-def _spread(rows: FloatArray, dim: int) -> FloatArray:
-    """At most `SAMPLES` rows, each the farthest in space from those before.
+def _plain(value: float, size: float) -> float:
+    """A number without digits that round-off has made.
 
     Args:
-        rows: They begin with coordinates.
-        dim: Number of these.
+        value: The number.
+        size: That of the numbers beside it.
     """
-    if len(rows) <= SAMPLES:
-        return rows
-    x = rows[:, :dim]
-    kept, away = [0], np.full(len(rows), np.inf)
-    while len(kept) < SAMPLES:
-        away = np.minimum(away, np.linalg.norm(x - x[kept[-1]], axis=1))
-        kept.append(int(away.argmax()))
-    return np.asarray(rows[kept])
+    return float(f"{value:.{_DIGITS}g}") if abs(value) > _SAME * size else 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import pickle
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import TypeVar, cast
 
 import dolfin_elastic.core.startup.started  # noqa: F401  # before anything starts MPI
@@ -13,7 +14,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic.core.together import end_all_at_exceptions
-from dolfin_elastic.core.types import AnyArray, IntArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 
 T = TypeVar("T")
 
@@ -121,6 +122,77 @@ def first_of(comm: MPI.Comm, mine: Iterable[T]) -> T | None:
     """
     own = min(mine, default=None)  # type: ignore[type-var]
     return min((one for one in comm.allgather(own) if one is not None), default=None)
+
+
+EQUAL = 1e-6
+"""Difference of two numbers, over the largest one, below which round-off may decide which of them
+is larger: iterative solvers agree no better on other ranks."""
+
+_SAME_PLACE = 1e-9
+"""The same of distances and coordinates, over the largest one: these differ by round-off only."""
+
+
+@dataclass(frozen=True)
+class LargestRow:
+    """The largest number of all ranks.
+
+    Attributes:
+        value: The number.
+        rank: Rank of its row.
+        row: Its row there.
+        place: Its place [m].
+    """
+
+    value: float
+    rank: int
+    row: int
+    place: tuple[float, ...]
+
+
+def largest_row(
+    comm: MPI.Comm,
+    values: FloatArray,
+    places: Callable[[IntArray], FloatArray],
+    *,
+    least: float = 0.0,
+) -> LargestRow | None:
+    """The largest number, whose place is the same on any number of ranks. Collective.
+
+    Of equal numbers that nearest to the origin is taken, and of equally near ones the first along
+    x, then y, then z: which is larger by round-off does not matter.
+
+    Args:
+        comm: The ranks.
+        values: This rank's numbers; what is -inf or nan does not count.
+        places: Places [m] of some of its rows, shape (rows, dim).
+        least: Absolute difference below which numbers are equal, beside the relative one.
+
+    Returns:
+        None where no number counts.
+    """
+    known = np.where(np.isnan(values), -np.inf, values)
+    top = largest(comm, float(known.max(initial=-np.inf)))
+    if top == -np.inf:
+        return None
+    near = max(EQUAL * abs(top), least) if np.isfinite(top) else 0.0
+    rows = np.flatnonzero(known >= top - near if near else known == top)
+    x = np.asarray(places(rows)) if len(rows) else np.empty((0, 1))
+    mine = None
+    if len(rows):
+        best = _nearest_to_origin(x)
+        mine = (tuple(float(a) for a in x[best]), comm.rank, int(rows[best]))
+    every = [one for one in comm.allgather(mine) if one is not None]
+    place, rank, row = every[_nearest_to_origin(np.array([one[0] for one in every]))]
+    return LargestRow(top, rank, row, place)
+
+
+def _nearest_to_origin(x: FloatArray) -> int:
+    """Row of the place nearest to the origin, of equally near ones the first along x, y, z."""
+    kept = np.arange(len(x))
+    size = float(np.abs(x).max(initial=0.0))
+    for key in (np.linalg.norm(x, axis=1), *x.T):
+        kept = kept[key[kept] <= key[kept].min() + _SAME_PLACE * size]
+    return int(kept[0])
 
 
 class RankExchange:

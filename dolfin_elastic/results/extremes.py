@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx.mesh import Mesh
 
-from dolfin_elastic.core.types import AnyArray, IntArray
+from dolfin_elastic.core.parallel import LargestRow, largest_row
+from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.grid import place_of
+from dolfin_elastic.results.grid import places_of
 from dolfin_elastic.results.recovery.stress import StressRecovery
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
+
+_ROUND_OFF = 1e-14
+"""Differences of det F that rounding decides; displacements and stresses are never so small but
+where there are none."""
 
 
 @dataclass(frozen=True)
@@ -66,43 +72,45 @@ class Extremes:
         return found
 
     def _in_cells(self, values: AnyArray, *, sign: int = 1) -> Extreme:
-        cell, value = _first_largest(sign * values)
-        centre = _barycentre(self.evaluate.grid.mesh, cell) if cell >= 0 else np.zeros(0)
-        part = next((p.name for p in self.problem.regions if cell in p.cells), "")
-        return self._largest(Extreme(sign * value, _numbers(centre), part), sign)
+        """Of det F, whose difference from 1 counts."""
+        mesh = self.evaluate.grid.mesh
+        found = self._found(sign * (values - 1.0), lambda cells: _barycentres(mesh, cells))
+        if found is None:
+            return Extreme(sign * -np.inf, ())
+        part = next((p.name for p in self.problem.regions if self._owns(found, p.cells)), "")
+        return Extreme(1.0 + sign * found.value, found.place, self._shared(found, part))
 
     def _at_nodes(
         self, values: AnyArray, regions: IntArray | None = None, *, sign: int = 1
     ) -> Extreme:
-        node, value = _first_largest(sign * values)
-        dim = self.problem.body.dim
-        place = place_of(self.problem.V, node)[:dim] if node >= 0 else np.zeros(0)
-        region = -1 if regions is None or node < 0 else int(regions[node])
+        V, dim = self.problem.V, self.problem.body.dim
+        found = self._found(sign * values, lambda nodes: places_of(V, nodes)[:, :dim])
+        if found is None:
+            return Extreme(sign * -np.inf, ())
+        region = -1
+        if regions is not None and found.rank == self.problem.body.comm.rank:
+            region = int(regions[found.row])
         part = self.problem.regions[region].name if region >= 0 else ""
-        return self._largest(Extreme(sign * value, _numbers(place), part), sign)
+        return Extreme(sign * found.value, found.place, self._shared(found, part))
 
-    def _largest(self, own: Extreme, sign: int) -> Extreme:
-        found: list[Extreme] = [e for e in self.problem.body.comm.allgather(own) if e.place]
-        return max(found, key=lambda e: sign * e.value)
+    def _found(
+        self, values: AnyArray, places: Callable[[IntArray], FloatArray]
+    ) -> LargestRow | None:
+        finite = np.where(np.isfinite(values), values, -np.inf)
+        return largest_row(self.problem.body.comm, finite, places, least=_ROUND_OFF)
 
+    def _owns(self, found: LargestRow, rows: AnyArray) -> bool:
+        return found.rank == self.problem.body.comm.rank and found.row in rows
 
-def _first_largest(values: AnyArray) -> tuple[int, float]:
-    """Index and value of the largest finite number; (-1, -inf) without values on this rank."""
-    finite = np.where(np.isfinite(values), values, -np.inf)
-    if not len(finite):
-        return -1, -np.inf
-    index = int(np.argmax(finite))
-    return index, float(finite[index])
-
-
-def _numbers(place: AnyArray) -> tuple[float, ...]:
-    return tuple(float(x) for x in place)
+    def _shared(self, found: LargestRow, part: str) -> str:
+        """What the rank of an extreme knows of it. Collective."""
+        return str(self.problem.body.comm.bcast(part, root=found.rank))
 
 
-def _barycentre(mesh: Mesh, cell: int) -> AnyArray:
-    dim = mesh.geometry.dim
-    corners = mesh.geometry.dofmap[cell][: mesh.topology.dim + 1]
-    return np.asarray(mesh.geometry.x[corners].mean(axis=0)[:dim])
+def _barycentres(mesh: Mesh, cells: IntArray) -> FloatArray:
+    """Means of the corners of cells [m], shape (n, dim)."""
+    corners = mesh.geometry.dofmap[cells][:, : mesh.topology.dim + 1]
+    return np.asarray(mesh.geometry.x[corners].mean(axis=1)[:, : mesh.geometry.dim])
 
 
 def extremes(problem: Problem, state: State) -> dict[str, Extreme]:

@@ -11,7 +11,7 @@ from dolfinx import cpp, fem, la
 from dolfinx.mesh import CellType
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.types import AnyArray, FloatArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.mesh.geometry.curved import shape_functions
 from dolfin_elastic.mesh.geometry.simplices import cell_corners, signed_volumes
 from dolfin_elastic.results.hdf5 import Rows
@@ -136,18 +136,24 @@ class Grid:
         )
 
 
-def place_of(V: fem.FunctionSpace, node: int) -> FloatArray:
-    """Place [m] of one local node in the reference configuration, shape (3,). Not collective.
+def places_of(V: fem.FunctionSpace, nodes: IntArray) -> FloatArray:
+    """Places [m] of local nodes in the reference configuration, shape (n, 3). Not collective.
 
     Args:
         V: Lagrange space.
-        node: Its number.
+        nodes: Their numbers.
     """
-    cells, local = np.nonzero(V.dofmap.list == node)
-    geometry, points = V.mesh.geometry, np.asarray(V.element.basix_element.points)
+    wanted = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=bool)
+    wanted[nodes] = True
+    cells, local = np.nonzero(wanted[V.dofmap.list])
     # As in a table of all nodes, where the last cell counts: periodic nodes have several places.
-    shape = shape_functions(V.mesh, points[local[-1:]])
-    return np.asarray(shape[0] @ geometry.x[geometry.dofmap[cells[-1]]])
+    last = np.zeros(len(wanted), dtype=np.int64)
+    last[V.dofmap.list[cells, local]] = np.arange(len(cells))
+    chosen = last[nodes]
+    geometry, points = V.mesh.geometry, np.asarray(V.element.basix_element.points)
+    shape = shape_functions(V.mesh, points)[local[chosen]]
+    corners = geometry.x[geometry.dofmap[cells[chosen]]]
+    return np.asarray(np.einsum("nk,nkj->nj", shape, corners))
 
 
 def to_nodes(V: fem.FunctionSpace, values: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.parallel import largest_row
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
@@ -193,18 +194,16 @@ class Measurement:
         sign = -1.0 if q.name in _SMALLEST else 1.0
         own = np.where(np.isfinite(values[members]), sign * values[members], -np.inf)
         places = (evaluator.grid.points() if nodal else _middles(body))[members][:, : body.dim]
-        best = int(np.argmax(own)) if len(own) else -1
-        mine = (float(own[best]), *map(float, places[best])) if len(own) else (-np.inf,)
-        top = max(body.comm.allgather(mine))
-        if not np.isfinite(top[0]):
+        top = largest_row(body.comm, own, lambda rows: places[rows])
+        if top is None:
             raise InputError(
                 f"'{q}' has no value in this run",
                 where="--until",
                 expected="a result that is finite somewhere on that part",
             )
-        limit = _PEAK * top[0] if top[0] > 0 else top[0] / _PEAK
+        limit = _PEAK * top.value if top.value > 0 else top.value / _PEAK
         cells = self._touching(members[own >= limit]) if nodal else members[own >= limit]
-        return Measured(sign * top[0], top[1:], _size_at(body, np.array(top[1:])), cells)
+        return Measured(sign * top.value, top.place, _size_at(body, np.array(top.place)), cells)
 
     def chosen(self) -> BoolArray:
         """Whether an owned node is on the part. Collective."""

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from dolfinx import fem, la
 
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import largest_row, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.core.units import stress_unit
 from dolfin_elastic.mesh.body import cell_size
-from dolfin_elastic.results.grid import place_of
+from dolfin_elastic.results.grid import places_of
 from dolfin_elastic.results.recovery.error import ErrorEstimate
 from dolfin_elastic.results.recovery.resolution import RESOLVED, largest_at_nodes, resolution
 from dolfin_elastic.results.recovery.singular import SingularPlaces, singular_places
@@ -388,25 +388,23 @@ class _Finder:
             singular: See `at_largest`.
         """
         problem, comm = self._problem, self._problem.body.comm
-        node = int(np.argmax(by)) if len(by) else -1
-        mine = float(by[node]) if node >= 0 else -np.inf
-        best, rank = max((value, -r) for r, value in enumerate(comm.allgather(mine)))
-        if not np.isfinite(best):
+        V, dim = problem.V, problem.body.dim
+        best = largest_row(comm, by, lambda nodes: places_of(V, nodes)[:, :dim])
+        if best is None or not np.isfinite(best.value):
             return -np.inf, Peak(0.0, (), "", 0.0)
-        own, surface = None, _surface_at(problem, node, -rank)
-        if comm.rank == -rank:
-            x = place_of(problem.V, node)[: problem.body.dim]
+        node, own, surface = best.row, None, _surface_at(problem, best.row, best.rank)
+        if comm.rank == best.rank:
             own = Peak(
                 float(values[node]),
-                tuple(float(a) for a in x),
+                best.place,
                 problem.regions[int(regions[node])].name,
                 float(self._errors[node]),
                 surface,
                 self._places.reason(node) if singular else "",
                 self._unresolved(node),
             )
-        found: Peak = comm.bcast(own, root=-rank)
-        return best, found
+        found: Peak = comm.bcast(own, root=best.rank)
+        return best.value, found
 
     def _unresolved(self, node: int) -> str:
         """Why a node's stress is not resolved; empty where it is. Not collective."""

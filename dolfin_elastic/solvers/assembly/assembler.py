@@ -14,7 +14,7 @@ from ufl.integral import Integral
 
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.jit.cell_integrals import CellIntegrals
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import largest_row, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import middle_of
@@ -388,11 +388,9 @@ class Residual:
         forces = (self.owned - dofs.constrained_part(self.owned))[dofs.displacement_dofs]
         norms = np.linalg.norm(forces.reshape(-1, problem.body.dim), axis=1)
         norms = np.where(np.isfinite(norms), norms, np.inf)
-        node = int(np.argmax(norms)) if len(norms) else -1
-        places = problem.unknowns.unknown_places
-        dim = problem.body.dim
-        mine = (float(norms[node]), places[node, :dim]) if node >= 0 else (-1.0, np.zeros(dim))
-        return max(dofs.comm.allgather(mine), key=lambda pair: pair[0])
+        places, dim = problem.unknowns.unknown_places, problem.body.dim
+        found = largest_row(dofs.comm, norms, lambda nodes: places[nodes, :dim])
+        return (-1.0, np.zeros(dim)) if found is None else (found.value, np.array(found.place))
 
 
 class Assembler(ConstrainedDofs):

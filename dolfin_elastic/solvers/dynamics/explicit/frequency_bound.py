@@ -9,6 +9,7 @@ import ufl
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
+from dolfin_elastic.core.parallel import largest_row
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.kinematics import variables
 from dolfin_elastic.problem.material_regions import MaterialRegion
@@ -107,12 +108,9 @@ class FrequencyBound:
         Args:
             rates: From `evaluate` [1/s^2].
         """
-        mine: tuple[float, tuple[float, ...]] = (-np.inf, ())
-        if len(rates):
-            row = int(np.argmax(rates))
-            x = self._problem.places[row, : self._dim]
-            mine = float(rates[row]), tuple(map(float, x))
-        return max(self._problem.body.comm.allgather(mine), key=lambda pair: pair[0])[1]
+        places = self._problem.places[:, : self._dim]
+        found = largest_row(self._problem.body.comm, rates, lambda rows: places[rows])
+        return () if found is None else found.place
 
 
 def rows_over_mass(

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from dolfin_elastic.core.errors import Diagnosis, StabilityError
-from dolfin_elastic.core.parallel import first_of, total
+from dolfin_elastic.core.parallel import first_of, largest_row, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.problem import Problem
@@ -186,11 +186,8 @@ class Replay:
         dim, nodes = problem.body.dim, problem.V.dofmap.index_map.size_local
         u = problem.u.x.array[: nodes * dim].reshape(-1, dim)
         far = np.nan_to_num(np.linalg.norm(u, axis=1), nan=np.inf, posinf=np.inf)
-        mine: tuple[float, Place] = (-1.0, ())
-        if nodes:
-            node = int(np.argmax(far))
-            mine = float(far[node]), plain(problem.places[node, :dim])
-        return max(problem.body.comm.allgather(mine))
+        found = largest_row(problem.body.comm, far, lambda rows: problem.places[rows, :dim])
+        return (-1.0, ()) if found is None else (found.value, plain(np.array(found.place)))
 
     # --- why ---
 
