@@ -64,6 +64,38 @@ class Audit:
 
 
 @dataclass(frozen=True)
+class Stability:
+    """Whether an equilibrium is stable, by the eigenvalues of its tangent.
+
+    Attributes:
+        negative: How many are negative, those of pressures and constraints left out: 0 of a stable
+            equilibrium; None where it could not be judged.
+        at_least: There may be more than these.
+        reason: Why it could not be judged.
+    """
+
+    negative: int | None
+    at_least: bool = False
+    reason: str = ""
+
+    @property
+    def verdict(self) -> Literal["stable", "unstable", "not judged"]:
+        """In a word."""
+        if self.negative is None:
+            return "not judged"
+        return "unstable" if self.negative else "stable"
+
+    def __str__(self) -> str:
+        if self.negative is None:
+            return f"stability not judged: {self.reason}"
+        if not self.negative:
+            return "stable"
+        least = "at least " if self.at_least else ""
+        plural = "" if self.negative == 1 else "s"
+        return f"unstable: its tangent has {least}{self.negative} negative eigenvalue{plural}"
+
+
+@dataclass(frozen=True)
 class Moment:
     """Moment of a support on the body.
 
@@ -115,8 +147,7 @@ class State:
             its surface; none of bodies of revolution and periodic cells.
         momenta: In motion "linear" [kg m/s] and "angular" [kg m^2/s] about the origin.
         max_displacement: Largest norm of u over the body's nodes [m].
-        negative: In statics the number of negative eigenvalues of the tangent, 0 of a stable
-            equilibrium; None where the linear solver does not count them.
+        stability: In statics whether the equilibrium is stable; None of the initial state.
         limit_points: Load factors of the limit points that the path has passed so far.
         limit_errors: Estimated errors of these load factors.
         numbers: Further results by name in SI units, for example of probes or the volume of a
@@ -147,7 +178,7 @@ class State:
     moments: Mapping[str, Moment] = field(default_factory=dict)
     momenta: Mapping[str, FloatArray] = field(default_factory=dict)
     max_displacement: float = 0.0
-    negative: int | None = None
+    stability: Stability | None = None
     limit_points: tuple[float, ...] = ()
     limit_errors: tuple[float, ...] = ()
     numbers: Mapping[str, float] = field(default_factory=dict)
@@ -156,6 +187,11 @@ class State:
     done: float = 0.0
     between: bool = False
     derived: dict[str, object] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def negative(self) -> int | None:
+        """Negative eigenvalues of the tangent, see `Stability`; None where they are not known."""
+        return None if self.stability is None else self.stability.negative
 
 
 @dataclass(frozen=True)

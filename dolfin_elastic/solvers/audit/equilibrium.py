@@ -24,7 +24,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.model.dimension import moment_of
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.state import Audit
+from dolfin_elastic.problem.state import Audit, Stability
 from dolfin_elastic.solvers.assembly.assembler import (
     Assembler,
     StrainEnergy,
@@ -104,12 +104,13 @@ class EquilibriumAuditor:
         self._strains = SmallStrains(problem, watch)
 
     @stage("audit")
-    def audit(self, t: float, energy: float) -> Audit:
+    def audit(self, t: float, energy: float, stability: Stability | None = None) -> Audit:
         """The audit of the step that the problem and the assembler are in. Collective.
 
         Args:
             t: Load parameter, for messages.
             energy: Stored energy [J]; nan where a law has none.
+            stability: Of the equilibrium; None where nobody asks for it.
         """
         reasons: Found = {}
         self._round_off_share = 0.0
@@ -128,6 +129,8 @@ class EquilibriumAuditor:
             self._check_energy(forces, u, energy, energy_noise, reasons)
         else:
             reasons["energy"] = Offence("the strain energy has no finite value", np.inf)
+        if stability is not None and stability.negative is None:
+            reasons["stability"] = Offence(str(stability), 0.0)
         stored = self._stored if np.isfinite(energy) else np.nan
         found = StepBalance(force, moment, self._work, stored)
         self._strains.check(self._when(t))

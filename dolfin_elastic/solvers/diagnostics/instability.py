@@ -15,8 +15,8 @@ from dolfin_elastic.solvers.diagnostics.evidence import Cells, TrialStates
 from dolfin_elastic.solvers.diagnostics.material_limit import NEARLY, softest_spot
 from dolfin_elastic.solvers.diagnostics.stability import (
     LIMIT,
+    FactorisedTangent,
     Mode,
-    Stability,
     curvature,
 )
 from dolfin_elastic.solvers.messages import coordinates
@@ -110,7 +110,7 @@ def _spectrum(states: TrialStates, values: FloatArray) -> Spectrum | None:
     """Factorises the tangent of a state; None where it has none."""
     if not states.tangent(values):
         return None
-    stability = Stability(states.assembler)
+    stability = FactorisedTangent(states.assembler)
     try:
         return Spectrum(stability.negative, stability.weakest()) if stability.sound else None
     finally:
@@ -144,7 +144,7 @@ def take_newton_step(assembler: Assembler) -> bool:
     Returns:
         Whether there is such a step.
     """
-    stability = Stability(assembler)
+    stability = FactorisedTangent(assembler)
     x, f, step = (assembler.create_vector() for _ in range(3))
     if stability.sound:
         assembler.get(x)

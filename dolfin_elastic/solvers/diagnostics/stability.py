@@ -2,7 +2,8 @@
 
 By Sylvester's law of inertia the factors L D L^T of a symmetric matrix have as many negative pivots
 as it has negative eigenvalues.  With a pressure beside the displacement the tangent is that of a
-saddle point: a stable one has exactly as many negative eigenvalues as there are pressures.
+saddle point: a stable one has exactly as many negative eigenvalues as there are pressures.  Where
+there are no such factors, conjugate gradients tell, see `negative_curvature`.
 
 Sources: G. Golub and C. Van Loan, Matrix Computations (2013), section 8.1.5; M. Benzi, G. Golub and
 J. Liesen, Acta Numerica 14 (2005), section 3.4.
@@ -10,7 +11,7 @@ J. Liesen, Acta Numerica 14 (2005), section 3.4.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,8 +21,13 @@ from dolfin_elastic.core.compat import petsc_errors
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.mesh.body import span
+from dolfin_elastic.problem.state import Stability
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.diagnostics.negative_curvature import (
+    Found,
+    count_negative,
+    start_vector,
+)
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 
 if TYPE_CHECKING:
@@ -36,16 +42,8 @@ At the limit a state takes about six seconds on one core, and up to four states 
 NEGATIVE_PIVOTS = 12
 """Index of their number in MUMPS's INFOG."""
 
-CURVATURE_TOLERANCE = 1e-2
-"""Relative residual of the solve that looks for negative curvature: the weakest modes have more
-than this share of the right-hand side, and weigh most in the preconditioned norm."""
-
-OLD_CURVATURE_TOLERANCE = 1e-3
-"""The same with a preconditioner of an earlier tangent, in whose norm the weakest modes of this one
-weigh less."""
-
-CURVATURE_ITERATIONS = 200
-"""Of that solve: ten serve for a preconditioner of this tangent, more where it is an old one."""
+DETERMINANT = 12
+"""Index of its mantissa in MUMPS's RINFOG."""
 
 _DIGITS = 1e-3
 """Relative accuracy of the weakest mode's stiffness."""
@@ -75,118 +73,84 @@ def _counts_pivots(pc: PETSc.PC) -> bool:
     return bool(pc.getType() == "cholesky" and pc.getFactorSolverType() == "mumps")
 
 
-def negative_eigenvalues(newton: Newton) -> int | None:
-    """Negative eigenvalues that a stable body has not, at the end of a Newton solve. Collective.
+@dataclass(frozen=True)
+class Verdict:
+    """What `judge` has found.
 
-    Those of the last tangent that Newton's method has factorised are counted, one small step
-    before the solution.  It is factorised anew only where there is none, or one with a shifted
-    diagonal, whose eigenvalues are larger.
-
-    Args:
-        newton: The solver; scalar unknowns beside its fields add theirs.
-
-    Returns:
-        Their number; None where no symmetric factorisation is at hand.
+    Attributes:
+        stability: In plain data.
+        direction: The motion of a body that is unstable, or about to be: owned entries of all
+            unknowns; None where it is not known.
     """
-    pc = newton.ksp.getPC()
-    if not (newton.linear.direct and newton.assembler.problem.symmetric and _counts_pivots(pc)):
-        return None
-    if newton.shift > 0.0 or not (newton.result.newton or newton.factorised):
-        newton.factorise()
-    below = negative_pivots(pc, newton.assembler)
-    if below is None or newton.bordered is None:
-        return below
-    found = below + newton.bordered.negative()
-    return None if found < 0 else found
 
+    stability: Stability
+    direction: FloatArray | None = None
 
-def can_prove_stability(newton: Newton) -> bool:
-    """Whether `is_proven_stable` has anything to go by. Not collective."""
-    if not newton.assembler.problem.symmetric:
-        return False
-    if newton.linear.direct:
-        return _counts_pivots(newton.ksp.getPC())
-    return newton.bordered is None and (_by_gradients(newton) or _condenses(newton))
-
-
-def _by_gradients(newton: Newton) -> bool:
-    return newton.ksp.getType() == "cg" or newton.linear.left_gradients
-
-
-def _condenses(newton: Newton) -> bool:
-    """Whether pressures are split off, and can be eliminated for what follows."""
-    return newton.linear.split is not None and not newton.assembler.problem.unknowns.stabilised
+    @property
+    def stable(self) -> bool | None:
+        """Whether the equilibrium is stable; None where it could not be judged."""
+        negative = self.stability.negative
+        return None if negative is None else negative == 0
 
 
 @stage("stability")
-def is_stable(newton: Newton) -> bool | None:
-    """Whether the tangent at the end of a Newton solve is that of a stable body. Collective.
+def judge(newton: Newton) -> Verdict:
+    """Whether the equilibrium at the end of a Newton solve is stable. Collective.
 
-    By the pivots of its factors; else by conjugate gradients, which build the Lanczos polynomials
-    of the preconditioned tangent and meet a direction of negative curvature as soon as one of their
-    Ritz values is negative.  A right-hand side with a part in every mode cannot be solved for
-    before: the residual polynomial is 1 at zero and has to be small at each eigenvalue, a negative
-    one, too.  Source: C. C. Paige and M. A. Saunders, SIAM J. Numer. Anal. 12 (1975) 617.
-
-    Args:
-        newton: The solver, after a solve that has converged.
-
-    Returns:
-        None where nothing tells, or conjugate gradients end otherwise.
-    """
-    if newton.linear.direct:
-        below = negative_eigenvalues(newton)
-        return None if below is None else below == 0
-    told = can_prove_stability(newton) and _by_gradients(newton)
-    return _is_positive_definite(newton) if told else None
-
-
-def is_proven_stable(newton: Newton) -> bool:
-    """Whether it is certain that the tangent is that of a stable body. Collective.
-
-    As `is_stable`; with an iterative solver for displacement and pressure by conjugate gradients on
-    the displacement's tangent with softer pressures eliminated, see `SofterVolume`: where it is
-    positive definite, so is the body's; where it is not, nothing is certain.
+    The tangent judged is the last one of Newton's method, one small step before the solution.  It
+    is assembled anew only where there is none, or one with a shifted diagonal, whose eigenvalues
+    are larger.  That of a linear problem is positive definite by construction: its laws are, and
+    neither loads nor contacts change it.
 
     Args:
-        newton: The solver, after a solve that has converged.
+        newton: The solver, after a solve that has converged; scalar unknowns beside its fields add
+            the inertia of their Schur complement.
     """
-    if newton.linear.direct or not (can_prove_stability(newton) and _condenses(newton)):
-        return is_stable(newton) is True
-    return _is_positive_definite(newton) is True
-
-
-def _is_positive_definite(newton: Newton) -> bool | None:
-    """Whether the last tangent is, by conjugate gradients; None: they tell nothing. Collective.
-
-    With a pressure: whether it is with softer pressures eliminated.
-    """
-    assembler, split = newton.assembler, newton.linear.split
+    if newton.assembler.problem.linear:
+        return Verdict(Stability(0))
     if newton.shift > 0.0 or not (newton.result.newton or newton.factorised):
         newton.factorise()
-    b = assembler.create_vector()
-    b.array_w[assembler.displacement_dofs] = start_vector(assembler)
-    assembler.remove_constrained(b)
-    rtol = OLD_CURVATURE_TOLERANCE if newton.linear.kept else CURVATURE_TOLERANCE
-    with stage("stability"):
-        if split is not None:
-            reason = split.solve_softer(b, rtol, CURVATURE_ITERATIONS)
-        else:
-            x = b.duplicate()
-            # Newton's solver may be GMRES by now; its preconditioner, as old as it may be, serves.
-            gradients = PETSc.KSP().create(assembler.comm)
-            gradients.setType("cg")
-            gradients.setPC(newton.ksp.getPC())
-            gradients.setOperators(*newton.ksp.getOperators())
-            gradients.setTolerances(rtol=rtol, max_it=CURVATURE_ITERATIONS)
-            gradients.solve(b, x)
-            reason = gradients.getConvergedReason()
-            gradients.destroy()
-            x.destroy()
-    b.destroy()
-    if reason == PETSc.KSP.ConvergedReason.DIVERGED_INDEFINITE_MAT:
-        return False
-    return True if reason > 0 else None
+    fields = _of_fields(newton)
+    if fields.negative is None:
+        return Verdict(Stability(None, reason=fields.reason), fields.direction)
+    negative = fields.negative
+    if newton.bordered is not None:
+        negative += newton.bordered.negative()
+    if negative < 0:  # fewer than the constraints of the scalar unknowns have by themselves
+        return Verdict(Stability(None, reason=_SINGULAR), fields.direction)
+    return Verdict(Stability(negative, at_least=fields.at_least), fields.direction)
+
+
+_SINGULAR = "its tangent is singular"
+
+
+def _of_fields(newton: Newton) -> Found:
+    """The inertia of the fields' tangent: by pivots where there are any, for these are free."""
+    pc = newton.ksp.getPC()
+    if newton.linear.direct and newton.assembler.problem.symmetric and _counts_pivots(pc):
+        below = negative_pivots(pc, newton.assembler)
+        return Found(below, reason=_SINGULAR if below is None else "")
+    constrained = newton.bordered is not None and bool(np.any(newton.bordered.scalars.signs < 0.0))
+    found = count_negative(newton, exactly=constrained)
+    odd = _is_odd(pc, newton.assembler) if newton.linear.direct else None
+    if odd is None or found.negative is None or found.negative % 2 == odd:
+        return found
+    return replace(found, negative=found.negative + 1, at_least=True)
+
+
+def _is_odd(pc: PETSc.PC, assembler: Assembler) -> bool | None:
+    """Whether the number of negative eigenvalues is odd, by the sign of the determinant.
+
+    Complex eigenvalues come in pairs, whose product is positive.  Those of pressures are left out.
+    None where the factors have no determinant.
+    """
+    if pc.getType() != "lu" or pc.getFactorSolverType() != "mumps":
+        return None
+    factors = pc.getFactorMatrix()
+    mantissa = factors.getMumpsRinfog(DETERMINANT)
+    if factors.getMumpsIcntl(33) != 1 or mantissa == 0.0:
+        return None
+    return bool((mantissa < 0.0) != (assembler.pressures % 2 == 1))
 
 
 @dataclass(frozen=True)
@@ -202,7 +166,7 @@ class Mode:
     motion: FloatArray
 
 
-class Stability:
+class FactorisedTangent:
     """A factorised tangent. Collective; `destroy` it.
 
     Args:
@@ -309,11 +273,11 @@ class Stability:
 class _Compliance:
     """The displacement block of the inverse tangent, zero where displacements are prescribed."""
 
-    def __init__(self, stability: Stability) -> None:
-        self._of = stability
-        self._keep = np.zeros(stability.assembler.size)
-        self._keep[stability.assembler.displacement_dofs] = 1.0
-        self._f = stability.assembler.create_vector()
+    def __init__(self, tangent: FactorisedTangent) -> None:
+        self._of = tangent
+        self._keep = np.zeros(tangent.assembler.size)
+        self._keep[tangent.assembler.displacement_dofs] = 1.0
+        self._f = tangent.assembler.create_vector()
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Multiplies by the compliance, as PETSc's MatMult. Collective.
@@ -332,15 +296,6 @@ class _Compliance:
     def destroy(self, matrix: PETSc.Mat) -> None:
         """Frees what it owns. Collective."""
         self._f.destroy()
-
-
-def start_vector(assembler: Assembler) -> FloatArray:
-    """Owned displacements that have a part in every mode, the same on any number of ranks."""
-    problem = assembler.problem
-    dim = problem.body.dim
-    x = problem.unknowns.unknown_places[: len(assembler.displacement_dofs) // dim, :dim]
-    waves = np.sin(1.7 * x.sum(axis=1)[:, None] / span(problem.body) + 2.3 * np.arange(dim))
-    return np.asarray((1.0 + waves).ravel())
 
 
 def curvature(assembler: Assembler, direction: FloatArray) -> float:

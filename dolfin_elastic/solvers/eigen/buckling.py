@@ -47,7 +47,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_no_rigid_motion
-from dolfin_elastic.solvers.diagnostics.stability import Stability
+from dolfin_elastic.solvers.diagnostics.stability import FactorisedTangent
 from dolfin_elastic.solvers.eigen.critical_load import CriticalLoad
 from dolfin_elastic.solvers.eigen.mode_shapes import at_rest, refuse, shape
 from dolfin_elastic.solvers.eigen.preload import PreloadedAnalysis
@@ -275,7 +275,7 @@ class _Path:
         assembler, problem = self._assembler, self._problem
         rates = [self._residual(base, self._share + h) for h in (SHARE, -SHARE)]
         self._tangent(base, self._share)
-        stability = Stability(assembler)
+        stability = FactorisedTangent(assembler)
         if not stability.sound or stability.negative != 0:
             stability.destroy()
             raise ConvergenceError(

@@ -152,6 +152,7 @@ def factorising(symmetric: bool) -> dict[str, PetscValue]:
         "pc_factor_mat_solver_type": "mumps",
         "mat_mumps_icntl_14": 50,  # room for pivoting on indefinite tangents
         "mat_mumps_icntl_13": 1,  # no ScaLAPACK at the root: it counts no negative pivots
+        "mat_mumps_icntl_33": int(not symmetric),  # the determinant's sign, where no pivots count
         "mat_mumps_icntl_24": 1,  # a singular tangent is Newton's affair, not MUMPS's error
         "mat_mumps_icntl_20": 0,  # PETSc's distributed right-hand side can fail (dolfinx#4362)
     }

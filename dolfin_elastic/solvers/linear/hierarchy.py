@@ -4,7 +4,7 @@ PETSc's GAMG spends most of its time in Galerkin products and in products with m
 no blocks.  Here both are loops over blocks of known size, and the cycle reads single precision.
 
 A cycle is V(1, 1) with damped block Jacobi: Briggs, Henson & McCormick, A Multigrid Tutorial
-(2000).  It is symmetric and positive definite where the matrix is, as conjugate gradients need.
+(2000).  It is symmetric where the matrix is, and positive definite as conjugate gradients need.
 """
 
 from __future__ import annotations
@@ -173,12 +173,23 @@ class Rest:
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
+    """The inverse of a matrix whose symmetric part S is positive definite; else that of |S|.
+
+    So the cycle stays positive definite where the tangent is not.  An inverse of the tangent's own
+    signs would hide its negative curvature from conjugate gradients: both are negative along the
+    same modes, and their product is near 1.
+    """
     if not np.isfinite(matrix).all():
         return matrix  # whose numbers the solver is to see
+    S = (matrix + matrix.T) / 2
     try:
+        np.linalg.cholesky(S)
         return np.asarray(np.linalg.inv(matrix))
-    except np.linalg.LinAlgError:  # as of a body that can move
-        return np.asarray(np.linalg.pinv(matrix))
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(S)
+        sizes = np.abs(values)
+        kept = sizes > 1e-14 * sizes.max(initial=0.0)  # the others are of a body that can move
+        return np.asarray((vectors[:, kept] / sizes[kept]) @ vectors[:, kept].T)
 
 
 class Hierarchy:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 import numpy as np
 from petsc4py import PETSc
@@ -91,6 +92,16 @@ class LinearSolver:
     def kept(self) -> bool:
         """The preconditioner is of an earlier tangent than the last one."""
         return self._age is not None and self._age.kept
+
+    @contextmanager
+    def left_as_it_is(self) -> Iterator[None]:
+        """Nothing sets the preconditioner or the factors up anew meanwhile. Not collective."""
+        pc = self.ksp.getPC()
+        pc.setReusePreconditioner(True)
+        try:
+            yield
+        finally:  # SNES decides anew for those of its own
+            pc.setReusePreconditioner(self._age is not None)
 
     def factorise_each_tangent(self) -> None:
         """Makes a direct solver factorise each tangent, for quadratic convergence."""

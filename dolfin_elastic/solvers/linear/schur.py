@@ -17,7 +17,7 @@ from dolfinx import fem, la
 from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.weak_form import UNUSED
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
@@ -37,15 +37,14 @@ class PressureSplit:
     """
 
     def __init__(self, assembler: Assembler, pc: PETSc.PC) -> None:
-        self._problem, self._tangent = assembler.problem, assembler.tangent.matrix
+        self._problem = assembler.problem
         start = assembler.tangent.matrix.getOwnershipRange()[0]
         # Rows of a split have to be sorted, but the displacement has an order of its own.
         self._order = np.argsort(assembler.displacement_dofs, kind="stable").astype(np.int32)
-        self._moves = assembler.displacement_dofs[self._order]
+        moves = assembler.displacement_dofs[self._order]
         pressures = np.setdiff1d(np.arange(assembler.size), assembler.displacement_dofs)
-        self._pressures = pressures
         comm = assembler.comm
-        self._u = PETSc.IS().createGeneral((self._moves + start).astype(PETSc.IntType), comm)
+        self._u = PETSc.IS().createGeneral((moves + start).astype(PETSc.IntType), comm)
         self._u.setBlockSize(self._block_size())
         self._p = PETSc.IS().createGeneral((pressures + start).astype(PETSc.IntType), comm)
         entries = PETSc.Vec().createMPI((len(pressures), None), comm=comm)
@@ -96,40 +95,20 @@ class PressureSplit:
             self._set_modes()
         renew(self._ksp)
 
-    def solve_softer(self, b: PETSc.Vec, rtol: float, most: int) -> int:
-        """Solves with the tangent of `SofterVolume` by conjugate gradients. Collective.
-
-        With the displacement's multigrid, as old as it may be.
+    def precondition(self, r: FloatArray) -> FloatArray:
+        """One cycle of the displacement's multigrid, as old as it may be. Collective.
 
         Args:
-            b: Right-hand side, of all unknowns [N].
-            rtol: Relative tolerance of the preconditioned residual.
-            most: Iterations.
-
-        Returns:
-            PETSc's number of why it has ended.
+            r: Forces at the owned displacements, in the order of their rows [N].
         """
-        compliances = -_compliances(self._problem, 1.0 / SOFTER)[self._pressures]
-        softer = SofterVolume(self._tangent, self._moves, self._pressures, compliances)
-        comm, size = b.comm, len(self._moves)
-        matrix = PETSc.Mat().createPython(((size, None),) * 2, context=softer, comm=comm)
-        rhs, x = matrix.createVecs()
-        rhs.array_w[:] = b.array_r[self._moves]
-        inner = self._ksp.getPC()
-        operators = inner.getOperators()
-        gradients = PETSc.KSP().create(comm)
-        gradients.setType("cg")
-        gradients.setPC(inner)
-        inner.setReusePreconditioner(True)
-        gradients.setOperators(matrix, operators[1])
-        gradients.setTolerances(rtol=rtol, max_it=most)
-        gradients.solve(rhs, x)
-        reason = int(gradients.getConvergedReason())
-        inner.setReusePreconditioner(False)
-        inner.setOperators(*operators)
-        for thing in (gradients, matrix, rhs, x):
-            thing.destroy()
-        return reason
+        K = self._ksp.getOperators()[1]
+        x, y = K.createVecs()
+        x.array_w[:] = r
+        self._ksp.getPC().apply(x, y)
+        found = y.array_r.copy()
+        x.destroy()
+        y.destroy()
+        return np.asarray(found)
 
     def destroy(self) -> None:
         """Frees what it owns, not the PC. Collective."""
@@ -142,48 +121,54 @@ class PressureSplit:
 class SofterVolume:
     """The displacement's tangent K + B^T W^-1 B with pressures of a softer material eliminated.
 
-    A body of the bulk modulus k, whose pressures have the compliance C = M/k with their mass matrix
-    M, is stable where K + B^T C^-1 B is positive definite.  W are the row sums of M times 1/k plus
-    1/`SOFTER` mu.  They exceed M/k, because row sums exceed a mass matrix of linear elements (their
-    difference is diagonally dominant), so where this is positive definite, that is.  Unlike that it
-    is well conditioned, and unlike K itself it is not indefinite as soon as pressures exceed mu.
+    The whole tangent is [K B^T; B -C], where C is the mass matrix M of the pressures over the bulk
+    modulus k, and with linear displacements the stabilisation besides.  A body is stable where
+    T = K + B^T C^-1 B is positive definite; where k is infinite, on displacements with B u = 0.
+
+    W are the row sums of M times 1/k plus 1/`SOFTER` mu.  They exceed M/k, because row sums exceed
+    a mass matrix of linear elements (their difference is diagonally dominant), so where this
+    operator is positive definite, T is.  Unlike T it is well conditioned, and unlike K it is not
+    indefinite as soon as pressures exceed mu.  The stabilisation is at most M/mu, for it is the
+    square of the pressure without its mean over each cell: with 1/mu in place of 1/`SOFTER` mu the
+    same holds of it.
 
     Source: M. Fortin and R. Glowinski, Augmented Lagrangian Methods (1983), section I.2.
 
     Args:
-        tangent: Of all unknowns.
-        moves: Owned rows of displacements.
-        pressures: Owned rows of pressures.
-        compliances: W of these.
+        assembler: Of a problem with a pressure, whose tangent is assembled.  Collective.
+
+    Attributes:
+        moves: Owned rows of displacements, sorted.
     """
 
-    def __init__(
-        self, tangent: PETSc.Mat, moves: IndexArray, pressures: IndexArray, compliances: FloatArray
-    ) -> None:
-        self._tangent, self._moves, self._pressures = tangent, moves, pressures
-        self._compliances = compliances
-        self._x, self._y = tangent.createVecs()
+    def __init__(self, assembler: Assembler) -> None:
+        problem, tangent = assembler.problem, assembler.tangent.matrix
+        self.moves = np.sort(assembler.displacement_dofs)
+        self._pressures = np.setdiff1d(np.arange(assembler.size), self.moves)
+        share = 1.0 if problem.unknowns.stabilised else 1.0 / SOFTER
+        self._compliances = -_compliances(problem, share)[self._pressures]
+        start = tangent.getOwnershipRange()[0]
+        rows = [(own + start).astype(PETSc.IntType) for own in (self._pressures, self.moves)]
+        p, u = (PETSc.IS().createGeneral(own, assembler.comm) for own in rows)
+        self._B = tangent.createSubMatrix(p, u)
+        self._u, self._p = self._B.createVecs()
+        p.destroy()
+        u.destroy()
 
-    def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Multiplies, as PETSc's MatMult. Collective.
+    def eliminate(self, product: FloatArray) -> FloatArray:
+        """Forces K u + B^T W^-1 B u [N] at `moves`. Collective.
 
         Args:
-            matrix: The PETSc matrix that this one is the context of.
-            x: Displacements [m].
-            y: Forces [N], which it writes.
+            product: The whole tangent times u without pressures, all owned rows.
         """
-        self._x.array_w[self._moves], self._x.array_w[self._pressures] = x.array_r, 0.0
-        self._tangent.mult(self._x, self._y)
-        forces, strains = self._y.array_r[self._moves].copy(), self._y.array_r[self._pressures]
-        pressures = strains / self._compliances
-        self._x.array_w[self._moves], self._x.array_w[self._pressures] = 0.0, pressures
-        self._tangent.mult(self._x, self._y)
-        y.array_w[:] = forces + self._y.array_r[self._moves]
+        self._p.array_w[:] = product[self._pressures] / self._compliances
+        self._B.multTranspose(self._p, self._u)
+        return np.asarray(product[self.moves] + self._u.array_r)
 
-    def destroy(self, matrix: PETSc.Mat) -> None:
+    def destroy(self) -> None:
         """Frees what it owns. Collective."""
-        self._x.destroy()
-        self._y.destroy()
+        for thing in (self._B, self._u, self._p):
+            thing.destroy()
 
 
 def _compliances(problem: Problem, share: float) -> FloatArray:

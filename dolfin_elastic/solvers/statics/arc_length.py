@@ -20,7 +20,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import RestartState
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.diagnostics.stability import negative_eigenvalues
+from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
 from dolfin_elastic.solvers.nonlinear.bordered import JoinedScalars, ScalarUnknowns
 from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
@@ -142,14 +142,14 @@ class PathPoint:
     Attributes:
         t: Load factor.
         result: How it was found, or not.
-        negative: Negative eigenvalues of the tangent, if they are known.
+        verdict: Whether it is stable under its load; None where it was not found.
         good: Where it was not found: the last point, as `Newton.unknowns`.
         failed: ... and the last iterate.
     """
 
     t: float
     result: NewtonResult
-    negative: int | None = None
+    verdict: Verdict | None = None
     good: FloatArray | None = None
     failed: FloatArray | None = None
 
@@ -213,7 +213,7 @@ class ArcLength:
             self._increment, self._size = self._length.increment(), self._length.arc()
             self._longest = MAX_GROWTH * self._size
             self._bordered.factorise()
-            self._slope, self._negative = self._slopes()[1], found.negative
+            self._slope, self._negative = self._slopes()[1], _counted(found.verdict)
             yield found
         while self._length.t < self._end * (1 - 1e-12):
             here, t = self._newton.unknowns(), self._length.t
@@ -242,7 +242,7 @@ class ArcLength:
         if not result.converged or self._turns_sharply(last):
             log.debug("arc length %g m: %s, a shorter one", size / 2, result.reason)
             return PathPoint(self._length.t, result.refused(result.reason))
-        negative = negative_eigenvalues(self._bordered)
+        verdict = judge(self._bordered)
         along, slope = self._slopes()
         beginning = self._scalar_increment, self._increment
         self._increment, self._scalar_increment = self._length.increment(), self._all.get() - before
@@ -251,8 +251,8 @@ class ArcLength:
         limits, spent = self._limits(begin, end, here)
         if self._length.t < self._end:
             self.limits += limits
-            negative = self._report(begin.t, negative, limits)
-            self._slope, self._negative = slope, negative
+            verdict = self._report(begin.t, verdict, limits)
+            self._slope, self._negative = slope, _counted(verdict)
             factor = np.sqrt(DESIRED_ITERATIONS / max(result.newton, 1))
             self._size = min(self._longest, size * float(np.clip(factor, 0.5, 2.0)))
         else:
@@ -261,7 +261,7 @@ class ArcLength:
         result = replace(
             result, newton=result.newton + spent.newton, krylov=result.krylov + spent.krylov
         )
-        return PathPoint(self._length.t, result, negative)
+        return PathPoint(self._length.t, result, verdict)
 
     # --- limit points ---
 
@@ -325,7 +325,7 @@ class ArcLength:
         for pair, own in zip(self._problem.contact_pairs, values, strict=True):
             pair.lam.x.array[:] = own
 
-    def _report(self, t: float, negative: int | None, limits: Sequence[LimitPoint]) -> int | None:
+    def _report(self, t: float, verdict: Verdict, limits: Sequence[LimitPoint]) -> Verdict:
         """Logs the limit points of a step, and bifurcations that its pivots show. Collective.
 
         At a limit point one eigenvalue of the tangent changes its sign; what else changes does so
@@ -334,32 +334,34 @@ class ArcLength:
 
         Args:
             t: Load factor at its beginning.
-            negative: Negative eigenvalues at its end, if they are known.
+            verdict: On the stability of its end.
             limits: Those in it.
 
         Returns:
-            Negative eigenvalues at its end, if they are known.
+            The verdict, by the tangent of the end itself where it was needed.
         """
         for limit in limits:
             log.info("limit point: load factor %.8g, error about %.1g", limit.t, limit.error)
-        if negative is None or self._negative is None:
-            return negative
-        if not _explained(negative - self._negative, len(limits)):
+        negative, before = _counted(verdict), self._negative
+        if negative is None or before is None:
+            return verdict
+        if not _explained(negative - before, len(limits)):
             self._bordered.factorise()
-            negative = negative_eigenvalues(self._bordered)
-        if negative is None or _explained(negative - self._negative, len(limits)):
-            return negative
+            verdict = judge(self._bordered)
+            negative = _counted(verdict)
+        if negative is None or _explained(negative - before, len(limits)):
+            return verdict
         log.warning(
             "bifurcation between the load factors %.6g and %.6g: the tangent has %d negative "
             "eigenvalues before and %d behind, with %d limit points between; another path branches "
             "off, and small imperfections decide which one a body takes",
             t,
             self._length.t,
-            self._negative,
+            before,
             negative,
             len(limits),
         )
-        return negative
+        return verdict
 
     def restart_state(self) -> RestartState:
         """See `Restartable`; the field "way" is the last increment. Not collective."""
@@ -419,7 +421,7 @@ class ArcLength:
             too_fast = StepSpeed(self._assembler).too_fast(0.0, t, here, result)
             too_fast = too_fast or self._assembler.max_displacement() > longest
             if result.converged and not (too_fast and t / 2 >= least):
-                return PathPoint(t, result, negative_eigenvalues(self._newton))
+                return PathPoint(t, result, judge(self._newton))
             if t / 2 < least:
                 return PathPoint(0.0, result, good=here, failed=self._retry.failed)
             self._retry.undo(here)
@@ -470,9 +472,16 @@ class ArcLength:
         result = self._retry.solve([("", here + share * (beyond - here)), ("", beyond)])
         if not result.converged:
             return PathPoint(t, result, good=here, failed=self._retry.failed)
-        return PathPoint(self._end, result, negative_eigenvalues(self._newton))
+        return PathPoint(self._end, result, judge(self._newton))
 
 
 def _explained(change: int, limits: int) -> bool:
     """Whether so many limit points can change the number of negative eigenvalues by so much."""
     return abs(change) <= limits and (change - limits) % 2 == 0
+
+
+def _counted(verdict: Verdict | None) -> int | None:
+    """Negative eigenvalues of the tangent, None where there may be more of them."""
+    if verdict is None or verdict.stability.at_least:
+        return None
+    return verdict.stability.negative

@@ -17,7 +17,7 @@ from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
 from dolfin_elastic.solvers.breakpoints import within_stride
-from dolfin_elastic.solvers.diagnostics.stability import is_stable, negative_eigenvalues
+from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
 from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
 from dolfin_elastic.solvers.nonlinear.convergence import (
@@ -114,6 +114,8 @@ class LoadStepping:
         self._jumped_to: tuple[float, FloatArray] | None = None
         self._limits: tuple[float, ...] = ()
         self._jumps = 0
+        # On the last equilibrium that was found, accepted or not.
+        self._verdict: Verdict | None = None
 
     def run(
         self, saved: SavedState | None = None, near: NearEnd | None = None
@@ -240,7 +242,7 @@ class LoadStepping:
         self._t = end
         # The auditor compares a state with the one before it: it is shown this one twice.
         self._states.state(end, result)
-        return self._states.state(end, result, negative=negative_eigenvalues(self._newton))
+        return self._states.state(end, result, verdict=self._verdict)
 
     def _join_arrays(self, near: NearEnd) -> FloatArray:
         return np.concatenate([near.unknowns, np.array(near.scalars, dtype=np.float64)])
@@ -250,8 +252,8 @@ class LoadStepping:
         self._evaluate_start()
         if not self._path_check.finite():
             return BEYOND
-        linear = self._problem.linear
-        return UNSTABLE if not linear and is_stable(self._newton) is False else ""
+        self._verdict = judge(self._newton)
+        return UNSTABLE if self._verdict.stable is False else ""
 
     # --- the load grows ---
 
@@ -259,10 +261,11 @@ class LoadStepping:
         sizes = self._sizes
         end, start = self._settings.end, self._newton.unknowns()
         whole = self._whole and self._t == 0.0
-        if whole and (result := try_whole_load(self._retry, self._path_check, end)) is not None:
+        if whole and (found := try_whole_load(self._retry, self._path_check, end)) is not None:
+            result, self._verdict = found
             self._accept(_Step(0.0, end, start), end, result, left_path=False)
-            negative, stored = negative_eigenvalues(self._newton), self._path_check.energy
-            yield self._states.state(end, result, negative=negative, stored=stored)
+            stored = self._path_check.energy
+            yield self._states.state(end, result, verdict=self._verdict, stored=stored)
         while not sizes.done(self._t) and not self._ends_early():
             goal = within_stride(self._problem, self._t, sizes.goal(self._t))
             step = _Step(self._t, goal, self._newton.unknowns())
@@ -285,9 +288,7 @@ class LoadStepping:
                 self._retry.undo(step.start)
                 continue
             self._accept(step, goal, result, left_path=bool(refusal))
-            yield self._states.state(
-                goal, result, negative=negative_eigenvalues(self._newton), limits=self._limits
-            )
+            yield self._states.state(goal, result, verdict=self._verdict, limits=self._limits)
 
     def _solve(self, step: _Step) -> NewtonResult:
         """Tries to take a step; all unknowns are put back if that fails. Collective."""
@@ -325,11 +326,13 @@ class LoadStepping:
         material's energy has no finite value.
         """
         if self._problem.linear:
+            self._verdict = judge(self._newton)
             return ""
         self._path_check.evaluate()
         if not self._path_check.finite():
             return BEYOND
-        if is_stable(self._newton) is False:
+        self._verdict = judge(self._newton)
+        if self._verdict.stable is False:
             return UNSTABLE
         if self._jumps >= JUMPS:
             return ""
@@ -369,7 +372,8 @@ class LoadStepping:
         if not self._settings.snap or self._problem.linear or hopeless:
             raise self._failure(step.t, goal, result.refused(refusal), step.start, failed)
         if refusal != ANOTHER:
-            found = flow_to_equilibrium(self._retry, settled=result.converged)
+            unstable = self._verdict if result.converged else None
+            found, self._verdict = flow_to_equilibrium(self._retry, unstable)
             if not found.converged and self._jumped_to is not None:
                 goal, found = self._follow_jump(step, found)
             self._path_check.evaluate()
@@ -401,8 +405,10 @@ class LoadStepping:
             return step.goal, found
         self._problem.set_time(goal, default=PROPORTIONAL)
         found = self._retry.solve([("", unknowns)])
-        if found.converged and is_stable(self._newton) is False:
-            found = flow_to_equilibrium(self._retry, settled=True)
+        if found.converged:
+            self._verdict = judge(self._newton)
+            if self._verdict.stable is False:
+                found, self._verdict = flow_to_equilibrium(self._retry, self._verdict)
         return goal, found
 
     def _ends_early(self) -> bool:
@@ -450,9 +456,7 @@ class LoadStepping:
                 good = self._newton.unknowns() if point.good is None else point.good
                 raise self._failure(point.t, point.t, result, good, point.failed)
             self._t, self._limits = point.t, tuple(limit.t for limit in arc.limits)
-            state = self._states.state(
-                point.t, result, negative=point.negative, limits=self._limits
-            )
+            state = self._states.state(point.t, result, verdict=point.verdict, limits=self._limits)
             yield replace(state, limit_errors=tuple(limit.error for limit in arc.limits))
             if self._ends_early():
                 return

@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import logging
 
+import numpy as np
 from petsc4py import PETSc
 
-from dolfin_elastic.solvers.diagnostics.stability import is_stable, start_vector
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.solvers.diagnostics.negative_curvature import start_vector
+from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
 from dolfin_elastic.solvers.nonlinear.convergence import UNSTABLE, NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
@@ -38,7 +41,9 @@ HALVINGS = 20
 """Times that a perturbation which turns a cell inside out is halved."""
 
 
-def flow_to_equilibrium(retry: RetryStrategy, *, settled: bool) -> NewtonResult:
+def flow_to_equilibrium(
+    retry: RetryStrategy, unstable: Verdict | None
+) -> tuple[NewtonResult, Verdict | None]:
     """Lets a body flow to a stable equilibrium. Collective.
 
     Symmetry can lead the flow to an unstable equilibrium.  The body is then perturbed along its
@@ -46,21 +51,25 @@ def flow_to_equilibrium(retry: RetryStrategy, *, settled: bool) -> NewtonResult:
 
     Args:
         retry: Of the solver; its problem is at the load and in the state to start from.
-        settled: That state is an equilibrium, an unstable one.
+        unstable: That state is an equilibrium, which was judged to be unstable; None: it is none.
 
     Returns:
-        How it ended; never with an equilibrium that is known to be unstable.
+        How it ended, never with an equilibrium that is known to be unstable; and the verdict on
+        that, None if it is none.
     """
     newton = retry.newton
     sizes = [1e-2 * newton.cell_size, *(share * newton.span for share in PERTURBATIONS)]
-    result = NewtonResult(converged=True) if settled else _flow(retry)
-    while result.converged and (settled or is_stable(newton) is False):
-        if not sizes:
-            return result.refused(UNSTABLE)
-        settled = False
-        perturb_along_weakest_mode(newton, sizes.pop(0))
+    result, verdict = NewtonResult(converged=True), unstable
+    if verdict is None:
         result = _flow(retry)
-    return result
+        verdict = judge(newton) if result.converged else None
+    while verdict is not None and verdict.stable is False:
+        if not sizes:
+            return result.refused(UNSTABLE), None
+        perturb(newton, weakest_mode(newton, verdict.direction), sizes.pop(0))
+        result = _flow(retry)
+        verdict = judge(newton) if result.converged else None
+    return result, verdict
 
 
 def _flow(retry: RetryStrategy) -> NewtonResult:
@@ -97,28 +106,47 @@ class _Shift:
         return self._shift if self._shift > SMALLEST else 0.0
 
 
-def perturb_along_weakest_mode(newton: Newton, size: float) -> None:
-    """Perturbs the displacement along the eigenmode of least stiffness. Collective.
-
-    The mode is found by inverse iteration with the last tangent.
+def weakest_mode(newton: Newton, direction: FloatArray | None = None) -> FloatArray:
+    """The motion of least stiffness, owned displacements whose largest is 1. Collective.
 
     Args:
-        newton: The solver; its problem is at the equilibrium that is perturbed.
-        size: Largest nodal displacement [m]; less where a cell would turn inside out.
+        newton: The solver; its problem is at an equilibrium.
+        direction: The motion that the judgement of stability has found; None: it is found by
+            inverse iteration with the last tangent.
     """
     assembler = newton.assembler
     x, b = assembler.create_vector(), assembler.create_vector()
     moves = assembler.displacement_dofs
-    b.array_w[moves] = start_vector(assembler)
-    for _ in range(INVERSE_ITERATIONS):
-        assembler.remove_constrained(b)
-        newton.ksp.solve(b, x)
-        x.scale(1.0 / max(float(x.norm(PETSc.NormType.INFINITY)), 1e-300))
-        x.copy(b)
+    if direction is None:
+        b.array_w[moves] = start_vector(assembler)
+        for _ in range(INVERSE_ITERATIONS):
+            assembler.remove_constrained(b)
+            newton.ksp.solve(b, x)
+            _normalise(x)
+            x.copy(b)
+    else:
+        x.array_w[:] = direction
+        _normalise(x)
     mode = x.array_r[moves].copy()
     x.destroy()
     b.destroy()
-    w, guard = assembler.problem.w.x, newton.guard
+    return np.asarray(mode)
+
+
+def _normalise(x: PETSc.Vec) -> None:
+    x.scale(1.0 / max(float(x.norm(PETSc.NormType.INFINITY)), 1e-300))
+
+
+def perturb(newton: Newton, mode: FloatArray, size: float) -> None:
+    """Perturbs the displacement. Collective.
+
+    Args:
+        newton: The solver; its problem is at the equilibrium that is perturbed.
+        mode: Owned displacements, of which the largest is 1.
+        size: Largest nodal displacement [m]; less where a cell would turn inside out.
+    """
+    assembler, guard = newton.assembler, newton.guard
+    w, moves = assembler.problem.w.x, assembler.displacement_dofs
     start = w.array[moves].copy()
     for halving in range(HALVINGS):
         w.array[moves] = start + size / 2**halving * mode

@@ -10,6 +10,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.assembly.assembler import StrainEnergy, SupportForces
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor
+from dolfin_elastic.solvers.diagnostics.stability import Verdict
 from dolfin_elastic.solvers.messages import coordinates, in_words
 from dolfin_elastic.solvers.nonlinear.contact import ContactResults
 from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
@@ -58,7 +59,7 @@ class StaticStates:
         t: float,
         result: NewtonResult,
         *,
-        negative: int | None = None,
+        verdict: Verdict | None = None,
         limits: tuple[float, ...] = (),
         stored: float | None = None,
     ) -> State:
@@ -67,7 +68,7 @@ class StaticStates:
         Args:
             t: Load factor.
             result: How it was found.
-            negative: Negative eigenvalues of its tangent, if they are known.
+            verdict: Whether it is stable; None of the initial state and of what is no equilibrium.
             limits: Load factors of limit points passed so far.
             stored: Its strain energy [J], if it is known.
 
@@ -82,6 +83,10 @@ class StaticStates:
         if equilibrium:
             assembler.check_volumes()
         reactions, moments = self._supports()
+        stability = None if verdict is None else verdict.stability
+        audit = None
+        if equilibrium:
+            audit = self._auditor.audit(t, energies["strain"], stability)
         return State(
             step=self.count - 1,
             t=t,
@@ -96,10 +101,10 @@ class StaticStates:
             reactions=reactions,
             moments=moments,
             max_displacement=assembler.max_displacement(),
-            negative=negative,
+            stability=stability,
             limit_points=limits,
             numbers=self._numbers(),
-            audit=self._auditor.audit(t, energies["strain"]) if equilibrium else None,
+            audit=audit,
             done=t / self._end,
         )
 

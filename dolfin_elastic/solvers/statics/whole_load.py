@@ -10,9 +10,8 @@ steps themselves are judged by:
 - no iterate from the second on, and not the solution, is farther from the linear solution than
   `NEAR` of its length: `StepSpeed` lets a load step move a body three times as far;
 - the energy is that of a nearly proportional response, to `PROPORTIONAL_WORK`;
-- the tangent is positive definite, proven by the pivots of its factors or by conjugate gradients
-  with a right-hand side that has a part in every mode; with pressures eliminated where these are
-  iterated on.
+- the equilibrium is stable, proven by the pivots of the tangent's factors or by conjugate
+  gradients, see `judge`.
 
 A body that has snapped fails by its energy, one that has buckled or should have by the tangent.
 Where one of these signs cannot be seen (no energy, unsymmetric tangents) or the path is an end in
@@ -39,7 +38,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
 from dolfin_elastic.solvers.breakpoints import driven_by_formula
-from dolfin_elastic.solvers.diagnostics.stability import can_prove_stability, is_proven_stable
+from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
 from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.nonlinear.convergence import ANOTHER, BEYOND, UNSTABLE, NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
@@ -114,7 +113,7 @@ class Course:
 
 def try_whole_load(
     retry: RetryStrategy, path_check: PathEnergyCheck, end: float
-) -> NewtonResult | None:
+) -> tuple[NewtonResult, Verdict] | None:
     """Looks for the equilibrium next to the linear solution. Collective.
 
     Args:
@@ -123,25 +122,30 @@ def try_whole_load(
         end: Load factor of the whole load.
 
     Returns:
-        How it was found, evaluated by `path_check`; None, all unknowns put back, if it is in doubt.
+        How it was found, evaluated by `path_check`, and that it is stable; None, all unknowns put
+        back, if it is in doubt.
     """
     newton = retry.newton
     problem = newton.assembler.problem
-    if not can_prove_stability(newton) or newton.assembler.max_displacement() > 0.0:
+    if newton.assembler.max_displacement() > 0.0:
         return None
     start = newton.unknowns()
     problem.set_time(end, default=PROPORTIONAL)
     problem.dirichlet.check_finite()
-    result = _judged(newton, path_check)
-    retry.restarted()
+    result = _solved(newton, path_check)
     if result.converged:
-        return result
+        verdict = judge(newton)
+        if verdict.stable:
+            retry.restarted()
+            return result, verdict
+        result = result.refused(UNSTABLE if verdict.stable is False else str(verdict.stability))
+    retry.restarted()
     log.debug("the whole load in one step: %s; it grows step by step", in_words(result.reason))
     retry.undo(start)
     return None
 
 
-def _judged(newton: Newton, path_check: PathEnergyCheck) -> NewtonResult:
+def _solved(newton: Newton, path_check: PathEnergyCheck) -> NewtonResult:
     guard, course = newton.guard, Course(newton.assembler)
     most = min(ITERATIONS, newton.tolerance.max_iterations)
     result = newton.solve("basic", max_iterations=most, course=course)
@@ -156,4 +160,4 @@ def _judged(newton: Newton, path_check: PathEnergyCheck) -> NewtonResult:
         return result.refused(BEYOND)
     if path_check.jumped(result.target, share=PROPORTIONAL_WORK):
         return result.refused(ANOTHER)
-    return result if is_proven_stable(newton) else result.refused(UNSTABLE)
+    return result

@@ -51,7 +51,7 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics import instability
 from dolfin_elastic.solvers.diagnostics.evidence import TrialStates
 from dolfin_elastic.solvers.diagnostics.loose_parts import find_loose_part
-from dolfin_elastic.solvers.diagnostics.stability import Mode, Stability, curvature
+from dolfin_elastic.solvers.diagnostics.stability import FactorisedTangent, Mode, curvature
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.messages import coordinates
 
@@ -330,7 +330,7 @@ def test_supports_that_lean(surfaces, motions):
     assembler = Assembler(problem)
     assert TrialStates(assembler).tangent(problem.w.x.array)
     found = find_loose_part(assembler)
-    stability = Stability(assembler)
+    stability = FactorisedTangent(assembler)
     try:
         assert (found is None) == (motions == 0)
         if found is not None:  # along the side, askew to the axes
@@ -419,7 +419,7 @@ def test_eigenvalues_are_counted(share, negative):
     problem.u.x.array[1::2] = -strain * y
     problem.u.x.array[::2] = NU / (1 - NU) * strain * (x - 0.5)
     assert TrialStates(assembler).tangent(problem.w.x.array)
-    stability = Stability(assembler)
+    stability = FactorisedTangent(assembler)
     try:
         assert stability.sound
         assert stability.negative == negative
@@ -448,7 +448,7 @@ def test_pressures_do_not_count_as_instabilities(degree):
     )
     assembler = Assembler(problem)
     assert TrialStates(assembler).tangent(problem.w.x.array)
-    stability = Stability(assembler)
+    stability = FactorisedTangent(assembler)
     try:
         assert stability.negative == 0
         mode = stability.weakest()

@@ -1,0 +1,441 @@
+"""Negative curvature of a tangent, met by conjugate gradients without any factors.
+
+Conjugate gradients build the Lanczos polynomials of the preconditioned operator and meet a
+direction of negative curvature as soon as one of their Ritz values is negative.  A right-hand side
+with a part in every mode cannot be solved for before: the residual polynomial is 1 at zero and has
+to be small at each eigenvalue, a negative one, too.
+
+The operator M is the tangent A itself; its symmetric part where A is not symmetric; and with
+pressures the tangent of a softer material, `SofterVolume`, which is nowhere stiffer than the body.
+So where M is positive definite the body is stable.  Where it is not, the directions D of negative
+curvature decide: the inertia of A is that of its restriction to their complement, on which M has
+become positive definite, and that of the small matrix D^T A^-1 D.
+
+Sources: C. C. Paige and M. A. Saunders, SIAM J. Numer. Anal. 12 (1975) 617 (conjugate gradients
+and Lanczos); E. V. Haynsworth, Linear Algebra Appl. 1 (1968) 73 (inertia of Schur complements).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from petsc4py import PETSc
+
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.body import span
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.linear.schur import SofterVolume
+from dolfin_elastic.solvers.nonlinear.newton import Newton
+
+ROUGH, FINE = 1e-2, 1e-3
+"""Relative preconditioned residual of conjugate gradients; a mode of negative stiffness is met if
+its part of the right-hand side is larger.  The second where there are modes of little stiffness
+left, among which the negative one may have a small part."""
+
+WEAK = 0.1
+"""Smallest Ritz value below which it counts as little: those of multigrid are between 0.3 and 1."""
+
+ITERATIONS = 200
+"""Of conjugate gradients: 10 serve for a preconditioner of this tangent, 30 where it is old."""
+
+MOST_DIRECTIONS = 8
+"""Directions of negative curvature after which it is given up.  Softer pressures add some below
+the critical load, one for each mode that is near its own."""
+
+_SOLVE, _SOLVE_ITERATIONS = 0.1, 500
+"""Relative residual of the solves with the whole tangent, and their iterations: the quotient
+d . A^-1 d is known to a hundredth then, and only its sign counts."""
+
+_ROUND_OFF = 1e-8
+"""Of inner products of vectors of size 1, in the preconditioner's norm."""
+
+_REAL = 1e-6
+"""Imaginary over absolute value of eigenvalues that count as real."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the directions of negative curvature say of a tangent.
+
+    Attributes:
+        negative: Its negative eigenvalues; None where nothing is certain.
+        at_least: There may be more of them.
+        direction: Displacement that the tangent resists least, or less than not at all: owned
+            entries of all unknowns; None without any.
+        reason: Why nothing is certain.
+    """
+
+    negative: int | None
+    at_least: bool = False
+    direction: FloatArray | None = None
+    reason: str = ""
+
+
+def count_negative(newton: Newton, *, exactly: bool = False) -> Found:
+    """Negative eigenvalues of the fields' last tangent, those of pressures left out. Collective.
+
+    Args:
+        newton: The solver, whose preconditioner or factors may be those of an older tangent.
+        exactly: All of them are wanted; else one that is proven is enough.
+    """
+    with newton.linear.left_as_it_is():
+        tangent = _Tangent(newton)
+        found = _count(tangent, exactly=exactly)
+        tangent.destroy()
+    return found
+
+
+def _count(tangent: _Tangent, *, exactly: bool) -> Found:
+    directions, begin = _Directions(tangent), _begin(tangent)
+    enough = tangent.symmetric and not exactly  # of others, one proves nothing before the end
+    while True:
+        ended = _conjugate_gradients(tangent, directions, begin)
+        if ended.definite:
+            return directions.verdict(at_least=False)
+        if ended.direction is None:
+            return Found(None, reason=ended.reason)
+        if enough and tangent.is_whole:
+            return Found(1, at_least=True, direction=tangent.spread(ended.direction))
+        if not directions.add(ended.direction):
+            return Found(None, reason="the linear solver does not converge with its tangent")
+        if enough and directions.verdict(at_least=True).negative:
+            return directions.verdict(at_least=True)
+        if directions.count == MOST_DIRECTIONS:
+            return Found(
+                None,
+                reason=f"its tangent has more than {MOST_DIRECTIONS} directions of little or "
+                "negative stiffness",
+            )
+
+
+class _Tangent:
+    """M, its preconditioner, and the inverse of A, on owned rows of the fields. Collective.
+
+    With factors of an unsymmetric A the preconditioner is (A^-1 + A^-T)/2, which is positive
+    definite where M is, for it is A^-1 M A^-T.
+
+    Args:
+        newton: The solver.
+
+    Attributes:
+        comm: The ranks.
+        symmetric: A is.
+        is_whole: M is A.
+    """
+
+    def __init__(self, newton: Newton) -> None:
+        assembler = newton.assembler
+        problem = assembler.problem
+        self._assembler, self._linear = assembler, newton.linear
+        self.comm, self.symmetric = assembler.comm, bool(problem.symmetric)
+        self._softer = SofterVolume(assembler) if problem.mixed else None
+        self._rows: IndexArray | slice = slice(None)
+        if self._softer is not None:
+            self._rows = self._softer.moves
+        self.is_whole = self.symmetric and self._softer is None
+        self._A, self._pc = assembler.tangent.matrix, newton.ksp.getPC()
+        self._x, self._y, self._z = (assembler.create_vector() for _ in range(3))
+        self._ksp: PETSc.KSP | None = None
+
+    def product(self, x: FloatArray) -> FloatArray:
+        """M x [N]. Collective."""
+        self._take(x)
+        self._A.mult(self._x, self._y)
+        found = self._y.array_r
+        if not self.symmetric:
+            self._A.multTranspose(self._x, self._z)
+            found = (found + self._z.array_r) / 2
+        return found.copy() if self._softer is None else self._softer.eliminate(found)
+
+    def precondition(self, r: FloatArray) -> FloatArray:
+        """An approximation of M^-1 r. Collective."""
+        split = self._linear.split
+        if split is not None:
+            return self._free(split.precondition(r))
+        self._take(r)
+        self._pc.apply(self._x, self._y)
+        found = self._y.array_r
+        if self._linear.direct and not self.symmetric:
+            self._pc.applyTranspose(self._x, self._z)
+            found = (found + self._z.array_r) / 2
+        return self._free(found[self._rows].copy())
+
+    def inverse(self, f: FloatArray) -> FloatArray | None:
+        """The fields' part of A^-1 f, None where the linear solver does not converge. Collective.
+
+        Roughly where it iterates.  GMRES, whatever Newton's solver: A may be indefinite.
+        """
+        self._take(f)
+        if self._linear.direct:
+            self._pc.apply(self._x, self._y)
+            good = bool(np.isfinite(self._y.norm()))
+        else:
+            ksp = self._gmres()
+            ksp.solve(self._x, self._y)
+            good = ksp.getConvergedReason() > 0
+        return self._free(self._y.array_r[self._rows].copy()) if good else None
+
+    def _gmres(self) -> PETSc.KSP:
+        if self._ksp is None:
+            self._ksp = PETSc.KSP().create(self.comm)
+            self._ksp.setType("gmres")
+            self._ksp.setGMRESRestart(100)
+            self._ksp.setPCSide(PETSc.PC.Side.RIGHT)
+            self._ksp.setPC(self._pc)
+            self._ksp.setOperators(self._A)
+            self._ksp.setTolerances(rtol=_SOLVE, max_it=_SOLVE_ITERATIONS)
+        return self._ksp
+
+    def start(self) -> tuple[FloatArray, FloatArray]:
+        """Right-hand sides that have a part in every mode together, preconditioned. Collective.
+
+        A smooth one for the modes of the whole body; noise for those of short waves, as of
+        wrinkles; and the preconditioned noise, in which modes weigh as they are soft.
+
+        Returns:
+            The three, and their products with the preconditioner, one a row.
+        """
+        moves, smooth = self._assembler.displacement_dofs, start_vector(self._assembler)
+        noise = self._forces(moves, _noise(self._assembler))
+        parts = [noise, self.precondition(noise), self._forces(moves, smooth)]
+        images = [parts[1], *map(self.precondition, parts[1:])]
+        return np.array(parts), np.array(images)
+
+    def _forces(self, moves: IndexArray, values: FloatArray) -> FloatArray:
+        self._x.set(0.0)
+        self._x.array_w[moves] = values
+        self._assembler.remove_constrained(self._x)
+        return np.asarray(self._x.array_r[self._rows].copy())
+
+    def _take(self, x: FloatArray) -> None:
+        self._x.set(0.0)
+        self._x.array_w[self._rows] = x
+        self._assembler.remove_constrained(self._x)
+
+    def _free(self, x: FloatArray) -> FloatArray:
+        """Without constrained components."""
+        self._take(x)
+        return np.asarray(self._x.array_r[self._rows].copy())
+
+    def dot(self, a: FloatArray, b: FloatArray) -> float:
+        """Inner product over all ranks. Collective.
+
+        Args:
+            a: Owned rows.
+            b: Owned rows.
+        """
+        return float(total(self.comm, float(np.dot(a, b))))
+
+    def spread(self, x: FloatArray) -> FloatArray:
+        """Owned entries of all unknowns, of which pressures are zero and ties follow. Collective."""
+        self._take(x)
+        found = self._x.array_r.copy()
+        self._assembler.extend(found)
+        return found
+
+    def destroy(self) -> None:
+        """Frees what it owns. Collective."""
+        for thing in (self._x, self._y, self._z, self._softer, self._ksp):
+            if thing is not None:
+                thing.destroy()
+
+
+class _Directions:
+    """Directions D of negative curvature, orthonormal, and A^-1 D.
+
+    Args:
+        tangent: Of which they are.
+    """
+
+    def __init__(self, tangent: _Tangent) -> None:
+        self._tangent = tangent
+        self._d: list[FloatArray] = []
+        self._y: list[FloatArray] = []
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self._d)
+
+    def project(self, v: FloatArray) -> FloatArray:
+        """The part of a vector on their complement. Collective."""
+        if not self._d:
+            return v
+        D = np.array(self._d)
+        return np.asarray(v - D.T @ total(self._tangent.comm, D @ v))
+
+    def add(self, d: FloatArray) -> bool:
+        """Adds a direction and solves for it; False where that fails. Collective."""
+        d = self.project(self.project(d))  # twice is enough for round-off
+        size = np.sqrt(self._tangent.dot(d, d))
+        y = self._tangent.inverse(d / size) if size > 0.0 else None
+        if y is None:
+            return False
+        self._d.append(d / size)
+        self._y.append(y)
+        return True
+
+    def verdict(self, *, at_least: bool) -> Found:
+        """What the eigenvalues of D^T A^-1 D say. Collective.
+
+        Args:
+            at_least: The tangent need not be positive definite on their complement.
+        """
+        if not self._d:
+            return Found(0)
+        D, Y = np.array(self._d), np.array(self._y)
+        G = total(self._tangent.comm, D @ Y.T)
+        if self._tangent.symmetric:
+            compliances, vectors = np.linalg.eigh((G + G.T) / 2)
+        else:
+            found, vectors = np.linalg.eig(G)
+            if np.any(np.abs(found.imag) > _REAL * np.abs(found)):
+                return Found(
+                    None,
+                    reason="its tangent is not symmetric and has complex eigenvalues: flutter is a "
+                    "question of motion",
+                )
+            compliances, vectors = found.real, vectors.real
+        weakest = int(np.argmin(compliances))
+        if compliances[weakest] > 0.0:
+            weakest = int(np.argmax(compliances))
+        direction = self._tangent.spread(vectors[:, weakest] @ Y)
+        return Found(int(np.sum(compliances < 0.0)), at_least, direction)
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """How conjugate gradients have ended.
+
+    Attributes:
+        definite: They have converged: the operator is positive definite.
+        direction: Of negative curvature, where they have met one.
+        reason: Neither.
+    """
+
+    definite: bool
+    direction: FloatArray | None = None
+    reason: str = ""
+
+
+def _conjugate_gradients(tangent: _Tangent, directions: _Directions, begin: _Begin) -> _Ended:
+    """Conjugate gradients on the complement of some directions. Collective.
+
+    Without the solution, which nobody asks for.
+
+    Args:
+        tangent: The operator and its preconditioner.
+        directions: Which are left out.
+        begin: Right-hand sides.
+    """
+    if begin.negative is not None and not directions.count:
+        return _Ended(definite=False, direction=begin.negative)
+    r, z = directions.project(begin.b), directions.project(begin.z)
+    if directions.count:
+        z = directions.project(tangent.precondition(r))
+    p, rz = z, tangent.dot(r, z)
+    first, ritz = rz, _RitzValues()
+    for _ in range(ITERATIONS):
+        if rz == 0.0:
+            return _Ended(definite=True)
+        if rz < 0.0:
+            return _Ended(definite=False, direction=z)
+        image = directions.project(tangent.product(p))
+        curvature = tangent.dot(p, image)
+        if not np.isfinite(curvature):
+            return _Ended(definite=False, reason="its tangent is not finite")
+        if curvature <= 0.0:
+            return _Ended(definite=False, direction=p)
+        r = r - rz / curvature * image
+        z = directions.project(tangent.precondition(r))
+        before, rz = rz, tangent.dot(r, z)
+        ritz.add(before / curvature, rz / before)
+        if abs(rz) <= ROUGH**2 * first and (abs(rz) <= FINE**2 * first or ritz.smallest() > WEAK):
+            return _Ended(definite=True)
+        p = z + rz / before * p
+    return _Ended(
+        definite=False, reason=f"conjugate gradients need more than {ITERATIONS} iterations"
+    )
+
+
+class _RitzValues:
+    """Those of the preconditioned operator on the Krylov space of conjugate gradients.
+
+    Source: G. Golub and C. Van Loan, Matrix Computations (2013), section 11.3.5.
+    """
+
+    def __init__(self) -> None:
+        self._diagonal: list[float] = []
+        self._beside: list[float] = []
+        self._rest = 0.0
+
+    def add(self, step: float, ratio: float) -> None:
+        """Adds an iteration.
+
+        Args:
+            step: Length of its step.
+            ratio: Of its square of the residual to that before.
+        """
+        self._diagonal.append(1.0 / step + self._rest)
+        self._beside.append(np.sqrt(abs(ratio)) / step)
+        self._rest = ratio / step
+
+    def smallest(self) -> float:
+        """The smallest of them, an upper bound of the smallest eigenvalue."""
+        T = np.diag(self._diagonal)
+        off = np.array(self._beside[:-1])
+        T[range(1, len(T)), range(len(off))] = off  # the lower triangle counts
+        return float(np.linalg.eigvalsh(T)[0])
+
+
+@dataclass(frozen=True)
+class _Begin:
+    """Where conjugate gradients begin.
+
+    Attributes:
+        b: Right-hand side.
+        z: Its product with the preconditioner.
+        negative: Motion along which the preconditioner itself is negative, as one made of factors
+            can be; None where none was met.
+    """
+
+    b: FloatArray
+    z: FloatArray
+    negative: FloatArray | None
+
+
+def _begin(tangent: _Tangent) -> _Begin:
+    """The sum of the right-hand sides, each of size 1 in the preconditioner's norm. Collective."""
+    parts, images = tangent.start()
+    products = total(tangent.comm, parts @ images.T)
+    sizes = np.sqrt(np.abs(np.diag(products)))
+    scale = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=sizes > 0.0)
+    values, vectors = np.linalg.eigh(scale[:, None] * (products + products.T) / 2 * scale)
+    negative = None
+    if values[0] < -_ROUND_OFF:
+        negative = (vectors[:, 0] * scale) @ images
+    return _Begin(scale @ parts, scale @ images, negative)
+
+
+def start_vector(assembler: Assembler) -> FloatArray:
+    """Owned displacements that have a part in every mode, the same on any number of ranks."""
+    problem = assembler.problem
+    dim = problem.body.dim
+    x = problem.unknowns.unknown_places[: len(assembler.displacement_dofs) // dim, :dim]
+    waves = np.sin(1.7 * x.sum(axis=1)[:, None] / span(problem.body) + 2.3 * np.arange(dim))
+    return np.asarray((1.0 + waves).ravel())
+
+
+def _noise(assembler: Assembler) -> FloatArray:
+    """Numbers between -1 and 1 at owned displacements that look random, the same on any ranks.
+
+    They are functions of the places, the last digits of sines.
+    """
+    problem = assembler.problem
+    dim = problem.body.dim
+    x = problem.unknowns.unknown_places[: len(assembler.displacement_dofs) // dim, :dim]
+    phase = x @ np.array([12.9898, 78.233, 37.719])[:dim] / span(problem.body)
+    digits = 43758.5453 * np.sin(phase[:, None] + 1.618 * np.arange(1, dim + 1))
+    return np.asarray((2.0 * (digits - np.floor(digits)) - 1.0).ravel())

@@ -1,0 +1,417 @@
+"""Bodies whose buckling loads have closed forms, and the solver at one of their equilibria."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from scipy.optimize import brentq
+
+from dolfin_elastic import (
+    NeoHookean,
+    Pressure,
+    Problem,
+    Rigid,
+    Spring,
+    StVenantKirchhoff,
+    Support,
+    Traction,
+    box_body,
+    rectangle_body,
+)
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.model.amplitude import PROPORTIONAL
+from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.linear.choice import LinearSettings, choose, in_blocks
+from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
+from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
+from dolfin_elastic.solvers.nonlinear.newton import Newton
+from dolfin_elastic.solvers.nonlinear.scalars import Scalars
+from dolfin_elastic.solvers.statics.retry import RetryStrategy
+
+FREE = "free"
+E, NU = 1e6, 0.3
+PLANE = E / (1 - NU**2)
+"""Modulus of plane strain [Pa]."""
+NH = NeoHookean(E=E, nu=NU)
+SVK = StVenantKirchhoff(E=E, nu=NU)
+RUBBER = NeoHookean(E=E, nu=0.4999)
+INCOMPRESSIBLE = NeoHookean(E=E, nu=0.5)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A body under a load.
+
+    Attributes:
+        name: Of the test.
+        problem: Makes the body under a share of the load of the closed form.
+        critical: Share at which the discrete body buckles, by bisection with pivots.
+        within: By how much that may differ from 1: theory of beams and shells, and the mesh.
+        steps: In which the load is applied.
+    """
+
+    name: str
+    problem: Callable[[float], Problem]
+    critical: float
+    within: float
+    steps: int = 1
+
+
+# --- plane columns, 1 wide and 10 long; factors of E I/L^2 ---
+
+LENGTH, INERTIA = 10.0, 1 / 12
+ONE_END, PROPPED, BOTH_ENDS, SWAYING, HINGED = (
+    np.pi**2
+    / np.array([4.0, 0.699156**2 * 1.0, 0.25, 1.0, 1.0])
+    * np.array([1.0, 1.0, 1.0, 1.0, 1.0])
+)
+
+
+def column(
+    share: float,
+    factor: float,
+    *supports: Any,
+    law: Any = NH,
+    modulus: float = PLANE,
+    cells: tuple[int, int] = (2, 16),
+    side: float = 0.0,
+    **settings: Any,
+) -> Problem:
+    """Clamped below, with a free end that supports may hold; `side` is a pressure on its side."""
+    value = share * factor * modulus * INERTIA / LENGTH**2
+    loads: list[Any] = [Traction(on="top", value=[0, -value])]
+    loads += [Pressure(on="left", value=side)] if side else []
+    return Problem(
+        rectangle_body(size=(1, LENGTH), cells=cells),
+        law,
+        degree=settings.pop("degree", 2),
+        supports=[Support(on="bottom"), *supports],
+        loads=loads,
+        **settings,
+    )
+
+
+def between_plates(
+    share: float, factor: float, below: dict[str, Any], above: dict[str, Any]
+) -> Problem:
+    """Between two rigid plates, of which the upper one is loaded."""
+    force = [0.0, -share * factor * PLANE * INERTIA / LENGTH**2]
+    return Problem(
+        rectangle_body(size=(1, LENGTH), cells=(2, 16), origin=(-0.5, 0.0)),
+        NH,
+        degree=2,
+        supports=[
+            Rigid(on="bottom", displacement=[0, 0], **below),
+            Rigid(on="top", force=force, **above),
+        ],
+    )
+
+
+def bedded(share: float, waves: int = 8, length: float = 80.0) -> Problem:
+    """On springs between smooth plates: it buckles in many half waves, P = 2 sqrt(k E I).
+
+    Source: M. Hetenyi, Beams on Elastic Foundation (1946), chapter VII.
+    """
+    k = PLANE * INERTIA * (waves * np.pi / length) ** 4
+    strain = share * 2 * np.sqrt(k * PLANE * INERTIA) / PLANE
+    return Problem(
+        rectangle_body(size=(1, length), cells=(1, 64)),
+        SVK,
+        degree=2,
+        supports=[
+            Support(on="bottom", displacement=[FREE, 0]),
+            Support(on="top", displacement=[FREE, -strain * length]),
+            Spring(on=["left", "right"], stiffness=[k / 2, 0]),
+        ],
+    )
+
+
+# --- rings, arches and shells ---
+
+
+def bent(body: Body, angle: float, start: float = 0.0) -> Body:
+    """A strip along y, of x from the inner to the outer radius, bent round the origin."""
+    x = body.mesh.geometry.x
+    r, phi = x[:, 0].copy(), start + angle * x[:, 1]
+    x[:, 0], x[:, 1] = r * np.cos(phi), r * np.sin(phi)
+    return body
+
+
+def strip(thickness: float, cells: tuple[int, int], length: float = 1.0) -> Body:
+    """Of mean radius 1."""
+    return rectangle_body(size=(thickness, length), cells=cells, origin=(1 - thickness / 2, 0.0))
+
+
+def ring(share: float, t: float = 0.1) -> Problem:
+    """A quarter of a ring under pressure, p = 3 E I/R^3.
+
+    Source: S. Timoshenko and J. Gere, Theory of Elastic Stability (1961), section 7.3.
+    """
+    return Problem(
+        bent(strip(t, (1, 12)), np.pi / 2),
+        SVK,
+        degree=2,
+        supports=[
+            Support(on="bottom", displacement=[FREE, 0]),
+            Support(on="top", displacement=[0, FREE]),
+        ],
+        loads=[Pressure(on="right", value=share * 3 * PLANE * t**3 / 12)],
+    )
+
+
+def arch(share: float, t: float = 0.1) -> Problem:
+    """A clamped half ring under pressure, p = 8 E I/R^3: as `ring`, section 7.6."""
+    return Problem(
+        bent(strip(t, (1, 24)), np.pi),
+        SVK,
+        degree=2,
+        supports=[Support(on="bottom"), Support(on="top")],
+        loads=[Pressure(on="right", value=share * 8 * PLANE * t**3 / 12)],
+    )
+
+
+def pipe(share: float, t: float = 0.1) -> Problem:
+    """As `ring` in space, one of whose faces is free, which pressure follows."""
+    body = box_body(size=(t, 1, 0.2), cells=(1, 8, 1), origin=(1 - t / 2, 0, 0))
+    return Problem(
+        bent(body, np.pi / 2),
+        SVK,
+        degree=2,
+        supports=[
+            Support(on="front", displacement=[FREE, 0, FREE]),
+            Support(on="back", displacement=[0, FREE, FREE]),
+            Support(on="bottom", displacement=[FREE, FREE, 0]),
+        ],
+        loads=[Pressure(on="right", value=share * 3 * E * t**3 / 12)],
+    )
+
+
+def cylinder(share: float, t: float = 0.02, waves: int = 4) -> Problem:
+    """A tube pressed along its axis between smooth plates, which wrinkles into rings.
+
+    The stress is E t/(R sqrt(3 (1 - nu^2))), half a wave sqrt(R t) pi/(12 (1 - nu^2))^(1/4) long:
+    as `ring`, section 11.1.
+    """
+    length = waves * np.pi * np.sqrt(t) / (12 * (1 - NU**2)) ** 0.25
+    strain = share * t / np.sqrt(3 * (1 - NU**2))
+    return Problem(
+        strip(t, (1, 12 * waves // 2), length),
+        SVK,
+        degree=2,
+        geometry="axisymmetric",
+        supports=[
+            Support(on="bottom", displacement=[FREE, 0]),
+            Support(on="top", displacement=[FREE, -strain * length]),
+        ],
+    )
+
+
+def sphere(share: float, t: float = 0.05) -> Problem:
+    """A spherical shell under pressure, p = 2 E t^2/(R^2 sqrt(3 (1 - nu^2))).
+
+    Source: R. Zoelly, dissertation, ETH Zurich (1915); as `ring`, section 11.13.
+    """
+    return Problem(
+        bent(strip(t, (1, 24)), np.pi / 2),
+        SVK,
+        degree=2,
+        geometry="axisymmetric",
+        supports=[
+            Support(on="bottom", displacement=[FREE, 0]),
+            Support(on="top", displacement=[0, FREE]),
+        ],
+        loads=[Pressure(on="right", value=share * 2 * E * t**2 / np.sqrt(3 * (1 - NU**2)))],
+    )
+
+
+# --- in space ---
+
+
+def narrow_beam(share: float) -> Problem:
+    """A cantilever that tips over sideways, P = 4.013 sqrt(E I G J)/L^2.
+
+    Source: L. Prandtl, Kipperscheinungen (1899); Timoshenko and Gere (1961), section 6.3.
+    """
+    length, h, b = 10.0, 1.0, 0.2
+    inertia, torsion = h * b**3 / 12, h * b**3 / 3 * (1 - 0.63 * b / h)
+    G = E / 2 / (1 + NU)
+    P = share * 4.013 * np.sqrt(E * inertia * G * torsion) / length**2
+    return Problem(
+        box_body(size=(length, b, h), cells=(10, 1, 2)),
+        SVK,
+        degree=2,
+        supports=[Support(on="left")],
+        loads=[Traction(on="right", value=[0, 0, -P / b / h])],
+    )
+
+
+def plate(share: float, t: float = 0.05) -> Problem:
+    """A quarter of a square plate, hinged on all edges, sigma = pi^2 E/(3 (1 - nu^2)) (t/a)^2.
+
+    Source: G. Bryan, Proc. London Math. Soc. 22 (1891) 54; as `ring`, section 9.2.
+    """
+    stress = share * np.pi**2 * E / 3 / (1 - NU**2) * t**2
+    return Problem(
+        box_body(size=(0.5, 0.5, t), cells=(4, 4, 1)),
+        SVK,
+        degree=2,
+        supports=[
+            Support(on="left", displacement=[0, FREE, FREE]),
+            Support(on="front", displacement=[FREE, 0, FREE]),
+            Support(on=["right", "back"], displacement=[FREE, FREE, 0]),
+        ],
+        loads=[Traction(on="right", value=[-stress, 0, 0])],
+    )
+
+
+def rubber_column(share: float, law: Any = RUBBER) -> Problem:
+    """Clamped below, of nearly incompressible rubber, 1 x 1 x 10."""
+    return Problem(
+        box_body(size=(1, 1, LENGTH), cells=(1, 1, 8)),
+        law,
+        degree=2,
+        supports=[Support(on="bottom")],
+        loads=[Traction(on="top", value=[0, 0, -share * ONE_END * E * INERTIA / LENGTH**2])],
+    )
+
+
+# --- large strains ---
+
+THICK = 2.5
+"""Length of `block`, whose width is 1."""
+
+
+def thick_block(k: float = np.pi / THICK) -> float:
+    """Stretch at which an incompressible neo-Hookean block bends between smooth plates.
+
+    (1 + x^2)^2 tanh q = 4 x tanh(q x) with x the square of the stretch and q = k/2/x, for k h << 1
+    Euler's load.  Source: M. Biot, Mechanics of Incremental Deformations (1965), section 3.5.
+    """
+
+    def bends(x: float) -> float:
+        q = k / 2 / x
+        return float((1 + x**2) ** 2 * np.tanh(q) - 4 * x * np.tanh(q * x))
+
+    return float(np.sqrt(brentq(bends, 0.4, 0.95)))
+
+
+def block(share: float) -> Problem:
+    """Compressed by a share of the critical compression; a point in its middle holds it."""
+    body = rectangle_body(size=(1, THICK), cells=(4, 10), origin=(-0.5, 0.0))
+    x = body.mesh.geometry.x
+    middle = np.flatnonzero(np.hypot(x[:, 0], x[:, 1] - THICK / 2) < 1e-9).astype(np.int32)
+    return Problem(
+        body.named(points={"middle": middle}),
+        INCOMPRESSIBLE,
+        degree=2,
+        supports=[
+            Support(on="bottom", displacement=[FREE, 0]),
+            Support(on="top", displacement=[FREE, -share * (1 - thick_block()) * THICK]),
+            Support(on="middle", displacement=[0, FREE]),
+        ],
+    )
+
+
+CASES = [
+    Case("one end clamped", partial(column, factor=ONE_END), 1.0, 0.02),
+    Case(
+        "one end clamped, one guided",
+        lambda share: column(share, PROPPED, Support(on="top", displacement=[0, FREE])),
+        1.0,
+        0.06,
+    ),
+    Case(
+        "both ends clamped",
+        lambda share: between_plates(
+            share, BOTH_ENDS, {"rotation": 0}, {"displacement": [0, FREE], "rotation": 0}
+        ),
+        1.0,
+        0.15,
+    ),
+    Case(
+        "swaying",
+        lambda share: between_plates(
+            share, SWAYING, {"rotation": 0}, {"displacement": [FREE, FREE], "rotation": 0}
+        ),
+        1.0,
+        0.03,
+    ),
+    Case(
+        "both ends hinged",
+        lambda share: between_plates(
+            share, HINGED, {"rotation": FREE}, {"displacement": [0, FREE], "rotation": FREE}
+        ),
+        1.0,
+        0.03,
+    ),
+    Case("pressed sideways", partial(column, factor=ONE_END, side=1e-3), 1.0, 0.02),
+    Case(
+        "of nu = 0.5",
+        lambda share: column(share, ONE_END, law=INCOMPRESSIBLE, modulus=E / 0.75),
+        1.0,
+        0.02,
+    ),
+    Case(
+        "of nu = 0.4999, pressed sideways",
+        lambda share: column(share, ONE_END, law=RUBBER, modulus=E / 0.75, side=1e-3),
+        1.0,
+        0.02,
+    ),
+    Case(
+        "of linear elements and pressures",
+        lambda share: column(
+            share,
+            ONE_END,
+            law=RUBBER,
+            modulus=E / 0.75,
+            degree=1,
+            cells=(8, 80),
+            formulation="mixed",
+        ),
+        1.0,
+        0.1,
+    ),
+    Case("on springs", bedded, 1.0, 0.05),
+    Case("a ring", ring, 1.0, 0.02),
+    Case("an arch", arch, 1.0, 0.05),
+    Case("a pipe", pipe, 1.0, 0.1),
+    Case("a cylinder", cylinder, 1.0, 0.05),
+    Case("a sphere", sphere, 1.0, 0.05),
+    Case("a narrow beam", narrow_beam, 1.0, 0.1),
+    Case("a plate", plate, 1.0, 0.05),
+    Case("a rubber column", rubber_column, 1.0, 0.05),
+    Case("a rubber block", block, 1.0, 0.01, 4),
+]
+
+
+@contextmanager
+def equilibrium(problem: Problem, method: str, steps: int = 1) -> Iterator[Newton]:
+    """Newton's method after it has found the equilibrium of the full load. Collective.
+
+    Args:
+        problem: Under its load.
+        method: "direct" or "iterative".
+        steps: In which the load is applied.
+    """
+    choice = choose(problem, LinearSettings(method=method))
+    assembler = Assembler(problem, iterated=in_blocks(choice, {}))
+    scalars = Scalars(assembler).joined if problem.has_scalars else None
+    newton = Newton(
+        assembler, choice, Tolerance(1e-8, 0.0, 25), scalars=scalars, watch=JacobianWatch(problem)
+    )
+    retry = RetryStrategy(newton, None)
+    try:
+        for step in range(steps):
+            problem.set_time((step + 1) / steps, default=PROPORTIONAL)
+            result = retry.solve([("", newton.unknowns())])
+            assert result.converged, result.reason
+        yield newton
+    finally:
+        newton.destroy()
+        assembler.destroy()
