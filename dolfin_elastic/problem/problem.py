@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import ufl
-from dolfinx.fem import Constant
+from dolfinx.fem import Constant, Function
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core import jit
@@ -48,7 +49,12 @@ from dolfin_elastic.problem.periodic.fluctuation import Fluctuation
 from dolfin_elastic.problem.periodic.unit_cell import Cell, make_cell
 from dolfin_elastic.problem.pressure.groups import pressure_groups
 from dolfin_elastic.problem.spaces import Unknowns
-from dolfin_elastic.problem.weak_form import WeakForm
+from dolfin_elastic.problem.weak_form import (
+    StepStart,
+    WeakForm,
+    derives_from_strain,
+    weak_form_over_step,
+)
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.ties.ties import Ties
@@ -228,8 +234,12 @@ class Problem:
 
     @cached_property
     def symmetric(self) -> bool:
-        """The tangent is symmetric: laws and loads derive from potentials. Collective."""
-        return self.has_energy and all(self._conservative(load) for load in self.loads)
+        """The tangent is symmetric: laws and loads derive from potentials. Collective.
+
+        The stress of a time step depends on its start, too, and has none.
+        """
+        of_a_state = self.weak_form.start is None
+        return of_a_state and self.has_energy and all(map(self._conservative, self.loads))
 
     def _conservative(self, load: Load) -> bool:
         if load.conservative or not self._follows(load):
@@ -333,6 +343,37 @@ class Problem:
     def stiffness(self) -> float:
         """Largest shear modulus of all materials at small strains [Pa]."""
         return max(shear_modulus(region.typical) for region in self.regions)
+
+
+def over_step(problem: Problem) -> Problem:
+    """The same problem with the internal forces of a time step, see `weak_form_over_step`.
+
+    It shares the unknowns and all else.  Collective.
+
+    Args:
+        problem: Of states.
+    """
+    found = copy(problem)
+    vars(found).pop("symmetric", None)
+    w = Function(problem.W, name="unknowns at the start of the step")
+    start = StepStart(w, problem.constant(0.0))
+    found.weak_form = weak_form_over_step(problem.weak_form, start)
+    return found
+
+
+def conserves(problem: Problem) -> bool:
+    """Whether `over_step` changes anything. Not collective.
+
+    In plane stress it would extrapolate the stretch out of the plane; growth changes volumes, which
+    belong to the end of a step, where its forces belong to the middle; and a periodic cell is
+    deformed from outside.
+
+    Args:
+        problem: What moves.
+    """
+    unknowns = problem.unknowns
+    excluded = unknowns.has("stretch") or (problem.mixed and problem.eigenstrains) or problem.cell
+    return not excluded and any(derives_from_strain(part.law) for part in problem.regions)
 
 
 def parts_held(problem: Problem) -> dict[str, list[str]]:

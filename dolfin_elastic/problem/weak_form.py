@@ -9,16 +9,20 @@ Motion adds inertia to the same sum.  Source: Bonet & Wood (2008), (5.41).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass
 from functools import cached_property
 
 import ufl
+from dolfinx import fem
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.dimension import WeightedMeasure, gradient_variation
+from dolfin_elastic.model.discrete_gradient import StepLaw
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.growth import GrownLaw
-from dolfin_elastic.model.materials.law import Law, SplitLaw
+from dolfin_elastic.model.materials.law import Law, ModifiedLaw, SplitLaw
 from dolfin_elastic.model.materials.mixed import Mixed, variance
 from dolfin_elastic.model.supports.springs import Dashpot, ResistingSupport, Spring
 from dolfin_elastic.problem.context import FormContext
@@ -27,6 +31,19 @@ from dolfin_elastic.problem.material_regions import MaterialRegion
 
 UNUSED = 1e-6
 """Compliance, times the shear modulus, of the pressure field in regions that do not need it."""
+
+
+@dataclass(frozen=True)
+class StepStart:
+    """Where the time step begins over which internal forces are taken, see `weak_form_over_step`.
+
+    Attributes:
+        w: All unknowns at the start of the step.
+        share: See `StepLaw`.
+    """
+
+    w: fem.Function
+    share: fem.Constant
 
 
 class WeakForm:
@@ -39,6 +56,9 @@ class WeakForm:
         contacts: Contact pairs.
         eigenstrains: Material's name to its growth Fg (UFL), of those that grow.
         quadrature_degree: Of the internal forces, in place of the laws' own choice.
+
+    Attributes:
+        start: Internal forces are those of a time step; None: of a state.
     """
 
     def __init__(
@@ -54,7 +74,8 @@ class WeakForm:
         self._context, self._unknowns = context, context.unknowns
         self._loads, self._restraints, self._contacts = loads, restraints, contacts
         self._eigenstrains, self._quadrature_degree = eigenstrains, quadrature_degree
-        self._responses: dict[str, Law | Mixed | GrownLaw] = {}
+        self._responses: dict[str, Law | ModifiedLaw] = {}
+        self.start: StepStart | None = None
 
     def F(self, w: Expr) -> Expr:
         """The 3x3 deformation gradient of a function of all unknowns."""
@@ -92,8 +113,8 @@ class WeakForm:
 
     def response(
         self, region: MaterialRegion, w: Expr, *, pressure: Expr | None = None
-    ) -> Law | Mixed | GrownLaw:
-        """The law of a region, with its growth and its pressure.
+    ) -> Law | ModifiedLaw:
+        """The law of a region, with its growth and its pressure, and with its time step.
 
         Args:
             region: The material region.
@@ -110,7 +131,9 @@ class WeakForm:
             p = self._unknowns.auxiliary("pressure", w) if pressure is None else pressure
             law = Mixed(region.law, p, region.compliance, _keeps_volume(self._context, region))
         growth = self._eigenstrains.get(region.name)
-        found = law if growth is None else GrownLaw(law, growth)
+        found: Law | ModifiedLaw = law if growth is None else GrownLaw(law, growth)
+        if self.start is not None and derives_from_strain(region.law):
+            found = StepLaw(found, self.F(self.start.w), self.start.share)
         if present:
             self._responses[region.name] = found
         return found
@@ -169,7 +192,7 @@ class WeakForm:
             pressure: See `response`.
         """
         response = self.response(region, self._unknowns.w, pressure=pressure)
-        assert not isinstance(response, Law)
+        assert isinstance(response, Mixed | GrownLaw | StepLaw)
         return response.gap(F)
 
     @property
@@ -266,6 +289,27 @@ class WeakForm:
             * self.volume(region, 2 * self._context.order)
             for region in self._context.regions
         )
+
+
+def derives_from_strain(law: Law) -> bool:
+    """Whether the energy of a law is a function of C, so that `StepLaw` conserves it."""
+    return law.has_energy and law.frame_indifferent and not law.linear
+
+
+def weak_form_over_step(form: WeakForm, start: StepStart) -> WeakForm:
+    """The same virtual work with the internal forces of a time step, see `discrete_gradient`.
+
+    Laws without an energy, and those that rotations change, keep the stress of the middle.
+
+    Args:
+        form: That of a state.
+        start: Where the step begins.
+    """
+    found = copy(form)
+    for made in ("internal", "residual", "tangent", "strain_energy"):
+        vars(found).pop(made, None)
+    found.start, found._responses = start, {}
+    return found
 
 
 def _keeps_volume(context: FormContext, region: MaterialRegion) -> bool:

@@ -304,6 +304,7 @@ def test_a_run_goes_on(folder: Path, whole: Path) -> None:
 MOTIONS: dict[str, dict[str, Any]] = {
     "implicit": {"end": "0.2 s", "dt": "20 ms"},
     "adaptive": {"end": "0.2 s", "dt": "2 ms", "adaptive": True, "tolerance": 0.1},
+    "conserving": {"end": "0.2 s", "dt": "20 ms", "spectral_radius": 1.0},
     "explicit": {"scheme": "symplectic-euler", "end": "150 ms", "every": 3},
     "stretched": {
         "scheme": "central-differences",

@@ -28,6 +28,9 @@ energy of a nonlinear body to second order in the step only."""
 MAX_ENERGY_LOSS = 0.1
 """Loss of energy by the scheme, over the largest energy, up to which there is no warning."""
 
+CONSERVING = 'scheme = "energy-momentum", which conserves the energy'
+"""What is to be tried where a scheme makes energy."""
+
 GROWTH = 2.0
 """Growth of the largest energy from one state to the next above which the energy is not judged.
 
@@ -61,7 +64,7 @@ class MotionAuditor(EquilibriumAuditor):
         super().__init__(problem, moving.assembler, watch)
         self._moving, self._parameters, self._end = moving, parameters, end
         self._forces: Forces | None = None
-        self._rotation = RotationError(problem, parameters.alpha_f)
+        self._rotation = RotationError(problem, 0.0 if moving.conserves else parameters.alpha_f)
         self._resolution = TimeResolution(problem, parameters.alpha_f)
         self._du: FloatArray = np.empty(0)
         self._unbalanced = False

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +16,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.damping import Damping
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.weak_form import derives_from_strain
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.assembly.energy_momentum import lumped
 from dolfin_elastic.solvers.assembly.mass import mass_diagonal
@@ -63,7 +66,7 @@ class DynamicResidual:
     """Residual and tangent of a body with mass.  Collective to make.
 
     Args:
-        problem: What moves.
+        problem: What moves; of steps, if `over_step` has made it.
         mass: Rayleigh's factor of the mass [1/s].
         stiffness: Rayleigh's factor of the stiffness [s].
 
@@ -197,6 +200,31 @@ class DynamicResidual:
         self.set_rates(v, a)
         with np.errstate(over="ignore", invalid="ignore"):
             self.norm = float(np.sqrt(total(self.comm, np.sum((self._mass * a) ** 2))))
+
+    @property
+    def conserves(self) -> bool:
+        """The stress of all regions is that of steps, which conserves energy and momenta."""
+        of_steps = self.problem.weak_form.start is not None
+        return of_steps and all(derives_from_strain(part.law) for part in self.problem.regions)
+
+    @contextmanager
+    def step_from(self, w: FloatArray) -> Iterator[None]:
+        """Within it, internal forces are those of a step, where the problem has such. Collective.
+
+        Args:
+            w: All unknowns at the start of the step, owned entries.
+        """
+        start = self.problem.weak_form.start
+        if start is None:
+            yield
+            return
+        start.w.x.array[: len(w)] = w
+        start.w.x.scatter_forward()
+        start.share.value = 1.0
+        try:
+            yield
+        finally:
+            start.share.value = 0.0
 
     def contact_forces(self) -> list[FloatArray]:
         """Nodal forces of each contact at the present state, owned entries [N]. Collective."""

@@ -87,7 +87,7 @@ class RotationError:
             f"the body rotates by {angle:.2g} degrees a step, with a strain error of {error:.2g} "
             f"at the ends of steps, {share:.2g} % of its largest strain: "
             "stresses and reactions are off by as much and more; a smaller dt, or scheme = "
-            "'newmark', whose forces are those at the ends of steps",
+            "'energy-momentum', whose stress follows the rotation",
             share,
         )
 

@@ -27,12 +27,15 @@ class ImplicitRow:
         keys: Fields of `DynamicsSettings` that this scheme has and others need not have.
         overshoots: The parameters are changed where stiff material damping would let the first
             steps overshoot, see `GeneralizedAlphaParameters.without_overshoot`.
+        conserves: As the midpoint rule it takes the stress whose work is the change of the strain
+            energy, see `discrete_gradient`: energy and momenta are conserved.
     """
 
     scheme: type[ImplicitScheme]
     parameters: Callable[..., GeneralizedAlphaParameters]
     keys: tuple[str, ...] = ()
     overshoots: bool = False
+    conserves: bool = False
     implicit: ClassVar[Literal[True]] = True
 
 
@@ -56,6 +59,10 @@ SCHEMES: dict[str, ImplicitRow | ExplicitRow] = {
         GeneralizedAlphaParameters.generalized_alpha,
         keys=("spectral_radius",),
         overshoots=True,
+        conserves=True,
+    ),
+    "energy-momentum": ImplicitRow(
+        GeneralizedAlphaScheme, GeneralizedAlphaParameters.midpoint_rule, conserves=True
     ),
     "newmark": ImplicitRow(
         GeneralizedAlphaScheme, GeneralizedAlphaParameters.newmark, keys=("beta", "gamma")

@@ -87,18 +87,18 @@ class DynamicsSettings(Record):
     """How a motion is integrated in time.
 
     Attributes:
-        scheme: Implicit: "generalized-alpha", "newmark", "implicit-euler", and "alpha2", PETSc's
-            own generalized-alpha.  Explicit, with lumped mass and linear elements:
-            "symplectic-euler" (v += dt f/m, then x += dt v) and "central-differences" (the
-            velocity halfway between places, of second order).
+        scheme: Implicit: "generalized-alpha", "energy-momentum", which is the same with a spectral
+            radius of 1, "newmark", "implicit-euler", and "alpha2", PETSc's own one.  Explicit, with
+            lumped mass and linear elements: "symplectic-euler" (v += dt f/m, then x += dt v) and
+            "central-differences" (the velocity halfway between places, of second order).
         end: When it ends [s]; it starts at 0.
         dt: Time step [s].  Implicit: needed; the first step if adaptive.  Explicit: the stable
             step times `safety` if not given; a larger one than the stable one is refused.
         adaptive: Let the error estimate choose the implicit step (not that of "alpha2").
         tolerance: Error a step may make in the displacement of any node, over the largest
             displacement so far (in the first step, of a step of dt, too), if adaptive.
-        spectral_radius: Of the generalized-alpha scheme at infinite frequency: 1 keeps the
-            energy of a linear body, less damps what the step cannot resolve.
+        spectral_radius: Of the generalized-alpha scheme at infinite frequency: 1 conserves energy
+            and momenta, less damps what the step cannot resolve.
         beta: Of Newmark's method; (gamma + 1/2)^2/4 by default.
         gamma: Of Newmark's method; 1/2 by default, more damps.
         rayleigh: Damping of the whole body (implicit schemes).

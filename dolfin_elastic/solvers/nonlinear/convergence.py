@@ -40,6 +40,15 @@ LAST_FORCING = 1e-6
 LINEAR_TOLERANCE = 1e-12
 """The same where one linear solve is all: as tight as the residual is judged."""
 
+TO_ROUND_OFF = 1e-13
+"""The same of the free residual, where it is to be as small as it can be."""
+
+FALLING = 0.3
+"""Free residual over the one before above which an iteration has met nothing but round-off."""
+
+VANISHING = 1e-2
+"""Free residual over its round-off that cannot fall any more."""
+
 STALL = 6
 """Backtracking iterations over which the residual has to fall by a third."""
 
@@ -65,11 +74,13 @@ class Tolerance:
         rtol: Free residual over the larger of applied forces and reactions.
         atol: Free residual [N].
         max_iterations: Newton iterations after which a step is given up.
+        to_round_off: Iterations go on until the residual no longer falls.
     """
 
     rtol: float = 1e-8
     atol: float = 0.0
     max_iterations: int = 30
+    to_round_off: bool = False
 
 
 @dataclass(frozen=True)
@@ -308,11 +319,16 @@ class ConvergenceTest:
 
     def _tolerated(self) -> float:
         """The same by the tolerance, whatever round-off does [N]. Collective."""
+        rtol = TO_ROUND_OFF if self._tolerance.to_round_off else self._tolerance.rtol
+        return max(rtol * self._reference(), self._tolerance.atol)
+
+    def _reference(self) -> float:
+        """Norm of the forces that the residual is measured by [N]. Collective."""
         a = self._assembler
         reference = max(self._applied, a.residual.reaction_norm, a.residual.restraint_norm)
         if self._inertia is not None:
             reference = max(reference, self._inertia.norm)
-        return max(self._tolerance.rtol * reference, self._tolerance.atol)
+        return reference
 
     def _balanced(self) -> bool:
         """The free residual is as small as wanted, but for the round-off of each row. Collective.
@@ -324,10 +340,26 @@ class ConvergenceTest:
         """
         free = self._assembler.residual.free_norm
         wanted, floor = self._tolerated(), self.round_off.norm
+        if self._tolerance.to_round_off:
+            return self._fallen(free, floor)
         if free <= wanted or self._inertia is not None:
             return free <= max(wanted, floor)
         # So far above the norm of the round-off, subtracting it row by row cannot help.
         return free <= DIVERGENCE * floor and self.round_off.beyond() <= wanted
+
+    def _fallen(self, free: float, floor: float) -> bool:
+        """The free residual is small, and as small as it can be. Collective.
+
+        What round-off leaves is known to its order only, so the residual itself says.
+
+        Args:
+            free: Its norm [N].
+            floor: What round-off may leave of it [N].
+        """
+        if free > max(self._tolerance.rtol * self._reference(), self._tolerance.atol, floor):
+            return False
+        falls = len(self.residuals) < 2 or free <= FALLING * self.residuals[-2]
+        return free <= VANISHING * floor or not falls
 
     def __call__(self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]) -> int:
         """What SNES is to do: PETSc's number of a reason to stop, or 0. Collective.

@@ -8,7 +8,8 @@ One step from (u0, v0, a0) to (u1, v1, a1) over h:
 
 with the stage u_s = (1 - alpha_f) u1 + alpha_f u0, v_s alike, at t_s = t0 + (1 - alpha_f) h, where
 loads are taken, too: forces are those of the mean displacement, not the mean of two forces, so that
-without damping (alpha_m = alpha_f = 1/2) angular momentum is conserved exactly.
+without damping (alpha_m = alpha_f = 1/2) angular momentum is conserved exactly.  There the stress
+is that of `model.discrete_gradient`, with which the energy is conserved, too.
 
 Sources: N. M. Newmark, J. Eng. Mech. Div. ASCE 85 (1959) 67; J. Chung & G. M. Hulbert, J. Appl.
 Mech. 60 (1993) 371, (9)-(18) and (25); order of a: S. Erlicher, L. Bonaventura & O. S. Bursi,
@@ -63,6 +64,11 @@ class GeneralizedAlphaParameters:
         alpha_m, alpha_f = (2 * radius - 1) / (radius + 1), radius / (radius + 1)
         beta = (1 - alpha_m + alpha_f) ** 2 / 4
         return cls(alpha_m, alpha_f, beta, 0.5 - alpha_m + alpha_f, 0.5 - beta, radius)
+
+    @classmethod
+    def midpoint_rule(cls) -> GeneralizedAlphaParameters:
+        """Generalized-alpha with a spectral radius of 1: forces in the middle of each step."""
+        return cls.generalized_alpha(1.0)
 
     def without_overshoot(self) -> GeneralizedAlphaParameters:
         """The same with beta = gamma/2, for bodies whose material is damped.

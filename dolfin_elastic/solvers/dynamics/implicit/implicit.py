@@ -15,13 +15,14 @@ from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
 from dolfin_elastic.core.signals import raise_if_agreed
 from dolfin_elastic.core.timing import stage
-from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.problem import Problem, conserves, over_step
 from dolfin_elastic.problem.state import RestartState, SavedState, State
+from dolfin_elastic.problem.weak_form import derives_from_strain
 from dolfin_elastic.solvers.assembly.assembler import SupportForces
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass
 from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
 from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
-from dolfin_elastic.solvers.dynamics.audit import MotionAuditor
+from dolfin_elastic.solvers.dynamics.audit import CONSERVING, MAX_ENERGY_GAIN, MotionAuditor
 from dolfin_elastic.solvers.dynamics.consistent_start import (
     AuxiliaryFields,
     find_initial_acceleration,
@@ -52,6 +53,16 @@ from dolfin_elastic.solvers.petsc.options import ts_reason
 
 log = logging.getLogger("dolfin_elastic")
 
+CONSERVED = (
+    "energy-momentum scheme: the stress of each step does the work by which the strain energy "
+    "changes, so energy, linear and angular momentum are conserved"
+)
+
+NOT_CONSERVED = (
+    "the stress of %s is that of the middle of each step, which conserves the energy to second "
+    "order in dt: these laws have none, are linear, or depend on the orientation"
+)
+
 MIDPOINT = (
     "with a pressure as an unknown the trapezoidal rule is not stable: its conjugate, the midpoint "
     "rule, with forces and pressure of the middle of each step"
@@ -74,6 +85,47 @@ def suited(problem: Problem, parameters: GeneralizedAlphaParameters) -> Generali
     """
     pressure = problem.mixed and not problem.unknowns.has("stretch")
     return parameters.with_pressure() if pressure else parameters
+
+
+def conserved(problem: Problem, settings: DynamicsSettings) -> Problem:
+    """The problem with the forces of steps where the scheme conserves the energy. Collective.
+
+    What it does not conserve is logged.
+
+    Args:
+        problem: Of states.
+        settings: Of the motion.
+    """
+    row, parameters = settings.row, settings.parameters
+    assert isinstance(row, ImplicitRow)
+    assert parameters is not None
+    if not (row.conserves and parameters.midpoint and conserves(problem)):
+        return problem
+    log.info(CONSERVED)
+    others = sorted({p.name for p in problem.regions if not derives_from_strain(p.law)})
+    if others:
+        log.info(NOT_CONSERVED, ", ".join(f"'{name}'" for name in others))
+    return over_step(problem)
+
+
+def tolerance(settings: DynamicsSettings, problem: Problem) -> Tolerance:
+    """When the equations of a step count as solved. Not collective.
+
+    Where energy and momenta are conserved, as well as round-off lets them be, unless a larger
+    `rtol` asks for less: what is out of balance in a step does work that no later one takes back.
+
+    Args:
+        settings: Of the motion.
+        problem: Of states or of steps.
+    """
+    rtol, usual = settings.rtol, Tolerance.rtol
+    exhaust = problem.weak_form.start is not None and rtol <= usual
+    return Tolerance(
+        usual if exhaust else rtol,
+        settings.atol,
+        settings.max_iterations,
+        to_round_off=exhaust,
+    )
 
 
 class Implicit:
@@ -116,11 +168,12 @@ class Implicit:
 
     def _prepare(self, linear: LinearSettings, petsc: PetscOptions) -> None:
         problem, settings = self.problem, self.settings
-        self.moving = DynamicResidual(problem, **settings.damping)
+        stepped = conserved(problem, settings)
+        self.moving = DynamicResidual(stepped, **settings.damping)
         self._owned.callback(self.moving.destroy)
         self.assembler = self.moving.assembler
         self.a = fem.Function(problem.V, name="acceleration of the scheme")
-        choice = choose(problem, linear, moving=True)
+        choice = choose(stepped, linear, moving=True)
         log.info("%s", choice.why)
         if problem.mixed:
             PressureLevel(problem).report()
@@ -130,7 +183,7 @@ class Implicit:
         self.newton = Newton(
             self.assembler,
             choice,
-            Tolerance(settings.rtol, settings.atol, settings.max_iterations),
+            tolerance(settings, stepped),
             defaults={"snes_linesearch_type": "basic"},
             users=petsc,
             snes=self.ts.getSNES(),
@@ -317,6 +370,15 @@ class Implicit:
         reason = in_words(ts_reason(self.ts.getConvergedReason()))
         last = self.problem.w.x.array.copy()
         found = diagnose(self.assembler, self.newton.result, good=last, failed=last, moving=True)
+        gain = self._gain()
+        if gain > MAX_ENERGY_GAIN:  # whatever gave way did so under that
+            scheme, dt = self.settings.scheme, self.settings.dt
+            text = (
+                f"{100 * gain:.3g} % of the energy has come from nowhere before: the scheme "
+                f"'{scheme}' makes it with steps of {dt:.3g} s, neither the loads nor the material"
+            )
+            other = "" if self.moving.conserves else f", or {CONSERVING}"
+            found = replace(found, cause="energy", text=text, advice=f"a smaller dt{other}")
         if sudden := support_jump(self.problem, t, self.control.nominal):
             found = replace(found, text=f"{sudden}; {found.text}", advice=JUMP)
         return ConvergenceError(
@@ -326,6 +388,17 @@ class Implicit:
             state=self._state(failed=True),
             diagnosis=found,
         )
+
+    def _gain(self) -> float:
+        """Energy at the last accepted state that nothing has brought in, over the largest energy.
+
+        Collective.
+        """
+        size, tried = self.assembler.size, self.problem.w.x.array.copy()
+        self.moving.set_unknowns(self.ts.getSolution().array_r[:size])
+        off = self.balance.relative_imbalance(self._energies.measure()[0])
+        self.moving.set_unknowns(tried[:size])
+        return off
 
     # --- states ---
 

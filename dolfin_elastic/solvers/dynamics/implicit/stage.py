@@ -116,6 +116,7 @@ class StageSolver:
         context: What the scheme works on.
 
     Attributes:
+        keeps_volumes: There is a pressure, and the volumes are those of the ends of steps.
         newton_iterations: Of all solves so far.
         krylov_iterations: Linear ones of all solves so far.
     """
@@ -125,19 +126,16 @@ class StageSolver:
         self._problem, self._assembler = self._moving.problem, self._moving.assembler
         self._parameters = context.parameters
         share = self._parameters.alpha_f
-        needed = VolumeConstraint.needed(self._problem, share)
-        self._volumes = VolumeConstraint(self._assembler, share) if needed else None
+        self.keeps_volumes = VolumeConstraint.needed(self._problem, share)
+        # `StepLaw` has a constraint of its own.
+        completed = self.keeps_volumes and self._problem.weak_form.start is None
+        self._volumes = VolumeConstraint(self._assembler, share) if completed else None
         self._stage: Stage | None = None
         self.newton_iterations = self.krylov_iterations = 0
         self._F = self._assembler.create_vector()
         snes, matrix = context.ts.getSNES(), self._assembler.tangent.matrix
         snes.setFunction(self.residual, self._F)
         snes.setJacobian(self.tangent, matrix, matrix)
-
-    @property
-    def keeps_volumes(self) -> bool:
-        """There is a pressure, and the volumes are those of the ends of steps."""
-        return self._volumes is not None
 
     # --- callbacks of SNES ---
 
@@ -204,12 +202,13 @@ class StageSolver:
         origin = self._assembler.origin
         origin[:] = start.w
         origin[self._moving.displacement_dofs] += (1 - p.alpha_f) * stage.predictor
-        try:
-            found = any(self._solve_from(guess) for guess in self._guesses(stage))
-        finally:
-            origin[:] = 0.0
-        if found and self._assembler.settle_pressures():
-            self._assemble()
+        with self._moving.step_from(start.w):
+            try:
+                found = any(self._solve_from(guess) for guess in self._guesses(stage))
+            finally:
+                origin[:] = 0.0
+            if found and self._assembler.settle_pressures():
+                self._assemble()
         offset = self._newton.solution()[self._moving.displacement_dofs] / (1 - p.alpha_f)
         return (stage, np.asarray(offset)) if found else None
 
