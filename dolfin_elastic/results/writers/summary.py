@@ -27,7 +27,8 @@ from dolfin_elastic.problem.state import Audit, Mode, State, plain
 from dolfin_elastic.results.extremes import Extreme, Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
-from dolfin_elastic.results.recovery.peaks import find_peaks
+from dolfin_elastic.results.recovery.locking import unseen_locking
+from dolfin_elastic.results.recovery.peaks import ERROR, find_peaks
 from dolfin_elastic.results.writer import LastState, Numbers
 from dolfin_elastic.results.writers.modes import row
 
@@ -361,9 +362,12 @@ def _error(problem: Problem, estimate: ErrorEstimate, *, logs: bool) -> dict[str
         logs: They are also logged.
     """
     peaks = find_peaks(problem, estimate)
+    locking = unseen_locking(problem, estimate.relative)
     if logs and peaks.largest.value > 0:
         for line in peaks.lines(estimate.relative):
             log.info("%s", line, extra={"result": True})
+        if locking is not None:
+            log.info("  not to be relied on     %s", locking.text(), extra={"result": True})
     found = {
         "energy_norm": estimate.relative,
         "energy": estimate.energy,
@@ -373,8 +377,10 @@ def _error(problem: Problem, estimate: ErrorEstimate, *, logs: bool) -> dict[str
         "straight_cells": peaks.cut_off,
         "reservations": [
             *peaks.reservations(estimate.relative),
+            *([f"{ERROR}: {locking.text()}"] if locking else []),
             *locking_notes(problem.body, problem.regions, problem.degree, problem.geometry),
         ],
+        "locking": asdict(locking) if locking else None,
     }
     if peaks.safety is not None:
         other = peaks.safety_elsewhere
