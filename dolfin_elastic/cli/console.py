@@ -372,6 +372,8 @@ def _end_rows(state: State, motion: bool, most: float = 0.0) -> list[tuple[str, 
     largest = _force_scale(state)
     for name, force in state.reactions.items():
         rows.append((f"reaction of {name}", vector_text(force, largest) + " N"))
+    if state.stability is not None and state.stability.verdict == "unstable":
+        rows.append(("stability", str(state.stability)))
     return rows + audit_rows(state)
 
 

@@ -721,6 +721,8 @@ def _audit_lines(audit: Table, summary: Table) -> Iterator[str]:
         row = audit.get(key)
         if isinstance(row, Mapping) and isinstance(row.get("value"), int | float):
             yield f"The {what} material has {number(float(row['value']))} of its volume."
+    if text := _stability(summary.get("stability")):
+        yield text
     limits = [x for x in summary.get("limit_points") or [] if isinstance(x, int | float)]
     if limits:
         yield f"Limit points were passed at the load factors {', '.join(map(number, limits))}."
@@ -730,6 +732,19 @@ def _reservations(summary: Table) -> Iterator[str]:
     """What limits how far the largest stresses can be believed."""
     for text in (summary.get("error") or {}).get("reservations") or []:
         yield f"Largest stress: {text}."
+
+
+def _stability(found: object) -> str:
+    """Of the last state; empty where it was not judged, which is among the reasons."""
+    if not isinstance(found, Mapping) or not isinstance(found.get("negative_eigenvalues"), int):
+        return ""
+    if found.get("verdict") == "stable":
+        return "The last equilibrium is stable: no small motion lowers its energy."
+    least = "at least " if found.get("at_least") else ""
+    return (
+        "The last equilibrium is unstable, a real body would leave it: its tangent has "
+        f"{least}{found['negative_eigenvalues']} negative eigenvalue(s)."
+    )
 
 
 def _not_judged(run: FinishedRun, error: Value | None) -> Iterator[str]:

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
+from petsc4py import PETSc
 from scipy.optimize import brentq
 
 from dolfin_elastic import (
@@ -54,6 +54,8 @@ class Case:
         critical: Share at which the discrete body buckles, by bisection with pivots.
         within: By how much that may differ from 1: theory of beams and shells, and the mesh.
         steps: In which the load is applied.
+        iterates: Newton's method converges with an iterative solver, too: between plates that turn
+            or sway its forces hang on the last digits of the solutions.
     """
 
     name: str
@@ -61,15 +63,18 @@ class Case:
     critical: float
     within: float
     steps: int = 1
+    iterates: bool = True
 
 
 # --- plane columns, 1 wide and 10 long; factors of E I/L^2 ---
 
 LENGTH, INERTIA = 10.0, 1 / 12
 ONE_END, PROPPED, BOTH_ENDS, SWAYING, HINGED = (
-    np.pi**2
-    / np.array([4.0, 0.699156**2 * 1.0, 0.25, 1.0, 1.0])
-    * np.array([1.0, 1.0, 1.0, 1.0, 1.0])
+    np.pi**2 / 4,
+    20.1907,  # the square of the first root of tan x = x
+    4 * np.pi**2,
+    np.pi**2,
+    np.pi**2,
 )
 
 
@@ -145,7 +150,9 @@ def bent(body: Body, angle: float, start: float = 0.0) -> Body:
 
 def strip(thickness: float, cells: tuple[int, int], length: float = 1.0) -> Body:
     """Of mean radius 1."""
-    return rectangle_body(size=(thickness, length), cells=cells, origin=(1 - thickness / 2, 0.0))
+    return rectangle_body(
+        size=(thickness, length), cells=cells, origin=(1 - thickness / 2, 0.0)
+    )
 
 
 def ring(share: float, t: float = 0.1) -> Problem:
@@ -233,24 +240,6 @@ def sphere(share: float, t: float = 0.05) -> Problem:
 # --- in space ---
 
 
-def narrow_beam(share: float) -> Problem:
-    """A cantilever that tips over sideways, P = 4.013 sqrt(E I G J)/L^2.
-
-    Source: L. Prandtl, Kipperscheinungen (1899); Timoshenko and Gere (1961), section 6.3.
-    """
-    length, h, b = 10.0, 1.0, 0.2
-    inertia, torsion = h * b**3 / 12, h * b**3 / 3 * (1 - 0.63 * b / h)
-    G = E / 2 / (1 + NU)
-    P = share * 4.013 * np.sqrt(E * inertia * G * torsion) / length**2
-    return Problem(
-        box_body(size=(length, b, h), cells=(10, 1, 2)),
-        SVK,
-        degree=2,
-        supports=[Support(on="left")],
-        loads=[Traction(on="right", value=[0, 0, -P / b / h])],
-    )
-
-
 def plate(share: float, t: float = 0.05) -> Problem:
     """A quarter of a square plate, hinged on all edges, sigma = pi^2 E/(3 (1 - nu^2)) (t/a)^2.
 
@@ -319,49 +308,51 @@ def block(share: float) -> Problem:
 
 
 CASES = [
-    Case("one end clamped", partial(column, factor=ONE_END), 1.0, 0.02),
+    Case("one end clamped", partial(column, factor=ONE_END), 1.0067, 0.01),
     Case(
         "one end clamped, one guided",
         lambda share: column(share, PROPPED, Support(on="top", displacement=[0, FREE])),
-        1.0,
-        0.06,
+        0.9874,
+        0.02,
     ),
     Case(
         "both ends clamped",
         lambda share: between_plates(
             share, BOTH_ENDS, {"rotation": 0}, {"displacement": [0, FREE], "rotation": 0}
         ),
-        1.0,
-        0.15,
+        1.0214,
+        0.03,
     ),
     Case(
         "swaying",
         lambda share: between_plates(
             share, SWAYING, {"rotation": 0}, {"displacement": [FREE, FREE], "rotation": 0}
         ),
-        1.0,
-        0.03,
+        1.0138,
+        0.02,
+        iterates=False,
     ),
     Case(
         "both ends hinged",
         lambda share: between_plates(
             share, HINGED, {"rotation": FREE}, {"displacement": [0, FREE], "rotation": FREE}
         ),
-        1.0,
-        0.03,
+        1.0038,
+        0.01,
+        iterates=False,
     ),
-    Case("pressed sideways", partial(column, factor=ONE_END, side=1e-3), 1.0, 0.02),
+    Case("pressed sideways", partial(column, factor=ONE_END, side=1e-3), 1.0062, 0.01),
     Case(
         "of nu = 0.5",
         lambda share: column(share, ONE_END, law=INCOMPRESSIBLE, modulus=E / 0.75),
-        1.0,
-        0.02,
+        1.0267,
+        0.03,
     ),
     Case(
         "of nu = 0.4999, pressed sideways",
         lambda share: column(share, ONE_END, law=RUBBER, modulus=E / 0.75, side=1e-3),
-        1.0,
-        0.02,
+        1.0243,
+        0.03,
     ),
     Case(
         "of linear elements and pressures",
@@ -374,19 +365,18 @@ CASES = [
             cells=(8, 80),
             formulation="mixed",
         ),
-        1.0,
-        0.1,
+        1.0437,
+        0.05,
     ),
-    Case("on springs", bedded, 1.0, 0.05),
-    Case("a ring", ring, 1.0, 0.02),
-    Case("an arch", arch, 1.0, 0.05),
-    Case("a pipe", pipe, 1.0, 0.1),
-    Case("a cylinder", cylinder, 1.0, 0.05),
-    Case("a sphere", sphere, 1.0, 0.05),
-    Case("a narrow beam", narrow_beam, 1.0, 0.1),
-    Case("a plate", plate, 1.0, 0.05),
-    Case("a rubber column", rubber_column, 1.0, 0.05),
-    Case("a rubber block", block, 1.0, 0.01, 4),
+    Case("on springs", bedded, 0.9956, 0.01),
+    Case("a ring", ring, 0.9979, 0.01),
+    Case("an arch", arch, 0.9903, 0.02),
+    Case("a pipe", pipe, 1.0021, 0.01),
+    Case("a cylinder", cylinder, 1.0050, 0.01),
+    Case("a sphere", sphere, 0.9517, 0.05),
+    Case("a plate", plate, 0.9950, 0.01),
+    Case("a rubber column", rubber_column, 1.0536, 0.06),
+    Case("a rubber block", block, 1.0009, 2e-3, 4),
 ]
 
 
@@ -415,3 +405,36 @@ def equilibrium(problem: Problem, method: str, steps: int = 1) -> Iterator[Newto
     finally:
         newton.destroy()
         assembler.destroy()
+
+
+def referee(newton: Newton) -> int:
+    """Negative eigenvalues of the last tangent by L D L^T of its symmetric part. Collective.
+
+    Those of pressures and constraints are left out.
+    """
+    assembler = newton.assembler
+    if newton.shift > 0.0 or not (newton.result.newton or newton.factorised):
+        newton.factorise()
+    beside = 0 if newton.bordered is None else newton.bordered.negative()
+    with assembler.tangent.entries() as A:
+        S = A.copy()
+        if not assembler.problem.symmetric:
+            transposed = A.duplicate(copy=True)
+            transposed.transpose()
+            S.axpy(0.5, transposed, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+            S.axpy(-0.5, A, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+            transposed.destroy()
+        S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        pc = PETSc.PC().create(A.comm)
+        pc.setType("cholesky")
+        pc.setFactorSolverType("mumps")
+        pc.setOperators(S)
+        pc.setFactorSetUpSolverType()
+        factors = pc.getFactorMatrix()
+        for number, value in ((14, 80), (13, 1), (24, 1), (20, 0)):
+            factors.setMumpsIcntl(number, value)
+        pc.setUp()
+        found = int(factors.getMumpsInfog(12)) - assembler.pressures + beside
+        pc.destroy()
+        S.destroy()
+    return found

@@ -23,7 +23,7 @@ from dolfin_elastic.core.errors import SolveError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.material_regions import locking_notes, shear_modulus
-from dolfin_elastic.problem.state import Audit, Mode, State, plain
+from dolfin_elastic.problem.state import Audit, Mode, Stability, State, plain
 from dolfin_elastic.results.extremes import Extreme, Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
@@ -306,6 +306,7 @@ _NUMBERS: dict[str, object] = {
     "numbers": {},
     "limit_points": [],
     "limit_point_errors": [],
+    "stability": None,
 }
 """Numbers of the last step, in the file's order, before there is one."""
 
@@ -328,6 +329,17 @@ def _numbers(state: State) -> dict[str, object]:
         "numbers": dict(state.numbers),
         "limit_points": list(state.limit_points),
         "limit_point_errors": list(state.limit_errors),
+        "stability": None if state.stability is None else _stability(state.stability),
+    }
+
+
+def _stability(found: Stability) -> dict[str, object]:
+    """Whether the equilibrium of a state is stable; a verdict "not judged" has a reason."""
+    return {
+        "verdict": found.verdict,
+        "negative_eigenvalues": found.negative,
+        "at_least": found.at_least,
+        "reason": found.reason,
     }
 
 

@@ -130,7 +130,7 @@ class EquilibriumAuditor:
         else:
             reasons["energy"] = Offence("the strain energy has no finite value", np.inf)
         if stability is not None and stability.negative is None:
-            reasons["stability"] = Offence(str(stability), 0.0)
+            reasons["stability"] = Offence(f"stability not judged: {stability.reason}", 0.0)
         stored = self._stored if np.isfinite(energy) else np.nan
         found = StepBalance(force, moment, self._work, stored)
         self._strains.check(self._when(t))

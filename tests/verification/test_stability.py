@@ -1,0 +1,201 @@
+"""Equilibria just below and just above buckling loads that have closed forms, and runs beyond them.
+
+Whatever the solver, the pressure, the loads and the number of ranks, the verdict is that of the
+inertia of L D L^T.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import buckling
+from helpers.buckling import (
+    CASES,
+    LENGTH,
+    NH,
+    ONE_END,
+    E,
+    column,
+    equilibrium,
+    pipe,
+    referee,
+    rubber_column,
+)
+
+from dolfin_elastic import (
+    Case,
+    LinearElastic,
+    Pressure,
+    Problem,
+    Statics,
+    Support,
+    rectangle_body,
+    run,
+)
+from dolfin_elastic.cli.console import _end_rows, audit_rows
+from dolfin_elastic.core.errors import ConvergenceError
+from dolfin_elastic.problem.state import Stability
+from dolfin_elastic.report.contents import audit_of
+from dolfin_elastic.results.finished.run import FinishedRun
+from dolfin_elastic.solvers.diagnostics import negative_curvature
+from dolfin_elastic.solvers.diagnostics.stability import judge
+from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.linear.hierarchy import _inverse
+
+NEAR = 0.015
+"""Distance from the critical load: closer to it Newton's method finds the branch that bends."""
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_a_closed_form_is_met(case: buckling.Case):
+    """With pivots: stable below, unstable above; so the discrete load is known to 1.5 %."""
+    assert abs(case.critical - 1.0) <= case.within
+    for share, stable in ((1 - NEAR, True), (1 + NEAR, False)):
+        with equilibrium(case.problem(share * case.critical), "direct", case.steps) as newton:
+            verdict, count = judge(newton), referee(newton)
+        assert verdict.stable is stable, verdict.stability
+        assert (count == 0) is stable
+        assert verdict.stability.verdict == ("stable" if stable else "unstable")
+        if not verdict.stability.at_least:
+            assert verdict.stability.negative == count
+
+
+@pytest.mark.parametrize("share", [0.5, 1 - NEAR, 1 + NEAR, 1.05, 1.2])
+@pytest.mark.parametrize("case", [c for c in CASES if c.iterates], ids=lambda case: case.name)
+@pytest.mark.sample(12)
+def test_iterative_solvers_agree_with_pivots(case: buckling.Case, share: float):
+    """Of the same state, which beyond the critical load can be that of a branch that bends."""
+    with equilibrium(case.problem(share * case.critical), "iterative", case.steps) as newton:
+        verdict, count = judge(newton), referee(newton)
+    assert verdict.stable is (count == 0), (verdict.stability, count)
+    if not verdict.stability.at_least:
+        assert verdict.stability.negative == count
+    if verdict.stable is False:
+        assert verdict.direction is not None
+        assert np.all(np.isfinite(verdict.direction))
+
+
+@pytest.mark.parametrize("method", ["direct", "iterative"])
+def test_a_follower_force_does_not_buckle_a_column(method):
+    """M. Beck, Z. angew. Math. Phys. 3 (1952) 225: no other equilibrium under any force.
+
+    Its symmetric part alone has negative eigenvalues from Euler's load on: the force turns with
+    the end.
+    """
+    value = 1.5 * ONE_END * E / (1 - 0.3**2) / 12 / LENGTH**2
+    problem = Problem(
+        rectangle_body(size=(1, LENGTH), cells=(2, 16)),
+        NH,
+        degree=2,
+        supports=[Support(on="bottom")],
+        loads=[Pressure(on="top", value=value)],
+    )
+    with equilibrium(problem, method) as newton:
+        assert judge(newton).stable is not False
+
+
+def at_the_end(problem: Problem, method: str, **settings: Any) -> Any:
+    return [*Statics(problem, linear=LinearSettings(method=method), **settings).steps()][-1]
+
+
+BEYOND = {
+    "rubber column": (rubber_column, 0.3 * LENGTH),
+    "column pressed sideways": (partial(column, factor=ONE_END, side=1e-3), 0.3 * LENGTH),
+    "pipe with a free end": (pipe, 0.1),
+}
+"""Bodies, and the least displacement [m] of what bends at 1.5 times the critical load."""
+
+
+@pytest.mark.parametrize("method", ["direct", "iterative"])
+@pytest.mark.parametrize("name", BEYOND)
+def test_nothing_stands_straight_beyond_its_critical_load(name: str, method: str):
+    """Of rubber in space, and under pressures of which the tangent is not symmetric.
+
+    What is found is the branch that bends, or none.
+    """
+    make, least = BEYOND[name]
+    try:
+        state = at_the_end(make(1.5), method, max_steps=60)
+    except ConvergenceError as error:
+        assert "unstable" in str(error)  # noqa: PT017  both ends are right
+    else:
+        assert state.max_displacement > least
+        assert state.stability.verdict == "stable"
+        assert state.audit.verdict == "pass"
+
+
+def test_what_cannot_be_judged_is_no_pass(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(negative_curvature, "ITERATIONS", 1)
+    state = at_the_end(column(0.5, ONE_END, side=1e-3), "iterative")
+    assert state.stability.verdict == "not judged"
+    assert state.negative is None
+    assert state.audit.verdict == state.audit.verdict_so_far == "warn"
+    assert "stability not judged: conjugate gradients need more than 1" in state.audit.so_far[0]
+
+
+def test_small_strains_are_stable_without_a_look(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(negative_curvature, "ITERATIONS", 1)
+    state = at_the_end(column(0.5, ONE_END, law=LinearElastic(E=E, nu=0.3)), "iterative")
+    assert state.stability.verdict == "stable"
+
+
+def test_a_stiffer_rubber_is_judged_by_few_directions():
+    """At 0.985 of the load the softer volume has two directions, of which none is negative."""
+    case = next(c for c in CASES if c.name == "a rubber column")
+    with equilibrium(case.problem((1 - NEAR) * case.critical), "iterative") as newton:
+        found = negative_curvature.count_negative(newton)
+    assert found.negative == 0
+    assert found.direction is not None
+
+
+def test_multigrid_stays_positive_definite():
+    """Of a positive definite matrix its inverse, of another one that of its absolute value."""
+    rng = np.random.default_rng(1)
+    Q = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    sizes = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    for signs in (np.ones(6), np.array([1, -1, 1, 1, 1, -1])):
+        found = _inverse(Q * (signs * sizes) @ Q.T)
+        assert found == pytest.approx(Q / sizes @ Q.T, abs=1e-13)
+
+
+@pytest.mark.parametrize(("most", "verdict"), [(200, "stable"), (1, "not judged")])
+def test_summary_and_report(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, most: int, verdict: str
+):
+    """`summary.json` has the verdict, the console and the report's page the words."""
+    monkeypatch.setattr(negative_curvature, "ITERATIONS", most)
+    case = Case.model_validate(
+        {
+            "mesh": {"rectangle": {"size": [1, 4], "cells": [1, 4]}, "unit": "m"},
+            "materials": {"m": {"law": "neo-hookean", "E": 1e6, "nu": 0.3}},
+            "support": [{"on": "bottom"}],
+            "load": [{"kind": "pressure", "on": "top", "value": 100}],
+        }
+    )
+    state = [*run(case, output=folder)][-1]
+    judged = verdict == "stable"
+    summary = FinishedRun(folder).summary
+    assert summary["stability"]["verdict"] == verdict
+    assert summary["stability"]["negative_eigenvalues"] == (0 if judged else None)
+    assert summary["audit"]["verdict"] == ("pass" if judged else "warn")
+    rows = audit_rows(state)
+    page = audit_of(FinishedRun(folder))
+    if judged:
+        assert rows == [("audit", "pass")]
+        assert any("is stable" in line for line in page.lines)
+    else:
+        assert rows[0][1].startswith("stability not judged: ")
+        assert page.reasons[0].startswith("stability not judged: ")
+        assert page.kind == "warn"
+
+
+def test_an_unstable_end_of_an_arc_is_told():
+    found = Stability(2, at_least=True)
+    assert str(found) == "unstable: its tangent has at least 2 negative eigenvalues"
+    state = replace(at_the_end(column(0.5, ONE_END), "direct"), stability=found)
+    assert ("stability", str(found)) in _end_rows(state, motion=False)
