@@ -24,7 +24,7 @@ from dolfin_elastic.cli.converge import converge
 from dolfin_elastic.cli.early import import_early
 from dolfin_elastic.cli.look.command import look
 from dolfin_elastic.cli.materials import material, materials
-from dolfin_elastic.cli.pipes import guard_output
+from dolfin_elastic.cli.pipes import guard_output, lost_output
 from dolfin_elastic.cli.run import Trust, collect_garbage, log_to_screen, restart, run
 from dolfin_elastic.cli.tools.convert import convert
 from dolfin_elastic.cli.tools.new import new
@@ -34,7 +34,7 @@ from dolfin_elastic.cli.tools.schema import schema
 from dolfin_elastic.cli.tools.verbs import Verbs
 from dolfin_elastic.cli.tools.verify import verify
 from dolfin_elastic.core import __version__
-from dolfin_elastic.core.errors import ElasticError
+from dolfin_elastic.core.errors import ElasticError, OutputError
 from dolfin_elastic.core.signals import (
     INTERRUPTED,
     ignore_more,
@@ -71,7 +71,7 @@ Exit codes:
   2    the case, a mesh or the command line is wrong, there is nothing to go on from, or a run
        is still going in that folder; nothing was written
   3    no solution was found; the results so far are complete
-  4    results cannot be written
+  4    results cannot be written, or what is printed
   5    the run came to its end, but its audit fails: not to be relied on
   6    `converge` has not reached its goal; the results so far are complete
   130  interrupted; the results so far are complete, and `restart` goes on
@@ -204,6 +204,9 @@ def main() -> None:
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     code = guarded()
     ignore_more()
+    if lost := lost_output():
+        print(f"error: {lost}", file=sys.stderr, flush=True)
+        code = code or OutputError.exit_code
     sys.exit(code)
 
 

@@ -11,6 +11,27 @@ from dolfin_elastic.core.errors import nearest
 class Verbs(TyperGroup):
     """The commands; an unknown one is answered with the nearest name."""
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """See `click.Group`; no argument of ours is empty, as an unset variable of a script is.
+
+        Args:
+            ctx: The context of the program.
+            args: What stands on the command line.
+
+        Raises:
+            UsageError: One is empty: a path would be the current folder.
+        """
+        ours = args[: args.index("--")] if "--" in args else args
+        for before, argument in zip(["", *ours], ours, strict=False):
+            if argument == "" or (argument.startswith("--") and argument.endswith("=")):
+                behind = argument.rstrip("=") or before
+                raise click.UsageError(
+                    f"There is an empty argument{f' behind {behind}' if behind else ''}; "
+                    "the current folder is a dot",
+                    ctx,
+                )
+        return super().parse_args(ctx, args)
+
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
