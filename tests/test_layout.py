@@ -57,6 +57,49 @@ def test_no_circles():
     assert not left, f"in circles, or above them: {sorted(left)}"
 
 
+STARTS = "dolfin_elastic.core.startup"
+STARTED = {"mpi4py", "petsc4py", "slepc4py", "dolfinx"}
+"""Packages that start MPI or PETSc as they are imported."""
+ALONE = {f"{STARTS}.libraries", f"{STARTS}.slepc"}
+
+
+def starters(node: ast.AST) -> Iterator[str]:
+    """Packages that a module imports as it is imported, without those for types."""
+    for item in ast.iter_child_nodes(node):
+        if isinstance(item, ast.Import):
+            yield from (alias.name.split(".")[0] for alias in item.names)
+        elif isinstance(item, ast.ImportFrom):
+            yield (item.module or "").split(".")[0]
+        elif not isinstance(item, ast.FunctionDef | ast.If):
+            yield from starters(item)
+
+
+def test_nothing_starts_in_the_current_folder():
+    """Who imports what starts MPI or PETSc, or a package above it, has it started elsewhere first.
+
+    The commands, which import it in functions, call `start` there: `hostile/test_current_folder.py`
+    traces them.
+    """
+    starting = {
+        module for module in TREES if f"{STARTS}.started" in set(imported(module)) - {module}
+    }
+    above = {module: {module.rsplit(".", n)[0] for n in range(5)} for module in TREES}
+    unsafe = [
+        module
+        for module, tree in TREES.items()
+        if STARTED & set(starters(tree)) and not above[module] & starting and module not in ALONE
+    ]
+    assert len(starting) >= 10
+    assert unsafe == []
+    functions = [
+        node
+        for tree in TREES.values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef)
+    ]
+    assert not [one.name for one in functions if "slepc4py" in set(starters(one))]
+
+
 def test_folders():
     """At most twelve modules a folder, laws apart, and two in the root."""
     counts = Counter(path.parent for path in FILES if path.name != "__init__.py")

@@ -22,13 +22,11 @@ class Verbs(TyperGroup):
             UsageError: One is empty: a path would be the current folder.
         """
         ours = args[: args.index("--")] if "--" in args else args
-        for before, argument in zip(["", *ours], ours, strict=False):
+        for before, argument in zip(["dolfin-elastic", *ours], ours, strict=False):
             if argument == "" or (argument.startswith("--") and argument.endswith("=")):
-                behind = argument.rstrip("=") or before
+                name = argument.rstrip("=") or before
                 raise click.UsageError(
-                    f"There is an empty argument{f' behind {behind}' if behind else ''}; "
-                    "the current folder is a dot",
-                    ctx,
+                    f"There is an empty argument behind {name}; the current folder is a dot", ctx
                 )
         return super().parse_args(ctx, args)
 

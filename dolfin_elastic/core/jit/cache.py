@@ -138,7 +138,8 @@ def _compile(root: Path, key: str, compile_into: Compile, *, private: bool) -> P
                 shutil.rmtree(left, ignore_errors=True)
             if target.exists():
                 _warn_once(
-                    f"a compiled form in {root} is damaged, or others may write to it: it is compiled again"
+                    f"a compiled form in {root} is damaged, or others may write to it: "
+                    "it is compiled again"
                 )
                 _remove_damaged(target)
             try:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import pwd
 import sys
+import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
-from pathlib import Path
 
 from dolfin_elastic.core.errors import OutputError
 from dolfin_elastic.core.startup.elsewhere import elsewhere
@@ -66,13 +66,18 @@ def _have_home() -> None:
     os.environ["HOME"] = home
 
 
+def _temporary_folder() -> str:
+    return next((os.environ[one] for one in _TEMPORARY if os.environ.get(one)), "/tmp")
+
+
 def _check_temporary_folder() -> None:
     """Open MPI dies where it can neither write nor make it, with thirty lines of its own."""
-    name = next((one for one in _TEMPORARY if os.environ.get(one)), "")
-    folder = Path(os.environ[name] if name else "/tmp").absolute()
-    there = next(one for one in (folder, *folder.parents) if one.exists())
-    if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
+    folder = _temporary_folder()
+    try:
+        os.makedirs(folder, exist_ok=True)
+        os.rmdir(tempfile.mkdtemp(prefix="dolfin-elastic-", dir=folder))
+    except OSError as error:
         raise OutputError(
-            f"MPI cannot start: {folder}, where it would keep temporary files, cannot be written; "
-            "TMPDIR names another folder"
-        )
+            f"MPI cannot start: {folder}, where it keeps temporary files, cannot be written: "
+            f"{os.strerror(error.errno or 0).lower()}; TMPDIR names another folder"
+        ) from error
