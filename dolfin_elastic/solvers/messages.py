@@ -184,6 +184,19 @@ def material(problem: Problem, names: Sequence[str]) -> str:
     return f"material{'s' if len(names) > 1 else ''} '{', '.join(names)}'"
 
 
+def constants(named: Sequence[str]) -> str:
+    """Advice where constants of the wrong sign have made a material unstable.
+
+    Args:
+        named: The constants with their values.
+    """
+    which = " and ".join(text.partition(" ")[0] for text in named)
+    return (
+        f"other constants than {which}, fitted to tests that reach these stretches and kept "
+        "positive; dolfin-elastic material shows the stretches up to which the material is stable"
+    )
+
+
 def another_law(names: Sequence[str]) -> str:
     """Advice where a law has lost ellipticity.
 

@@ -23,6 +23,7 @@ from dolfin_elastic.case.check.initial_state import (
 )
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.loads import LoadSum, load_sums, stress_notes
+from dolfin_elastic.case.check.materials import material_information, stability_notes
 from dolfin_elastic.case.check.memory import Memory, memory
 from dolfin_elastic.case.check.mesh_quality import (
     bending_notes,
@@ -235,6 +236,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
             *body.information,
             *unit_information(case, body),
             *tie_information(problem),
+            *material_information(case),
         ),
         unit=body.unit.name,
         dim=body.dim,
@@ -252,6 +254,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
         notes=(
             *body.notes,
             *notes,
+            *stability_notes(case),
             *locking_notes(body, problem.regions, problem.degree, problem.geometry),
             *bending_notes(case, problem),
             *shape_notes(case, problem),

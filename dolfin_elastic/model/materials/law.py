@@ -34,6 +34,15 @@ S = TypeVar("S")
 T = TypeVar("T")
 
 
+def negative(**values: object) -> tuple[str, ...]:
+    """The numbers below 0 among constants [Pa], as `Law.destabilising` names them."""
+    return tuple(
+        f"{name} = {value:.4g} Pa"
+        for name, value in values.items()
+        if isinstance(value, int | float) and value < 0
+    )
+
+
 class Law(Record):
     """A material: its fields are its constants and the keys of its case-file table.
 
@@ -64,6 +73,8 @@ class Law(Record):
     """The energy grows without bound as J falls to 0, so an inverted state is never finite."""
     frame_indifferent: ClassVar[bool] = True
     """Rotating the body rotates its stress and leaves its energy."""
+    limited: ClassVar[bool] = False
+    """With any constants the law loses its stability at some stretch between 1/2 and 2."""
     warning: ClassVar[str] = ""
     """Logged once in every run that uses the law."""
     directions: ClassVar[tuple[str, ...]] = ()
@@ -104,6 +115,10 @@ class Law(Record):
     def small_strain(self) -> moduli.Moduli | None:
         """Constants of the isotropic solid to which the law reduces at small strains; else None."""
         return None
+
+    def destabilising(self) -> tuple[str, ...]:
+        """Constants whose sign takes the law's stability at some stretch, "c10 = -2e+05 Pa"."""
+        return ()
 
     def constants(self) -> dict[str, float | list[float]]:
         """Name and value of every number in the law, also of those that follow from others.

@@ -40,6 +40,7 @@ class UserEnergy(Law):
 
     directions: ClassVar[tuple[str, ...]] = ("fibre", "fibre2")
     written: ClassVar[bool] = True
+    limited: ClassVar[bool] = True  # as far as is known
 
     _checked: bool = PrivateAttr(default=False)
 
@@ -170,6 +171,11 @@ class FormulaEnergy(UserEnergy):
                 expected=f"known: {self._known()}",
             )
         return self
+
+    @property
+    def rounds(self) -> bool:
+        """Whether it is written in F, C, J or invariants, in which small strains are rounded."""
+        return any(not name.startswith("E") for name in self.parsed.names - set(self.parameters))
 
     @property
     def parsed(self) -> Formula:

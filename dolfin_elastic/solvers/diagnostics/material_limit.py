@@ -63,6 +63,8 @@ class SoftSpot:
             f"{messages.material(problem, [part.name])} is {how} to {stretch:.3g} of its length "
             f"along {coordinates(along)}, where {law_in_words(part.typical)} {left}"
         )
+        if named := part.typical.destabilising():
+            return f"{text} ({' and '.join(named)})", messages.constants(named)
         limit = limit_in_compression(part.typical) if stretch < 1.0 else None
         if limit is not None:
             text += f"; squeezed one way, its stress falls again below a stretch of {limit:.3g}"
@@ -74,14 +76,17 @@ def softest_spot(cells: Cells) -> SoftSpot | None:
     """The place where the present state is nearest to losing ellipticity. Collective.
 
     Cells are looked at with the mean of what varies in space; of plane and axisymmetric bodies only
-    motions in their plane count.  Where a pressure carries the volumetric part, nothing is known.
+    motions in their plane count.  A pressure has no part in it: it resists no motion a x N, along
+    which the cofactor of F does not change, but one of volume, which its law does as well.
+
+    Source: for the pressure, det (F + s a x N) is affine in s: J. M. Ball, Arch. Ration. Mech.
+    Anal. 63 (1977) 337, section 4.
 
     Args:
         cells: Of the problem.
     """
     F, problem = cells.gradients(), cells.problem
-    parts = [part for part in problem.regions if part.compliance is None]
-    mine = [spot for part in parts if (spot := _of_region(cells, part, F)) is not None]
+    mine = [spot for part in problem.regions if (spot := _of_region(cells, part, F)) is not None]
     least = min(mine, key=_order, default=None)
     every: list[SoftSpot] = [one for one in cells.comm.allgather(least) if one is not None]
     return min(every, key=_order, default=None)

@@ -733,3 +733,44 @@ def test_shown_and_as_json():
     assert read["loads"][2]["force"] == pytest.approx([200, 0, -58860])
     assert read["memory"]["solver"] == "direct"
     assert read["bodies"] == [{"name": "", "motions": []}]
+
+
+# --- materials ---
+
+FITTED = {"law": "mooney-rivlin", "c10": "-0.25 MPa", "c01": "0.9 MPa", "nu": 0.49}
+
+
+@pytest.mark.usefixtures("serial_only")
+def test_unstable_constants_are_named_with_their_range():
+    """A note with the constant, in one line; other laws have none, or what is theirs anyway."""
+
+    def found(material: dict[str, Any]) -> tuple[str, str]:
+        given = case(materials={"r": material})
+        made = report(given)
+        notes = [note for note in made.notes if "stable" in note]
+        return "\n".join(notes), "\n".join(made.information)
+
+    note, _ = found(FITTED)
+    assert note.startswith("materials.r: with c10 = -2.5e+05 Pa the law 'mooney-rivlin' is stable")
+    assert "stretch 0.53 to 1.6 (uniaxial), stretch 0.65 to 1.4 (equibiaxial)" in note
+    assert "\n" not in note
+    note, _ = found({"law": "yeoh", "c10": "0.19 MPa", "c20": "-50 kPa", "nu": 0.45})
+    assert "c20 = -5e+04 Pa" in note
+    note, information = found({"law": "st-venant-kirchhoff", "E": "1 MPa", "nu": 0.3})
+    assert not note
+    assert "'st-venant-kirchhoff' is stable for stretch 0.59 to 2 (uniaxial)" in information
+    assert found(RUBBER) == ("", "")
+
+
+@pytest.mark.usefixtures("serial_only")
+def test_energies_in_F_round_small_strains():
+    """Said of formulas with F, C, J and invariants, and not of those in E."""
+    parameters = {"mu": 4e5, "lmbda": 2e6}
+    trace = "E11 + E22 + E33"
+    squares = "E11^2 + E22^2 + E33^2 + 2*(E12^2 + E13^2 + E23^2)"
+    in_E = {"energy": f"mu*({squares}) + lmbda/2*({trace})^2", "parameters": parameters}
+    in_J = {"energy": "mu/2*(I1 - 3) - mu*ln(J) + lmbda/2*ln(J)^2", "parameters": parameters}
+    for law, said in ((in_E, False), (in_J, True)):
+        made = report(case(materials={"r": law}))
+        text = "\n".join(made.information)
+        assert ("materials.r.energy: strains below about 1e-9 lose digits" in text) == said

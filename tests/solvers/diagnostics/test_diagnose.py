@@ -20,6 +20,7 @@ from dolfin_elastic import (
     Dynamics,
     Energy,
     LinearElastic,
+    MooneyRivlin,
     NeoHookean,
     Normal,
     Pressure,
@@ -31,6 +32,7 @@ from dolfin_elastic import (
     Support,
     Symmetry,
     Traction,
+    box_body,
     name_parts,
     read_case,
     rectangle_body,
@@ -651,6 +653,33 @@ def test_a_law_that_gives_way_in_motion():
     assert found.text.startswith("material instability: near ")
     assert "'st-venant-kirchhoff' is not elliptic any more" in found.text
     assert "law = 'neo-hookean'" in found.advice
+
+
+@pytest.mark.parametrize("back", [True, False])
+def test_constants_that_make_a_material_unstable_are_named(back):
+    """A fit with c10 < 0, drawn both ways or one: its constants, not buckling or a unit.
+
+    A pressure carries the change of volume: it does not hide the material.
+    """
+    pulls = {"right": [8e-3, "free", "free"]} | ({"back": ["free", 8e-3, "free"]} if back else {})
+    rollers = {"left": [0, "free", "free"], "front": ["free", 0, "free"]}
+    problem = Problem(
+        box_body(size=(10e-3, 10e-3, 2e-3), cells=(4, 4, 1)),
+        MooneyRivlin(c10=-0.25e6, c01=0.9e6, nu=0.49),
+        supports=[
+            Support(on=name, displacement=values)
+            for name, values in (rollers | {"bottom": ["free", "free", 0]} | pulls).items()
+        ],
+    )
+    with pytest.raises(ConvergenceError) as caught:
+        _ = [*Statics(problem).steps()]
+    found = caught.value.diagnosis
+    assert found is not None
+    same_everywhere(found)
+    assert found.text.startswith("material instability: near ")
+    assert "'mooney-rivlin' is hardly elliptic any more (c10 = -2.5e+05 Pa)" in found.text
+    assert "other constants than c10" in found.advice
+    assert "unit" not in found.advice
 
 
 # --- what becomes of it ---

@@ -24,6 +24,7 @@ class Corotated(Isotropic, SplitLaw):
     law: Literal["corotated"] = "corotated"
 
     volume_modulus: ClassVar[str] = "lmbda"
+    limited: ClassVar[bool] = True
 
     @once
     def _polar(self, F: Expr) -> Polar:

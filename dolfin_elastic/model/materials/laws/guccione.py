@@ -43,6 +43,7 @@ class Guccione(Volumetric):
     fibre: Direction
 
     barrier: ClassVar[bool] = True
+    limited: ClassVar[bool] = True
     directions: ClassVar[tuple[str, ...]] = ("fibre",)
     example: ClassVar[Mapping[str, object]] = {
         "C": "100 kPa",

@@ -14,6 +14,7 @@ from dolfin_elastic.model.materials.isochoric import (
     excess_invariants,
     stress_of_invariants,
 )
+from dolfin_elastic.model.materials.law import negative
 
 
 class MooneyRivlin(Isochoric):
@@ -41,6 +42,10 @@ class MooneyRivlin(Isochoric):
     def shear(self) -> float:
         """2 (c10 + c01)."""
         return 2 * (self.c10 + self.c01)
+
+    def destabilising(self) -> tuple[str, ...]:
+        """A negative c10, against which c01 holds only where stretches are moderate."""
+        return negative(c10=self.c10)
 
     def _psi(self, first: Expr, second: Expr) -> Expr:
         return self.c10 * first + self.c01 * second

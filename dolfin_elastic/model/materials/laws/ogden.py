@@ -59,6 +59,14 @@ class Ogden(Isochoric):
         """Half the sum of mu_p alpha_p."""
         return sum(mu * alpha for mu, alpha in zip(self.mu, self.alpha, strict=True)) / 2
 
+    def destabilising(self) -> tuple[str, ...]:
+        """Moduli of terms that soften, those with mu alpha < 0."""
+        return tuple(
+            f"mu[{p}] = {mu:.4g} Pa with alpha[{p}] = {alpha:.4g}"
+            for p, (mu, alpha) in enumerate(zip(self.mu, self.alpha, strict=True))
+            if isinstance(mu, int | float) and isinstance(alpha, int | float) and mu * alpha < 0
+        )
+
     def _psi(self, shape: Shape) -> Expr:
         energy = 0
         for p in range(len(self.mu)):

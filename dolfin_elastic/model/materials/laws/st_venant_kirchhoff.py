@@ -23,6 +23,7 @@ class StVenantKirchhoff(Isotropic, SplitLaw):
     law: Literal["st-venant-kirchhoff"] = "st-venant-kirchhoff"
 
     volume_modulus: ClassVar[str] = "lmbda"
+    limited: ClassVar[bool] = True
 
     def shape_energy(self, F: Expr) -> Expr:
         """mu E:E."""

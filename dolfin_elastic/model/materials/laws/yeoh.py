@@ -14,6 +14,7 @@ from dolfin_elastic.model.materials.isochoric import (
     excess_invariants,
     stress_of_invariants,
 )
+from dolfin_elastic.model.materials.law import negative
 
 
 class Yeoh(Isochoric):
@@ -47,6 +48,10 @@ class Yeoh(Isochoric):
     def shear(self) -> float:
         """2 c10."""
         return 2 * self.c10
+
+    def destabilising(self) -> tuple[str, ...]:
+        """A negative c20, if c30 does not make up for it."""
+        return negative(c20=self.c20)
 
     def _psi(self, first: Expr, second: Expr) -> Expr:
         return first * (self.c10 + first * (self.c20 + first * self.c30))

@@ -1,0 +1,58 @@
+"""What a check says of materials: up to which stretches they are stable, and where they round."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.toml import key_text
+from dolfin_elastic.material_point.alternatives import law_in_words
+from dolfin_elastic.material_point.stable_range import limits
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.user import FormulaEnergy
+
+
+def stability_notes(case: Case) -> Iterator[str]:
+    """Materials that constants of the wrong sign make unstable at moderate stretches. Local.
+
+    Args:
+        case: Its materials.
+    """
+    for where, law in _with_numbers(case):
+        if (named := law.destabilising()) and (found := limits(law)):
+            yield (
+                f"{where}: with {' and '.join(named)} {law_in_words(law)} is stable only for "
+                f"{found}; a body that is strained further, and thin parts of it before, has no "
+                "stable equilibrium"
+            )
+
+
+def material_information(case: Case) -> tuple[str, ...]:
+    """Up to which stretches laws are stable whatever their constants, and digits lost. Local.
+
+    Args:
+        case: Its materials.
+    """
+    return (*_stable_ranges(case), *_rounded(case))
+
+
+def _stable_ranges(case: Case) -> Iterator[str]:
+    for where, law in _with_numbers(case):
+        if law.limited and (found := limits(law)):
+            yield f"{where}: {law_in_words(law)} is stable for {found}"
+
+
+def _rounded(case: Case) -> Iterator[str]:
+    for where, law in _with_numbers(case):
+        if isinstance(law, FormulaEnergy) and law.rounds:
+            yield (
+                f"{where}.energy: strains below about 1e-9 lose digits, for F and invariants are "
+                "rounded to 1e-16; written in E11 ... E33 they keep them"
+            )
+
+
+def _with_numbers(case: Case) -> Iterator[tuple[str, Law]]:
+    """Key and law of each material, but for those whose constants vary in space."""
+    for name, material in case.materials.items():
+        if not material.law.spatial_constants():
+            yield f"materials.{key_text(name)}", material.law
