@@ -41,6 +41,8 @@ class Audit:
         max_jacobian: Largest det F there.
         min_place: Barycentre [m] of the cell with the smallest det F, reference configuration.
         max_place: Barycentre of the cell with the largest det F.
+        inverted: Number of cells with a det F that is not positive, where a law survives that;
+            else None.
         verdict: Of this step.
         reasons: Reasons against it, at most one for each check.
         so_far: The worst reason of each check since the start, with its time; what fails first.
@@ -56,6 +58,7 @@ class Audit:
     max_jacobian: float
     min_place: tuple[float, ...] = ()
     max_place: tuple[float, ...] = ()
+    inverted: int | None = None
     verdict: Verdict = "pass"
     reasons: tuple[str, ...] = ()
     so_far: tuple[str, ...] = ()

@@ -40,6 +40,10 @@ MATERIAL = (
 )
 STALLED = "more load steps or a smaller load; beyond a limit point no static equilibrium exists"
 JUMP = "a curve or a formula of the support that takes some time from one place to the other"
+WITHOUT_SLIVERS = (
+    "mesh anew without such slivers (dolfin-elastic check lists the worst cells), or "
+    "law = 'fixed-corotated', which goes on with inverted cells"
+)
 SMALLER_STEP = (
     "a smaller dt, or a scheme that damps more (a smaller spectral_radius, implicit-euler)"
 )
@@ -170,6 +174,18 @@ def count(number: int, thing: str) -> str:
         thing: In the singular.
     """
     return f"{number} {thing}" + ("" if number == 1 else "s")
+
+
+def sliver(quality: float) -> str:
+    """A badly shaped cell that was inverted, in words.
+
+    Args:
+        quality: Of the cell: 1 of a regular one, 0 of a flat one.
+    """
+    return (
+        f"it is a sliver: its quality is {quality:.2g}, where 1 is a regular cell, so that a small "
+        "motion of a node turns it inside out"
+    )
 
 
 def material(problem: Problem, names: Sequence[str]) -> str:

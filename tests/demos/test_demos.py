@@ -31,6 +31,7 @@ CHECKED = {  # what a script says last about its number
     "bounce": r"energy out of balance: \d\.\de-0[4-9]",
     "turek_hron": r"largest difference over the amplitude: \d\.\de-(0[3-9])",
     "tuning_fork": r"tone 440\.\d+ Hz, off by \d\.\de-0[4-9]",
+    "inverted": r"left of the displacement over the size: \d\.\de-(0[4-9]|1\d)",
     "jelly": r"difference of the periods: \d\.\de-0[3-9]",
 }
 pytestmark = pytest.mark.usefixtures("serial_only")

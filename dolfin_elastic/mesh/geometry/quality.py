@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,6 +116,26 @@ def worst_cells(body: Body, count: int) -> tuple[CellQuality, ...]:
     corners = cell_corners(body.mesh, owned)
     volumes = cell_volumes(body.mesh)[owned]
     return _worst(body, qualities(corners), corners.mean(axis=1), volumes, count)
+
+
+SLIVER = 0.1
+"""Quality up to which a cell is a sliver: a needle of one to ten, or a tetrahedron as flat."""
+
+
+def quality_at(body: Body, place: Sequence[float]) -> float:
+    """Quality of the cell whose midpoint is nearest to a place. Collective.
+
+    Args:
+        body: The body.
+        place: In the undeformed body [m], of as many components as the body has.
+    """
+    corners = cell_corners(body.mesh, body.owned_cells())
+    far = np.linalg.norm(corners.mean(axis=1)[:, : len(place)] - np.asarray(place), axis=1)
+    mine = (np.inf, 1.0)
+    if len(far):
+        cell = int(np.argmin(far))
+        mine = float(far[cell]), float(qualities(corners[cell : cell + 1])[0])
+    return min(body.comm.allgather(mine))[1]
 
 
 def _worst(

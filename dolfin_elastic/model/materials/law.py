@@ -71,6 +71,11 @@ class Law(Record):
     """Stress is linear in the displacement gradient."""
     barrier: ClassVar[bool] = False
     """The energy grows without bound as J falls to 0, so an inverted state is never finite."""
+    survives_inversion: ClassVar[bool] = False
+    """An inverted cell is told from its mirror image, has a finite stress and is turned back.
+
+    Laws of C alone that are finite there, such as St. Venant-Kirchhoff's, take a mirrored cell for
+    one at rest."""
     frame_indifferent: ClassVar[bool] = True
     """Rotating the body rotates its stress and leaves its energy."""
     limited: ClassVar[bool] = False

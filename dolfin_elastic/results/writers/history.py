@@ -45,7 +45,8 @@ class HistoryWriter:
     * further results by name, for example of probes, moments, obstacles and cavities,
     * in motion ``momentum_x`` ... [kg m/s] and ``angular_momentum_x`` ... [kg m^2/s],
     * the audit: ``balance_force`` and ``balance_moment`` (relative residuals), in statics
-      ``external_work`` [J], ``min_jacobian``, ``max_jacobian``, ``verdict`` (pass or warn).
+      ``external_work`` [J], ``min_jacobian``, ``max_jacobian``, ``inverted_cells`` where
+      a law survives inversion, ``verdict`` (pass or warn).
 
     A row is on disk when `write` returns.
 
@@ -145,12 +146,14 @@ def _audit_columns(audit: Audit | None) -> dict[str, Number | str]:
         return {}
     force = {} if math.isnan(audit.force) else {"balance_force": audit.force}
     moment = {} if math.isnan(audit.moment) else {"balance_moment": audit.moment}
+    inverted = {} if audit.inverted is None else {"inverted_cells": audit.inverted}
     return {
         **force,
         **moment,
         "external_work": audit.work,
         "min_jacobian": audit.min_jacobian,
         "max_jacobian": audit.max_jacobian,
+        **inverted,
         "verdict": audit.verdict,
     }
 

@@ -508,6 +508,10 @@ class WorstAudit:
         high = max(every, key=lambda audit: audit.max_jacobian)
         force = [audit.force for audit in every if np.isfinite(audit.force)]
         moment = [audit.moment for audit in every if np.isfinite(audit.moment)]
+        inverted = {}
+        if last.inverted is not None:
+            most = max(audit.inverted or 0 for audit in every)
+            inverted = {"inverted_cells": {"last": last.inverted, "most": most}}
         return {
             "verdict": last.verdict_so_far,
             "reasons": list(last.so_far),
@@ -518,6 +522,7 @@ class WorstAudit:
             "stored_energy": last.energy,
             "min_jacobian": {"value": low.min_jacobian, "place": list(low.min_place)},
             "max_jacobian": {"value": high.max_jacobian, "place": list(high.max_place)},
+            **inverted,
         }
 
 
@@ -536,5 +541,6 @@ def _extremes(audits: list[Audit]) -> list[Audit]:
         max(audits, key=lambda audit: np.nan_to_num(audit.moment)),
         min(audits, key=lambda audit: audit.min_jacobian),
         max(audits, key=lambda audit: audit.max_jacobian),
+        max(audits, key=lambda audit: audit.inverted or 0),
     ]
     return [*worst, audits[-1]]

@@ -37,7 +37,7 @@ from dolfin_elastic.solvers.audit.offences import (
     WorstOffences,
     add_worse,
 )
-from dolfin_elastic.solvers.messages import coordinates
+from dolfin_elastic.solvers.messages import coordinates, count
 from dolfin_elastic.solvers.nonlinear.contact import contact_gap_error
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrains
 
@@ -148,10 +148,14 @@ class EquilibriumAuditor:
             notes: What is not judged, and why.
         """
         low, high = self._watch.extremes()
+        inverted = self._watch.inverted()
         if not low[0] > 0.0:
-            reasons["jacobian"] = Offence(
-                f"a cell is inside out: det F = {low[0]:.3g} at {coordinates(low[1])} m", -low[0]
-            )
+            at = f"det F = {low[0]:.3g} at {coordinates(low[1])} m"
+            text = f"a cell is inside out: {at}"
+            if self._watch.survives:
+                many = count(self._problem.body.num_cells, "cell")
+                text = f"{inverted} of {many} inverted, smallest {at}"
+            reasons["jacobian"] = Offence(text, -low[0])
         if reasons:
             self._offences.add(reasons, self._when(t))
         audit = Audit(
@@ -160,6 +164,7 @@ class EquilibriumAuditor:
             max_jacobian=high[0],
             min_place=tuple(float(x) for x in low[1][: self._dim]),
             max_place=tuple(float(x) for x in high[1][: self._dim]),
+            inverted=inverted if self._watch.survives else None,
             notes=notes,
         )
         return self._offences.judged(audit, reasons) if self._offences.worst else audit

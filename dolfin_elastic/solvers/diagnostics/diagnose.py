@@ -28,7 +28,13 @@ from dolfin_elastic.mesh.body import cell_size, span
 from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics import instability
-from dolfin_elastic.solvers.diagnostics.evidence import Cells, Fault, TrialStates, not_finite
+from dolfin_elastic.solvers.diagnostics.evidence import (
+    Cells,
+    Fault,
+    TrialStates,
+    naming_sliver,
+    not_finite,
+)
 from dolfin_elastic.solvers.diagnostics.loose_parts import find_loose_part
 from dolfin_elastic.solvers.diagnostics.material_limit import NEARLY, softest_spot
 from dolfin_elastic.solvers.diagnostics.stability import LIMIT
@@ -234,7 +240,8 @@ class _CauseSearch:
             text += (
                 f"; the last iterate has {messages.count(count, 'such cell')} in {self._names()}"
             )
-        return self._make("inverted", text, messages.SMALLER, place)
+        found = self._make("inverted", text, messages.SMALLER, place)
+        return naming_sliver(self.problem.body, found)
 
     def _names(self) -> str:
         found = sorted({cell.material for cell in self.worst if cell.jacobian <= 0.0})

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import basix
 import numpy as np
 import ufl
 from dolfinx import fem, la
 
-from dolfin_elastic.core.errors import BadCell
+from dolfin_elastic.core.errors import BadCell, Diagnosis
 from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.parallel import (
     first_of,
@@ -20,9 +20,12 @@ from dolfin_elastic.core.parallel import (
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.material_point.checks import with_finite_moduli
 from dolfin_elastic.material_point.domain import undefined_operation
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.geometry.quality import SLIVER, quality_at
 from dolfin_elastic.mesh.geometry.simplices import cell_corners
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.messages import coordinates, count
 
@@ -171,6 +174,25 @@ class TrialStates:
 
 
 # --- terms without a finite value ---
+
+
+def naming_sliver(body: Body, found: Diagnosis) -> Diagnosis:
+    """The diagnosis of inverted cells, with the quality of the first one if it is a sliver.
+
+    Collective.
+
+    Args:
+        body: The body.
+        found: Any diagnosis; others than "inverted" are left as they are.
+    """
+    if found.cause != "inverted" or not found.place:
+        return found
+    quality = quality_at(body, found.place)
+    if quality > SLIVER:
+        return found
+    return replace(
+        found, text=f"{found.text}; {messages.sliver(quality)}", advice=messages.WITHOUT_SLIVERS
+    )
 
 
 def not_finite(cells: Cells) -> Fault | None:

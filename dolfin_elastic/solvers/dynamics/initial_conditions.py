@@ -106,7 +106,7 @@ def set_initial(
 
 
 def _check_upright(problem: Problem) -> None:
-    J, place = JacobianWatch(problem).smallest()
+    J, place = JacobianWatch(problem).refused()
     if not J > 0.0:
         raise InputError(
             f"it turns cells inside out: det F = {J:.3g} at {coordinates(place)} m",

@@ -201,6 +201,8 @@ class RoundOff:
         """
         a, factor = self._assembler, inertia.factor
         diagonal.axpy(-factor, inertia.mass)
+        most = MAX_STIFFENING * self.first
+        diagonal.array_w[:] = np.clip(diagonal.array_r, -most, most)
         inertial = factor * float(inertia.mass.norm()) * a.max_unknown()
         elastic = float(diagonal.norm()) * max(self._h, a.max_displacement())
         return float(SAFETY * np.finfo(float).eps * (elastic + inertial))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import basix
 import numpy as np
@@ -29,17 +31,41 @@ where those of all cells would take 96 bytes a linear one."""
 Extreme = tuple[float, FloatArray]
 """A value and the place of its cell in the reference configuration [m]."""
 
-Extremes = tuple[Extreme, Extreme, Extreme]
-"""Smallest and largest det F, and largest |grad u| in cells of linear laws."""
+NOWHERE: FloatArray = np.zeros(3)
+
+
+class Extremes(NamedTuple):
+    """Extremes over cells, those of a rank or of all.
+
+    Attributes:
+        low: Smallest det F.
+        high: Largest det F.
+        steepest: Largest |grad u| in cells of linear laws.
+        refused: Smallest det F in cells whose law does not survive inversion.
+        inverted: How many cells have a det F that is not positive.
+    """
+
+    low: Extreme
+    high: Extreme
+    steepest: Extreme
+    refused: Extreme
+    inverted: int
+
+    @classmethod
+    def of(cls, found: Sequence[Extremes]) -> Extremes:
+        """Those of several sets of cells, at least one."""
+        lows, highs, steeps, refused, inverted = zip(*found, strict=True)
+        return cls(
+            min(lows, key=_value),
+            max(highs, key=_value),
+            max(steeps, key=_value),
+            min(refused, key=_value),
+            sum(inverted),
+        )
 
 
 def _value(extreme: Extreme) -> float:
     return extreme[0]
-
-
-def _extremes(found: list[Extremes]) -> Extremes:
-    lows, highs, steeps = zip(*found, strict=True)
-    return min(lows, key=_value), max(highs, key=_value), max(steeps, key=_value)
 
 
 class JacobianWatch:
@@ -50,6 +76,9 @@ class JacobianWatch:
 
     Args:
         problem: Whose displacement is watched.
+
+    Attributes:
+        survives: A law goes on in inverted cells.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -59,27 +88,40 @@ class JacobianWatch:
             kind, max(problem.weak_form.rule(region) for region in problem.regions)
         )
         self._problem = problem
-        self._small: BoolArray | None = None
-        if any(part.law.linear for part in problem.regions):
-            self._small = np.zeros(len(problem.body.owned_cells()), dtype=bool)
-            for part in problem.regions:
-                self._small[part.cells] = part.law.linear
+        small = _marks(problem, [part.law.linear for part in problem.regions])
+        surviving = _marks(problem, [part.law.survives_inversion for part in problem.regions])
+        self.survives = surviving is not None
         plain = problem.W is problem.V and problem.cell is None
         evaluator = _ByLoop if plain and not problem.context.axisymmetric else _ByExpression
-        self._evaluate: _ByLoop | _ByExpression = evaluator(problem, points, self._small)
+        self._evaluate: _ByLoop | _ByExpression = evaluator(problem, points, small, surviving)
         self._seen: FloatArray | None = None
-        self._found: tuple[Extreme, Extreme] | None = None
-        self._steepest: Extreme = (0.0, np.zeros(3))
+        self._found: Extremes | None = None
 
     def smallest(self) -> Extreme:
         """Smallest det F and the reference place of its cell [m]. Collective."""
         return self.extremes()[0]
+
+    def refused(self) -> Extreme:
+        """Smallest det F, and its place [m], where no inverted cell can be let pass. Collective.
+
+        Infinite where all laws survive inversion.
+        """
+        return self._now().refused
+
+    def inverted(self) -> int:
+        """Number of inverted cells. Collective."""
+        return self._now().inverted
 
     def extremes(self) -> tuple[Extreme, Extreme]:
         """Smallest and largest det F and the reference places of their cells [m]. Collective.
 
         Asked again before anything has moved, nothing is evaluated again.
         """
+        found = self._now()
+        return found.low, found.high
+
+    def _now(self) -> Extremes:
+        """Extremes of all cells at the present displacement. Collective."""
         now = self._state()
         same = self._seen is not None and np.array_equal(self._seen, now)
         comm = self._problem.body.comm
@@ -92,21 +134,34 @@ class JacobianWatch:
 
         The Frobenius norm: strains and rotations count alike.
         """
-        self.extremes()
-        return self._steepest
+        return self._now().steepest
 
     def _state(self) -> FloatArray:
         """All that F depends on."""
         fields, cell = self._problem.w.x.array, self._problem.cell
         return fields if cell is None else np.append(fields, cell.H.value)
 
-    def _evaluated(self) -> tuple[Extreme, Extreme]:
-        """See `extremes`. Collective."""
+    def _evaluated(self) -> Extremes:
+        """See `_now`. Collective."""
         with stage("assemble"):
             found = self._evaluate()  # none on ranks without cells
         everywhere = self._problem.body.comm.allgather(found)
-        low, high, self._steepest = _extremes([one for one in everywhere if one is not None])
-        return low, high
+        return Extremes.of([one for one in everywhere if one is not None])
+
+
+def _marks(problem: Problem, of_regions: Sequence[bool]) -> BoolArray | None:
+    """Which owned cells lie in regions that are marked; None: no region is.
+
+    Args:
+        problem: Its material regions.
+        of_regions: Marks of them, in their order.
+    """
+    if not any(of_regions):
+        return None
+    found = np.zeros(len(problem.body.owned_cells()), dtype=bool)
+    for part, mark in zip(problem.regions, of_regions, strict=True):
+        found[part.cells] = mark
+    return found
 
 
 class _ByLoop:
@@ -116,9 +171,16 @@ class _ByLoop:
         problem: Whose displacement is the only unknown.
         points: Of each cell.
         small: Which cells have a linear law; None: none.
+        surviving: Which cells have a law that survives inversion; None: none.
     """
 
-    def __init__(self, problem: Problem, points: FloatArray, small: BoolArray | None) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        points: FloatArray,
+        small: BoolArray | None,
+        surviving: BoolArray | None,
+    ) -> None:
         mesh = problem.body.mesh
         gradients, corners, sizes = tabulated(problem, points)
         self._loop = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
@@ -128,27 +190,29 @@ class _ByLoop:
         ]
         self._cells = (*nodes, mesh.geometry.x)
         self._tables, self._count = (gradients, corners), len(problem.body.owned_cells())
-        self._small = np.zeros(0 if small is None else self._count, dtype=np.int8)
-        if small is not None:
-            self._small[:] = small
+        self._small, self._surviving = (
+            np.zeros(0, dtype=np.int8) if marks is None else marks.astype(np.int8)
+            for marks in (small, surviving)
+        )
 
     def __call__(self) -> Extremes | None:
         """Of the owned cells of this rank; None without any. Not collective."""
         if not self._count:
             return None
-        found, cells = np.empty(3), np.empty(3, dtype=np.int32)
+        found, cells = np.empty(4), np.empty(4, dtype=np.int32)
         arrays = (*self._cells, self._w.x.array, *self._tables)
-        self._loop.call(
-            "extremes", self._count, *arrays, len(self._small), self._small, found, cells
-        )
+        marks = (len(self._small), self._small, len(self._surviving), self._surviving)
+        inverted = self._loop.call("extremes", self._count, *arrays, *marks, found, cells)
         places = [_middle(self._mesh, int(cell)) for cell in cells]
-        low, high, square = found
+        low, high, square, refused = map(float, found)
         steepest = (
             (float(np.nan_to_num(np.sqrt(square))), places[2])
             if len(self._small)
-            else (0.0, np.zeros(3))
+            else (0.0, NOWHERE)
         )
-        return (float(low), places[0]), (float(high), places[1]), steepest
+        return Extremes(
+            (low, places[0]), (high, places[1]), steepest, (refused, places[3]), inverted
+        )
 
 
 class _ByExpression:
@@ -158,10 +222,18 @@ class _ByExpression:
         problem: Of any unknowns.
         points: Of each cell.
         small: Which cells have a linear law; None: none.
+        surviving: Which cells have a law that survives inversion; None: none.
     """
 
-    def __init__(self, problem: Problem, points: FloatArray, small: BoolArray | None) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        points: FloatArray,
+        small: BoolArray | None,
+        surviving: BoolArray | None,
+    ) -> None:
         self._mesh, self._points, self._small = problem.body.mesh, points, small
+        self._surviving = surviving
         self._cells = problem.body.owned_cells()
         F = problem.weak_form.F(problem.w)
         seen = [ufl.det(F)]
@@ -181,7 +253,7 @@ class _ByExpression:
             seen = self._seen_in.eval(self._mesh, cells)
             seen = seen.reshape(len(cells), len(self._points), self._columns)
             before = [] if found is None else [found]
-            found = _extremes([*before, self._of(cells, seen)])
+            found = Extremes.of([*before, self._of(cells, seen)])
         return found
 
     def _of(self, cells: IndexArray, seen: FloatArray) -> Extremes:
@@ -189,16 +261,21 @@ class _ByExpression:
         values = seen[:, :, 0]
         values[np.isnan(values)] = -np.inf  # as bad as can be, on whichever rank
         least, most = values.min(axis=1), values.max(axis=1)
-        return (
-            self._at(cells, least, int(np.argmin(least))),
+        low, refused = self._at(cells, least, int(np.argmin(least))), least
+        if self._surviving is not None:
+            refused = np.where(self._surviving[cells], np.inf, least)
+        return Extremes(
+            low,
             self._at(cells, most, int(np.argmax(most))),
             self._steepest_of(cells, seen),
+            self._at(cells, refused, int(np.argmin(refused))),
+            int(np.sum(~(least > 0.0))),
         )
 
     def _steepest_of(self, cells: IndexArray, seen: FloatArray) -> Extreme:
         """Largest |grad u| in those of some cells that have linear laws."""
         if self._small is None:
-            return 0.0, np.zeros(3)
+            return 0.0, NOWHERE
         squares = np.where(self._small[cells], seen[:, :, -1].max(axis=1), 0.0)
         steep = np.nan_to_num(np.sqrt(squares))
         return self._at(cells, steep, int(np.argmax(steep)))
@@ -224,7 +301,9 @@ class InversionGuard:
 
     Laws that grow without bound as J goes to zero say so by an infinite residual; others let a
     cell pass through zero volume and find an equilibrium on the other side of it.  So det F is
-    looked at itself, at the points where the energy is integrated.
+    looked at itself, at the points where the energy is integrated.  Cells of laws that survive
+    inversion may be inverted, but only where there is no other way: where the solve begins so, or
+    no part of a step avoids it.
 
     Args:
         assembler: Of the problem that is solved.
@@ -241,12 +320,14 @@ class InversionGuard:
         self, assembler: Assembler, watch: JacobianWatch, bordered: Bordered | None = None
     ) -> None:
         self._assembler, self.watch, self._bordered = assembler, watch, bordered
-        self.begin()
+        self.rejected, self.stuck, self._lets_pass = 0, False, False
+        self.worst: Extreme = (np.inf, NOWHERE)
 
     def begin(self) -> None:
-        """Begins a new solve: nothing has been refused. Not collective."""
+        """Begins a new solve: nothing has been refused. Collective."""
         self.rejected, self.stuck = 0, False
-        self.worst: Extreme = (np.inf, np.zeros(3))
+        self.worst = (np.inf, NOWHERE)
+        self._lets_pass = self.watch.survives and self.watch.inverted() > 0
 
     def shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Halves the step y until x - y has no inverted cell. Collective.
@@ -258,6 +339,28 @@ class InversionGuard:
         Returns:
             Whether y was changed.
         """
+        refused = self.rejected
+        share = self._upright_share(x, y)
+        if share is None and self.watch.survives and not self._lets_pass:
+            self._lets_pass, self.rejected = True, refused
+            share = self._upright_share(x, y)
+        self.stuck = share is None
+        if share is None:
+            share = 0.5 ** (HALVINGS + 1)
+        if share < 1.0:
+            y.scale(share)
+        return share < 1.0
+
+    def _upright_share(self, x: PETSc.Vec, y: PETSc.Vec) -> float | None:
+        """Share of the step y with which no cell is inverted that must not be. Collective.
+
+        Args:
+            x: The present iterate.
+            y: The Newton step.
+
+        Returns:
+            None: none has been found.
+        """
         size, w = self._assembler.size, self._assembler.problem.w.x
         step = y.array_r[:size].copy()
         share = 1.0
@@ -265,17 +368,13 @@ class InversionGuard:
             w.array[:size] = self._assembler.origin + (x.array_r[:size] - share * step)
             w.scatter_forward()
             self._move_scalars(x, y, share)
-            found = self.watch.smallest()
+            found = self.watch.refused() if self._lets_pass else self.watch.smallest()
             if found[0] > 0.0:
-                break
+                return share
             self.rejected += 1
             self.worst = min(self.worst, found, key=lambda pair: pair[0])
             share /= 2
-        else:
-            self.stuck = True
-        if share < 1.0:
-            y.scale(share)
-        return share < 1.0
+        return None
 
     def _move_scalars(self, x: PETSc.Vec, y: PETSc.Vec, share: float) -> None:
         if (bordered := self._bordered) is not None:

@@ -7,7 +7,8 @@ from dolfin_elastic.solvers.assembly.two_stage.kernel import GRADIENTS
 DECLARATIONS = """
 int64_t extremes(int64_t count, const int32_t* corners, const int32_t* nodes, const double* x,
                  const double* u, const double* tables, const double* geometry_tables,
-                 int64_t linear, const int8_t* small, double* found, int32_t* where);
+                 int64_t linear, const int8_t* small, int64_t surviving, const int8_t* survives,
+                 double* found, int32_t* where);
 """
 
 SOURCE = (
@@ -18,19 +19,23 @@ SOURCE = (
 """
     + GRADIENTS
     + r"""
-/* Smallest and largest det F, and the largest |grad u|^2 in cells that are `small`, of which there
-   are `linear`, all or none; and the cells.  What is no number counts as -inf, and as 0. */
+/* Smallest and largest det F, the largest |grad u|^2 in cells that are `small`, of which there
+   are `linear`, all or none, and the smallest det F in cells that do not `survive` inversion, of
+   which there are marks for all cells or none; and the cells.  What is no number counts as -inf,
+   and as 0.  Returns the number of inverted cells. */
 int64_t extremes(int64_t count, const int32_t* corners, const int32_t* nodes, const double* x,
                  const double* u, const double* tables, const double* geometry_tables,
-                 int64_t linear, const int8_t* small, double* found, int32_t* where)
+                 int64_t linear, const int8_t* small, int64_t surviving, const int8_t* survives,
+                 double* found, int32_t* where)
 {
-  found[0] = INFINITY;
+  int64_t inverted = 0;
+  found[0] = found[3] = INFINITY;
   found[1] = -INFINITY;
   found[2] = 0.0;
-  where[0] = where[1] = where[2] = 0;
+  where[0] = where[1] = where[2] = where[3] = 0;
   for (int64_t c = 0; c < count; c++)
   {
-    double y[NG][3], g[DIM][NDP];
+    double y[NG][3], g[DIM][NDP], least = INFINITY;
     for (int m = 0; m < NG; m++)
       memcpy(y[m], x + 3 * (int64_t)corners[c * NG + m], 3 * sizeof(double));
     for (int q = 0; q < NQ; q++)
@@ -59,11 +64,8 @@ int64_t extremes(int64_t count, const int32_t* corners, const int32_t* nodes, co
 #endif
       if (det != det)
         det = -INFINITY;
-      if (det < found[0])
-      {
-        found[0] = det;
-        where[0] = (int32_t)c;
-      }
+      if (det < least)
+        least = det;
       if (det > found[1])
       {
         found[1] = det;
@@ -75,8 +77,19 @@ int64_t extremes(int64_t count, const int32_t* corners, const int32_t* nodes, co
         where[2] = (int32_t)c;
       }
     }
+    inverted += !(least > 0.0);
+    if (least < found[0])
+    {
+      found[0] = least;
+      where[0] = (int32_t)c;
+    }
+    if (least < found[3] && !(surviving && survives[c]))
+    {
+      found[3] = least;
+      where[3] = (int32_t)c;
+    }
   }
-  return 0;
+  return inverted;
 }
 """
 )

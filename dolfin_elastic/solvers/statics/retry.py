@@ -96,7 +96,7 @@ class RetryStrategy:
         """Norm of the residual at a start [N]; infinite where a cell is inside out. Collective."""
         assembler, guard = self.newton.assembler, self.newton.guard
         self.newton.put_back(start)
-        if guard is not None and guard.watch.smallest()[0] <= 0.0:
+        if guard is not None and guard.watch.refused()[0] <= 0.0:
             return np.inf
         return assembler.residual.norm()
 
@@ -137,11 +137,14 @@ class RetryStrategy:
             self.augmentation.save()
 
     def _refuse_inverted(self, result: NewtonResult) -> NewtonResult:
-        """No accepted state has an inverted cell, even if no trial state on the way had one."""
+        """No accepted state has an inverted cell, even if no trial state on the way had one.
+
+        Where the law survives inversion it may have.
+        """
         guard = self.newton.guard
         if not result.converged or guard is None:
             return result
-        value, place = guard.watch.smallest()
+        value, place = guard.watch.refused()
         if value > 0.0:
             return result
         return result.inverted(value, place).refused(

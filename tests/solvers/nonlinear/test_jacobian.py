@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import (
     Body,
+    FixedCorotated,
     LinearElastic,
     NeoHookean,
     Problem,
@@ -40,19 +41,22 @@ def bend(problem: Problem) -> None:
     problem.u.x.scatter_forward()
 
 
-def both(problem: Problem, small: BoolArray | None = None) -> list[Extremes | None]:
+def both(
+    problem: Problem, small: BoolArray | None = None, surviving: BoolArray | None = None
+) -> list[Extremes | None]:
     kind = getattr(basix.CellType, problem.body.mesh.topology.cell_name())
     points, _ = basix.make_quadrature(kind, 2)
-    return [how(problem, points, small)() for how in (_ByLoop, _ByExpression)]
+    return [how(problem, points, small, surviving)() for how in (_ByLoop, _ByExpression)]
 
 
 def check(problem: Problem, small: BoolArray | None = None) -> None:
     """Values and places to round-off of sums of some ten terms, on each rank."""
     found, known = both(problem, small)
     assert largest(COMM, (found is None) != (known is None)) == 0
+    assert largest(COMM, found is not None and found.inverted != known.inverted) == 0
     off = [
         np.append(one[1] - other[1], one[0] / other[0] - 1 if other[0] else one[0])
-        for one, other in zip(found or (), known or (), strict=True)
+        for one, other in zip((found or ())[:4], (known or ())[:4], strict=True)
     ]
     assert largest(COMM, float(np.max(np.abs(off), initial=0.0))) < 1e-13
 
@@ -99,8 +103,41 @@ def test_what_is_no_number_counts_as_inverted():
     problem.u.x.array[:] = np.nan
     wrong = 0
     for found in both(problem, np.ones(len(problem.body.owned_cells()), dtype=bool)):
-        wrong += [value for value, _ in found or ()] not in ([], [-np.inf, -np.inf, 0.0])
+        values = [value for value, _ in (found or ())[:4]]
+        wrong += values not in ([], [-np.inf, -np.inf, 0.0, -np.inf])
     assert largest(COMM, wrong) == 0
+
+
+def test_inverted_cells_that_may_be():
+    """The right half is mirrored: its law goes on there, that of the left one would not."""
+    halves = {
+        "left": Selector(box=[[0, 0, 0], [0.5, 1, 1]]),
+        "right": Selector(box=[[0.5, 0, 0], [1, 1, 1]]),
+    }
+    body = name_parts(box_body(size=(1, 1, 1), cells=(2, 1, 1)), regions=halves)
+    laws = {"left": SOFT, "right": FixedCorotated(E=1.0, nu=0.3)}
+    for place, refused in (("right", 1.0), ("left", -0.5)):
+        problem = Problem(body, laws, degree=1)
+        side = 1.0 if place == "right" else -1.0
+        problem.u.interpolate(
+            lambda x, side=side: [
+                -1.5 * side * np.maximum(side * (x[0] - 0.5), 0),
+                0 * x[1],
+                0 * x[2],
+            ]
+        )
+        problem.u.x.scatter_forward()
+        problem.unknowns.u_to_w()
+        watch = JacobianWatch(problem)
+        assert watch.survives
+        assert watch.inverted() == 6
+        assert watch.smallest()[0] == pytest.approx(-0.5, rel=1e-12)
+        assert watch.refused()[0] == pytest.approx(refused, rel=1e-12)
+        surviving = np.zeros(len(body.owned_cells()), dtype=bool)
+        surviving[body.owned_cells("right")] = True
+        for found in both(problem, None, surviving):
+            values = [np.inf] if found is None else [found.refused[0]]
+            assert -largest(COMM, -min(values)) == pytest.approx(refused, rel=1e-12)
 
 
 def test_unknowns_beside_the_displacement_are_left_to_the_expression():

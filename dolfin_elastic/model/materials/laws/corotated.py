@@ -23,6 +23,7 @@ class Corotated(Isotropic, SplitLaw):
 
     law: Literal["corotated"] = "corotated"
 
+    survives_inversion: ClassVar[bool] = True
     volume_modulus: ClassVar[str] = "lmbda"
     limited: ClassVar[bool] = True
 

@@ -25,6 +25,7 @@ class FixedCorotated(Isotropic, SplitLaw):
 
     law: Literal["fixed-corotated"] = "fixed-corotated"
 
+    survives_inversion: ClassVar[bool] = True
     volume_modulus: ClassVar[str] = "lmbda"
     strain_of_volume: ClassVar[bool] = True
 

@@ -275,7 +275,7 @@ class StageSolver:
     def _norm_at(self, guess: FloatArray) -> float:
         """Norm of the residual of a first guess; infinite where a cell is inside out."""
         self._moving.set_unknowns(guess)
-        if self._context.watch.smallest()[0] <= 0.0:
+        if self._context.watch.refused()[0] <= 0.0:
             return float(np.inf)
         x, f = self._assembler.create_vector(), self._assembler.create_vector()
         self._assembler.get(x)

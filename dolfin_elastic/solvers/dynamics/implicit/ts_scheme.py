@@ -204,14 +204,20 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         )
 
     def _inverted(self) -> bool:
-        """Whether a cell is inside out; False for linear laws, where det F has no meaning."""
-        return not self.problem.linear and self.context.watch.smallest()[0] <= 0.0
+        """Whether a cell is inside out that must not be.
+
+        False for linear laws, where det F has no meaning.
+        """
+        return not self.problem.linear and self.context.watch.refused()[0] <= 0.0
 
     def _upright_at_end(self) -> bool:
-        """Whether det F > 0 at the end of the step; if not, marks Newton's result for diagnosis."""
+        """Whether det F > 0 where it must be, at the end of the step.
+
+        If not, Newton's result is marked for diagnosis.
+        """
         if self.problem.linear:
             return True
-        value, place = self.context.watch.smallest()
+        value, place = self.context.watch.refused()
         if value > 0.0:
             return True
         self.newton.reject(value, place)

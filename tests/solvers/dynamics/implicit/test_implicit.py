@@ -27,6 +27,7 @@ from dolfin_elastic import (
     Contact,
     Dashpot,
     Dynamics,
+    FixedCorotated,
     Gravity,
     LinearElastic,
     NeoHookean,
@@ -635,6 +636,45 @@ def test_there_is_nothing_to_keep_before_a_motion_and_after_it():
     _ = [*motion.steps()]
     with pytest.raises(RuntimeError, match="no state to save"):
         motion.restart_state()
+
+
+# --- inverted cells ---
+
+
+def test_a_law_that_survives_inversion_goes_on(comm):
+    """A jelly hits a plane at 6 m/s, twice its speed of sound: cells are inverted, and counted."""
+    problem = Problem(
+        box_body(size=(0.02, 0.02, 0.02), cells=(2, 2, 2), comm=comm),
+        FixedCorotated(E=1e4, nu=0.4, density=1000.0),
+        contacts=[Contact(on="bottom", plane={"axis": "z", "at": -1e-3})],
+        degree=1,
+    )
+    states = list(Dynamics(problem, end=0.01, dt=2e-4, initial_velocity=[0, 0, -6]).steps())
+    assert states[-1].t == pytest.approx(0.01)
+    counts = [state.audit.inverted for state in states]
+    assert counts[0] == 0
+    assert max(counts) > 0
+    assert any("cells inverted, smallest det F" in r for r in states[-1].audit.so_far)
+
+
+@pytest.mark.parametrize("law", [FixedCorotated, StVenantKirchhoff])
+def test_a_start_with_half_of_the_cells_inverted(law, comm):
+    """One law turns them back; one that takes them for undeformed refuses to begin."""
+    problem = Problem(
+        box_body(size=(1, 1, 1), cells=(2, 1, 1), comm=comm),
+        law(E=1e4, nu=0.3, density=1000.0),
+        supports=[Support(on="left")],
+        degree=1,
+    )
+    folded = {"initial_displacement": ["-1.5*max(x - 0.5, 0)", "0.05*x*sin(9*z)", "0.05*x*y"]}
+    motion = Dynamics(problem, scheme="implicit-euler", end=40.0, dt=0.1, **folded)
+    if law is StVenantKirchhoff:
+        with pytest.raises(InputError, match="it turns cells inside out"):
+            next(motion.steps())
+        return
+    first, *_, last = motion.steps()
+    assert (first.audit.inverted, last.audit.inverted) == (6, 0)
+    assert last.max_displacement < 1e-6
 
 
 # --- what the audit says ---
