@@ -11,6 +11,9 @@ unknown; it is the condition that the supports do not change the volume.  Three 
   their displacements.  If it is no small part of the volume that they sweep, there is no solution.
 - The pressure with zero mean is chosen.  It is the limit for slightly compressible materials.
 
+Several materials that are incompressible have a pressure each.  Between them the interface hands
+their uniform pressures on, unless it is held; `PressureParts` finds which are free together.
+
 Source: M. Benzi, G. Golub & J. Liesen, Acta Numerica 14 (2005), section 2.3 and 5.7; P. Bochev &
 R. Lehoucq, SIAM Review 47 (2005) 50 (one pressure fixed, or none: the same solution).
 """
@@ -24,29 +27,22 @@ import numpy as np
 from dolfinx import la
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.parallel import largest, smallest, total
-from dolfin_elastic.core.types import FloatArray, IndexArray
-from dolfin_elastic.mesh.geometry.curved import (
-    cell_quadrature,
-    facet_quadrature,
-    facet_shape_functions,
-)
-from dolfin_elastic.mesh.geometry.simplices import (
-    boundary_facets,
-    cells_beside_facets,
-    outward_normals,
-    prepare_facets,
-)
+from dolfin_elastic.core.parallel import smallest, total
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+from dolfin_elastic.mesh.geometry.curved import cell_quadrature
+from dolfin_elastic.mesh.geometry.simplices import outward_normals, prepare_facets
 from dolfin_elastic.model.supports.displacement import Normal
 from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.material_regions import MaterialRegion, poisson
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.pressure_parts import (
+    FREE,
+    PressureParts,
+    pressure_dofs,
+    ring,
+)
 
 log = logging.getLogger("dolfin_elastic")
-
-FREE = 1e-9
-"""Derivative of the volume by a free displacement, over the largest one of a facet, that is
-round-off."""
 
 NEARLY = 0.4985
 """Poisson's ratio from which K times the error of J is visible in the pressure: K/mu = 300."""
@@ -67,26 +63,23 @@ class EnclosedBody:
     """A body that is incompressible and held all around.
 
     Attributes:
-        name: Of the body, empty where there is one only.
+        label: The body, or its parts, in words.
         dofs: Entries of its pressures in the local array of all unknowns, owned.
         weights: Integrals of their shape functions over the body, over its volume.
         volume: Of the body [m^3]; in a plane its area.
         pinned: Local entry of the pressure that is fixed, one on its owner; ghosts elsewhere.
         coupled: Scalar unknowns, the motion of a rigid surface or macroscopic strains, change its
             volume: then its uniform pressure is known, but is no unknown of the fields.
+        gradient: Derivative of its volume by owned displacements, entries of all unknowns [m^2].
     """
 
-    name: str
+    label: str
     dofs: IndexArray
     weights: FloatArray
     volume: float
     pinned: IndexArray
     coupled: bool
-
-    @property
-    def label(self) -> str:
-        """The body in words."""
-        return _label(self.name)
+    gradient: FloatArray
 
 
 class PressureLevel:
@@ -99,9 +92,9 @@ class PressureLevel:
         bodies: The enclosed ones.
         pinned: Local entries of the pressures that are fixed, owned and ghost.
         pivots: Diagonal of the tangent there, negative [N/m].
-        nearly: Names of others that are nearly incompressible and held all around, with a g(J) of
-            which the mean is not that of J - 1: K times their difference, an error of the mesh, is
-            in their pressure.
+        nearly: What else is nearly incompressible and held all around, with a g(J) of which the
+            mean is not that of J - 1: K times their difference, an error of the mesh, is in its
+            pressure.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -113,54 +106,58 @@ class PressureLevel:
         self.nearly: list[str] = []
         if not problem.mixed or problem.unknowns.has("stretch"):
             return
-        bodies = ConnectedBodies(problem)
-        self._swept, self._share = _volume_gradient(problem)
-        found = self._enclosed(bodies, [part for part in problem.regions if part.incompressible])
-        names = bodies.names()
-        curved = self._enclosed(bodies, [part for part in problem.regions if _errs(part)])
-        self.nearly = [names[k] for k in curved if k not in found]
+        known = PressureParts(problem, [r for r in problem.regions if r.incompressible])
+        found = known.enclosed()
+        self.nearly = self._nearly()
         if not found:
             return
         self._check_laws()
         weights = _shape_integrals(problem)
-        for k in found:
-            self.bodies.append(self._body(bodies, k, names[k], weights))
+        labels = self._labels(known, found)
+        order = sorted(range(len(found)), key=lambda k: labels[k])
+        self.bodies = [self._body(known, found[k], labels[k], weights) for k in order]
         self.pinned = np.concatenate([body.pinned for body in self.bodies])
         self.pivots = self._pivots(weights)
 
     # --- which bodies ---
 
-    def _enclosed(self, bodies: ConnectedBodies, parts: list[MaterialRegion]) -> list[int]:
-        """Numbers of the bodies that are held all around. Collective.
-
-        Args:
-            bodies: All bodies.
-            parts: Of these materials alone.
-        """
-        count, nodes = bodies.count, bodies.of_node
-        cells = np.asarray(self._problem.unknowns.U.dofmap.list)[:, 0]
-        soft = np.zeros(count)
-        for part in self._problem.regions:
-            if all(part is not other for other in parts):
-                np.add.at(soft, nodes[cells[part.cells]], 1.0)
+    def _nearly(self) -> list[str]:
+        """Labels of what is held all around and not wholly incompressible. Collective."""
+        regions = [region for region in self._problem.regions if _errs(region)]
+        if all(region.incompressible for region in regions):
+            return []
+        parts = PressureParts(self._problem, regions)
+        soft = np.zeros(parts.count)
+        for region in regions:
+            if not region.incompressible:
+                soft[parts.of_cell[region.cells]] = 1.0
         soft = total(self._comm, soft)
-        free = np.abs(self._free_part().reshape(-1, self._problem.body.dim)).max(axis=1)
-        most = np.zeros(count)
-        np.maximum.at(most, nodes[: len(free)], free)
-        most = np.max(self._comm.allgather(most), axis=0)
-        return [int(k) for k in np.flatnonzero((soft == 0.0) & (most <= FREE * self._share))]
+        found = [held for held in parts.enclosed() if soft[held].any()]
+        return sorted(self._labels(parts, found))
 
-    def _free_part(self) -> FloatArray:
-        """Derivative of the volume by the displacements that nothing prescribes [m^2]."""
-        dirichlet, unknowns = self._problem.dirichlet, self._problem.unknowns
-        found = self._swept.copy()
-        found[unknowns.mixed_dofs(dirichlet.owned)] = 0.0
-        found = found[unknowns.displacement_dofs]
-        if dirichlet.skew is not None:
-            nodes = dirichlet.skew.nodes[: dirichlet.skew.count]
-            rows = found.reshape(-1, self._problem.body.dim)
-            rows[nodes] = dirichlet.skew.free_part(rows[nodes])
-        return found
+    def _labels(self, parts: PressureParts, sets: list[IntArray]) -> list[str]:
+        """What sets of parts are called: the body that they fill, or materials. Collective."""
+        if not sets:
+            return []
+        bodies = ConnectedBodies(self._problem)
+        names, dofs = bodies.names(), np.asarray(self._problem.unknowns.U.dofmap.list)[:, 0]
+        owned = self._problem.body.owned_cells()
+        sizes = total(self._comm, np.bincount(bodies.of_node[dofs[owned]], minlength=bodies.count))
+        labels = []
+        for held in sets:
+            inside = parts.cells(held)
+            counts = total(
+                self._comm, np.bincount(bodies.of_node[dofs[inside]], minlength=bodies.count)
+            )
+            number = int(np.argmax(counts))
+            materials = [
+                region.name
+                for region in self._problem.regions
+                if total(self._comm, int(np.isin(parts.of_cell[region.cells], held).any()))
+            ]
+            whole = counts[number] == sizes[number]
+            labels.append(_label(names[number]) if whole else f"'{'+'.join(materials)}'")
+        return labels
 
     def _check_laws(self) -> None:
         """Refuses laws whose volume strain is not that of J.
@@ -181,33 +178,28 @@ class PressureLevel:
     # --- their pressures ---
 
     def _body(
-        self, bodies: ConnectedBodies, number: int, name: str, weights: FloatArray
+        self, parts: PressureParts, held: IntArray, label: str, weights: FloatArray
     ) -> EnclosedBody:
-        """The pressures of a body; the first one of the first rank that has any is fixed."""
-        problem, unknowns = self._problem, self._problem.unknowns
-        cells = np.asarray(unknowns.U.dofmap.list)[:, 0]
-        inside = bodies.of_node[cells] == number
+        """The pressures of a set of parts; the first one of the first rank with any is fixed."""
+        problem = self._problem
         space = problem.W.dofmap.index_map
-        size = space.size_local * problem.W.dofmap.index_map_bs
-        dofs = np.unique(_pressure_dofs(problem)[inside])
-        dofs = dofs[dofs < size].astype(np.int32)
+        dofs = np.unique(pressure_dofs(problem)[parts.cells(held)])
+        dofs = dofs[dofs < space.size_local].astype(np.int32)
         first = smallest(self._comm, float(self._comm.rank) if len(dofs) else np.inf)
-        mark = la.vector(space, problem.W.dofmap.index_map_bs)
+        mark = la.vector(space, 1)
         mark.array[dofs[:1] if first == self._comm.rank else []] = 1.0
         mark.scatter_forward()
         pinned = np.flatnonzero(mark.array).astype(np.int32)
         own = weights[dofs]
-        volume = total(self._comm, float(own.sum()))
-        coupled = self._coupled(bodies, number, volume)
-        return EnclosedBody(name, dofs, own / volume, volume, pinned, coupled)
+        volume, gradient = total(self._comm, float(own.sum())), parts.gradient(held)
+        coupled = self._coupled(gradient)
+        return EnclosedBody(label, dofs, own / volume, volume, pinned, coupled, gradient)
 
-    def _coupled(self, bodies: ConnectedBodies, number: int, volume: float) -> bool:
-        """Whether rigid surfaces or strains that are free change the volume of a body. Collective.
+    def _coupled(self, gradient: FloatArray) -> bool:
+        """Whether rigid surfaces or strains that are free change a volume. Collective.
 
         Args:
-            bodies: All bodies.
-            number: Of this one.
-            volume: Of it [m^3].
+            gradient: Of the volume, owned entries of all unknowns.
         """
         problem = self._problem
         if problem.cell is not None:
@@ -215,8 +207,8 @@ class PressureLevel:
         size = len(problem.unknowns.displacement_dofs)
         for motion in problem.dirichlet.rigid_motions:
             dofs, D = problem.dirichlet.motion_directions(motion)
-            mine = (dofs < size) & (bodies.of_node[dofs // problem.body.dim] == number)
-            swept = self._swept[problem.unknowns.mixed_dofs(dofs[mine])][:, None] * D[mine]
+            mine = dofs < size
+            swept = gradient[problem.unknowns.mixed_dofs(dofs[mine])][:, None] * D[mine]
             grown, whole = (total(self._comm, part.sum(axis=0)) for part in (swept, np.abs(swept)))
             if np.any((np.abs(grown) > FREE * whole)[list(motion.free)]):
                 return True
@@ -271,10 +263,10 @@ class PressureLevel:
 
     def _error_notes(self) -> list[str]:
         return [
-            f"{_label(name)} is nearly incompressible and has no free surface: the mean of its "
+            f"{label} is nearly incompressible and has no free surface: the mean of its "
             "pressure is K times an error of the mesh, for its U(J) is not quadratic; nu = 0.5, or "
             'volumetric = "quadratic", has no such error'
-            for name in self.nearly
+            for label in self.nearly
         ]
 
     def notes(self) -> list[str]:
@@ -308,9 +300,9 @@ class PressureLevel:
             return
         moves = self._problem.unknowns.displacement_dofs
         w = self._problem.w.x.array[moves]
-        swept = total(self._comm, float(np.sum(np.abs(self._swept[moves] * w))))
         scale = float(self._problem.unknowns.scale["pressure"].value) * self._problem.thickness
         for body in self.bodies:
+            swept = total(self._comm, float(np.sum(np.abs(body.gradient[moves] * w))))
             change = total(self._comm, float(rows[body.dofs].sum())) / scale
             if abs(change) > max(IMPOSSIBLE * swept, ROUND_OFF * body.volume):
                 raise InputError(
@@ -361,57 +353,15 @@ def _errs(part: MaterialRegion) -> bool:
     return curved and poisson(part.typical) > NEARLY
 
 
-def _pressure_dofs(problem: Problem) -> IndexArray:
-    """Entries of the pressures of each local cell in the local array of all unknowns."""
-    names = [field.name for field in problem.unknowns.auxiliary_fields]
-    return np.asarray(problem.W.sub(1 + names.index("pressure")).dofmap.list)
-
-
-def _ring(problem: Problem, X: FloatArray) -> FloatArray | float:
-    """Circumference at places of an axisymmetric body [m]; 1 of others."""
-    return 2 * np.pi * X[..., 0] if problem.geometry == "axisymmetric" else 1.0
-
-
 def _shape_integrals(problem: Problem) -> FloatArray:
     """Integrals of the shape functions of pressures, owned entries of all unknowns. Collective."""
     mesh = problem.body.mesh
     cells = problem.body.owned_cells()
     points = cell_quadrature(mesh, cells, 2)
     corners = np.column_stack([1 - points.local.sum(axis=1), points.local])
-    sums = np.einsum("cp,pk->ck", points.weights * _ring(problem, points.X), corners)
+    sums = np.einsum("cp,pk->ck", points.weights * ring(problem, points.X), corners)
     vector = la.vector(problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs)
-    np.add.at(vector.array, _pressure_dofs(problem)[cells].reshape(-1), sums.reshape(-1))
+    np.add.at(vector.array, pressure_dofs(problem)[cells].reshape(-1), sums.reshape(-1))
     vector.scatter_reverse(la.InsertMode.add)
     size = problem.W.dofmap.index_map.size_local * problem.W.dofmap.index_map_bs
     return np.asarray(vector.array[:size].copy())
-
-
-def _volume_gradient(problem: Problem) -> tuple[FloatArray, float]:
-    """Derivative of the body's volume by the displacements, owned entries. Collective.
-
-    The integral of the outward normal times the shape functions over the surface of the undeformed
-    body, [m^2] at the entries of displacements and zero at all others; and the largest share of a
-    facet in it, on all ranks.
-    """
-    mesh, dim, V = problem.body.mesh, problem.body.dim, problem.V
-    prepare_facets(mesh)
-    facets = boundary_facets(mesh)
-    points = facet_quadrature(mesh, facets, 2 * problem.context.order)
-    cells, sides = cells_beside_facets(mesh, facets)
-    table = facet_shape_functions(dim, problem.degree, points.local)
-    closure = np.array(
-        [V.dofmap.dof_layout.entity_closure_dofs(dim - 1, side) for side in range(dim + 1)]
-    )
-    nodes = np.take_along_axis(np.asarray(V.dofmap.list)[cells], closure[sides], axis=1)
-    weights = points.weights * _ring(problem, points.X)
-    assert points.N is not None
-    normals = weights[..., None] * points.N
-    shares = np.asarray(np.einsum("pk,fpi->fki", table, normals), dtype=np.float64)
-    entries = (nodes[:, :, None] * dim + np.arange(dim)).astype(np.int32)
-    vector = la.vector(problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs)
-    rows = problem.unknowns.mixed_dofs(entries.reshape(-1))
-    np.add.at(vector.array, rows, shares.reshape(-1))
-    vector.scatter_reverse(la.InsertMode.add)
-    size = problem.W.dofmap.index_map.size_local * problem.W.dofmap.index_map_bs
-    share = largest(problem.body.comm, float(np.max(np.abs(shares), initial=0.0)))
-    return np.asarray(vector.array[:size].copy()), share

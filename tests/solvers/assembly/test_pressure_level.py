@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dolfinx.mesh import locate_entities
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -221,3 +222,92 @@ def test_the_mean_pressure_of_a_nearly_incompressible_body(law, said):
     """With K = 5e4 mu, U not quadratic and 8 x 8 cells it was a hundred times what it should be."""
     notes = PressureLevel(block(SHEAR, law)).notes()
     assert any("nearly incompressible and has no free surface" in note for note in notes) is said
+
+
+# --- several materials, each with a pressure of its own ---
+
+
+def layered(supports: Any, low: float, high: float, **more: Any) -> Problem:
+    """The unit square: two layers of rubber, of shear moduli 1 and 3."""
+    body = name_parts(
+        rectangle_body(size=(1.0, 1.0), cells=(4, 4)),
+        regions={
+            "soft": Selector(box=[(0, 0), (1, 0.5)]),
+            "hard": Selector(box=[(0, 0.5), (1, 1)]),
+        },
+    )
+    cut = locate_entities(body.mesh, 1, lambda x: np.isclose(x[1], 0.5))
+    body = body.named(surfaces={"between": np.sort(cut)})
+    laws = {"soft": NeoHookean(mu=1.0, nu=low), "hard": NeoHookean(mu=3.0, nu=high)}
+    return Problem(body, laws, degree=2, supports=supports, **more)
+
+
+RIM = ["left", "right", "bottom", "top"]
+
+
+@pytest.mark.parametrize(
+    ("held", "low", "high", "labels"),
+    [
+        (RIM, 0.5, 0.5, ["the body"]),
+        (RIM, 0.5, 0.49, []),
+        (RIM[:3], 0.5, 0.5, []),
+        ([*RIM, "between"], 0.5, 0.5, ["'hard'", "'soft'"]),
+        ([*RIM[:3], "between"], 0.5, 0.5, ["'soft'"]),
+        ([*RIM, "between"], 0.49, 0.5, ["'hard'"]),
+        (["between"], 0.5, 0.5, []),
+    ],
+)
+def test_which_materials_have_one(held, low, high, labels):
+    """Through an interface that is free the uniform pressures are one; a held one parts them."""
+    level = PressureLevel(layered([Support(on=held)], low, high))
+    assert [body.label for body in level.bodies] == labels
+    for body in level.bodies:
+        assert total(COMM, float(body.weights.sum())) == pytest.approx(1.0, rel=1e-12)
+        assert total(COMM, len(body.dofs)) == (30 if labels == ["the body"] else 15)
+        assert body.volume == pytest.approx(1.0 if labels == ["the body"] else 0.5, rel=1e-12)
+
+
+@pytest.mark.parametrize("method", ["direct", "iterative"])
+def test_two_layers_that_are_held_apart(method):
+    """Each has the pressure with the mean zero, as if it were alone: b = grad phi in each."""
+    problem = layered(
+        [Support(on=[*RIM, "between"])],
+        0.5,
+        0.5,
+        loads=[BodyForce(value=[0, "2.0*y"])],
+    )
+    linear = LinearSettings(method=method)
+    *_, state = Statics(problem, rtol=1e-11, linear=linear).steps()
+    if method == "direct":
+        assert state.negative == 0
+    table = problem.W.sub(1).dofmap.list
+    mesh, scale = problem.body.mesh, float(problem.unknowns.scale["pressure"].value)
+    heights = mesh.geometry.x[mesh.geometry.dofmap][:, :, 1]
+    for region, mean in zip(problem.regions, (1 / 12, 7 / 12), strict=True):
+        found = scale * problem.w.x.array[table[region.cells]]
+        # Linear pressures follow y^2 to the square of the size of cells; -p is the unknown's sign.
+        off = np.abs(found + heights[region.cells] ** 2 - mean).max(initial=0.0)
+        assert largest(COMM, float(off)) < 0.03
+
+
+@pytest.mark.parametrize("nu", [0.5, 0.4999])
+def test_thin_layers(nu):
+    """Sheets of one cell each are not over-constrained: bent, they are those of two cells."""
+    energies = []
+    for rows in (1, 2):
+        body = rectangle_body(size=(4.0, 1.0), cells=(24, 6 * rows))
+        regions = {f"s{k}": Selector(box=[(0, k / 6), (4, (k + 1) / 6)]) for k in range(6)}
+        body = name_parts(body, regions=regions)
+        laws = {f"s{k}": NeoHookean(mu=10.0 if k % 2 else 1.0, nu=nu) for k in range(6)}
+        problem = Problem(
+            body,
+            laws,
+            degree=2,
+            supports=[Support(on="left"), Support(on="right", displacement=[FREE, 0.1])],
+        )
+        *_, state = Statics(problem).steps()
+        assert state.negative == 0
+        energies.append(state.energies["strain"])
+        low, high = pressures(problem)
+        assert max(-low, high) < 30.0
+    assert energies[0] == pytest.approx(energies[1], rel=0.02)
