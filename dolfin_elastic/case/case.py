@@ -6,8 +6,8 @@
                 support=[{"on": "left"}])   # the same in Python
     Path("copy.toml").write_text(case.to_toml())
 
-Bare numbers under [mesh], [surfaces], [regions], [edges] and [points] are in the mesh's unit; all
-others are SI.  Any number may be a text with a unit of its own ("2 mm").
+Bare numbers of places and sizes beside the mesh, under [mesh], [surfaces], [regions], [edges] and
+[points], of probes and of obstacles, are in the mesh's unit; all others are SI.  Any number may be a text with a unit of its own ("2 mm").
 """
 
 from __future__ import annotations

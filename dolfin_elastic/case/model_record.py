@@ -49,6 +49,7 @@ def model_record(
         "mesh": {
             "source": Path(body.source).name,
             "dim": body.dim,
+            "metres": body.unit.metres,  # of its unit of length
             "extent": list(extent(body)),
             "volume": _volume(body),
             "information": list(body.information),

@@ -15,7 +15,7 @@ from difflib import get_close_matches
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from pydantic import GetCoreSchemaHandler
+from pydantic import AfterValidator, BeforeValidator, GetCoreSchemaHandler
 from pydantic_core import core_schema
 
 from dolfin_elastic.core.errors import UnitError
@@ -427,3 +427,44 @@ else:
     Expansion = quantity("1/K")
     Viscosity = quantity("Pa*s")
     Rate = quantity("1/s")
+
+
+# --- lengths beside the mesh ---
+
+
+def metres(value: float | str, scale: float) -> float:
+    """A length beside the mesh in metres.
+
+    Args:
+        value: A number in the mesh's unit, or a text with a unit.
+        scale: Metres per unit of length of the mesh.
+    """
+    if isinstance(value, str):
+        return to_si(value, "m")
+    return value * scale
+
+
+def no_switch(value: object) -> object:
+    """For pydantic: no true or false in place of a length."""
+    if isinstance(value, bool):
+        raise ValueError('a number is needed, or a length such as "2 mm"')
+    return value
+
+
+def finite_length(value: float | str) -> float | str:
+    """For pydantic: a length in the mesh's unit, or a text with a unit."""
+    if not math.isfinite(metres(value, 1.0)):
+        raise ValueError("a finite number is needed")
+    return value
+
+
+def _positive(value: float | str) -> float | str:
+    if not metres(value, 1.0) > 0:
+        raise ValueError("should be positive")
+    return value
+
+
+MeshLength = Annotated[float | str, BeforeValidator(no_switch), AfterValidator(finite_length)]
+"""A pydantic field type: a number in the mesh's unit, or a text with a unit; see `metres`."""
+Size = Annotated[MeshLength, AfterValidator(_positive)]
+"""The same, positive."""

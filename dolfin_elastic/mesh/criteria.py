@@ -12,8 +12,9 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import smallest, total
 from dolfin_elastic.core.types import BoolArray, FloatArray
+from dolfin_elastic.core.units import MeshLength, metres
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.mesh.selectors import Cylinder, MeshLength, Place, metres
+from dolfin_elastic.mesh.selectors import Cylinder, Place
 
 TOLERANCE = 1e-6
 """Share of the body's diagonal by which a corner may be off."""

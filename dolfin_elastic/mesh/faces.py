@@ -12,8 +12,8 @@ import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import IndexArray, IntArray
-from dolfin_elastic.core.units import METRE, LengthUnit
-from dolfin_elastic.mesh.selectors import Selector, metres
+from dolfin_elastic.core.units import METRE, LengthUnit, metres
+from dolfin_elastic.mesh.selectors import Selector
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.formats.cad.faces import CadFace

@@ -19,10 +19,10 @@ from pydantic import model_validator
 from dolfin_elastic.core.errors import InputError, MeshError, nearest
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import LengthUnit
+from dolfin_elastic.core.units import LengthUnit, Size, metres
 from dolfin_elastic.mesh.criteria import BoundingBox, fulfilled, place_criteria
 from dolfin_elastic.mesh.faces import CadFaces, chosen_faces
-from dolfin_elastic.mesh.selectors import Point, Selector, Size, Sphere, metres
+from dolfin_elastic.mesh.selectors import Point, Selector, Sphere
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.formats.cad.faces import CadFace

@@ -28,55 +28,22 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.schema import Record
-
-
-def metres(value: float | str, scale: float) -> float:
-    """A length of a selector in metres.
-
-    Args:
-        value: A number in the mesh's unit, or a text with a unit.
-        scale: Metres per unit of length of the mesh.
-    """
-    if isinstance(value, str):
-        from dolfin_elastic.core.units import to_si
-
-        return to_si(value, "m")
-    return value * scale
-
-
-def _no_switch(value: object) -> object:
-    if isinstance(value, bool):
-        raise ValueError('a number is needed, or a length such as "2 mm"')
-    return value
-
-
-def _length(value: float | str) -> float | str:
-    if not math.isfinite(metres(value, 1.0)):
-        raise ValueError("a finite number is needed")
-    return value
-
-
-def _positive(value: float | str) -> float | str:
-    if not metres(value, 1.0) > 0:
-        raise ValueError("should be positive")
-    return value
+from dolfin_elastic.core.units import MeshLength, Size, finite_length, no_switch
 
 
 def _level(value: float | str) -> float | str:
     word = isinstance(value, str) and not any(sign.isdigit() for sign in value)
     if word and value not in ("min", "max"):
         raise ValueError('should be "min", "max", a number, or a length such as "2 mm"')
-    return value if value in ("min", "max") else _length(value)
+    return value if value in ("min", "max") else finite_length(value)
 
 
 def _middle(value: float | str) -> float | str:
-    return value if value == "middle" else _length(value)
+    return value if value == "middle" else finite_length(value)
 
 
-MeshLength = Annotated[float | str, BeforeValidator(_no_switch), AfterValidator(_length)]
-Size = Annotated[MeshLength, AfterValidator(_positive)]
-Level = Annotated[float | str, BeforeValidator(_no_switch), AfterValidator(_level)]
-Middle = Annotated[float | str, BeforeValidator(_no_switch), AfterValidator(_middle)]
+Level = Annotated[float | str, BeforeValidator(no_switch), AfterValidator(_level)]
+Middle = Annotated[float | str, BeforeValidator(no_switch), AfterValidator(_middle)]
 Point = Annotated[tuple[MeshLength, ...], Field(min_length=2, max_length=3)]
 Direction = Annotated[tuple[float, ...], Field(min_length=2, max_length=3)]
 Axis = Literal["x", "y", "z"]

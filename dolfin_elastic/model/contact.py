@@ -2,6 +2,10 @@
 
 The gap g of a point is its signed distance to the obstacle, positive outside, and n the obstacle's
 outward normal there.  One formula serves UFL expressions and arrays alike.
+
+An obstacle is put beside the mesh as a surface or a probe is: bare numbers of its places and radii
+are in the mesh's unit, and `in_metres` gives the obstacle that a problem computes with.  Its motion
+is a displacement as that of a support, in metres.
 """
 
 from __future__ import annotations
@@ -10,7 +14,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias
 
 from pydantic import Field, model_validator
 
@@ -18,12 +22,17 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import Scalar
-from dolfin_elastic.core.units import ForceDensity, Length
+from dolfin_elastic.core.units import ForceDensity, Length, MeshLength, Size, metres
 from dolfin_elastic.model.amplitude import Amplitude, Curve
 from dolfin_elastic.model.on_surfaces import OnSurfaces
 from dolfin_elastic.model.values import amplitude_of, components
 
-Place = Annotated[list[Length], Field(min_length=2, max_length=3)]
+if TYPE_CHECKING:  # floats where they are computed with, in what `in_metres` returns
+    Coordinate: TypeAlias = float
+    Radius: TypeAlias = float
+else:
+    Coordinate, Radius = MeshLength, Size
+Place = Annotated[list[Coordinate], Field(min_length=2, max_length=3)]
 Vector = Annotated[list[float], Field(min_length=2, max_length=3)]
 Constant = Callable[[float], Scalar]
 """A number as a constant of a form, or as it is."""
@@ -36,6 +45,32 @@ Gap = tuple[Scalar, list[Scalar]]
 class Obstacle(Record):
     """A rigid body with a smooth surface."""
 
+    lengths: ClassVar[tuple[str, ...]] = ()
+    """Fields that are places or radii: bare numbers in the mesh's unit, or texts with a unit."""
+
+    def in_metres(self, scale: float) -> Self:
+        """The same obstacle with all its lengths in metres.
+
+        Args:
+            scale: Metres per unit of length of the mesh.
+        """
+        found: dict[str, object] = {}
+        for key in self.lengths:
+            value = getattr(self, key)
+            if isinstance(value, list):
+                found[key] = [metres(item, scale) for item in value]
+            elif value is not None:
+                found[key] = metres(value, scale)
+        return self.model_copy(update=found)
+
+    def bare_lengths(self) -> list[float]:
+        """Numbers without a unit, which are in the mesh's."""
+        found: list[object] = []
+        for key in self.lengths:
+            value = getattr(self, key)
+            found += value if isinstance(value, list) else [value]
+        return [float(item) for item in found if isinstance(item, int | float)]
+
     @property
     def thickness(self) -> float:
         """Depth below the surface down to which the signed distance is unique [m]."""
@@ -43,7 +78,7 @@ class Obstacle(Record):
 
     @abstractmethod
     def check(self, dim: int, *, axisymmetric: bool) -> None:
-        """Raises where the obstacle does not fit the body.
+        """Raises where the obstacle, in metres, does not fit the body.
 
         Args:
             dim: Dimension of the body.
@@ -55,7 +90,7 @@ class Obstacle(Record):
 
     @abstractmethod
     def gap(self, x: Sequence[Scalar], number: Constant, root: Root) -> Gap:
-        """Signed distance and outward normal at points.
+        """Signed distance and outward normal at points, of an obstacle in metres.
 
         Args:
             x: Components of current points minus the obstacle's displacement [m]: UFL scalars, or
@@ -69,16 +104,17 @@ class Plane(Obstacle):
     """A half space.
 
     Attributes:
-        point: A point of its surface [m].
+        point: A point of its surface.
         normal: Direction from the obstacle to the free side, of any length but zero.
         axis: In place of a point and a normal: the normal is x, y, z, -x, -y or -z, ...
-        at: ... and this the coordinate of the surface [m].
+        at: ... and this the coordinate of the surface.
     """
 
+    lengths: ClassVar[tuple[str, ...]] = ("point", "at")
     point: Place | None = None
     normal: Vector | None = None
     axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
-    at: Length | None = None
+    at: Coordinate | None = None
 
     @model_validator(mode="after")
     def _whole(self) -> Plane:
@@ -104,7 +140,7 @@ class Plane(Obstacle):
         _check_length(self.normal, dim, "normal")
 
     def placed(self, dim: int) -> tuple[list[float], list[float]]:
-        """A point of the surface and the unit normal."""
+        """A point of the surface and the unit normal, of a plane in metres."""
         if self.axis is not None:
             assert self.at is not None
             unit = [1.0 if axis == self.axis[-1] else 0.0 for axis in "xyz"[:dim]]
@@ -125,13 +161,14 @@ class SphereObstacle(Obstacle):
     """A ball (a disc in a plane), or all that lies outside of one.
 
     Attributes:
-        center: Its middle [m].
-        radius: Its radius [m].
+        center: Its middle.
+        radius: Its radius.
         inside: The body is inside: the obstacle is a spherical cavity.
     """
 
+    lengths: ClassVar[tuple[str, ...]] = ("center", "radius")
     center: Place
-    radius: Length = Field(gt=0)
+    radius: Radius
     inside: bool = False
 
     @property
@@ -160,14 +197,15 @@ class CylinderObstacle(Obstacle):
 
     Attributes:
         axis: x, y, z or a direction; z in plane strain and plane stress, y in an axisymmetric body.
-        point: A point of the axis [m].
-        radius: Its radius [m].
+        point: A point of the axis.
+        radius: Its radius.
         inside: The body is inside: the obstacle is a bore.
     """
 
+    lengths: ClassVar[tuple[str, ...]] = ("point", "radius")
     axis: Literal["x", "y", "z"] | Vector = "z"
     point: Place
-    radius: Length = Field(gt=0)
+    radius: Radius
     inside: bool = False
 
     @model_validator(mode="after")
@@ -288,6 +326,14 @@ class Contact(OnSurfaces):
         found: Obstacle = getattr(self, self.shape)
         return found
 
+    def in_metres(self, scale: float) -> Self:
+        """The same contact with the obstacle in metres, see `Obstacle.in_metres`.
+
+        Args:
+            scale: Metres per unit of length of the mesh.
+        """
+        return self.model_copy(update={self.shape: self.obstacle.in_metres(scale)})
+
     def displacement_at(self, t: float, default: Amplitude, dim: int) -> list[float]:
         """Displacement of the obstacle at time t [m], `dim` components.
 
@@ -305,7 +351,7 @@ class Contact(OnSurfaces):
         ]
 
     def check(self, dim: int, *, axisymmetric: bool) -> None:
-        """Raises where the obstacle or its motion does not fit the body.
+        """Raises where the obstacle, in metres, or its motion does not fit the body.
 
         Args:
             dim: Dimension of the body.

@@ -72,7 +72,8 @@ class Problem:
         supports: Prescribed displacements, springs and dashpots; where a displacement is
             prescribed twice, the later one counts.
         loads: External forces.
-        contacts: Contact of surfaces with rigid obstacles.
+        contacts: Contact of surfaces with rigid obstacles; bare numbers of these are in the mesh's
+            unit.
         ties: Surfaces with different meshes that move together.
         degree: Degree of the displacement on tetrahedra or triangles, 1 or 2; explicit schemes
             need 1.
@@ -131,6 +132,7 @@ class Problem:
         self.geometry = checked_geometry(geometry, thickness, body)
         order = max(degree, int(body.mesh.geometry.cmap.degree))
         axisymmetric = self.geometry == "axisymmetric"
+        contacts = [contact.in_metres(body.unit.metres) for contact in contacts]
         if contacts:
             check_contacts(contacts, body, turned=axisymmetric)
         for where, names in _surfaces_with_normals(self.supports, self.loads, contacts):

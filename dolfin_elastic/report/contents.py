@@ -281,7 +281,9 @@ def supports_of(run: FinishedRun) -> list[Acting]:
         acting(row, f"support {k}", support_words(row, part_kind(row, run.summary)))
         for k, row in enumerate(_rows(run.case, "support"))
     ]
-    return found + [acting(row, "", contact_words(row)) for row in _rows(run.case, "contact")]
+    return found + [
+        acting(row, "", contact_words(row, run.metres)) for row in _rows(run.case, "contact")
+    ]
 
 
 def _moment(run: FinishedRun, row: Table, force: float) -> str:

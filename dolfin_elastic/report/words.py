@@ -14,10 +14,10 @@ from dolfin_elastic.report.quantity import listed, number, quantity, scaled_unit
 
 Table = Mapping[str, Any]
 _KNOWN = {"kind", "on", "name"}
-_PLACES = dict.fromkeys(("point", "at", "center", "radius"), "m")
-"""SI units of the keys of obstacles."""
+_PLACES = ("point", "at", "center", "radius")
+"""Keys of obstacles that are places and radii."""
 _REST = {
-    **_PLACES,
+    **dict.fromkeys(_PLACES, "m"),
     **dict.fromkeys(("start", "end", "motion", "displacement"), "m"),
     **dict.fromkeys(("tolerance", "gap_tolerance"), "m"),
 }
@@ -199,13 +199,21 @@ def load_words(table: Table) -> str:
     return kind + _rest(table)
 
 
-def contact_words(table: Table) -> str:
-    """What a surface may touch."""
+def contact_words(table: Table, metres: float = 1.0) -> str:
+    """What a surface may touch.
+
+    Args:
+        table: Of the contact.
+        metres: Per unit of length of the mesh, in which its bare numbers are.
+    """
     shape = next((key for key in ("plane", "sphere", "cylinder") if key in table), "obstacle")
     given = table.get(shape)
     what = ""
     if isinstance(given, Mapping):
-        told = (f"{key} {value_text(v, _PLACES.get(key, ''))}" for key, v in given.items())
+        told = (
+            f"{key} {value_text(_in_metres(v, metres), 'm') if key in _PLACES else value_text(v)}"
+            for key, v in given.items()
+        )
         what = f" ({', '.join(told)})"
     text = f"may touch a rigid {shape}{what}"
     if "with" in table or "other" in table:
@@ -213,6 +221,13 @@ def contact_words(table: Table) -> str:
     if "stiffness" in table:
         text += f"; stiffness {value_text(table['stiffness'], 'Pa/m')}"
     return text + _rest(table, shape, "with", "other", "stiffness")
+
+
+def _in_metres(value: object, metres: float) -> object:
+    """Bare numbers of a place in metres; texts as they are."""
+    if isinstance(value, list):
+        return [_in_metres(item, metres) for item in value]
+    return value * metres if isinstance(value, int | float) else value
 
 
 # --- the analysis ---

@@ -11,8 +11,8 @@ import numpy as np
 from dolfin_elastic.core.errors import InputError, MeshError, nearest
 from dolfin_elastic.core.schema import quoted, within
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.units import metres
 from dolfin_elastic.mesh.body import middle_of
-from dolfin_elastic.mesh.selectors import metres
 from dolfin_elastic.problem.problem import parts_held
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ from pydantic import Field, StrictBool, field_validator, model_validator
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.schema import Record, within
-from dolfin_elastic.core.units import COMMON_UNITS
+from dolfin_elastic.core.units import COMMON_UNITS, metres
 from dolfin_elastic.mesh.criteria import bounding_box
-from dolfin_elastic.mesh.selectors import Axis, Middle, metres
+from dolfin_elastic.mesh.selectors import Axis, Middle
 from dolfin_elastic.results.fields import check_field_names
 from dolfin_elastic.results.pictures.scene import Up, View
 from dolfin_elastic.results.writer import Numbers, Steps, Writer

@@ -17,9 +17,9 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.schema import Record, within
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.units import MeshLength, metres
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
 from dolfin_elastic.mesh.geometry.locate import LocatedPoint, locate
-from dolfin_elastic.mesh.selectors import MeshLength, metres
 from dolfin_elastic.problem.loads.edges_points import points_of
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs

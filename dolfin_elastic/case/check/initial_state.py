@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.parallel import smallest
+from dolfin_elastic.core.parallel import largest, smallest
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import span
@@ -30,6 +30,10 @@ TIMES = 41
 """Times of a motion, or of statics, at which supports and loads are evaluated."""
 _NEAR = 0.5
 """Gap over the body's diagonal up to which an obstacle in another unit would fit."""
+_BESIDE = 0.01
+"""Numbers of an obstacle over the body's diagonal that may have been meant in metres."""
+_SMALL_UNIT = 0.5
+"""Unit of a mesh [m] below which that is looked at."""
 _ROUND_OFF = 1e-9
 """Gap over the size of a cell that counts as none."""
 
@@ -126,47 +130,79 @@ def touching_notes(problem: Problem) -> Iterator[str]:
 
 
 def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
-    """Obstacles farther away than the body is large that do not come near it. Collective.
+    """Obstacles that the body can never touch, or in which it begins deeply. Collective.
+
+    A body that is moved reaches no farther than it is large and than its supports move; a body that
+    nothing moves stays where it is.
 
     Args:
-        case: Its contacts and the load parameter at the end.
+        case: Its contacts, and what moves the body.
         problem: Made of the case.
     """
     if not problem.contact_pairs:
         return
-    diagonal = span(problem.body)
+    diagonal, reach = span(problem.body), _reach(case, problem)
     gaps = initial_gaps(problem, moving=case.dynamics is not None)
-    for pair, (gap, _) in zip(problem.contact_pairs, gaps, strict=True):
-        motion = float(np.linalg.norm([_size(value) for value in pair.contact.values]))
-        if abs(gap) > diagonal + motion * case.final_load:
+    for i, (pair, (gap, _)) in enumerate(zip(problem.contact_pairs, gaps, strict=True)):
+        nearest = min(gap, *_gaps_over_time(case, pair))
+        if nearest > max(reach, _ROUND_OFF * pair.size):
+            why = "farther than the body is large" if reach else "and nothing moves the body"
             yield (
-                f"contact '{pair.label}': "
-                + (
-                    f"the obstacle is {gap:.3g} m away, farther than the body is large"
-                    if gap > 0
-                    else f"it begins {-gap:.3g} m deep in the obstacle, more than the body is large"
-                )
-                + _unit_hint(problem.body.unit, pair, diagonal)
+                f"contact '{pair.label}': it can never touch: the obstacle comes no nearer than "
+                f"{nearest:.3g} m, {why}"
             )
+        elif -gap > diagonal:
+            yield (
+                f"contact '{pair.label}': it begins {-gap:.3g} m deep in the obstacle, more than "
+                "the body is large"
+            )
+        if text := _in_another_unit(problem.body.unit, case.contact[i], pair, diagonal):
+            yield f"contact '{pair.label}': {text}"
 
 
-def _size(value: object) -> float:
-    return abs(value) if isinstance(value, int | float) else 0.0
+def _reach(case: Case, problem: Problem) -> float:
+    """How far points of the body may move [m]: 0 where nothing moves it. Collective."""
+    moving = any(not support.at_rest for support in problem.supports)
+    loaded = bool(problem.loads) or bool(problem.eigenstrains)
+    started = case.dynamics is not None and (
+        any(value != 0.0 for value in (*case.dynamics.displacement, *case.dynamics.velocity))
+    )
+    pushed = len(problem.contact_pairs) > 1 and any(c.values for c in case.contact)
+    if not (moving or loaded or started or pushed or problem.cell is not None):
+        return 0.0
+    end, default = _end(case)
+    times = [end * i / (TIMES - 1) for i in range(TIMES)]
+    values = problem.dirichlet.values_at(times, default)
+    far = max((float(np.abs(row).max(initial=0.0)) for row in values), default=0.0)
+    return span(problem.body) + largest(problem.body.comm, far)
 
 
-def _unit_hint(unit: LengthUnit, pair: ContactPair, diagonal: float) -> str:
-    """A hint, if the obstacle would be near with its numbers in the mesh's unit. Collective."""
-    if unit.metres == 1.0:
+def _gaps_over_time(case: Case, pair: ContactPair) -> list[float]:
+    """Smallest gap of the body at rest as the obstacle moves [m]. Collective."""
+    end, default = _end(case)
+    x, found = pair.places(), []
+    for t in np.linspace(0.0, end, TIMES if pair.contact.values else 1):
+        shift = pair.contact.displacement_at(float(t), default, x.shape[1])
+        gaps = np.asarray(pair.contact.obstacle.gap(list((x - shift).T), float, np.sqrt)[0])
+        found.append(float(np.min(gaps, initial=np.inf)))
+    return [smallest(pair.comm, gap) for gap in found]
+
+
+def _in_another_unit(unit: LengthUnit, written: Contact, pair: ContactPair, diagonal: float) -> str:
+    """That an obstacle beside the origin would be near the body in metres. Collective."""
+    shape = written.obstacle
+    largest_number = max((abs(x) for x in shape.bare_lengths()), default=0.0)
+    if not 0.0 < unit.metres * largest_number <= _BESIDE * diagonal or unit.metres >= _SMALL_UNIT:
         return ""
-    x = list(pair.places().T / unit.metres)
-    gaps = np.asarray(pair.contact.obstacle.gap(x, float, np.sqrt)[0])
-    near = unit.metres * smallest(pair.comm, float(np.min(gaps, initial=np.inf)))
+    x = list(pair.places().T)
+    gaps = np.asarray(shape.in_metres(1.0).gap(x, float, np.sqrt)[0])
+    near = smallest(pair.comm, float(np.min(gaps, initial=np.inf)))
     if abs(near) > _NEAR * diagonal:
         return ""
     there = f"be {abs(near):.3g} m away" if abs(near) > _ROUND_OFF * pair.size else "touch"
     return (
-        f"; bare numbers of a contact are in m, not in mesh.unit: were they in {unit.name}, it "
-        f"would {there}"
+        f"its numbers are in {unit.name}, as those of the mesh, and beside the origin: are they in "
+        f"m? Then it would {there}"
     )
 
 

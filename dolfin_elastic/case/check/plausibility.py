@@ -15,12 +15,11 @@ from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.parallel import first_of, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.units import MeshLength
 from dolfin_elastic.mesh.body import Body, cell_size, extent
 from dolfin_elastic.mesh.criteria import BoundingBox, bounding_box
 from dolfin_elastic.mesh.point_selection import vertices_of
-from dolfin_elastic.mesh.selectors import MeshLength
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
-from dolfin_elastic.model.contact import Plane
 from dolfin_elastic.model.loads import ConcentratedLoad, Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.supports.displacement import (
@@ -57,8 +56,6 @@ _SOFT = 1e3
 """Young's modulus [Pa] below which a case may be in numbers without dimensions."""
 _NEAR = 0.01
 """Distance over the body's diagonal up to which a point counts as in the body."""
-_FAR = 10.0
-"""Distance over the body's diagonal from which a plane looks like one in another unit."""
 _SMALL_UNIT = 0.1
 """Longest unit of a mesh [m] for which a place may have been meant in metres."""
 _BESIDE = 0.1
@@ -78,7 +75,6 @@ def plausibility_notes(case: Case, body: Body) -> Iterator[str]:
     """
     yield from size_notes(case, body)
     yield from _point_notes(case, body)
-    yield from _obstacle_notes(case, body)
     yield from _mesh_place_notes(case, body)
     yield from _distance_notes(case, body)
     yield from _angle_notes(case)
@@ -168,23 +164,6 @@ def _points(case: Case) -> Iterator[tuple[str, tuple[Component, ...]]]:
     for i, support in enumerate(case.support):
         if isinstance(support, Rotation | Rigid):
             yield f"support[{i}].point", support.centre
-
-
-def _obstacle_notes(case: Case, body: Body) -> Iterator[str]:
-    """Planes far from the body that would be near if given in the mesh's unit. Collective."""
-    low, high = bounding_box(body.mesh)
-    size, unit = float(np.linalg.norm(high - low)), body.unit
-    for i, contact in enumerate(case.contact):
-        if not isinstance(contact.obstacle, Plane) or unit.metres == 1.0:
-            continue
-        point, normal = (np.array(row) for row in contact.obstacle.placed(body.dim))
-        level, lowest = float(point @ normal), float(np.minimum(low * normal, high * normal).sum())
-        if lowest - level > _FAR * size and abs(lowest - unit.metres * level) <= _FAR * size:
-            yield (
-                f"contact[{i}].plane: it is {lowest - level:.3g} m from the body, which is "
-                f"{size / unit.metres:.3g} {unit.name} large: is it in {unit.name}? "
-                "Numbers are in m"
-            )
 
 
 def _mesh_place_notes(case: Case, body: Body) -> Iterator[str]:

@@ -148,7 +148,7 @@ def _middle(body: Body, load: Load) -> FloatArray:
 
 def _obstacle(contact: Contact, index: int, body: Body) -> Obstacle | None:
     """An obstacle as it stands at the start."""
-    shape = contact.obstacle
+    shape = contact.obstacle.in_metres(body.unit.metres)
     named = f"'{contact.name}'" if contact.name else f"with {', '.join(contact.surfaces)}"
     label = f"contact[{index}] {named}"
     if isinstance(shape, Plane):

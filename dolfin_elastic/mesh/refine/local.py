@@ -10,11 +10,11 @@ import numpy as np
 from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.core.units import metres
 from dolfin_elastic.mesh.body import Body, spelling
 from dolfin_elastic.mesh.geometry.simplices import cell_corners, prepare_facets
 from dolfin_elastic.mesh.local_size import MOST_CELLS, LocalSize
 from dolfin_elastic.mesh.refine.refinement import refine_body
-from dolfin_elastic.mesh.selectors import metres
 
 
 def refined_uniformly(body: Body, times: int) -> Body:

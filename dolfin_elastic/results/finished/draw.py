@@ -287,7 +287,7 @@ def _obstacles(run: FinishedRun, reach: Reach, t: float) -> Scene:
     default = CONSTANT if run.moving else PROPORTIONAL
     pairs = []
     for row in run.case.get("contact", []):
-        contact = Contact(**row)
+        contact = Contact(**row).in_metres(run.metres)
         shift = np.array(contact.displacement_at(t, default, run.dim))
         pairs.append((contact.obstacle, shift))
     return obstacle_scene(pairs, reach, run.dim)

@@ -113,6 +113,13 @@ class FinishedRun:
             )
         return self.frames[step]
 
+    @property
+    def metres(self) -> float:
+        """Metres per unit of length of the mesh, in which places beside it are written."""
+        mesh = (self.summary.get("model") or {}).get("mesh") or {}
+        found = mesh.get("metres", 1.0) if isinstance(mesh, dict) else 1.0
+        return float(found) if isinstance(found, int | float) and found > 0 else 1.0
+
     def fields(self, step: int = -1) -> tuple[str, ...]:
         """Names of the fields of a step.
 

@@ -705,13 +705,53 @@ def test_places_in_another_unit():
     turn = {"on": "top", "kind": "rotation", "point": [1, 0, 3], "axis": [0, 0, 1], "angle": 0.1}
     (note,) = report(case(mesh=box, support=[{"on": "bottom"}, turn])).notes
     assert note.startswith("support[1].point: (1, 0, 3) m is far")
-    floor = {"on": "bottom", "plane": {"axis": "z", "at": -1}}
+    floor = {"on": "bottom", "plane": {"axis": "z", "at": -0.001}}
     found = report(case(mesh=box, contact=[floor]))
-    far = "contact[0].plane: it is 1 m from the body, which is 3.74 mm large: is it in mm? Numbers"
-    assert any(note.startswith(far) for note in found.notes)
+    (beside,) = (n for n in found.notes if n.startswith("contact 'bottom': its"))
+    assert beside.endswith("beside the origin: are they in m? Then it would be 0.001 m away")
     with redirect_stdout(io.StringIO()) as out:
         show_check(found)
     assert "0.002 x 0.001 x 0.003 m (2 x 1 x 3 mm)" in out.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("shape", "gap"),
+    [
+        ({"plane": {"axis": "z", "at": -1}}, 1e-3),
+        ({"plane": {"axis": "z", "at": "-1 mm"}}, 1e-3),
+        ({"plane": {"point": [0, 0, -2], "normal": [0, 0, 1]}}, 2e-3),
+        ({"sphere": {"center": [1, 0.5, -4], "radius": 3}}, 1e-3),
+        ({"sphere": {"center": [1, 0.5, "-4 mm"], "radius": "0.3 cm"}}, 1e-3),
+        ({"cylinder": {"axis": "x", "point": [0, 0.5, -4], "radius": 3.5}}, 0.5e-3),
+    ],
+)
+def test_obstacles_are_in_the_unit_of_the_mesh(shape, gap):
+    """As surfaces, points and probes are; with a unit of its own a length is what it says."""
+    box = {"box": {"size": [2, 1, 3], "cells": [2, 2, 3]}, "unit": "mm", "degree": 1}
+    (row,) = report(case(mesh=box, contact=[{"on": "bottom", **shape}])).contacts
+    assert row.gap == pytest.approx(gap, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("tables", "said"),
+    [
+        ({}, "no nearer than 0.5 m, and nothing moves the body"),
+        ({"motion": [0, 0, 0.4]}, "no nearer than 0.1 m, and nothing moves the body"),
+        ({"motion": [0, 0, 0.6]}, ""),
+        ({"motion": [0, 0, "0.6*sin(pi*t)"]}, ""),
+        ({"load": [{"kind": "gravity"}]}, ""),
+        ({"load": [{"kind": "gravity"}], "at": -5}, "no nearer than 5 m, farther than the body"),
+        ({"load": [{"kind": "gravity"}], "at": -5, "motion": [0, 0, 4.5]}, ""),
+    ],
+)
+def test_a_contact_that_can_never_touch(tables, said):
+    given = dict(tables)
+    plane = {"axis": "z", "at": given.pop("at", -0.5)}
+    row = {"on": "bottom", "plane": plane, "motion": given.pop("motion", [0, 0, 0])}
+    box = {"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}, "degree": 1}
+    notes = report(case(mesh=box, contact=[row], load=given.pop("load", []))).notes
+    found = [note for note in notes if "can never touch" in note]
+    assert len(found) == bool(said) and all(said in note for note in found)
 
 
 # --- how it is shown ---

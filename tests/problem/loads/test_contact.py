@@ -652,13 +652,13 @@ def test_in_a_case(comm):
     assert not any("nothing will move" in note for note in found.notes)
     far = {"on": "bottom", "plane": {"axis": "y", "at": -5}}
     notes = report(Case.from_dict(TABLES | {"contact": [far]}), comm=comm).notes
-    assert any("contact 'bottom': the obstacle is 5 m away" in note for note in notes)
+    assert any("contact 'bottom': it can never touch: the obstacle comes no" in n for n in notes)
     (start,) = found.contacts
     assert (start.contact, start.gap, start.place) == ("contact[0] 'floor'", 0.0, (0.0, 0.0))
     small = {**TABLES["mesh"], "unit": "mm"}
-    above = {"on": "right", "plane": {"axis": "-x", "at": 1.5}}
+    above = {"on": "right", "plane": {"axis": "-x", "at": 0.0015}}
     notes = report(Case.from_dict(TABLES | {"mesh": small, "contact": [above]}), comm=comm).notes
-    assert any("were they in mm, it would be 0.0005 m away" in note for note in notes)
+    assert any("are they in m? Then it would be 0.0005 m away" in note for note in notes)
     misspelt = TABLES | {"contact": [TABLES["contact"][0] | {"on": "botom"}]}
     with pytest.raises(InputError, match=r"contact\[0\].on: .*did you mean 'bottom'"):
         report(Case.from_dict(misspelt), comm=comm)
