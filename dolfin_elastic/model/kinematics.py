@@ -19,6 +19,8 @@ import ufl
 from ufl.classes import Identity, Sum
 from ufl.core.expr import Expr
 
+from dolfin_elastic.model.near_zero import log1p
+
 
 def deformation_gradient(u: Expr) -> Expr:
     """F = I + grad u, grad with respect to X (4.42)."""
@@ -66,6 +68,11 @@ def right_cauchy_green(F: Expr) -> Expr:
 def left_cauchy_green(F: Expr) -> Expr:
     """b = F F^T (4.17)."""
     return F * F.T
+
+
+def log_volume(F: Expr) -> Expr:
+    """ln J of a 3D F; NaN where J < 0."""
+    return log1p(volume_change(F), ufl.det(F))
 
 
 def green_strain(F: Expr) -> Expr:

@@ -36,15 +36,27 @@ def polynomial(coefficients: Sequence[Scalar], x: Expr) -> Expr:
     return total
 
 
-def log1p(x: Expr) -> Expr:
-    """ln(1 + x); NaN where x < -1."""
-    return ufl.conditional(ufl.lt(abs(x), NEAR), polynomial(_LOGARITHM, x), ufl.ln(1 + x))
+def log1p(x: Expr, whole: Expr | None = None) -> Expr:
+    """ln(1 + x); NaN where x < -1.
+
+    Args:
+        x: The small number, a UFL scalar.
+        whole: 1 + x, if it is known without rounding where it is small itself.
+    """
+    far = ufl.ln(1 + x if whole is None else whole)
+    return ufl.conditional(ufl.lt(abs(x), NEAR), polynomial(_LOGARITHM, x), far)
 
 
-def log1p_less(x: Expr) -> Expr:
-    """ln(1 + x) - x, of second order in x; NaN where x < -1."""
+def log1p_less(x: Expr, whole: Expr | None = None) -> Expr:
+    """ln(1 + x) - x, of second order in x; NaN where x < -1.
+
+    Args:
+        x: See `log1p`.
+        whole: See `log1p`.
+    """
     series = x * polynomial(_LOGARITHM[1:], x)
-    return ufl.conditional(ufl.lt(abs(x), NEAR), series, ufl.ln(1 + x) - x)
+    far = ufl.ln(1 + x if whole is None else whole) - x
+    return ufl.conditional(ufl.lt(abs(x), NEAR), series, far)
 
 
 def expm1(x: Expr) -> Expr:

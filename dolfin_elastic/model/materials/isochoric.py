@@ -31,30 +31,38 @@ NEAR = 0.15
 TERMS = 9
 
 
-def simo_taylor(j: Expr) -> Expr:
-    """g = sign(j) sqrt((J^2 - 1 - 2 ln J)/2), J = 1 + j, so that K/2 g^2 = K/4 (J^2 - 1 - 2 ln J).
+def simo_taylor(J: Expr, j: Expr) -> Expr:
+    """g = sign(j) sqrt((J^2 - 1 - 2 ln J)/2), so that K/2 g^2 = K/4 (J^2 - 1 - 2 ln J).
 
-    With t = j/(2 + j) = (J - 1)/(J + 1) it is t times a root that is smooth at J = 1, see `_root`.
+    With t = (J - 1)/(J + 1) it is t times a root that is smooth at J = 1, see `_root`.
+
+    Args:
+        J: Current over reference volume.
+        j: J - 1.
 
     Source: J. C. Simo and R. L. Taylor, Comput. Methods Appl. Mech. Eng. 35 (1982) 107.
     """
-    return j / (2 + j) * _root(j)
+    return j / (J + 1) * _root(J, j)
 
 
-def _root(j: Expr) -> Expr:
+def _root(J: Expr, j: Expr) -> Expr:
     """The root g/t of `simo_taylor`.
 
     J = (1 + t)/(1 - t) and ln J = 2 artanh t, so it is sqrt(2 (2 - t)/(1 - t)^2 - 2 t s) with
     s = (artanh t - t)/t^3 = 1/3 + t^2/5 + t^4/7 + ...
+
+    Args:
+        J: See `simo_taylor`.
+        j: See `simo_taylor`.
     """
-    t = j / (2 + j)
+    t = j / (J + 1)
     series: Scalar = 0.0
     for n in reversed(range(TERMS)):
         series = series * t**2 + 1 / (2 * n + 3)
     near = ufl.lt(abs(t), NEAR)
     # UFL evaluates both branches: the one that is not chosen must not divide by zero.
     away = ufl.conditional(near, 1.0, t)
-    s = ufl.conditional(near, series, (ufl.ln(1 + j) / (2 * away) - 1) / away**2)
+    s = ufl.conditional(near, series, (ufl.ln(J) / (2 * away) - 1) / away**2)
     return ufl.sqrt(2 * (2 - t) / (1 - t) ** 2 - 2 * t * s)
 
 
@@ -62,7 +70,7 @@ def _root(j: Expr) -> Expr:
 class VolumeStrain:
     """A measure g(J) of the change of volume, with g = 0 and g' = 1 at J = 1.
 
-    All are functions of j = J - 1, which is known without rounding where J is nearly 1.
+    All are functions of J and of j = J - 1, of which one is rounded where the other is small.
     Derivatives are written out: those that UFL makes of g and its conditions are many times longer.
 
     Attributes:
@@ -71,22 +79,27 @@ class VolumeStrain:
         stress: g g', the derivative of g^2/2; like g it is NaN for J < 0 if ln J is in it.
     """
 
-    strain: Callable[[Expr], Expr]
-    slope: Callable[[Expr], Expr | float]
-    stress: Callable[[Expr], Expr]
+    strain: Callable[[Expr, Expr], Expr]
+    slope: Callable[[Expr, Expr], Expr | float]
+    stress: Callable[[Expr, Expr], Expr]
 
 
 # Of "simo-taylor" g g' = (J - 1/J)/2, and g' is that over g.  sqrt(J)^2 refuses J < 0.
 VOLUME_STRAINS: dict[str, VolumeStrain] = {
     "simo-taylor": VolumeStrain(
         simo_taylor,
-        lambda j: (2 + j) ** 2 / (2 * (1 + j) * _root(j)),
-        lambda j: j * (2 + j) / (2 * ufl.sqrt(1 + j) ** 2),
+        lambda J, j: (J + 1) ** 2 / (2 * J * _root(J, j)),
+        lambda J, j: j * (J + 1) / (2 * ufl.sqrt(J) ** 2),
     ),
-    "quadratic": VolumeStrain(lambda j: j, lambda j: 1.0, lambda j: j),
-    "log": VolumeStrain(log1p, lambda j: 1 / (1 + j), lambda j: log1p(j) / (1 + j)),
+    "quadratic": VolumeStrain(lambda J, j: j, lambda J, j: 1.0, lambda J, j: j),
+    "log": VolumeStrain(lambda J, j: log1p(j, J), lambda J, j: 1 / J, lambda J, j: log1p(j, J) / J),
 }
 """Name to measure."""
+
+
+def _volume(F: Expr) -> tuple[Expr, Expr]:
+    """J and J - 1."""
+    return ufl.det(F), volume_change(F)
 
 
 class Volumetric(SplitLaw):
@@ -109,15 +122,15 @@ class Volumetric(SplitLaw):
 
     def volume_strain(self, F: Expr) -> Expr:
         """See `VOLUME_STRAINS`."""
-        return VOLUME_STRAINS[self.volumetric].strain(volume_change(F))
+        return VOLUME_STRAINS[self.volumetric].strain(*_volume(F))
 
     def volume_gradient(self, F: Expr) -> Expr:
         """g'(J) cof F."""
-        return VOLUME_STRAINS[self.volumetric].slope(volume_change(F)) * cofactor(F)
+        return VOLUME_STRAINS[self.volumetric].slope(*_volume(F)) * cofactor(F)
 
     def volume_stress(self, F: Expr) -> Expr:
         """g g' cof F."""
-        return VOLUME_STRAINS[self.volumetric].stress(volume_change(F)) * cofactor(F)
+        return VOLUME_STRAINS[self.volumetric].stress(*_volume(F)) * cofactor(F)
 
 
 class Isochoric(Volumetric):
@@ -207,8 +220,7 @@ def isochoric_stress(psi: Callable[[Expr], Expr], F: Expr) -> Expr:
 
 def _strains_of_shape(F: Expr) -> tuple[Expr, Expr]:
     """m = I1/3 and A = C - m I, twice the deviator of E: C = m I + A."""
-    E = green_strain(F)
-    return 1 + 2 / 3 * ufl.tr(E), 2 * ufl.dev(E)
+    return ufl.inner(F, F) / 3, 2 * ufl.dev(green_strain(F))
 
 
 def excess_invariants(F: Expr) -> tuple[Expr, Expr]:

@@ -145,10 +145,9 @@ def _apart(j2: Expr, d: Expr, r: Expr) -> _Apart:
 
 
 def _invariants(F: Expr) -> tuple[Expr, Expr, Expr, Expr, Expr]:
-    """b = C/q - I = 2 dev E/q, q = tr C / 3 = 1 + 2/3 tr E, and j2, j3, d."""
-    E = green_strain(F)
-    q = 1 + 2 / 3 * ufl.tr(E)
-    b = 2 / q * ufl.dev(E)
+    """b = C/q - I = 2 dev E/q, q = tr C / 3, and j2, j3, d."""
+    q = ufl.inner(F, F) / 3
+    b = 2 / q * ufl.dev(green_strain(F))
     d = ufl.exp(2 * ufl.ln(ufl.det(F))) / q**3  # the logarithm refuses J < 0, which J^2 would not
     return b, q, ufl.inner(b, b) / 2, ufl.det(b), d
 

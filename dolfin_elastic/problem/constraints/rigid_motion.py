@@ -82,7 +82,7 @@ class RigidMotion:
         q = self.all_at(t, default)
         d, theta = self._apart(q)
         r = x - self.centre
-        return np.asarray(d[which] + (r @ (rotation(theta) - np.eye(3)).T)[:, which])
+        return np.asarray(d[which] + (r @ rotation_less_one(theta).T)[:, which])
 
     def directions(self, x: FloatArray, t: float, default: Amplitude) -> FloatArray:
         """du/dq of all degrees of freedom at reference places, of shape (n, dim, dofs).
@@ -128,12 +128,17 @@ def cross_matrix(v: FloatArray) -> FloatArray:
 
 
 def rotation(theta: FloatArray) -> FloatArray:
-    """Rotation matrix of a rotation vector [rad], see `Rigid`."""
+    """Rotation matrix R of a rotation vector [rad], see `Rigid`."""
+    return np.asarray(np.eye(3) + rotation_less_one(theta))
+
+
+def rotation_less_one(theta: FloatArray) -> FloatArray:
+    """R - I, which keeps the digits of a small rotation."""
     a = float(np.linalg.norm(theta))
     K = cross_matrix(theta)
     first = np.sinc(a / np.pi)
     second = 0.5 * np.sinc(a / (2 * np.pi)) ** 2  # (1 - cos a)/a^2
-    return np.asarray(np.eye(3) + first * K + second * K @ K)
+    return np.asarray(first * K + second * K @ K)
 
 
 def tangent(theta: FloatArray) -> FloatArray:

@@ -213,7 +213,7 @@ def test_moduli_in_units_of_ones_own():
 
 def test_simo_taylor_has_no_seam():
     """Series and closed form meet at |J - 1| = 0.1 with three derivatives."""
-    law = Energy(lambda J: simo_taylor(J - 1))
+    law = Energy(lambda J: simo_taylor(J, J - 1))
     for J in (0.9, 1.1):
         inside, outside = (
             [

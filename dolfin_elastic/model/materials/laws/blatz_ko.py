@@ -13,11 +13,12 @@ from dolfin_elastic.model.kinematics import (
     displacement_gradient,
     green_strain,
     less_cofactor,
+    log_volume,
     volume_change,
 )
 from dolfin_elastic.model.materials.law import Isotropic
 from dolfin_elastic.model.materials.spatial import Range
-from dolfin_elastic.model.near_zero import expm1, expm1_less, log1p, log1p_less
+from dolfin_elastic.model.near_zero import expm1, expm1_less, log1p_less
 
 
 class BlatzKo(Isotropic):
@@ -55,7 +56,7 @@ class BlatzKo(Isotropic):
         E, H, inverse, j = green_strain(F), displacement_gradient(F), ufl.inv(F), volume_change(F)
         drawn = E * inverse
         rest = (ufl.tr(H) ** 2 - ufl.inner(H.T, H) - ufl.inner(H, H)) / 2 + ufl.det(H)  # j - tr E
-        ratio, log = self.lmbda / self.mu, log1p_less(j)
+        ratio, log = self.lmbda / self.mu, log1p_less(j, ufl.det(F))
         volume = expm1_less(ratio * (log + j)) / ratio + log
         return self.mu * (rest + 2 * ufl.inner(drawn, drawn) + volume)
 
@@ -66,6 +67,6 @@ class BlatzKo(Isotropic):
         """
         H, J, j = displacement_gradient(F), ufl.det(F), volume_change(F)
         Y = (H - less_cofactor(F) - j * ufl.Identity(3)) / J
-        volume = expm1(self.lmbda / self.mu * log1p(j))
+        volume = expm1(self.lmbda / self.mu * log_volume(F))
         rest = volume * ufl.Identity(3) - (Y + Y.T + Y.T * Y)
         return self.mu / J * (cofactor(F) * rest)

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 import ufl
 from ufl.core.expr import Expr
 
-from dolfin_elastic.model.kinematics import cofactor, volume_change
+from dolfin_elastic.model.kinematics import cofactor, log_volume
 from dolfin_elastic.model.materials.law import Isotropic, SplitLaw
 from dolfin_elastic.model.materials.spectral import (
     Shape,
@@ -16,7 +16,6 @@ from dolfin_elastic.model.materials.spectral import (
     log_series,
     square_of_log_series,
 )
-from dolfin_elastic.model.near_zero import log1p
 
 
 class Hencky(Isotropic, SplitLaw):
@@ -49,7 +48,7 @@ class Hencky(Isotropic, SplitLaw):
 
     def volume_strain(self, F: Expr) -> Expr:
         """ln J."""
-        return log1p(volume_change(F))
+        return log_volume(F)
 
     def volume_gradient(self, F: Expr) -> Expr:
         """F^-T."""

@@ -11,10 +11,11 @@ from dolfin_elastic.model.kinematics import (
     cofactor,
     displacement_gradient,
     less_cofactor,
+    log_volume,
     volume_change,
 )
 from dolfin_elastic.model.materials.law import Isotropic, SplitLaw
-from dolfin_elastic.model.near_zero import log1p, log1p_less
+from dolfin_elastic.model.near_zero import log1p_less
 
 
 class NeoHookean(Isotropic, SplitLaw):
@@ -35,7 +36,7 @@ class NeoHookean(Isotropic, SplitLaw):
         """mu/2 (tr F^T F - 3) - mu ln J, without the terms of first order in H = F - I."""
         H = displacement_gradient(F)
         squares = ufl.inner(H, H) - ufl.tr(H) ** 2 + ufl.inner(H.T, H) - 2 * ufl.det(H)
-        return self.mu * (squares / 2 - log1p_less(volume_change(F)))
+        return self.mu * (squares / 2 - log1p_less(volume_change(F), ufl.det(F)))
 
     def shape_stress(self, F: Expr) -> Expr:
         """mu (F - F^-T) = mu (F - cof F + (J - 1)/J cof F)."""
@@ -43,7 +44,7 @@ class NeoHookean(Isotropic, SplitLaw):
 
     def volume_strain(self, F: Expr) -> Expr:
         """ln J."""
-        return log1p(volume_change(F))
+        return log_volume(F)
 
     def volume_gradient(self, F: Expr) -> Expr:
         """F^-T."""
