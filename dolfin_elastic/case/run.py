@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from itertools import chain, islice
 from os import PathLike
@@ -37,7 +37,14 @@ from dolfin_elastic.core.signals import acknowledge, remove_stop_file, watched
 from dolfin_elastic.core.together import end_all_if_alone, loop_together
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.state import Mode, RestartableSolver, RestartState, State, StateCopy
+from dolfin_elastic.problem.state import (
+    Mode,
+    RestartableSolver,
+    RestartState,
+    State,
+    StateCopy,
+    restoring,
+)
 from dolfin_elastic.results.checkpoint.checkpoints import Checkpoints
 from dolfin_elastic.results.checkpoint.lock import FolderLock
 from dolfin_elastic.results.files import writing
@@ -424,8 +431,9 @@ def open_outputs(
     writers: list[Writer] = []
     ending: tuple[str, object] = ("completed", None)
     try:
-        for index, file in enumerate(files):
-            writers.append(file.open(problem, folder, None if saved is None else saved[index]))
+        with nullcontext() if saved is None else restoring(folder):
+            for index, file in enumerate(files):
+                writers.append(file.open(problem, folder, None if saved is None else saved[index]))
         on_root(problem.body.comm, lambda: _remove_others(folder, files))
         yield writers
     except StoppedError:

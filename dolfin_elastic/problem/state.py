@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field
 from math import pi
@@ -11,6 +12,7 @@ from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
 import numpy as np
 from dolfinx import fem
 
+from dolfin_elastic.core.errors import ElasticError, RestartError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.dimension import moment_of
 
@@ -276,6 +278,30 @@ class SavedState(Protocol):
         Args:
             fields: Names of the `RestartState` to functions in the same spaces.
         """
+
+
+@contextmanager
+def restoring(where: object) -> Iterator[None]:
+    """Turns what readers of a saved state raise of other data into a `RestartError`.
+
+    Not collective: the numbers are the same on all ranks, and so is the error.
+
+    Args:
+        where: The saved state, or the folder that it is from.
+
+    Raises:
+        RestartError: The data are not those of such a run.
+    """
+    try:
+        yield
+    except ElasticError:
+        raise
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise RestartError(
+            f"what the checkpoint holds does not fit this run ({type(error).__name__}: {error})",
+            where=str(getattr(where, "path", where)),
+            expected="a checkpoint as the run has written it, or compute the case anew",
+        ) from error
 
 
 class StateCopy:

@@ -18,6 +18,8 @@ from helpers.decks import box, inp_text
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.mesh import read_body
 
+pytestmark = pytest.mark.usefixtures("serial_only")
+
 POINTS, CELLS = box((1, 1, 1), (1, 1, 1))
 MESH = meshio.Mesh(POINTS, [("tetra", CELLS)])
 

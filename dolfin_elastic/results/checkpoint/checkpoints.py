@@ -32,6 +32,7 @@ from pydantic import Field, model_validator
 
 from dolfin_elastic.core import __version__
 from dolfin_elastic.core.errors import InputError, RestartError
+from dolfin_elastic.core.files.hdf5 import UnsafeHdf5Error
 from dolfin_elastic.core.parallel import agree, largest, on_root
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import Record, UnusedKeys, refuse_unused_keys
@@ -41,6 +42,7 @@ from dolfin_elastic.core.units import Time
 from dolfin_elastic.problem.state import RestartState, State
 from dolfin_elastic.results import hdf5
 from dolfin_elastic.results.checkpoint.checksums import array_checksum
+from dolfin_elastic.results.checkpoint.contents import fault_of
 from dolfin_elastic.results.checkpoint.mesh_order import DofOrdering
 from dolfin_elastic.results.files import (
     make_folder,
@@ -353,7 +355,7 @@ def newest_checkpoint(comm: MPI.Comm, folder: Path) -> Checkpoint | None:
     on_root(comm, lambda: _check_formats(path, steps))
     for step in steps:
         fields, manifest = _files(path, step)
-        content, fault = on_root(comm, partial(_content, manifest))
+        content, fault = on_root(comm, partial(_content, manifest, step))
         fault = fault or _damage(comm, fields, content["arrays"])
         if not fault:
             return Checkpoint(comm, fields, content)
@@ -385,15 +387,22 @@ def _check_formats(path: Path, steps: Sequence[int]) -> None:
     )
 
 
-def _content(manifest: Path) -> tuple[dict[str, Any], str]:
-    """Content of a checkpoint's `.json`, or what is wrong with it. Not collective."""
+def _content(manifest: Path, step: int) -> tuple[dict[str, Any], str]:
+    """Content of a checkpoint's `.json`, or what is wrong with it. Not collective.
+
+    Args:
+        manifest: The file.
+        step: That of its name.
+    """
     try:
         outer = json.loads(manifest.read_text(encoding="utf-8"))
         if outer["format"] != FORMAT:
             return {}, f"it has the format {outer['format']}, this program knows {FORMAT}"
         if digest(outer["text"]) != outer["digest"]:
             return {}, f"{manifest.name} has been changed"
-        return json.loads(outer["text"]), ""
+        content = json.loads(outer["text"])
+        fault = fault_of(content, step)
+        return ({}, f"{manifest.name}: {fault}") if fault else (content, "")
     except _UNREADABLE as error:
         return {}, f"{manifest.name} cannot be read: {error}"
 
@@ -401,15 +410,17 @@ def _content(manifest: Path) -> tuple[dict[str, Any], str]:
 def _damage(comm: MPI.Comm, fields: Path, arrays: Mapping[str, Any]) -> str:
     """What is wrong with the fields of a checkpoint; empty if nothing is. Collective."""
     for name, known in arrays.items():
-        count = known["shape"][0]
+        count, why = known["shape"][0], ""
         first, last = (count * rank // comm.size for rank in (comm.rank, comm.rank + 1))
         try:
-            rows = hdf5.Rows(hdf5.read(fields, name, first, last - first), first, count)
-            failed = list(rows.shape) != known["shape"]
-        except _UNREADABLE:
-            failed = True
+            values = hdf5.read(fields, name, first, last - first)
+            rows = hdf5.Rows(values, first, count)
+            failed = values.dtype != np.float64 or list(values.shape[1:]) != known["shape"][1:]
+            failed = failed or not np.isfinite(values).all()
+        except _UNREADABLE as error:
+            failed, why = True, f": {error}" if isinstance(error, UnsafeHdf5Error) else ""
         if largest(comm, float(failed)) or array_checksum(comm, rows) != known["sum"]:
-            return f"{fields.name} is not as it was written"
+            return f"{fields.name} is not as it was written{why}"
     return ""
 
 

@@ -392,7 +392,9 @@ class ArcLength:
             return
         self._length.restore(t)
         self._increment = way.x.array[self._assembler.displacement_dofs].copy()
-        self._scalar_increment = np.array(saved["lead"])
+        self._scalar_increment = np.array(saved["lead"], dtype=np.float64)
+        if self._scalar_increment.shape != self._all.get().shape:
+            raise ValueError(f"{len(self._scalar_increment)} increments of the scalar unknowns")
         self._size, self._longest = saved["size"], saved["longest"]
         self._slope, self._negative = saved["slope"], saved["negative"]
         self.limits = [LimitPoint(*limit) for limit in saved["limits"]]

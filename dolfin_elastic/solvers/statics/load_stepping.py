@@ -14,7 +14,7 @@ from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
-from dolfin_elastic.problem.state import RestartState, SavedState, State
+from dolfin_elastic.problem.state import RestartState, SavedState, State, restoring
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
 from dolfin_elastic.solvers.breakpoints import within_stride
 from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
@@ -142,7 +142,8 @@ class LoadStepping:
                 begin = NewtonResult(reason="initial state")
                 yield self._states.state(0.0, begin, stored=self._path_check.energy)
             else:
-                self.restore(saved)
+                with restoring(saved):
+                    self.restore(saved)
             yield from self._by_load() if self._arc is None else self._along_path(self._arc)
         finally:
             if self._arc is not None:

@@ -13,6 +13,8 @@ import pytest
 from dolfin_elastic.core.files import hdf5, memory
 from dolfin_elastic.core.files.hdf5 import UnsafeHdf5Error, check, opened, read_rows
 
+pytestmark = pytest.mark.usefixtures("serial_only")
+
 HUGE = 1 << 31
 """Numbers of 8 bytes: 17 GB."""
 

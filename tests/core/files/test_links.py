@@ -16,6 +16,8 @@ from dolfin_elastic.core.files.links import refuse_links
 from dolfin_elastic.core.files.regular import fresh, irregular, open_regular, read_regular
 from dolfin_elastic.results.files import replace_text
 
+pytestmark = pytest.mark.usefixtures("serial_only")
+
 CASE = """\
 [mesh]
 box = {size = [1, 1, 1], cells = [1, 1, 1]}

@@ -9,6 +9,8 @@ import pytest
 
 from dolfin_elastic.core.files.xml import read_xml
 
+pytestmark = pytest.mark.usefixtures("serial_only")
+
 LAUGHS = '<!DOCTYPE x [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;">]><x>&b;</x>'
 OTHER = '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><x>&a;</x>'
 

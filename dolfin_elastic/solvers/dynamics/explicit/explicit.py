@@ -15,7 +15,7 @@ from dolfin_elastic.core.errors import StabilityError
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.signals import raise_if_agreed, stop_agreed, watched
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.state import RestartState, SavedState, State, StateCopy
+from dolfin_elastic.problem.state import RestartState, SavedState, State, StateCopy, restoring
 from dolfin_elastic.solvers.assembly.assembler import Assembler, SupportForces
 from dolfin_elastic.solvers.assembly.energy_momentum import LumpedMass, lumped
 from dolfin_elastic.solvers.dynamics.explicit.monitor import StabilityMonitor
@@ -125,7 +125,8 @@ class Explicit:
         if saved is None:
             yield self._begin()
         else:
-            self.restore(saved)
+            with restoring(saved):
+                self.restore(saved)
         yield from self._march()
 
     def _begin(self) -> State:

@@ -16,7 +16,7 @@ from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
 from dolfin_elastic.core.signals import raise_if_agreed
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.problem.problem import Problem, conserves, over_step
-from dolfin_elastic.problem.state import RestartState, SavedState, State
+from dolfin_elastic.problem.state import RestartState, SavedState, State, restoring
 from dolfin_elastic.problem.weak_form import derives_from_strain
 from dolfin_elastic.solvers.assembly.assembler import SupportForces
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass
@@ -307,7 +307,8 @@ class Implicit:
             self._begin()
             yield self._state()
         else:
-            self.restore(saved)
+            with restoring(saved):
+                self.restore(saved)
         while not self.times.ended(float(self.ts.getTime())):
             self._march()
             yield self._state()
