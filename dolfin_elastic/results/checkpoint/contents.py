@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeGuard
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,10 @@ class Kind:
     """
 
     name: str
-    fits: Callable[[Any], bool]
+    fits: Callable[[object], bool]
 
 
-def _number(value: object) -> bool:
+def _number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
 
 
@@ -35,13 +35,17 @@ def _any_number(value: object) -> bool:
     return _number(value) or (isinstance(value, float) and not math.isfinite(value))
 
 
-def _whole(value: object, least: int) -> bool:
+def _whole(value: object, least: int) -> TypeGuard[int]:
     return isinstance(value, int) and not isinstance(value, bool) and least <= value < 1 << 62
 
 
 def _nested(value: object) -> bool:
     """Numbers in lists, which may lie in lists."""
     return isinstance(value, list) and all(_nested(one) or _number(one) for one in value)
+
+
+def _two(value: object) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(map(_any_number, value))
 
 
 def _offence(value: object) -> bool:
@@ -57,7 +61,9 @@ def _offence(value: object) -> bool:
 
 
 def _pairs(value: object) -> bool:
-    return _nested(value) and all(isinstance(one, list) and len(one) == 2 for one in value)  # type: ignore[attr-defined]
+    return isinstance(value, list) and all(
+        isinstance(one, list) and len(one) == 2 and all(map(_number, one)) for one in value
+    )
 
 
 FINITE = Kind("a finite number", _number)
@@ -139,7 +145,7 @@ _NUMBERS = {
     "audit.warned": OFFENCES,
     "audit.unbalanced": FLAG,
     "audit.far": TEXT,
-    "audit.worst": Kind("two numbers", lambda v: MEASURES.fits(v) and len(v) == 2),
+    "audit.worst": Kind("two numbers", _two),
     "audit.reasons": OFFENCES,
     "audit.off": MEASURED,
     "audit.scale": MEASURED,
@@ -189,7 +195,7 @@ _OUTPUT = {
 }
 
 
-def fault_of(content: Any, step: int) -> str:
+def fault_of(content: object, step: int) -> str:
     """What is wrong with the content of a checkpoint; empty: nothing. Not collective.
 
     Args:
@@ -214,11 +220,11 @@ def fault_of(content: Any, step: int) -> str:
     )
 
 
-def _of_outputs(outputs: list[Mapping[str, Any]]) -> Iterable[str]:
+def _of_outputs(outputs: list[Mapping[str, object]]) -> Iterable[str]:
     return (_first(one, _OUTPUT, f"outputs[{i}].") for i, one in enumerate(outputs))
 
 
-def _first(table: Mapping[str, Any], kinds: Mapping[str, Kind], path: str) -> str:
+def _first(table: Mapping[str, object], kinds: Mapping[str, Kind], path: str) -> str:
     """The first value that is of another kind than its key says.
 
     Args:
@@ -233,7 +239,7 @@ def _first(table: Mapping[str, Any], kinds: Mapping[str, Kind], path: str) -> st
     return ""
 
 
-def _at(table: Any, keys: list[str]) -> tuple[bool, Any]:
+def _at(table: object, keys: list[str]) -> tuple[bool, object]:
     for key in keys:
         if not isinstance(table, dict) or key not in table:
             return False, None
@@ -241,15 +247,16 @@ def _at(table: Any, keys: list[str]) -> tuple[bool, Any]:
     return True, table
 
 
-def _array_fault(arrays: Mapping[str, Any]) -> str:
+def _array_fault(arrays: Mapping[str, object]) -> str:
     for name, one in arrays.items():
-        shape = one.get("shape") if isinstance(one, dict) else None
-        if not (
-            isinstance(shape, list)
-            and len(shape) == 2
-            and _whole(shape[0], 0)
-            and _whole(shape[1], 1)
-            and isinstance(one.get("sum"), str)
-        ):
+        table = one if isinstance(one, dict) else {}
+        if not (_shape(table.get("shape")) and isinstance(table.get("sum"), str)):
             return f"'arrays.{name}' is {str(one)[:60]!r}, not a shape and a sum"
     return ""
+
+
+def _shape(value: object) -> bool:
+    """Rows and columns."""
+    return (
+        isinstance(value, list) and len(value) == 2 and _whole(value[0], 0) and _whole(value[1], 1)
+    )
