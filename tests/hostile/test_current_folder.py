@@ -206,6 +206,7 @@ SUBMODULES = ("core.parallel", "core.compat", "core.jit", "mesh.read", "problem.
     [
         *(f"import dolfin_elastic.{one}" for one in SUBMODULES),
         "from dolfin_elastic import read_case",
+        "import dolfin_elastic; dolfin_elastic.read_case",
         "import mpi4py.MPI; from dolfin_elastic import read_case",
         "import petsc4py; from dolfin_elastic import read_case",
     ],
