@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -214,7 +214,7 @@ def _of_faces(below: Sequence[Block], rows: Callable[[Block], Array]) -> dict[in
     for block in below:
         if block.entity:
             found.setdefault(block.entity, []).append(rows(block))
-    return {number: np.concatenate(parts) for number, parts in found.items()}
+    return {number: cast("Array", np.concatenate(parts)) for number, parts in found.items()}
 
 
 def _normals(block: Block, dim: int) -> FloatArray:

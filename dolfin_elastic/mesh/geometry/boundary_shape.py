@@ -96,16 +96,16 @@ class BoundaryShape:
         self._ridges = Ridges(mesh, np.repeat(self.cells, d), self.numbers.reshape(-1))
         self._frames = _frames(mesh, self.cells, local)
         by_facets, edge = self._interior_angles(self._frames)
-        self.turns = np.where(edge, np.pi - by_facets, 0.0)
+        self.turns = np.asarray(np.where(edge, np.pi - by_facets, 0.0))
         self.arcs, self.exact = self._arcs(), np.zeros_like(edge)
         self.angles = by_facets
-        self.smooth = edge & ((np.abs(self.turns) < _SMOOTH) | self.arcs)
+        self.smooth: BoolArray = edge & ((np.abs(self.turns) < _SMOOTH) | self.arcs)
         if known is None:
             return
         frames = _exact_frames(known.normals, facet_corners(mesh, self.facets))
-        given = np.isfinite(frames).all(axis=2)
+        given: BoolArray = np.asarray(np.isfinite(frames).all(axis=2))
         count = self._ridges.of_rows(given.astype(float))
-        self.exact = edge & (count > 1.5)
+        self.exact = np.asarray(edge & (count > 1.5))
         exact, _ = self._interior_angles(np.where(given[..., None], frames, self._frames))
         self.angles = np.where(self.exact, exact, by_facets)
         self.smooth = np.where(self.exact, np.abs(exact - np.pi) < EDGE, self.smooth)
@@ -124,7 +124,8 @@ class BoundaryShape:
         cosine = np.clip(np.sum(inward**2, axis=-1) / 2 - 1, -1.0, 1.0)
         angle = np.arccos(cosine)
         valley = np.sum(normal * inward, axis=-1) > 0
-        return np.where(valley, 2 * np.pi - angle, angle), np.abs(count - 2) < 0.5
+        two = np.asarray(np.abs(count - 2) < 0.5)
+        return np.asarray(np.where(valley, 2 * np.pi - angle, angle)), two
 
     # --- arcs of straight facets ---
 
@@ -225,7 +226,7 @@ class BoundaryShape:
         """
         mesh, d = self._mesh, self._mesh.topology.dim
         x, normals = facet_corners(mesh, self.facets), self._corner_normals()
-        best = np.zeros(len(self.facets))
+        best: FloatArray = np.zeros(len(self.facets))
         for i in range(d):
             for j in range(i):
                 chord = x[:, j] - x[:, i]
@@ -287,8 +288,9 @@ def facet_ridges(dim: int, local: IndexArray) -> tuple[IntArray, IndexArray]:
         Shape (facets, dim) both.
     """
     corners = facet_vertices(dim)
-    ridges = [set(row) for row in cell_ridges(dim).tolist()]
-    numbers = [[ridges.index(set(row) - {k}) for k in row] for row in corners.tolist()]
+    ridges = [{int(k) for k in row} for row in cell_ridges(dim)]
+    facets = [[int(k) for k in row] for row in corners]
+    numbers = [[ridges.index({*row} - {k}) for k in row] for row in facets]
     return corners[local], np.array(numbers, dtype=np.int32)[local]
 
 

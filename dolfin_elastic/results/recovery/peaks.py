@@ -91,7 +91,11 @@ class Remark:
     @property
     def line(self) -> str:
         """For people."""
-        return f"  {self.label:<22}  {self.text}" if self.indented else f"{self.label:<24}  {self.text}"
+        return (
+            f"  {self.label:<22}  {self.text}"
+            if self.indented
+            else f"{self.label:<24}  {self.text}"
+        )
 
 
 @dataclass(frozen=True)
@@ -229,11 +233,11 @@ def find_peaks(problem: Problem, estimate: ErrorEstimate) -> Peaks:
         return Peaks(highest, elsewhere, rival=rival, cut_off=estimate.cut_off)
     # The share of the allowable stress is largest where the factor is smallest.
     use = 1 / np.where(stress.safety > 0, stress.safety, np.nan)
-    factors = [
+    least, other = (
         None if peak is None or peak.value <= 0 else replace(peak, value=1 / peak.value)
         for peak in found.pair(use, stress.safety_region)[:2]
-    ]
-    return Peaks(highest, elsewhere, *factors, rival=rival, cut_off=estimate.cut_off)
+    )
+    return Peaks(highest, elsewhere, least, other, rival=rival, cut_off=estimate.cut_off)
 
 
 def largest(
@@ -266,9 +270,7 @@ class _Finder:
         places: Where the stress is singular.
     """
 
-    def __init__(
-        self, problem: Problem, estimate: ErrorEstimate, places: SingularPlaces
-    ) -> None:
+    def __init__(self, problem: Problem, estimate: ErrorEstimate, places: SingularPlaces) -> None:
         self._problem, self._places = problem, places
         self._resolution = resolution(problem)
         own = problem.V.dofmap.index_map.size_local
@@ -280,9 +282,7 @@ class _Finder:
         self._errors = np.hypot(np.nan_to_num(error), self._resolution.polygon)
         assert len(self._errors) == own
 
-    def pair(
-        self, values: FloatArray, regions: IntArray
-    ) -> tuple[Peak, Peak | None, Peak | None]:
+    def pair(self, values: FloatArray, regions: IntArray) -> tuple[Peak, Peak | None, Peak | None]:
         """The largest value, where it is singular the largest elsewhere, and what may be larger.
 
         Args:
@@ -359,9 +359,7 @@ class _Finder:
     def _size_of_cells(self) -> float:
         return cell_size(self._problem.body)
 
-    def at_largest(
-        self, values: FloatArray, regions: IntArray, *, singular: bool = False
-    ) -> Peak:
+    def at_largest(self, values: FloatArray, regions: IntArray, *, singular: bool = False) -> Peak:
         """The largest value, with its own error.
 
         Args:

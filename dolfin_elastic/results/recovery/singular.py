@@ -18,8 +18,8 @@ that leaves the stress bounded, or lets it grow like a logarithm.  Materials: se
 `material_corners`.
 
 Whether an edge of a facet is one of the body at all, or lies within a round face, is told by
-`BoundaryShape`: exactly where the mesh was made of a CAD file.  Elsewhere angles that exceed a limit
-by less than a margin are not counted, for facets of a round surface meet at angles, too.
+`BoundaryShape`: exactly where the mesh was made of a CAD file.  Elsewhere angles that exceed a
+limit by less than a margin are not counted, for facets of a round surface meet at angles, too.
 
 Source: M. L. Williams, J. Appl. Mech. 19 (1952) 526: lambda = 1 in sin(lambda beta)^2 =
 ((kappa + 1)^2 - 4 lambda^2 sin(beta)^2)/(4 kappa) for a wedge with one clamped side, and kappa =

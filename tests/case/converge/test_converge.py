@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.bodies import drawing
 from helpers.ranks import SIZES, on_ranks
 from mpi4py import MPI
 
@@ -316,3 +317,59 @@ def test_other_analyses(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match=r"this is \[modal\]; compute it with `run`"):
         last(made, folder / "out", "von_mises", "1%")
+
+
+# --- straight cells of a finished mesh ---
+
+
+def disk(path: Path) -> None:
+    """A hollow quarter disk of radii 1 and 2 of straight cells, six and three on its arcs."""
+    with drawing() as gmsh:
+        geo = gmsh.model.geo
+        places = [(0, 0), (1, 0), (2, 0), (0, 2), (0, 1)]
+        o, a, b, c, d = (geo.addPoint(*place, 0, 0.5) for place in places)
+        lines = [
+            geo.addLine(a, b),
+            geo.addCircleArc(b, o, c),
+            geo.addLine(c, d),
+            geo.addCircleArc(d, o, a),
+        ]
+        geo.addPlaneSurface([geo.addCurveLoop(lines)])
+        geo.mesh.setTransfiniteCurve(lines[1], 4)
+        geo.mesh.setTransfiniteCurve(lines[3], 4)
+        geo.synchronize()
+        for name, number in zip(("bottom", "outer", "left", "inner"), lines, strict=True):
+            gmsh.model.addPhysicalGroup(1, [number], name=name)
+        gmsh.model.addPhysicalGroup(2, [1], name="body")
+        gmsh.model.mesh.generate(2)
+        gmsh.write(str(path))
+
+
+@pytest.mark.parametrize(("degree", "nu"), [(2, 0.3), (1, 0.4999)])
+@pytest.mark.parametrize("wanted", ["strain_energy", "reaction of inner"])
+def test_the_polygon_is_not_certified(folder: Path, degree: int, nu: float, wanted: str) -> None:
+    """Refining a finished mesh of straight cells converges to another body.
+
+    A tube whose inner side is turned by a small angle, with the outer one held: M = 4 pi mu psi
+    /(1/a^2 - 1/b^2) (see `test_enclosed`), a quarter of that.
+    """
+    on_root(WORLD, lambda: disk(folder / "disk.msh"))
+    psi = 1e-3
+    tables = {
+        "mesh": {"file": str(folder / "disk.msh"), "degree": degree},
+        "materials": {"rubber": {"law": "linear-elastic", "mu": 1.0, "nu": nu}},
+        "support": [
+            {"on": "outer", "displacement": [0, 0]},
+            {"on": "inner", "displacement": [f"{-psi}*y", f"{psi}*x"]},
+            {"on": "bottom", "displacement": [0, "free"]},
+            {"on": "left", "displacement": ["free", 0]},
+        ],
+    }
+    energy = 4 * np.pi * psi**2 / (1 - 1 / 4) / 2 / 4
+    goal = Goal(Quantity.read(wanted), 0.01, refinements=4)
+    *_, last = converge(Case.from_dict(tables), goal, output=folder / "out")
+    print([(level.value / energy - 1, level.error) for level in last.levels])
+    assert last.verdict == "refinements"
+    assert "straight elements cut" in last.reason
+    if wanted == "strain_energy":
+        assert abs(last.last.value / energy - 1) <= 1.3 * last.last.error

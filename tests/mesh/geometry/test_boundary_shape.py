@@ -30,7 +30,10 @@ def lengths_of_edges(body: Body) -> dict[int, float]:
     sides = np.stack([x[:, (k + 2) % 3] - x[:, (k + 1) % 3] for k in range(3)], axis=1)
     lengths = np.linalg.norm(sides, axis=2) / 2 / body.unit.metres
     angles = np.round(np.degrees(shape.angles)).astype(int)
-    found = [(int(a), float(w)) for a, w in zip(angles[~shape.smooth], lengths[~shape.smooth])]
+    found = [
+        (int(a), float(w))
+        for a, w in zip(angles[~shape.smooth], lengths[~shape.smooth], strict=True)
+    ]
     sums: dict[int, float] = {}
     for degrees, length in [one for part in body.comm.allgather(found) for one in part]:
         sums[degrees] = sums.get(degrees, 0.0) + length
@@ -141,7 +144,7 @@ def drawn(path: Path, count: int) -> None:
 
 @pytest.mark.parametrize("count", [12, 24])
 def test_the_area_that_straight_cells_cut_off(folder: Path, count: int) -> None:
-    """A regular polygon is smaller than its circle by pi - n/2 sin(2 pi/n) times the radius squared.
+    """A regular polygon is smaller than its circle by (pi - n/2 sin(2 pi/n)) r^2.
 
     Both rules are of the third order in the angle: 2 and 0.4 % of the area itself, 0.5 times
     the square of the angle.
@@ -155,7 +158,9 @@ def test_the_area_that_straight_cells_cut_off(folder: Path, count: int) -> None:
         shape = body.boundary_shape
         areas = facet_areas(body.mesh, shape.facets)
         found = COMM.allreduce(float(areas @ shape.gap))
-        assert found == pytest.approx(exact, rel=0.5 * (2 * np.pi / count) ** 2 if body is not made else 0.2)
+        assert found == pytest.approx(
+            exact, rel=0.5 * (2 * np.pi / count) ** 2 if body is not made else 0.2
+        )
     assert (read_body(folder / "disk.brep", size=size).boundary_shape.gap == 0).all()
 
 

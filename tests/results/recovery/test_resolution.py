@@ -272,9 +272,9 @@ def test_console_and_summary_say_the_same(folder: Path, caplog: Any) -> None:
         if COMM.rank == 0:
             for text in error["reservations"]:
                 label, _, rest = text.partition(": ")
-                assert any(
-                    label in line and rest in line for line in caplog.text.splitlines()
-                ), text
+                assert any(label in line and rest in line for line in caplog.text.splitlines()), (
+                    text
+                )
         if cells == 1:
             assert error["von_mises"]["error"] is None
             assert error["safety_factor"]["error"] is None

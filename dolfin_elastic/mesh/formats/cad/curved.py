@@ -74,7 +74,7 @@ def exact_normals(gmsh: ModuleType, dim: int) -> list[tuple[int, FloatArray]]:
     found = []
     for _, tag in gmsh.model.getEntities(dim - 1):
         kinds, _, nodes = gmsh.model.mesh.getElements(dim - 1, tag)
-        rows = [np.empty((0, dim), dtype=np.int64)]
+        rows: list[IntArray] = [np.empty((0, dim), dtype=np.int64)]
         for kind, of_kind in zip(kinds, nodes, strict=True):
             width = gmsh.model.mesh.getElementProperties(kind)[3]
             rows.append(np.asarray(of_kind, dtype=np.int64).reshape(-1, width)[:, :dim])
@@ -92,17 +92,19 @@ def _at_nodes(gmsh: ModuleType, dim: int, tag: int) -> tuple[IntArray, FloatArra
     try:
         tags, _, t = gmsh.model.mesh.getNodes(dim - 1, tag, True, True)
         if dim == 3:
-            normals = np.asarray(gmsh.model.getNormal(tag, t)).reshape(-1, 3)
+            normals: FloatArray = np.asarray(gmsh.model.getNormal(tag, t)).reshape(-1, 3)
         else:
             along = np.asarray(gmsh.model.getDerivative(1, tag, t)).reshape(-1, 3)
             normals = np.column_stack([along[:, 1], -along[:, 0], np.zeros(len(along))])
     except Exception:  # Gmsh's own error: a surface without parameters
         tags, normals = [], np.empty((0, 3))
-    if len(tags) != len(normals) or not len(tags):
+    if len(tags) != len(normals) or not tags:
         return np.zeros(1, dtype=np.int64), np.full((1, 3), np.nan)  # no node has the number 0
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     good = np.isfinite(length) & (length > 0)
-    return np.asarray(tags, dtype=np.int64), np.where(good, normals / np.where(good, length, 1), np.nan)
+    return np.asarray(tags, dtype=np.int64), np.where(
+        good, normals / np.where(good, length, 1), np.nan
+    )
 
 
 _EDGES = {

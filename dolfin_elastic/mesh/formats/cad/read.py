@@ -94,7 +94,9 @@ def _with_normals(block: Block, dim: int, normals: Mapping[int, FloatArray]) -> 
         normals: Number of a face to its normals.
     """
     found = normals.get(block.entity) if block.dim == dim - 1 else None
-    return block if found is None or len(found) != len(block.nodes) else replace(block, normals=found)
+    return (
+        block if found is None or len(found) != len(block.nodes) else replace(block, normals=found)
+    )
 
 
 def convert_msh(path: Path, permission: Permission) -> MeshFile:

@@ -39,6 +39,7 @@ _STEP = 1.1
 """Factor by which the smallest size is raised until there are few enough cells."""
 _PLAIN = ("Plane", "Line")
 
+
 def set_sizes(
     gmsh: ModuleType, dim: int, local: Sequence[LocalField], *, whole: float, name: str
 ) -> None:
@@ -180,9 +181,7 @@ def set_default_size(gmsh: ModuleType, dim: int) -> DefaultSize:
     )
 
 
-def _measured(
-    gmsh: ModuleType, faces: Sequence[tuple[int, int]]
-) -> tuple[FloatArray, FloatArray]:
+def _measured(gmsh: ModuleType, faces: Sequence[tuple[int, int]]) -> tuple[FloatArray, FloatArray]:
     """Areas, and radii of the largest curvature, of the faces for which Gmsh knows both."""
     found = []
     for dim, tag in faces:
