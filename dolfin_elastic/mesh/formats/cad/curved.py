@@ -97,8 +97,8 @@ def _at_nodes(gmsh: ModuleType, dim: int, tag: int) -> tuple[IntArray, FloatArra
             along = np.asarray(gmsh.model.getDerivative(1, tag, t)).reshape(-1, 3)
             normals = np.column_stack([along[:, 1], -along[:, 0], np.zeros(len(along))])
     except Exception:  # Gmsh's own error: a surface without parameters
-        tags, normals = [], np.empty((0, 3))
-    if len(tags) != len(normals) or not tags:
+        normals = np.empty((0, 3))
+    if not len(normals) or len(tags) != len(normals):
         return np.zeros(1, dtype=np.int64), np.full((1, 3), np.nan)  # no node has the number 0
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     good = np.isfinite(length) & (length > 0)
