@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
 
@@ -135,6 +134,9 @@ class Body:
     unit: LengthUnit = METRE
     information: tuple[str, ...] = ()
     known_surface: KnownSurface | None = None
+    _shapes: list[BoundaryShape] = field(
+        default_factory=list, init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         tables = ("regions", "surfaces", "edges", "points", "uncovered", "incomplete")
@@ -157,11 +159,6 @@ class Body:
     def num_cells(self) -> int:
         """Number of cells on all ranks."""
         return int(self.mesh.topology.index_map(self.mesh.topology.dim).size_global)
-
-    @cached_property
-    def boundary_shape(self) -> BoundaryShape:
-        """Edges and arcs of the boundary. Collective."""
-        return BoundaryShape(self.mesh, self.known_surface)
 
     # --- named parts ---
 
@@ -332,6 +329,13 @@ class Body:
             edges={**self.edges, **(edges or {})},
             points={**self.points, **(points or {})},
         )
+
+
+def boundary_shape(body: Body) -> BoundaryShape:
+    """Edges and arcs of a body's boundary; found once. Collective."""
+    if not body._shapes:
+        body._shapes.append(BoundaryShape(body.mesh, body.known_surface))
+    return body._shapes[0]
 
 
 def spelling(body: Body, name: str) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from dolfinx.mesh import Mesh
 
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
-from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.body import Body, boundary_shape
 from dolfin_elastic.mesh.faces import CadFaces
 from dolfin_elastic.mesh.geometry.boundary_shape import KnownSurface, facet_ridges, facet_vertices
 from dolfin_elastic.mesh.geometry.ridges import cell_ridges
@@ -136,7 +136,7 @@ def carry_surface(
         corners: In the parents.
         of_parents: To finer cells.
     """
-    shape, d, count = body.boundary_shape, body.dim, len(body.mesh.geometry.dofmap)
+    shape, d, count = boundary_shape(body), body.dim, len(body.mesh.geometry.dofmap)
     known, vertices = shape.known(), facet_vertices(body.dim)
     assert known.arcs is not None  # since it is of a shape
     _, of_facets = cells_beside_facets(body.mesh, shape.facets)

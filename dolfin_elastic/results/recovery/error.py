@@ -47,6 +47,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.mesh.body import boundary_shape
 from dolfin_elastic.mesh.geometry.curved import (
     cell_volumes,
     facet_areas,
@@ -188,7 +189,7 @@ def _cut_off(problem: Problem, elastic: FloatArray) -> float:
         problem: The problem that is solved.
         elastic: Strain energy in the owned cells [J].
     """
-    mesh, shape = problem.body.mesh, problem.body.boundary_shape
+    mesh, shape = problem.body.mesh, boundary_shape(problem.body)
     if mesh.geometry.cmap.degree > 1:
         return 0.0
     density = elastic / cell_volumes(mesh)[: len(elastic)]

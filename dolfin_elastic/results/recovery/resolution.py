@@ -23,6 +23,7 @@ from dolfinx import fem
 
 from dolfin_elastic.core.parallel import RankExchange
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.mesh.body import boundary_shape
 from dolfin_elastic.mesh.geometry.simplices import (
     cells_beside_facets,
     facet_corners,
@@ -67,7 +68,7 @@ class Resolution:
 
 def resolution(problem: Problem) -> Resolution:
     """Of the mesh of a problem. Collective."""
-    shape, V, d = problem.body.boundary_shape, problem.V, problem.body.dim
+    shape, V, d = boundary_shape(problem.body), problem.V, problem.body.dim
     turn, bend = shape.turn, shape.bend
     length = longest_edges(facet_corners(problem.body.mesh, shape.facets))
     sharp = np.maximum(_LEAST, _SHARP * np.maximum(-bend * length, 0.0) ** _EXPONENT)

@@ -37,7 +37,7 @@ from dolfinx import fem, la
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
-from dolfin_elastic.mesh.body import cell_size
+from dolfin_elastic.mesh.body import boundary_shape, cell_size
 from dolfin_elastic.mesh.geometry.boundary_shape import EDGE
 from dolfin_elastic.mesh.geometry.curved import facet_areas
 from dolfin_elastic.mesh.geometry.ridges import Ridges
@@ -187,7 +187,7 @@ def _at_surface(
         held in all and in some directions, by each support, whether it presses each obstacle and
         might, Poisson's ratio.
     """
-    shape = problem.body.boundary_shape
+    shape = boundary_shape(problem.body)
     facts = np.column_stack(
         [
             np.ones(len(shape.facets)),

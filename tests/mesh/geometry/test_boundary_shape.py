@@ -14,6 +14,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh import Body, read_body
+from dolfin_elastic.mesh.body import boundary_shape
 from dolfin_elastic.mesh.geometry.curved import facet_areas
 from dolfin_elastic.mesh.geometry.simplices import facet_corners
 from dolfin_elastic.mesh.refine.refinement import refine_body
@@ -26,7 +27,8 @@ def lengths_of_edges(body: Body) -> dict[int, float]:
 
     Collective.
     """
-    shape, x = body.boundary_shape, facet_corners(body.mesh, body.boundary_shape.facets)
+    shape = boundary_shape(body)
+    x = facet_corners(body.mesh, shape.facets)
     sides = np.stack([x[:, (k + 2) % 3] - x[:, (k + 1) % 3] for k in range(3)], axis=1)
     lengths = np.linalg.norm(sides, axis=2) / 2 / body.unit.metres
     angles = np.round(np.degrees(shape.angles)).astype(int)
@@ -58,7 +60,7 @@ def test_re_entrant_edges_are_those_of_the_file(folder: Path, curved: bool) -> N
         found = lengths_of_edges(one)
         assert set(found) == {90, 270}
         assert found[270] == pytest.approx(10 + 4 * np.pi, rel=0.03)
-        assert one.boundary_shape.exact.all()
+        assert boundary_shape(one).exact.all()
     at = [on_ranks(n, lambda comm: _of(comm, folder / "boss.step", curved)) for n in SIZES]
     for other in at[1:]:
         assert other == pytest.approx(at[0])
@@ -75,11 +77,11 @@ def test_a_fillet_is_no_edge_however_coarse_it_is(folder: Path, size: float) -> 
     for curved in (True, False):
         body = read_body(folder / "angle.step", size=size, curved=curved)
         assert set(lengths_of_edges(body)) == {90}
-        (finer, turn) = (refine_body(body, body.owned_cells()).body, body.boundary_shape.turn)
+        (finer, turn) = (refine_body(body, body.owned_cells()).body, boundary_shape(body).turn)
         assert set(lengths_of_edges(finer)) == {90}
         most = max(COMM.allgather(np.degrees(turn.max(initial=0.0))))
         assert most < 45 if size == 1 else most > 45
-        sharpest = min(COMM.allgather(body.boundary_shape.bend.min(initial=0.0)))
+        sharpest = min(COMM.allgather(boundary_shape(body).bend.min(initial=0.0)))
         assert sharpest == pytest.approx(-1 / 1.5e-3, rel=0.05) or size == 9  # of the hole
 
 
@@ -125,7 +127,7 @@ def test_arcs_of_facets(folder: Path, turns: list[float], arc: bool) -> None:
     on_root(COMM, lambda: notched(path, turns))
     body = read_body(path)
     for one in (body, refine_body(body, body.owned_cells()).body):
-        shape = one.boundary_shape
+        shape = boundary_shape(one)
         re_entrant = (shape.angles > np.pi + 1e-3) & ~shape.smooth
         count = COMM.allreduce(int(np.count_nonzero(re_entrant)))
         assert (count == 0) == arc
@@ -155,13 +157,13 @@ def test_the_area_that_straight_cells_cut_off(folder: Path, count: int) -> None:
     given = read_body(folder / "disk.msh")
     made = read_body(folder / "disk.brep", size=size, curved=False)
     for body in (given, made, refine_body(given, given.owned_cells()).body):
-        shape = body.boundary_shape
+        shape = boundary_shape(body)
         areas = facet_areas(body.mesh, shape.facets)
         found = COMM.allreduce(float(areas @ shape.gap))
         assert found == pytest.approx(
             exact, rel=0.5 * (2 * np.pi / count) ** 2 if body is not made else 0.2
         )
-    assert (read_body(folder / "disk.brep", size=size).boundary_shape.gap == 0).all()
+    assert (boundary_shape(read_body(folder / "disk.brep", size=size)).gap == 0).all()
 
 
 def test_the_volume_that_straight_cells_cut_off(folder: Path) -> None:
@@ -171,7 +173,7 @@ def test_the_volume_that_straight_cells_cut_off(folder: Path) -> None:
     bare = Body(body.mesh)
     volume = COMM.allreduce(float(_volume(body)))
     for one in (body, bare):
-        shape = one.boundary_shape
+        shape = boundary_shape(one)
         found = COMM.allreduce(float(facet_areas(one.mesh, shape.facets) @ shape.gap))
         assert found == pytest.approx(4 / 3 * np.pi - volume, rel=0.05)
 

@@ -163,7 +163,7 @@ def read_normals(
     values = np.fromfile(folder / NORMALS, dtype="<f8")
     ends = np.cumsum([0, *(int(count) for _, count in counts)])
     if len(values) != ends[-1] * dim * 3:
-        raise MeshError("Gmsh's normals are damaged")
+        raise MeshError("Gmsh has not written the normals of the faces")
     rows = values.reshape(-1, dim, 3)
     return {int(counts[i][0]): rows[ends[i] : ends[i + 1]] for i in range(len(counts))}
 
