@@ -219,21 +219,22 @@ class BoundaryShape:
 
     @cached_property
     def bend(self) -> FloatArray:
-        """About the curvature of each facet's surface [1/m], negative where it is re-entrant.
+        """Largest curvature of each facet's surface [1/m], negative where it is re-entrant. Local.
 
-        That across the edge along which the surface turns most: 2 sin(turn/2) over its chord; shape
-        (facets,).  Local.
+        That of the linear map from steps in the facet to changes of the normal, which is exact on
+        cylinders and spheres; shape (facets,).
         """
-        mesh, d = self._mesh, self._mesh.topology.dim
-        x, normals = facet_corners(mesh, self.facets), self._corner_normals()
-        best: FloatArray = np.zeros(len(self.facets))
-        for i in range(d):
-            for j in range(i):
-                chord = x[:, j] - x[:, i]
-                rise = np.sum((normals[:, j] - normals[:, i]) * chord, axis=1)
-                one = rise / np.sum(chord**2, axis=1)
-                best = np.where(np.abs(one) > np.abs(best), one, best)
-        return best
+        x, normals = facet_corners(self._mesh, self.facets), self._corner_normals()
+        steps, changes = x[:, 1:] - x[:, :1], normals[:, 1:] - normals[:, :1]
+        if self._mesh.topology.dim == 2:
+            return np.asarray(np.sum(steps * changes, axis=(1, 2)) / np.sum(steps**2, axis=(1, 2)))
+        first = _unit(steps[:, 0])
+        plane = np.stack([first, _unit(_without(steps[:, 1], first))], axis=2)
+        changes, steps = changes @ plane, steps @ plane
+        found = np.linalg.solve(steps, changes)
+        values = np.linalg.eigvalsh((found + np.swapaxes(found, 1, 2)) / 2)
+        largest = np.argmax(np.abs(values), axis=1)[:, None]
+        return np.asarray(np.take_along_axis(values, largest, axis=1)[:, 0])
 
     def _corner_normals(self) -> FloatArray:
         """Normals at the corners, exact or about those of the facets; shape (facets, d, d)."""
