@@ -120,7 +120,7 @@ class EquilibriumAuditor:
         if external:
             force = self._force_balance(external, noise, reasons)
             moment = self._moment_balance(external, noise, reasons)
-            if self._previous is None and reasons:  # loads that are on before anything has moved
+            if self._previous is None and self._begins_out_of_balance(forces, noise):
                 reasons.clear()
                 forces, self._out_of_balance = self._internal_forces(forces.shape), True
         if self._previous is not None:  # what begins in an obstacle has not been pushed out yet
@@ -244,6 +244,19 @@ class EquilibriumAuditor:
         a = self._assembler
         forces = a.residual.owned + a.reactions.loads() + a.reactions.restraints()
         return np.asarray(forces[a.displacement_dofs].reshape(shape))
+
+    def _begins_out_of_balance(self, forces: FloatArray, noise: float) -> bool:
+        """Whether loads or obstacles push before anything has moved. Collective.
+
+        Node by node: in sum the forces of a ring that is pressed on a shaft cancel each other.
+
+        Args:
+            forces: External nodal forces [N].
+            noise: Round-off of forces [N].
+        """
+        off = forces - self._internal_forces(forces.shape)
+        left, size = total(self._comm, np.array([np.sum(off**2), np.sum(forces**2)]))
+        return bool(np.sqrt(left) > FORCE_TOLERANCE * np.sqrt(size) + noise)
 
     def _check_contacts(self, reasons: Found) -> None:
         """No node that presses is farther off its obstacle than the tolerance. Collective."""

@@ -15,6 +15,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import (
     BodyForce,
+    Case,
     Dynamics,
     LinearElastic,
     NeoHookean,
@@ -158,6 +159,52 @@ def test_load_that_is_on_from_the_start(said):
         found = audits(block(law, loads=[load]), steps=2)
         assert [audit.verdict for audit in found] == ["pass"] * 3
     assert not [line for line in said if line.startswith("audit")]
+
+
+SHAFT = {"axis": "y", "point": [0, 0], "radius": "20.0025 mm"}
+WALLS = {"left": [1, 0, 0], "right": [-1, 0, 0]}
+PRESSED = {
+    "ring on a shaft": {
+        "mesh": {
+            "rectangle": {"size": [10, 20], "cells": [6, 4], "origin": [20, 0]},
+            "geometry": "axisymmetric",
+        },
+        "support": [{"on": "bottom", "kind": "normal"}],
+        "contact": [{"on": "left", "cylinder": SHAFT}],
+    },
+    "block between walls": {
+        "mesh": {"box": {"size": [20, 20, 20], "cells": [2, 2, 2], "origin": [-10, 0, 0]}},
+        "support": [{"on": name, "kind": "normal"} for name in ("bottom", "front")],
+        "contact": [
+            {"on": name, "plane": {"normal": n, "point": [-9.9975e-3 * n[0], 0, 0]}}
+            for name, n in WALLS.items()
+        ],
+    },
+}
+"""Bodies of steel that begin 2.5 um deep in rigid obstacles, whose forces cancel in sum."""
+
+
+@pytest.mark.parametrize("name", PRESSED)
+def test_begins_in_an_obstacle(name: str, said: list[str]) -> None:
+    """The work of the obstacle is the stored energy: the law is linear, and the forces begin at 0.
+
+    As far as the last Newton step, which brings the nodes to 1 nm from the obstacle.
+    """
+    tables: dict[str, Any] = PRESSED[name]
+    case = Case.from_dict(
+        {
+            "materials": {"steel": {"law": "linear-elastic", "E": "210 GPa", "nu": 0.3}},
+            **tables,
+            "mesh": {**tables["mesh"], "unit": "mm"},
+            "contact": [{**row, "gap_tolerance": "1 nm"} for row in tables["contact"]],
+        }
+    )
+    problem = case.make_problem(case.read_body(COMM))
+    *_, state = case.make_solver(problem).steps()
+    assert state.audit is not None
+    assert state.audit.verdict_so_far == "pass", state.audit.so_far
+    assert state.audit.work == pytest.approx(state.energies["strain"], rel=1e-3)
+    assert not said
 
 
 def test_path_over_a_maximum_passes():
