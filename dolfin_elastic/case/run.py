@@ -16,7 +16,12 @@ from mpi4py import MPI
 from dolfin_elastic.case.case import Case, locate_errors
 from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.case.check.formulas import check_poles
-from dolfin_elastic.case.check.initial_state import contact_notes, tie_notes
+from dolfin_elastic.case.check.initial_state import (
+    contact_notes,
+    mesh_notes,
+    tie_notes,
+    untied_notes,
+)
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.loads import LoadSum, load_sums, stress_notes
 from dolfin_elastic.case.check.mesh_quality import bending_notes, shape_notes
@@ -365,7 +370,7 @@ def log_notes(case: Case, body: Body) -> list[str]:
     """
     for text in (*body.information, *unit_information(case, body)):
         log.info("mesh: %s", text)
-    notes = [*(f"mesh: {note}" for note in body.notes), *check(case, body)]
+    notes = [*(f"mesh: {note}" for note in mesh_notes(case, body)), *check(case, body)]
     for note in notes:
         log.warning("%s", note)
     return notes
@@ -389,7 +394,8 @@ def check_problem(case: Case, problem: Problem) -> tuple[list[str], tuple[LoadSu
     with locate_errors(case.file):
         check_poles(case, integrals)
     finders = tie_notes, contact_notes, bending_notes, shape_notes
-    notes = [note for find in finders for note in find(case, problem)]
+    notes = [f"mesh: {note}" for note in untied_notes(case, problem)]
+    notes += [note for find in finders for note in find(case, problem)]
     sums: tuple[LoadSum, ...] = ()
     with suppress(CaseError):  # of a load without a value at some time: the run finds it, or not
         sums = load_sums(case, integrals)

@@ -14,9 +14,10 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest, smallest
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.units import LengthUnit
-from dolfin_elastic.mesh.body import span
+from dolfin_elastic.mesh.body import Body, span
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.model.contact import Contact
+from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
@@ -59,6 +60,10 @@ class ContactGap:
     obstacle: str
     gap: float
     place: tuple[float, ...]
+
+
+_TIE = "[[tie]]"
+"""What joins bodies, in the notes of meshes that are not joined."""
 
 
 def contact_gaps(case: Case, problem: Problem) -> tuple[ContactGap, ...]:
@@ -110,6 +115,27 @@ def tie_notes(case: Case, problem: Problem) -> Iterator[str]:
                 f"of '{'+'.join(tie.others)}' lies opposite within the tolerance; if they should "
                 "be, give a larger `tolerance`, and name the smaller surface as `on`"
             )
+
+
+def mesh_notes(case: Case, body: Body) -> list[str]:
+    """What is doubtful in the mesh; with ties, not yet what they may join. Local.
+
+    Args:
+        case: The case.
+        body: Its body.
+    """
+    return [note for note in body.notes if not (case.tie and _TIE in note)]
+
+
+def untied_notes(case: Case, problem: Problem) -> Iterator[str]:
+    """Bodies of the mesh that are not joined, where the ties of the case do not. Collective.
+
+    Args:
+        case: The case.
+        problem: Made of it.
+    """
+    if case.tie and ConnectedBodies(problem).count > 1:
+        yield from (note for note in problem.body.notes if _TIE in note)
 
 
 def touching_notes(problem: Problem) -> Iterator[str]:

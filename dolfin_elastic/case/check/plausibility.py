@@ -18,6 +18,7 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.core.units import MeshLength
 from dolfin_elastic.mesh.body import Body, cell_size, extent
 from dolfin_elastic.mesh.criteria import BoundingBox, bounding_box
+from dolfin_elastic.mesh.geometry.simplices import facet_nodes, outward_normals, prepare_facets
 from dolfin_elastic.mesh.point_selection import vertices_of
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.loads import ConcentratedLoad, Load
@@ -385,6 +386,7 @@ def _contradictions(case: Case, body: Body) -> Iterator[str]:
         if isinstance(support, PrescribingSupport)
         and NORMAL not in support.prescribed_components(body.dim)
     ]
+    yield from _contradictions_along_normals(case, body)
     for (i, one, first), (j, two, second) in combinations(supports, 2):
         shared = np.intersect1d(first, second)
         x = np.asarray(body.mesh.geometry.x[shared])
@@ -393,13 +395,72 @@ def _contradictions(case: Case, body: Body) -> Iterator[str]:
         for k in {*one.prescribed_components(body.dim)} & {*two.prescribed_components(body.dim)}:
             difference = _final_value(case, one, k, x) - _final_value(case, two, k, x)
             differs |= np.abs(difference) > tolerance
-        owned = shared < body.mesh.geometry.index_map().size_local
-        if count := int(total(body.comm, int(np.count_nonzero(differs & owned)))):
-            yield (
-                f"support[{i}] and support[{j}] prescribe different displacements at "
-                f"{count} corner{'s' if count > 1 else ''} of cells that both hold: the later one "
-                "counts"
-            )
+        yield from _told_of_both(body, i, j, shared[differs])
+
+
+def _contradictions_along_normals(case: Case, body: Body) -> Iterator[str]:
+    """Displacements that move nodes along a normal that another support prescribes. Collective.
+
+    Of curved surfaces facets are compared, whose normals are not those of the nodes: only what
+    moves along the normal more than across it counts there.
+    """
+    dim = body.dim
+    along = [
+        (i, one)
+        for i, one in enumerate(case.support)
+        if isinstance(one, PrescribingSupport) and NORMAL in one.prescribed_components(dim)
+    ]
+    others = [
+        (j, two, _vertices(body, two))
+        for j, two in enumerate(case.support)
+        if isinstance(two, PrescribingSupport) and NORMAL not in two.prescribed_components(dim)
+    ]
+    if not (along and others):  # normals take long in large meshes
+        return
+    prepare_facets(body.mesh)
+    for i, one in along:
+        facets = np.unique(np.concatenate([body.surfaces[name] for name in one.surfaces]))
+        facets = facets.astype(np.int32)
+        nodes, normals = facet_nodes(body.mesh, facets), outward_normals(body.mesh, facets)
+        normals = np.repeat(normals, nodes.shape[1], axis=0)
+        flat = _are_parallel(body, normals)
+        for j, two, held in others:
+            here = np.isin(nodes.ravel(), held)
+            at, n = nodes.ravel()[here], normals[here]
+            x = np.asarray(body.mesh.geometry.x[at])
+            u, known = np.zeros((len(at), dim)), np.zeros(dim, dtype=bool)
+            for k in two.prescribed_components(dim):
+                u[:, k], known[k] = _final_value(case, two, k, x), True
+            off = np.abs(np.sum(u * n, axis=1) - _final_value(case, one, NORMAL, x))
+            off[np.abs(n[:, ~known]).max(axis=1, initial=0.0) > 1e-9] = 0.0  # free along n
+            least = 1e-9 * max(extent(body))
+            across = 0.0 if flat else 0.5 * np.linalg.norm(u, axis=1)
+            yield from _told_of_both(body, *sorted((i, j)), np.unique(at[off > least + across]))
+
+
+def _are_parallel(body: Body, normals: FloatArray) -> bool:
+    """Whether all of some unit normals are the same. Collective."""
+    mean = total(body.comm, normals.sum(axis=0))
+    mean = mean / max(float(np.linalg.norm(mean)), 1e-300)
+    return not total(body.comm, int(np.count_nonzero(normals @ mean < 1 - 1e-9)))
+
+
+def _told_of_both(body: Body, i: int, j: int, nodes: IndexArray) -> Iterator[str]:
+    """That two supports differ at some nodes, if they do on any rank. Collective.
+
+    Args:
+        body: The body.
+        i: Number of a support.
+        j: Number of a later one.
+        nodes: Local nodes of the geometry, ghosts too.
+    """
+    owned = nodes[nodes < body.mesh.geometry.index_map().size_local]
+    if count := int(total(body.comm, len(owned))):
+        yield (
+            f"support[{i}] and support[{j}] prescribe different displacements at "
+            f"{count} corner{'s' if count > 1 else ''} of cells that both hold: the later one "
+            "counts"
+        )
 
 
 def _final_value(

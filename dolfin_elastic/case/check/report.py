@@ -16,10 +16,12 @@ from dolfin_elastic.case.check.initial_state import (
     check_supports,
     contact_gaps,
     contact_notes,
+    mesh_notes,
     start_notes,
     tie_information,
     tie_notes,
     touching_notes,
+    untied_notes,
 )
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.loads import LoadSum, load_sums, stress_notes
@@ -252,7 +254,8 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
         points=lower_sizes(case, integrals, "point"),
         regions=region_sizes(case, body, integrals),
         notes=(
-            *body.notes,
+            *mesh_notes(case, body),
+            *untied_notes(case, problem),
             *notes,
             *stability_notes(case),
             *locking_notes(body, problem.regions, problem.degree, problem.geometry),

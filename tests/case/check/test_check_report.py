@@ -595,6 +595,15 @@ THICK = {"law": "linear-elastic", "E": E, "nu": 0.3}
             {"support": [{"on": "bottom"}, {"on": "right", "displacement": ["1 mm", FREE, FREE]}]},
             "support[0] and support[1] prescribe different displacements at 2 corners",
         ),
+        (
+            {
+                "support": [
+                    {"on": "bottom", "kind": "normal"},
+                    {"on": "right", "displacement": [0, 0, "1 mm"]},
+                ]
+            },
+            "support[0] and support[1] prescribe different displacements at 2 corners",
+        ),
     ],
 )
 def test_implausible_values(tables, start):

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.decks import box, inp_text, made, shared_folder
+from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check.report import report
-from dolfin_elastic.case.run import run
+from dolfin_elastic.case.run import check_problem, log_notes, run
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.state import State
 
@@ -56,6 +57,27 @@ def test_bodies_that_touch_are_named_by_their_surfaces(folder: Path) -> None:
     assert not any("of two bodies touch" in note for note in tied.notes)
     assert "tie 'tie_foot': 9e-06 m^2, gap at most 0 m, which is kept" in tied.information
     assert len(tied.bodies) == 1
+
+
+BOXES = """\
+SetFactory("OpenCASCADE");
+Box(1) = {0, 0, 0, 4, 4, 2};
+Box(2) = {0, 0, 2, 4, 4, 2};
+Physical Volume("lower") = {1};
+Physical Volume("upper") = {2};
+"""
+
+
+def test_solids_of_cad_that_are_tied(folder: Path) -> None:
+    """That their meshes are not joined is said where no tie joins them, by `check` and `run`."""
+    made(lambda: (folder / "boxes.geo").write_text(BOXES))
+    mesh, told = {"file": "boxes.geo", "unit": "mm", "size": 2}, "meshes are not joined there"
+    for tie, known in (([], True), ([{"on": "foot", "to": "table"}], False)):
+        asked = case(folder, mesh=mesh, tie=tie)
+        assert any(told in note for note in report(asked).notes) == known
+        body = asked.read_body(MPI.COMM_WORLD)
+        notes = [*log_notes(asked, body), *check_problem(asked, asked.make_problem(body))[0]]
+        assert any(told in note for note in notes) == known
 
 
 def test_parts_that_lie_opposite_nothing_are_noted(folder: Path) -> None:
