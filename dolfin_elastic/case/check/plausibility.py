@@ -435,7 +435,9 @@ def _contradictions_along_normals(case: Case, body: Body) -> Iterator[str]:
             off[np.abs(n[:, ~known]).max(axis=1, initial=0.0) > 1e-9] = 0.0  # free along n
             least = 1e-9 * max(extent(body))
             across = 0.0 if flat else 0.5 * np.linalg.norm(u, axis=1)
-            yield from _told_of_both(body, *sorted((i, j)), np.unique(at[off > least + across]))
+            yield from _told_of_both(
+                body, min(i, j), max(i, j), np.unique(at[off > least + across])
+            )
 
 
 def _are_parallel(body: Body, normals: FloatArray) -> bool:
