@@ -233,6 +233,10 @@ class EnergyBalance:
             return 0.0
         return (balance - math.copysign(noise, balance)) / self.scale
 
+    def renew_loads(self) -> None:
+        """Forgets the constant loads, which a program may have changed. Not collective."""
+        self._constant_loads = None
+
     def _potential(self) -> float:
         """Potential of constant loads: minus their forces times the displacement [J]."""
         moves = self._moving.displacement_dofs

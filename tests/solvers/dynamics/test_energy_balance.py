@@ -9,6 +9,7 @@ import pytest
 import ufl
 from dolfinx import fem
 from mpi4py import MPI
+from ufl.algorithms.analysis import extract_constants
 
 from dolfin_elastic import (
     Buckling,
@@ -28,6 +29,7 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.case.check.report import report
+from dolfin_elastic.core.compat import integration_entities
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.breakpoints import driven_by_formula
@@ -255,3 +257,41 @@ def test_rigid_surfaces_are_told_of(scheme: str, comm: MPI.Comm) -> None:
     assert last.numbers["hinge_rz"] == pytest.approx(0.005, rel=1e-9)
     inertia = 200 * (1 + 0.04) / 12 + 200 * 0.25
     assert np.mean(moments) == pytest.approx(inertia, rel=0.08)
+
+
+SCHEMES = [("generalized-alpha", {}), ("alpha2", {}), ("newmark", {})]
+
+
+@pytest.mark.parametrize(("scheme", "keys"), SCHEMES, ids=[name for name, _ in SCHEMES])
+def test_a_load_that_a_program_changes(scheme: str, keys: dict[str, Any], comm: MPI.Comm) -> None:
+    """Ten times the load from one state on: its work begins with the new force, and is balanced.
+
+    With the mean of both forces over the step of the change, 10 % of the energy are missing.
+    """
+    problem = strip(
+        comm, supports=[Support(on="left")], loads=[Traction(on="right", value=[0, -100.0])]
+    )
+    (load,) = (
+        constant
+        for constant in extract_constants(problem.weak_form.residual)
+        if constant.ufl_shape == (2,) and constant.value[1] == -100.0
+    )
+    state: Any = None
+    for state in Dynamics(problem, end=0.6, dt=0.01, scheme=scheme, **keys).steps():
+        if state.step == 20:
+            load.value[1] *= 10.0
+    assert state.audit.verdict_so_far == "pass", state.audit.so_far
+    assert abs(state.energies["balance"]) < 2e-2 * state.energies["total"]
+    tip = -10.0 * 100.0 * 0.2 * mean_at_the_end(problem)
+    assert state.energies["potential"] == pytest.approx(-tip, rel=1e-9)
+
+
+def mean_at_the_end(problem: Problem) -> float:
+    """Mean displacement along y of the loaded end [m]."""
+    ds = ufl.Measure("ds", problem.body.mesh, subdomain_data=[(1, ends(problem))])(1)
+    own = fem.assemble_scalar(fem.form(problem.u[1] * ds))
+    return float(problem.body.comm.allreduce(own)) / 0.2
+
+
+def ends(problem: Problem) -> np.ndarray:
+    return integration_entities(problem.body.mesh, problem.body.owned_facets("right"))

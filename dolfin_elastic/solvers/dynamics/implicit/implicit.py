@@ -306,14 +306,32 @@ class Implicit:
         if saved is None:
             self._begin()
             yield self._state()
+            self._renew_loads()
         else:
             with restoring(saved):
                 self.restore(saved)
         while not self.times.ended(float(self.ts.getTime())):
             self._march()
             yield self._state()
+            self._renew_loads()
             self._newton = self._krylov = 0
         self._output.finish()
+
+    def _renew_loads(self) -> None:
+        """Takes over loads that a program has changed while it had the state. Collective.
+
+        The motion goes on from there as from a start: with the acceleration of the new forces.
+        """
+        t = float(self.ts.getTime())
+        self.balance.renew_loads()
+        if self.times.ended(t) or not self.scheme.loads_changed(t):
+            return
+        with stage("solve"):
+            h = min(self.control.nominal / 8, AHEAD * self.settings.end)
+            find_initial_acceleration(self.moving, self.v, self.a, h)
+        self.problem.set_time(t)
+        self.scheme.start(t)
+        self.moving.copy_to(self._U, self._V, self.v)
 
     def _begin(self) -> None:
         """Forces and acceleration of the initial state."""

@@ -128,6 +128,14 @@ class ImplicitScheme(ABC):
             t: Time [s].
         """
 
+    def loads_changed(self, t: float) -> bool:
+        """Whether a program has changed the loads at a state that was yielded.
+
+        Args:
+            t: Time of the state [s].
+        """
+        return False
+
     # --- each step ---
 
     def begin_step(self) -> None:  # noqa: B027

@@ -13,6 +13,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError, StoppedError
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.mass import free
 from dolfin_elastic.solvers.dynamics.implicit.impact_error import ImpactError
@@ -27,6 +28,9 @@ from dolfin_elastic.solvers.dynamics.residual import Forces
 from dolfin_elastic.solvers.petsc.c_api import choose_step
 
 log = logging.getLogger("dolfin_elastic")
+
+CHANGED = 1e-9
+"""Relative change of the loads at one time from which a program has changed them."""
 
 
 class GeneralizedAlphaScheme(ImplicitScheme):
@@ -77,6 +81,19 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         """
         if not self._midpoint:
             self._end_forces = self._forces_at(t)
+
+    def loads_changed(self, t: float) -> bool:
+        """See `ImplicitScheme.loads_changed`.
+
+        Args:
+            t: Time of the state [s].
+        """
+        if self._end_forces is None:
+            return False
+        before, now = self._end_forces.loads, self._forces_at(t).loads
+        sums = np.array([np.sum((now - before) ** 2), np.sum(before**2), np.sum(now**2)])
+        change, *size = total(self.assembler.comm, sums)
+        return bool(change > CHANGED**2 * max(size))
 
     def accept(self) -> StepForces:
         """See `ImplicitScheme.accept`."""
