@@ -153,7 +153,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         self._stages.begin(start.t)
         if self.impact_error is not None:
             self.impact_error.begin(start.t)
-        inverted = self._inverted()
+        inverted = _inverted(self.context)
         for failure in range(FAILURES + 1):
             while (found := self._stages.solve(start, float(ts.getTimeStep()))) is not None:
                 self._advance(*found, U, V)
@@ -219,13 +219,6 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         return StepStart(
             t, w, w[moves], self.v.x.array[:size].copy(), self._a.x.array[:size].copy()
         )
-
-    def _inverted(self) -> bool:
-        """Whether a cell is inside out that must not be.
-
-        False for linear laws, where det F has no meaning.
-        """
-        return not self.problem.linear and self.context.watch.refused()[0] <= 0.0
 
     def _upright_at_end(self) -> bool:
         """Whether det F > 0 where it must be, at the end of the step.
@@ -301,6 +294,14 @@ class GeneralizedAlphaScheme(ImplicitScheme):
             field.x.array[:size] = values
             field.x.scatter_forward()
         self.moving.copy_to(U, V, self.v)
+
+
+def _inverted(context: SchemeContext) -> bool:
+    """Whether a cell is inside out that must not be.
+
+    False for linear laws, where det F has no meaning.
+    """
+    return not context.moving.problem.linear and context.watch.refused()[0] <= 0.0
 
 
 def _of_the_middle(stage: Stage, a: FloatArray) -> tuple[FloatArray, FloatArray]:
