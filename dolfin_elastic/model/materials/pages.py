@@ -74,6 +74,9 @@ def _properties(kind: type[Law]) -> str:
         "Linear: for small strains and rotations.": law.linear,
         "It has no strain energy.": not law.has_energy,
         "It resists inversion: the energy has no value where J <= 0.": law.barrier,
+        "It survives inversion: an inverted cell has a finite stress, which turns it back.": (
+            law.survives_inversion
+        ),
         "Its pressure can be an unknown of its own, for nearly incompressible bodies.": isinstance(
             law, SplitLaw
         ),
