@@ -148,14 +148,16 @@ class EquilibriumAuditor:
             notes: What is not judged, and why.
         """
         low, high = self._watch.extremes()
-        inverted = self._watch.inverted()
+        inverted = self._watch.inverted() if self._watch.survives else None
         if not low[0] > 0.0:
-            at = f"det F = {low[0]:.3g} at {coordinates(low[1])} m"
-            text = f"a cell is inside out: {at}"
-            if self._watch.survives:
-                many = count(self._problem.body.num_cells, "cell")
-                text = f"{inverted} of {many} inverted, smallest {at}"
-            reasons["jacobian"] = Offence(text, -low[0])
+            J, place = low[0], coordinates(low[1])
+            offence = Offence(f"a cell is inside out: det F = {J:.3g} at {place} m", -J)
+            if inverted is not None:
+                cells = count(self._problem.body.num_cells, "cell")
+                offence = Offence(
+                    f"{inverted} of {cells} inverted, smallest det F = {J:.3g} at {place} m", -J
+                )
+            reasons["jacobian"] = offence
         if reasons:
             self._offences.add(reasons, self._when(t))
         audit = Audit(
@@ -164,7 +166,7 @@ class EquilibriumAuditor:
             max_jacobian=high[0],
             min_place=tuple(float(x) for x in low[1][: self._dim]),
             max_place=tuple(float(x) for x in high[1][: self._dim]),
-            inverted=inverted if self._watch.survives else None,
+            inverted=inverted,
             notes=notes,
         )
         return self._offences.judged(audit, reasons) if self._offences.worst else audit
