@@ -80,7 +80,8 @@ def count_negative(newton: Newton, *, exactly: bool = False) -> Found:
         newton: The solver, whose preconditioner or factors may be those of an older tangent.
         exactly: All of them are wanted; else one that is proven is enough.
     """
-    with newton.linear.left_as_it_is():
+    options = newton.options  # of parts of the preconditioner that are made at their first use
+    with options.in_force(), options.elastic_errors(), newton.linear.left_as_it_is():
         tangent = _Tangent(newton)
         found = _count(tangent, exactly=exactly)
         tangent.destroy()

@@ -127,7 +127,8 @@ def try_whole_load(
     """
     newton = retry.newton
     problem = newton.assembler.problem
-    if newton.assembler.max_displacement() > 0.0:
+    ours = newton.ksp.getType() in ("preonly", "cg") or newton.linear.split is not None
+    if not ours or newton.assembler.max_displacement() > 0.0:  # GMRES that the user asks for
         return None
     start = newton.unknowns()
     problem.set_time(end, default=PROPORTIONAL)
