@@ -150,9 +150,7 @@ def bent(body: Body, angle: float, start: float = 0.0) -> Body:
 
 def strip(thickness: float, cells: tuple[int, int], length: float = 1.0) -> Body:
     """Of mean radius 1."""
-    return rectangle_body(
-        size=(thickness, length), cells=cells, origin=(1 - thickness / 2, 0.0)
-    )
+    return rectangle_body(size=(thickness, length), cells=cells, origin=(1 - thickness / 2, 0.0))
 
 
 def ring(share: float, t: float = 0.1) -> Problem:

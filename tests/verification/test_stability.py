@@ -164,9 +164,7 @@ def test_multigrid_stays_positive_definite():
 
 
 @pytest.mark.parametrize(("most", "verdict"), [(200, "stable"), (1, "not judged")])
-def test_summary_and_report(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, most: int, verdict: str
-):
+def test_summary_and_report(folder: Path, monkeypatch: pytest.MonkeyPatch, most: int, verdict: str):
     """`summary.json` has the verdict, the console and the report's page the words."""
     monkeypatch.setattr(negative_curvature, "ITERATIONS", most)
     case = Case.model_validate(

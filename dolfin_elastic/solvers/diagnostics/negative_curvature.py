@@ -230,7 +230,7 @@ class _Tangent:
         return float(total(self.comm, float(np.dot(a, b))))
 
     def spread(self, x: FloatArray) -> FloatArray:
-        """Owned entries of all unknowns, of which pressures are zero and ties follow. Collective."""
+        """Owned entries of all unknowns; pressures are zero, tied ones follow. Collective."""
         self._take(x)
         found = self._x.array_r.copy()
         self._assembler.extend(found)
@@ -339,10 +339,8 @@ def _conjugate_gradients(tangent: _Tangent, directions: _Directions, begin: _Beg
     p, rz = z, tangent.dot(r, z)
     first, ritz = rz, _RitzValues()
     for _ in range(ITERATIONS):
-        if rz == 0.0:
-            return _Ended(definite=True)
-        if rz < 0.0:
-            return _Ended(definite=False, direction=z)
+        if rz <= 0.0:  # nothing is free to move, or the preconditioner itself is negative
+            return _Ended(definite=rz == 0.0, direction=z)
         image = directions.project(tangent.product(p))
         curvature = tangent.dot(p, image)
         if not np.isfinite(curvature):
