@@ -7,7 +7,8 @@
     Path("copy.toml").write_text(case.to_toml())
 
 Bare numbers of places and sizes beside the mesh, under [mesh], [surfaces], [regions], [edges] and
-[points], of probes and of obstacles, are in the mesh's unit; all others are SI.  Any number may be a text with a unit of its own ("2 mm").
+[points], of probes and of obstacles, are in the mesh's unit; all others are SI.  Any number may be
+a text with a unit of its own ("2 mm").
 """
 
 from __future__ import annotations

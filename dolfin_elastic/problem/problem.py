@@ -35,7 +35,7 @@ from dolfin_elastic.problem.constraints.normals import (
 from dolfin_elastic.problem.context import FormContext, Measures
 from dolfin_elastic.problem.eigenstrain import eigenstrains
 from dolfin_elastic.problem.loads.cavities import BodyCavity, make_cavities
-from dolfin_elastic.problem.loads.contact import ContactPair, check_contacts, make_contacts
+from dolfin_elastic.problem.loads.contact import ContactPair, make_contacts, placed_contacts
 from dolfin_elastic.problem.loads.point_loads import NodalLoads
 from dolfin_elastic.problem.loads.pressure_symmetry import follower_pressure_has_potential
 from dolfin_elastic.problem.material_regions import (
@@ -132,9 +132,7 @@ class Problem:
         self.geometry = checked_geometry(geometry, thickness, body)
         order = max(degree, int(body.mesh.geometry.cmap.degree))
         axisymmetric = self.geometry == "axisymmetric"
-        contacts = [contact.in_metres(body.unit.metres) for contact in contacts]
-        if contacts:
-            check_contacts(contacts, body, turned=axisymmetric)
+        contacts = placed_contacts(contacts, body, turned=axisymmetric)
         for where, names in _surfaces_with_normals(self.supports, self.loads, contacts):
             for name in names:
                 if name in body.surfaces:  # unknown names are refused where they are used

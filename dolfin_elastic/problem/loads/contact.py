@@ -276,8 +276,8 @@ def rule(degree: int, dim: int) -> dict[str, object]:
     return {"quadrature_rule": "GLL", "quadrature_degree": 3}
 
 
-def check_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> None:
-    """Raises where a contact does not fit its body. Not collective.
+def placed_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> list[Contact]:
+    """Contacts with their obstacles in metres, all of which fit the body. Not collective.
 
     Args:
         contacts: What the user wrote.
@@ -287,13 +287,15 @@ def check_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> 
     Raises:
         InputError: With the key.
     """
-    for index, contact in enumerate(contacts):
+    placed = [contact.in_metres(body.unit.metres) for contact in contacts]
+    for index, contact in enumerate(placed):
         try:
             contact.check(body.dim, axisymmetric=turned)
             for name in contact.surfaces:
                 body.surface(name)
         except InputError as error:
             raise error.at(f"contact[{index}]") from None
+    return placed
 
 
 def _modulus(region: MaterialRegion) -> float:
