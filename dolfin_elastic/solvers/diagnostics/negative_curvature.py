@@ -48,6 +48,10 @@ _SOLVE, _SOLVE_ITERATIONS = 0.1, 500
 """Relative residual of the solves with the whole tangent, and their iterations: the quotient
 d . A^-1 d is known to a hundredth then, and only its sign counts."""
 
+_WEIGHTS = np.array([1.0, 1.0, 3.0])
+"""Of the noise, of the preconditioned one, and of the smooth part in the right-hand side: with
+equal ones the parts of a mode of the whole body cancelled each other on some meshes."""
+
 _ROUND_OFF = 1e-8
 """Of inner products of vectors of size 1, in the preconditioner's norm."""
 
@@ -406,7 +410,7 @@ class _Begin:
 
 
 def _begin(tangent: _Tangent) -> _Begin:
-    """The sum of the right-hand sides, each of size 1 in the preconditioner's norm. Collective."""
+    """The sum of the right-hand sides, weighted in the preconditioner's norm. Collective."""
     parts, images = tangent.start()
     products = total(tangent.comm, parts @ images.T)
     sizes = np.sqrt(np.abs(np.diag(products)))
@@ -415,7 +419,8 @@ def _begin(tangent: _Tangent) -> _Begin:
     negative = None
     if values[0] < -_ROUND_OFF:
         negative = (vectors[:, 0] * scale) @ images
-    return _Begin(scale @ parts, scale @ images, negative)
+    weights = scale * _WEIGHTS
+    return _Begin(weights @ parts, weights @ images, negative)
 
 
 def start_vector(assembler: Assembler) -> FloatArray:
