@@ -78,6 +78,8 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.supports.springs import Spring as Spring
     from dolfin_elastic.model.tie import Tie as Tie
     from dolfin_elastic.problem.problem import Problem as Problem
+    from dolfin_elastic.results.derived.sections import Section as Section
+    from dolfin_elastic.results.derived.sections import SectionForces as SectionForces
     from dolfin_elastic.results.outputs import History as History
     from dolfin_elastic.results.outputs import Modes as Modes
     from dolfin_elastic.results.outputs import Picture as Picture
@@ -145,6 +147,7 @@ _PLACES = {
     "solvers.eigen.buckling": ("Buckling",),
     "results.outputs": ("History", "Modes", "Picture", "Summary", "Xdmf"),
     "results.probes": ("Probe",),
+    "results.derived.sections": ("Section", "SectionForces"),
 }
 _WHERE = {name: place for place, names in _PLACES.items() for name in names}
 __all__ = sorted(_WHERE)  # noqa: PLE0605

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from mpi4py import MPI
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import (
@@ -42,6 +42,7 @@ from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.problem.material_regions import Formulation
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.checkpoint.checkpoints import CheckpointSettings
+from dolfin_elastic.results.derived.sections import Section
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import LONGEST_NAME
 from dolfin_elastic.results.moments import ReferencePoints, check_reference
@@ -60,6 +61,7 @@ from dolfin_elastic.results.writer import Steps
 
 T = TypeVar("T")
 P = TypeVar("P", bound=Place)
+Named = TypeVar("Named")
 Count = Annotated[int, Field(gt=0)]
 Reference = str | Point
 """A point of reference of a moment, see `check_reference`."""
@@ -317,6 +319,8 @@ class Output(Record):
             its moment is a column of history.csv: "middle" of the undeformed surface, coordinates,
             bare numbers in the mesh's unit, or the name of a surface, edge or point for its
             middle; or a table of several points, each with a name.
+        sections: Name to an inner surface or plane whose force and moment are columns of
+            history.csv.
         checkpoint: How often the data are written from which a run can restart; false: never.
         frames: Frames of an animation of one period of a mode.
         amplitude: Largest displacement of a mode's animation, over the body's longest side.
@@ -329,6 +333,7 @@ class Output(Record):
     pictures: list[WhenGiven[Picture]] = Field(default=[])
     probes: dict[str, ProbePoint] = Field(default={})
     moments: dict[str, Reference | dict[str, Reference]] = Field(default={})
+    sections: dict[str, Section] = Field(default={})
     checkpoint: WhenGiven[CheckpointSettings] = CheckpointSettings.model_construct()
     frames: Count = 20
     amplitude: Annotated[float, Field(gt=0)] = 0.1
@@ -371,13 +376,13 @@ class Output(Record):
                 )
         return pictures
 
-    @field_validator("probes")
+    @field_validator("probes", "sections")
     @classmethod
-    def _named(cls, probes: dict[str, ProbePoint]) -> dict[str, ProbePoint]:
+    def _named(cls, probes: dict[str, Named], info: ValidationInfo) -> dict[str, Named]:
         for name in probes:
             if not name.strip() or not name.isprintable():
                 raise InputError(
-                    f"{quoted(name)} is no name of a probe",
+                    f"{quoted(name)} is no name of a {str(info.field_name).removesuffix('s')}",
                     where=key_text(name),
                     expected="a text that can begin the names of columns of history.csv",
                 )
@@ -419,7 +424,7 @@ class Output(Record):
     def make_probe(self, problem: Problem) -> Probe:
         """The probe that evaluates the fields at its points and surfaces. Collective."""
         unit = problem.body.unit.metres
-        return Probe.of(self.probes, problem, unit, self.reference_points(unit))
+        return Probe.of(self.probes, problem, unit, self.reference_points(unit), self.sections)
 
     def reference_points(self, scale: float) -> ReferencePoints:
         """Label of a support to the points of reference of its moment.

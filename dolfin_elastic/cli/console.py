@@ -372,9 +372,24 @@ def _end_rows(state: State, motion: bool, most: float = 0.0) -> list[tuple[str, 
     largest = _force_scale(state)
     for name, force in state.reactions.items():
         rows.append((f"reaction of {name}", vector_text(force, largest) + " N"))
+    rows += _section_rows(state, largest)
     if state.stability is not None and state.stability.verdict == "unstable":
         rows.append(("stability", str(state.stability)))
     return rows + audit_rows(state)
+
+
+def _section_rows(state: State, largest: float) -> list[tuple[str, str]]:
+    """Forces and moments across sections."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for column, value in state.numbers.items():
+        for kind, unit in (("force", "N"), ("moment", "N m")):
+            if column.startswith(head := f"section_{kind}_"):
+                name = column.removeprefix(head).rpartition("_")[0]
+                found.setdefault((f"{kind} at {name}", unit), []).append(value)
+    return [
+        (label, f"{vector_text(values, largest if unit == 'N' else 0.0)} {unit}")
+        for (label, unit), values in found.items()
+    ]
 
 
 def _force_scale(state: State) -> float:

@@ -391,6 +391,18 @@ def parts_held(problem: Problem) -> dict[str, list[str]]:
     return found
 
 
+def configuration_of_moments(problem: Problem) -> str:
+    """In which configuration moments balance: "reference", "current", or "none".
+
+    The stress P of a small-strain law is symmetric itself, that of all others is where it acts:
+    P F^T is symmetric (Bonet & Wood (2008), section 5.2).
+    """
+    linear = [part.law.linear for part in problem.regions]
+    if problem.geometry == "axisymmetric" or (any(linear) and not all(linear)):
+        return "none"
+    return "reference" if all(linear) else "current"
+
+
 def _surfaces_with_normals(
     supports: Sequence[Restraint], loads: Sequence[Load], contacts: Sequence[Contact]
 ) -> list[tuple[str, tuple[str, ...]]]:

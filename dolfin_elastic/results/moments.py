@@ -123,7 +123,7 @@ def columns_of_moments(points: ReferencePoints, problem: Problem) -> list[Column
                     expected="give the point another name",
                 )
             taken.add(stem)
-            found.append(ColumnsOfMoment(label, columns, _place(point, where, problem)))
+            found.append(ColumnsOfMoment(label, columns, place_of(point, where, problem)))
     return found
 
 
@@ -149,8 +149,17 @@ def _check_label(label: str, problem: Problem) -> None:
         )
 
 
-def _place(point: Sequence[float] | str, where: str, problem: Problem) -> FloatArray | None:
-    """Coordinates of a point of reference [m]; None: the middle of what is held. Collective."""
+def place_of(point: Sequence[float] | str, where: str, problem: Problem) -> FloatArray | None:
+    """Coordinates of a point of reference [m]; None: the middle of what is held. Collective.
+
+    Args:
+        point: Coordinates [m], "middle", or the name of a surface, edge or point.
+        where: Key of the case file, for the message.
+        problem: Of which body.
+
+    Raises:
+        InputError: There is no such part, or the point has other components than the body.
+    """
     body = problem.body
     if isinstance(point, str):
         if point == MIDDLE:

@@ -24,6 +24,7 @@ from dolfin_elastic.problem.loads.edges_points import points_of
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
 from dolfin_elastic.results.derived.part_numbers import PartNumbers, Statistic, columns_of
+from dolfin_elastic.results.derived.sections import Section, SectionForces
 from dolfin_elastic.results.fields import FIELDS, component_names
 from dolfin_elastic.results.moments import ReferencePoints, columns_of_moments
 from dolfin_elastic.results.recovery.points import StressAtPoints, is_recovered
@@ -242,6 +243,7 @@ class Probe:
         counted: Name to the numbers of a surface or region.
         plain: Names of those that are means, called as the field alone.
         moments: Supports of which columns have the moment, and about which points.
+        sections: Name to a section of which columns have force and moment.
 
     Raises:
         InputError: A field cannot be evaluated at a point.
@@ -259,9 +261,11 @@ class Probe:
         counted: Mapping[str, PartNumbers] | None = None,
         plain: Collection[str] = (),
         moments: ReferencePoints | None = None,
+        sections: Mapping[str, Section] | None = None,
     ) -> None:
         self.problem, self.dim = problem, problem.body.dim
         self._moments = columns_of_moments(moments or {}, problem)
+        self._sections = SectionForces(problem, sections) if sections else None
         of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
         wanted = {name: check_readable(of[name]) for name in points}
         self.fields = {name: _interpolated(row) for name, row in wanted.items()}
@@ -290,6 +294,7 @@ class Probe:
         problem: Problem,
         scale: float,
         moments: ReferencePoints | None = None,
+        sections: Mapping[str, Section] | None = None,
     ) -> Probe:
         """Makes it from the settings of a case. Collective.
 
@@ -298,6 +303,7 @@ class Probe:
             problem: The problem that is solved.
             scale: Metres per unit of the mesh.
             moments: Label of a support to the points about which its moment is found.
+            sections: Name to a section of which force and moment are found.
         """
         places, body = _points(probes, scale), problem.body
         named = {n: p for n, p in probes.items() if p.part is not None}
@@ -323,7 +329,8 @@ class Probe:
         points = {**places, **{k: list(x) for s in samples.values() for k, x in s.points.items()}}
         fields = {n: probes[n].fields for n in places}
         fields |= {k: parts[n][1] for n, s in samples.items() for k in s.points}
-        return cls(problem, points, fields, surfaces, samples, held, counted, plain, moments)
+        more = (counted, plain, moments, sections)
+        return cls(problem, points, fields, surfaces, samples, held, *more)
 
     def __call__(self, state: State) -> dict[str, FloatArray]:
         """Column stem "POINT_FIELD" to the field's components in SI units, the same on every rank.
@@ -395,8 +402,8 @@ class Probe:
         with stage("output"):
             for name, part in self._counted.items():
                 found |= columns_of(name, part(state), plain=name in self._plain)
-        for moment in self._moments:
-            columns = moment(state)
+            crossing = self._sections.numbers(state) if self._sections else {}
+        for columns in (crossing, *(moment(state) for moment in self._moments)):
             if twice := found.keys() & columns.keys():
                 raise duplicate_column(min(twice))
             found |= columns

@@ -49,6 +49,7 @@ from dolfin_elastic.mesh.body import Body, extent
 from dolfin_elastic.problem.damping import check_damped
 from dolfin_elastic.problem.material_regions import locking_notes
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.results.derived.sections import SectionForces
 from dolfin_elastic.results.files import why_not_made
 from dolfin_elastic.results.moments import columns_of_moments
 from dolfin_elastic.results.probes import duplicate_column
@@ -166,6 +167,7 @@ def check_probes(case: Case, problem: Problem) -> None:
             support of whose moment a column is asked for.
     """
     columns_of_moments(case.output.reference_points(problem.body.unit.metres), problem)
+    SectionForces(problem, case.output.sections)
     for name, probe in case.output.probes.items():
         if probe.at is not None and REACTION in probe.fields:
             place = probe.place(problem.body.unit.metres)

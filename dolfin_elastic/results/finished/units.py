@@ -16,13 +16,22 @@ _BEGINNINGS = {
     "momentum_": "kg m/s",
     "angular_momentum_": "kg m^2/s",
     "moment_": "N m",
+    "section_force_": "N",
+    "section_moment_": "N m",
     "torque_": "N m",
     "penetration_": "m",
     "contact_area_": "m^2",
     "pressure_": "Pa",
     "volume_": "m^3",
 }
-_VECTORS = ("reaction_", "momentum_", "angular_momentum_", "moment_")
+_VECTORS = (
+    "reaction_",
+    "momentum_",
+    "angular_momentum_",
+    "moment_",
+    "section_force_",
+    "section_moment_",
+)
 _WITHOUT = ("step", "load_factor", "newton", "krylov", "balance_force", "balance_moment")
 _WITHOUT_UNIT = (*_WITHOUT, "min_jacobian", "max_jacobian")
 _AXES, _TURNS = ("x", "y", "z"), ("rx", "ry", "rz")

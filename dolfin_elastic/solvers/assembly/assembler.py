@@ -19,7 +19,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import middle_of
 from dolfin_elastic.model.dimension import moment_of
-from dolfin_elastic.problem.problem import Problem, parts_held
+from dolfin_elastic.problem.problem import Problem, configuration_of_moments, parts_held
 from dolfin_elastic.problem.state import Moment
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
@@ -610,15 +610,3 @@ class SupportForces:
         found = np.zeros((len(dofs), self._dim))
         found[np.arange(len(dofs)), dofs % self._dim] = values
         return found
-
-
-def configuration_of_moments(problem: Problem) -> str:
-    """In which configuration moments balance: "reference", "current", or "none".
-
-    The stress P of a small-strain law is symmetric itself, that of all others is where it acts:
-    P F^T is symmetric (Bonet & Wood (2008), section 5.2).
-    """
-    linear = [part.law.linear for part in problem.regions]
-    if problem.geometry == "axisymmetric" or (any(linear) and not all(linear)):
-        return "none"
-    return "reference" if all(linear) else "current"

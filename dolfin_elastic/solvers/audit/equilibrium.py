@@ -23,12 +23,11 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.model.dimension import moment_of
-from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.problem import Problem, configuration_of_moments
 from dolfin_elastic.problem.state import Audit, Stability
 from dolfin_elastic.solvers.assembly.assembler import (
     Assembler,
     StrainEnergy,
-    configuration_of_moments,
 )
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.audit.offences import (

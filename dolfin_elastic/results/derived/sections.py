@@ -1,0 +1,375 @@
+"""Forces and moments that cross sections of the body: `[output] sections`.
+
+A section parts cells into a positive and a negative side; those that do not touch an inner surface
+are on neither.  With r the nodal forces of the cells of the positive side alone, internal ones less
+loads and in motion plus inertia, these cells exert -r on the nodes that both sides share, and the
+sum is the resultant across the section.  Nodal forces are virtual work, and a translation, and
+where the stress is in balance a rotation, is one of the displacements of the elements.  So the
+resultant is that of the loads, reactions and inertia of the side, to the tolerance of the solver,
+on every mesh.  The integral of the stress is not, for the stress of elements jumps between them.
+
+Source: T. Belytschko, W. K. Liu, B. Moran, Nonlinear Finite Elements for Continua and Structures
+(2000), section 4.4 (nodal forces from virtual work).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+import ufl
+from dolfinx import fem, la
+from pydantic import field_validator, model_validator
+
+from dolfin_elastic.core.errors import InputError, MeshError
+from dolfin_elastic.core.jit import compile_forms
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.schema import Record, within
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
+from dolfin_elastic.mesh.body import centre_of, span
+from dolfin_elastic.mesh.criteria import bounding_box
+from dolfin_elastic.mesh.selectors import Axis, MeshLength, Point, metres
+from dolfin_elastic.model.dimension import moment_of
+from dolfin_elastic.problem.problem import configuration_of_moments
+from dolfin_elastic.problem.state import Moment, State
+from dolfin_elastic.results.cell_fields import unknowns_of_outputs
+from dolfin_elastic.results.moments import MIDDLE, check_reference, place_of
+from dolfin_elastic.results.surface_means import check_surface
+
+if TYPE_CHECKING:
+    from dolfin_elastic.mesh.body import Body
+    from dolfin_elastic.problem.problem import Problem
+
+_FLAT = 0.05
+"""Cosine below which a facet does not tell its two sides along an axis."""
+
+
+class Section(Record):
+    """A section of the undeformed body: an inner surface, or a plane.
+
+    Attributes:
+        on: Name of an inner surface.
+        side: Name of the region whose force on the rest is found; by default, and of a plane, it is
+            the side of the larger coordinate along the axis that is most normal to the section.
+        plane: The axis across a plane, in place of `on`.
+        at: The plane's coordinate, a bare number in the mesh's unit.
+        about: Point of reference of the moment: "middle" of the section, coordinates, or the name
+            of a surface, edge or point.
+    """
+
+    on: str | None = None
+    side: str | None = None
+    plane: Axis | None = None
+    at: MeshLength | None = None
+    about: str | Point = MIDDLE
+
+    @field_validator("about", mode="before")
+    @classmethod
+    def _a_point(cls, value: object) -> object:
+        if isinstance(value, Mapping):
+            raise InputError("a section has one point of reference", expected="a single point")
+        check_reference(value)
+        return value
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        planar = self.plane is not None and self.at is not None
+        if (self.on is None) != planar or (self.plane is None) != (self.at is None):
+            raise InputError(
+                "it is not clear where the section is",
+                expected='on = the name of an inner surface, or plane = "x" and at = 100',
+            )
+        if planar and self.side is not None:
+            raise InputError(
+                "the sides of a plane are those of its axis", where="side", expected="no side"
+            )
+        return self
+
+
+@dataclass(frozen=True)
+class SectionForce:
+    """What the positive side of a section exerts on the other.
+
+    Attributes:
+        force: Resultant [N], shape (dim,); of a body of revolution along its axis, shape (1,).
+        moment: Its moment; None of a body of revolution.
+    """
+
+    force: FloatArray
+    moment: Moment | None
+
+
+class SectionForces:
+    """Forces and moments across sections.  All of it is collective.
+
+    Args:
+        problem: The problem that is solved, of whose present state the loads are.
+        sections: Name to section.
+
+    Raises:
+        InputError: A section misses the body, or does not part it.
+    """
+
+    def __init__(self, problem: Problem, sections: Mapping[str, Section]) -> None:
+        self.problem = problem
+        self._axial = problem.geometry == "axisymmetric"
+        self._moves = configuration_of_moments(problem) != "reference"
+        self._own = problem.V.dofmap.index_map.size_local
+        self._w = unknowns_of_outputs(problem)
+        self._inside = fem.Function(fem.functionspace(problem.body.mesh, ("DG", 0)))
+        self._a = fem.Function(problem.V)
+        self._forms: dict[bool, fem.Form] = {}
+        self._cuts = {name: self._cut(name, section) for name, section in sections.items()}
+
+    def _cut(self, name: str, section: Section) -> tuple[AnyArray, IndexArray, FloatArray]:
+        """Side of each owned cell, owned nodes that both share, and the point of reference."""
+        body, where = self.problem.body, f"output.sections.{name}"
+        if self.problem.cell is not None:
+            raise InputError(
+                "sections of a periodic cell are crossed by what its neighbours exert, too",
+                where=where,
+                expected="no output.sections; the mean stress P11 ... is in history.csv",
+            )
+        try:
+            if section.on is None:
+                sides = _sides_of_plane(body, section)
+                middle = _centre(body, section, sides)
+            else:
+                sides = _sides(body, section)
+                middle = centre_of(body, [section.on])
+        except (InputError, MeshError) as error:
+            raise within(where, error) from None
+        place = section.about
+        if not isinstance(place, str):
+            place = tuple(metres(x, body.unit.metres) for x in place)
+        about = place_of(place, f"{where}.about", self.problem)
+        return sides, self._shared(sides), middle if about is None else about
+
+    def _shared(self, sides: AnyArray) -> IndexArray:
+        dofmap = self.problem.V.dofmap
+        touched = la.vector(dofmap.index_map, 2)
+        rows = touched.array.reshape(-1, 2)
+        for column, sign in enumerate((1, -1)):
+            rows[np.unique(dofmap.list[: len(sides)][sides == sign]), column] = 1.0
+        touched.scatter_reverse(la.InsertMode.add)
+        return np.flatnonzero((rows[: self._own] > 0).all(axis=1)).astype(np.int32)
+
+    def _form(self, moving: bool) -> fem.Form:
+        """Virtual work of the cells of the positive side, compiled."""
+        if moving not in self._forms:
+            weak, unknowns = self.problem.weak_form, self.problem.unknowns
+            work = ufl.replace(weak.residual, {self.problem.w: self._w})
+            if moving:
+                work += weak.inertia(self._a, unknowns.v)
+            own = ufl.Form(
+                [i.reconstruct(integrand=self._inside * i.integrand()) for i in work.integrals()]
+            )
+            self._forms[moving] = compile_forms(self.problem.body.comm, [own], self.problem.jit)[0]
+        return self._forms[moving]
+
+    def __call__(self, state: State) -> dict[str, SectionForce]:
+        """Name to what crosses the section, the same on every rank.
+
+        Args:
+            state: The problem's present state.
+        """
+        self._w.x.array[:] = (state.w or state.u).x.array
+        if state.a is not None:
+            self._a.x.array[:] = state.a.x.array
+        form = self._form(state.a is not None)
+        dim, size = self.problem.body.dim, self._own * self.problem.body.dim
+        x = self.problem.places[: self._own, :dim]
+        if self._moves:
+            x = x + state.u.x.array[:size].reshape(-1, dim)
+        dofs = self.problem.unknowns.mixed_dofs(np.arange(size, dtype=np.int32))
+        found = {}
+        for name, (sides, nodes, about) in self._cuts.items():
+            self._inside.x.array[: len(sides)] = sides == 1
+            self._inside.x.scatter_forward()
+            vector = fem.assemble_vector(form)
+            vector.scatter_reverse(la.InsertMode.add)
+            force = -vector.array[dofs].reshape(-1, dim)[nodes]
+            moment = moment_of(x[nodes] - about, force)
+            sums = total(self.problem.body.comm, np.hstack([force, moment]).sum(axis=0))
+            found[name] = (
+                SectionForce(sums[1:2], None)
+                if self._axial
+                else SectionForce(sums[:dim], Moment(sums[dim:], about))
+            )
+        return found
+
+    def numbers(self, state: State) -> dict[str, float]:
+        """Column of the history to value, "section_force_NAME_x" [N], "section_moment_NAME_x"."""
+        columns: dict[str, float] = {}
+        for name, found in self(state).items():
+            axes = "y" if found.moment is None else "xyz"
+            columns |= {
+                f"section_force_{name}_{axis}": float(value)
+                for axis, value in zip(axes, found.force, strict=False)
+            }
+            if found.moment is not None:
+                values = found.moment.value
+                columns |= {
+                    f"section_moment_{name}_{axis}": float(value)
+                    for axis, value in zip("xyz"[-len(values) :], values, strict=True)
+                }
+        return columns
+
+
+def _corners(body: Body) -> FloatArray:
+    """Corners of the owned cells [m], shape (cells, dim + 1, dim)."""
+    geometry, dim = body.mesh.geometry, body.dim
+    nodes = geometry.dofmap[: len(body.owned_cells()), : dim + 1]
+    return np.asarray(geometry.x[nodes][..., :dim])
+
+
+def _outward(body: Body, cells: AnyArray, local: AnyArray) -> tuple[FloatArray, FloatArray]:
+    """Area vectors out of cells [m^2], and middles of the facets, by the chord of curved ones."""
+    corners, dim = _corners(body)[cells], body.dim
+    off = (local[:, None] + 1 + np.arange(dim)) % (dim + 1)  # facet i is opposite to corner i
+    facet = np.take_along_axis(corners, off[..., None], axis=1)
+    edges = facet[:, 1:] - facet[:, :1]
+    if dim == 2:
+        N = np.stack([edges[:, 0, 1], -edges[:, 0, 0]], axis=1)
+    else:
+        N = np.cross(edges[:, 0], edges[:, 1]) / 2
+    inward = corners[np.arange(len(cells)), local] - facet[:, 0]
+    return -np.sign((N * inward).sum(axis=1))[:, None] * N, facet.mean(axis=1)
+
+
+class _Facets:
+    """Facets of owned cells, and sums over the cells beside them on all ranks. Collective."""
+
+    def __init__(self, body: Body) -> None:
+        topology, dim = body.mesh.topology, body.dim
+        topology.create_connectivity(dim, dim - 1)
+        topology.create_connectivity(dim, 0)
+        count = len(body.owned_cells())
+        self.of_cells, self.corners = (
+            topology.connectivity(dim, d).array.reshape(-1, dim + 1)[:count] for d in (dim - 1, 0)
+        )
+        self._maps = {d: topology.index_map(d) for d in (dim - 1, 0)}
+        self._dim = dim
+
+    def beside(self, rows: FloatArray) -> FloatArray:
+        """Sums of rows (cells, columns) at the facets of the cells, shape (facets, columns)."""
+        repeated = np.repeat(rows, self._dim + 1, axis=0)
+        return self._sum(self._dim - 1, self.of_cells.ravel(), repeated)
+
+    def touching(self, cells: AnyArray, local: AnyArray) -> AnyArray:
+        """Whether owned cells have a corner in facets, given as cells and numbers in them."""
+        off = (local[:, None] + 1 + np.arange(self._dim)) % (self._dim + 1)
+        corners = np.take_along_axis(self.corners[cells], off, axis=1).ravel()
+        marks = self._sum(0, corners, np.ones((len(corners), 1)))
+        return np.asarray((marks[self.corners, 0] > 0).any(axis=1))
+
+    def _sum(self, d: int, entities: AnyArray, rows: FloatArray) -> FloatArray:
+        vector = la.vector(self._maps[d], rows.shape[1])
+        values = vector.array.reshape(-1, rows.shape[1])
+        np.add.at(values, entities, rows)
+        vector.scatter_reverse(la.InsertMode.add)
+        vector.scatter_forward()
+        return np.array(values)
+
+
+def _both(sides: AnyArray) -> FloatArray:
+    return np.stack([sides == 1, sides == -1], axis=1).astype(np.float64)
+
+
+def _sides_of_plane(body: Body, section: Section) -> AnyArray:
+    """1 of owned cells whose barycentre lies beyond the plane, else -1. Collective."""
+    assert section.plane is not None
+    assert section.at is not None
+    axis, at = "xyz".index(section.plane), metres(section.at, body.unit.metres)
+    if axis >= body.dim:
+        raise InputError(
+            f"the body is plane, it has no {section.plane}", where="plane", expected="x or y"
+        )
+    low, high = bounding_box(body.mesh)
+    ahead = _corners(body).mean(axis=1)[:, axis] > at + 1e-9 * span(body)
+    counts = total(body.comm, np.array([ahead.sum(), (~ahead).sum()]))
+    if not low[axis] < at < high[axis] or not counts.all():
+        scale, name = body.unit.metres, body.unit.name
+        raise InputError(
+            f"no cells lie on both sides of {section.plane} = {at / scale:.4g} {name}",
+            where="at",
+            expected=f"between {low[axis] / scale:.4g} and {high[axis] / scale:.4g} {name}",
+        )
+    return np.where(ahead, 1, -1)
+
+
+def _centre(body: Body, section: Section, sides: AnyArray) -> FloatArray:
+    """Centroid of the facets between the sides, as they are seen along the plane's normal [m]."""
+    assert section.plane is not None
+    assert section.at is not None
+    axis, facets = "xyz".index(section.plane), _Facets(body)
+    between = (facets.beside(_both(sides)) > 0).all(axis=1)
+    cells, local = np.nonzero(between[facets.of_cells] & (sides == 1)[:, None])
+    N, middle = _outward(body, cells, local)
+    area = -N[:, axis]
+    sums = total(body.comm, np.array([*(area @ middle), area.sum(), len(area)]))
+    if not sums[-1]:
+        raise InputError(
+            "no cell is joined to another one across the plane",
+            where="at",
+            expected="a plane through a part; ties and contacts have reactions of their own",
+        )
+    about = np.asarray(sums[:-2] / sums[-2])
+    about[axis] = metres(section.at, body.unit.metres)
+    return about
+
+
+def _sides(body: Body, section: Section) -> AnyArray:
+    """Sides of owned cells that touch an inner surface: 1, -1; 0 of the others. Collective."""
+    assert section.on is not None
+    check_surface(body, section.on, "on")
+    facets = _Facets(body)
+    ones = facets.beside(np.ones((len(facets.of_cells), 1)))[:, 0]
+    on = np.zeros(len(ones), dtype=bool)
+    on[body.surface(section.on)] = True
+    cells, local = np.nonzero(on[facets.of_cells])
+    if total(body.comm, int((on & (ones < 2)).sum())):
+        raise InputError(
+            f"'{section.on}' is on the boundary of the body",
+            where="on",
+            expected="an inner surface: across the boundary goes what is applied, and the reaction",
+        )
+    sides = np.zeros(len(facets.of_cells), dtype=np.int8)
+    if section.side is None:
+        seeds = _by_axis(body, cells, local)
+    else:
+        try:
+            region = body.region(section.side)
+        except MeshError as error:
+            raise within("side", error) from None
+        seeds = np.where(np.isin(cells, region), 1, -1).astype(np.int8)
+    sides[cells] = seeds
+    # A cell between two facets, and facets between two cells, must not be of both sides.
+    wrong = int((sides[cells] != seeds).sum() + (seeds == 0).sum())
+    wrong += int((facets.beside(_both(sides))[on] != 1).sum())
+    near = facets.touching(cells, local)
+    while not total(body.comm, wrong):
+        reached = facets.beside(_both(sides))
+        reached[on] = 0.0
+        wrong = int((reached > 0).all(axis=1).sum())
+        beside = reached[facets.of_cells].sum(axis=1)
+        new = near & (sides == 0) & (beside > 0).any(axis=1)
+        if not total(body.comm, np.array([wrong, new.sum()])).any():
+            return sides
+        sides[new] = np.where(beside[new, 0] >= beside[new, 1], 1, -1)
+    raise InputError(
+        f"'{section.on}' has no two sides that can be told apart",
+        where="on" if section.side is None else "side",
+        expected="an inner surface that ends at the boundary of the body or is closed; where it "
+        "bends round, side = the name of the region on one side of it",
+    )
+
+
+def _by_axis(body: Body, cells: AnyArray, local: AnyArray) -> AnyArray:
+    """Sides of cells beside facets along the axis most normal to them; 0: along the facet."""
+    N, _ = _outward(body, cells, local)
+    axis = int(np.argmax(total(body.comm, np.abs(N).sum(axis=0))))
+    cosine = -N[:, axis] / np.linalg.norm(N, axis=1)
+    return np.asarray(np.where(np.abs(cosine) > _FLAT, np.sign(cosine), 0), dtype=np.int8)
