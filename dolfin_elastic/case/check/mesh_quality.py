@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 
 import numpy as np
 from dolfinx.mesh import exterior_facet_indices
@@ -40,8 +40,13 @@ _TOO_STIFF = 1.15
 """Bending stiffness over the true one that is worth a note: some five linear cells across."""
 
 
-def part_notes(body: Body) -> Iterator[str]:
-    """Empty regions and surfaces, and surfaces with facets inside the body. Collective."""
+def part_notes(body: Body, inner: Collection[str | None] = ()) -> Iterator[str]:
+    """Empty regions and surfaces, and surfaces with facets inside the body. Collective.
+
+    Args:
+        body: The mesh and its names.
+        inner: Surfaces that are meant to lie inside.
+    """
     for name in sorted(body.regions):
         if not int(total(body.comm, len(body.owned_cells(name)))):
             yield f"the region '{name}' is empty: no cell carries it"
@@ -53,7 +58,7 @@ def part_notes(body: Body) -> Iterator[str]:
         count, inside = total(body.comm, np.array([len(facets), inside]))
         if not count:
             yield f"the surface '{name}' is empty: no facet carries it"
-        elif inside:
+        elif inside and name not in inner:
             yield (
                 f"{inside} of {count} facets of the surface '{name}' lie inside the body, "
                 "not on its boundary"

@@ -265,7 +265,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
             *shape_notes(case, problem),
             *stress_notes(case, integrals, sums),
             *PressureLevel(problem).notes(),
-            *part_notes(body),
+            *part_notes(body, {s.on for s in case.output.sections.values()}),
             *cell_notes(body),
         ),
         fields=tuple(

@@ -138,6 +138,7 @@ class SectionForces:
                 middle = _centre(body, section, sides)
             else:
                 sides = _sides(body, section)
+                _refuse_loaded(self.problem, section.on)
                 middle = centre_of(body, [section.on])
         except (InputError, MeshError) as error:
             raise within(where, error) from None
@@ -305,7 +306,7 @@ def _centre(body: Body, section: Section, sides: AnyArray) -> FloatArray:
     assert section.plane is not None
     assert section.at is not None
     axis, facets = "xyz".index(section.plane), _Facets(body)
-    between = (facets.beside(_both(sides)) > 0).all(axis=1)
+    between = np.asarray((facets.beside(_both(sides)) > 0).all(axis=1))
     cells, local = np.nonzero(between[facets.of_cells] & (sides == 1)[:, None])
     N, middle = _outward(body, cells, local)
     area = -N[:, axis]
@@ -365,6 +366,20 @@ def _sides(body: Body, section: Section) -> AnyArray:
         expected="an inner surface that ends at the boundary of the body or is closed; where it "
         "bends round, side = the name of the region on one side of it",
     )
+
+
+def _refuse_loaded(problem: Problem, surface: str) -> None:
+    """Refuses integrals of loads and springs over an inner surface: they are of neither side."""
+    body, on = problem.body, problem.body.surface(surface)
+    acting = {part for load in problem.loads for part in load.parts}
+    acting |= {part for spring in (*problem.springs, *problem.dashpots) for part in spring.surfaces}
+    for part in sorted(acting & body.surfaces.keys()):
+        if total(body.comm, int(np.isin(body.owned_facets(part), on).sum())):
+            raise InputError(
+                f"the load or spring on '{part}' acts on the section itself, on neither side of it",
+                where="on",
+                expected="a plane or surface beside it",
+            )
 
 
 def _by_axis(body: Body, cells: AnyArray, local: AnyArray) -> AnyArray:

@@ -31,6 +31,7 @@ from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.dimension import moment_of
 from dolfin_elastic.model.loads import BodyForce
+from dolfin_elastic.model.supports.springs import Spring
 from dolfin_elastic.results.finished.units import column_unit
 
 ROUND_OFF = 1e-10
@@ -231,6 +232,23 @@ def test_what_is_no_section(section, where, message):
     assert caught.value.where == where
     if section.get("on") == "cutt":
         assert "'cut'" in str(caught.value)
+
+
+def test_loads_of_neither_side():
+    problem = Problem(
+        bar(),
+        LinearElastic(E=1e6, nu=0.3),
+        supports=[Support(on="left")],
+        loads=[Traction(on="cut", value=[1.0, 0, 0])],
+    )
+    with pytest.raises(InputError, match="acts on the section itself"):
+        SectionForces(problem, {"s": Section(on="cut")})
+    spring = Spring(on="cut", stiffness=[1e3, 1e3, 1e3])
+    held = Problem(bar(), LinearElastic(E=1e6, nu=0.3), supports=[spring])
+    with pytest.raises(InputError, match="acts on the section itself"):
+        SectionForces(held, {"s": Section(on="cut")})
+    force = SectionForces(problem, {"s": Section(plane="x", at=2.5)})(last(problem))["s"].force
+    np.testing.assert_allclose(force, [4.0, 0, 0], atol=ROUND_OFF * 4)
 
 
 @pytest.mark.parametrize(
