@@ -28,9 +28,10 @@ from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.schema import Record, within
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
+from dolfin_elastic.core.units import MeshLength, metres
 from dolfin_elastic.mesh.body import centre_of, span
 from dolfin_elastic.mesh.criteria import bounding_box
-from dolfin_elastic.mesh.selectors import Axis, MeshLength, Point, metres
+from dolfin_elastic.mesh.selectors import Axis, Point
 from dolfin_elastic.model.dimension import moment_of
 from dolfin_elastic.problem.problem import configuration_of_moments
 from dolfin_elastic.problem.state import Moment, State
