@@ -136,12 +136,12 @@ class StepLaw(ModifiedLaw):
         if not isinstance(law, Mixed):
             return F * segment.gradient(law.energy, law.stress)
         shape = segment.gradient(law.law.shape_energy, law.law.shape_stress)
-        return F * (shape + law.p * segment.gradient(law.strain, law.strain_gradient))
+        return F * (shape + law.p * segment.gradient(law.volume_strain, law.volume_gradient))
 
     def gap(self, F: Expr) -> Expr:
         """Residual of the pressure's equation, see the class."""
         assert isinstance(self.law, Mixed)
         law, (start, end) = self.law, self._segment(F).ends
         if law.incompressible:
-            return law.strain(end) / (1 + self.share)
-        return (law.strain(start) + law.strain(end)) / 2 - law.p * law.compliance
+            return law.volume_strain(end) / (1 + self.share)
+        return (law.volume_strain(start) + law.volume_strain(end)) / 2 - law.p * law.compliance

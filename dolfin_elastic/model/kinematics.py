@@ -14,7 +14,6 @@ Cambridge 2008, chapters 4 (kinematics) and 5 (stress); equation numbers below a
 
 from __future__ import annotations
 
-import basix.ufl
 import ufl
 from ufl.classes import Identity, Sum
 from ufl.core.expr import Expr
@@ -279,5 +278,7 @@ def von_mises(sigma: Expr) -> Expr:
 
 def gradient_symbol() -> Expr:
     """A UFL constant of shape (3, 3) that stands for F in expressions without a mesh."""
+    import basix.ufl  # a library, which nothing else here loads
+
     cell = ufl.Mesh(basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)))
     return ufl.Constant(cell, (3, 3))

@@ -132,7 +132,7 @@ class Problem:
         self.geometry = checked_geometry(geometry, thickness, body)
         order = max(degree, int(body.mesh.geometry.cmap.degree))
         axisymmetric = self.geometry == "axisymmetric"
-        contacts = placed_contacts(contacts, body, turned=axisymmetric)
+        contacts = placed_contacts(contacts, body, turned=axisymmetric) if contacts else ()
         for where, names in _surfaces_with_normals(self.supports, self.loads, contacts):
             for name in names:
                 if name in body.surfaces:  # unknown names are refused where they are used

@@ -120,8 +120,8 @@ def test_unsafe_data_of_xdmf(
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("o.h5:/", "/etc/o.h5:/", "'/etc/o.h5:/data0' is no place in a file beside it"),
-        ("o.h5:/", "../o.h5:/", r"'\.\./o.h5:/data0' is no place in a file beside it"),
+        ("o.h5:/", "/etc/o.h5:/", "its data file '/etc/o.h5:/data0' is not beside it"),
+        ("o.h5:/", "../o.h5:/", r"its data file '\.\./o.h5:/data0' is not beside it"),
         ("o.h5:/data0", "o.h5:/data7", "it has no array '/data7'"),
         ("o.h5:/data0", "nowhere.h5:/data0", "its data file 'nowhere.h5' is not beside it"),
         ('Dimensions="8 3"', 'Dimensions="9 3"', r"has the shape \(8, 3\), the text says \(9, 3\)"),

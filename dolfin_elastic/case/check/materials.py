@@ -6,10 +6,7 @@ from collections.abc import Iterator
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.toml import key_text
-from dolfin_elastic.material_point.alternatives import law_in_words
-from dolfin_elastic.material_point.stable_range import limits
 from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.model.materials.user import FormulaEnergy
 
 
 def stability_notes(case: Case) -> Iterator[str]:
@@ -19,10 +16,11 @@ def stability_notes(case: Case) -> Iterator[str]:
         case: Its materials.
     """
     for where, law in _with_numbers(case):
-        if (named := law.destabilising()) and (found := limits(law)):
+        if (named := law.destabilising()) and (found := _limits(law)):
+            words, span = found
             yield (
-                f"{where}: with {' and '.join(named)} {law_in_words(law)} is stable only for "
-                f"{found}; a body that is strained further, and thin parts of it before, has no "
+                f"{where}: with {' and '.join(named)} {words} is stable only for "
+                f"{span}; a body that is strained further, and thin parts of it before, has no "
                 "stable equilibrium"
             )
 
@@ -38,13 +36,23 @@ def material_information(case: Case) -> tuple[str, ...]:
 
 def _stable_ranges(case: Case) -> Iterator[str]:
     for where, law in _with_numbers(case):
-        if law.limited and (found := limits(law)):
-            yield f"{where}: {law_in_words(law)} is stable for {found}"
+        if law.limited and (found := _limits(law)):
+            yield f"{where}: {found[0]} is stable for {found[1]}"
+
+
+def _limits(law: Law) -> tuple[str, str] | None:
+    """A law in words, and for which stretches it is stable; None where it always is."""
+    # Few cases need them, and they import all that tests a law at a point.
+    from dolfin_elastic.material_point.alternatives import law_in_words
+    from dolfin_elastic.material_point.stable_range import limits
+
+    found = limits(law)
+    return (law_in_words(law), found) if found else None
 
 
 def _rounded(case: Case) -> Iterator[str]:
     for where, law in _with_numbers(case):
-        if isinstance(law, FormulaEnergy) and law.rounds:
+        if law.rounds:
             yield (
                 f"{where}.energy: strains below about 1e-9 lose digits, for F and invariants are "
                 "rounded to 1e-16; written in E11 ... E33 they keep them"

@@ -27,7 +27,7 @@ import numpy as np
 from dolfinx import cpp
 from dolfinx.mesh import CellType
 
-from dolfin_elastic.core.errors import MeshError, OutputError
+from dolfin_elastic.core.errors import MeshError, OutputError, not_shown
 from dolfin_elastic.core.files import hdf5
 from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.files.xml import read_xml
@@ -187,8 +187,8 @@ def place_of(item: ElementTree.Element) -> tuple[str, str]:
     file, _, path = text.partition(":")
     if not file or not path or Path(file).is_absolute() or ".." in Path(file).parts:
         raise MeshError(
-            f"'{text[:100]}' is no place in a file beside it",
-            expected="for example 'body.h5:/points'",
+            f"its data file '{text[:100]}' is not beside it",
+            expected=(file and not_shown(file)) or "for example 'body.h5:/points'",
         )
     return file, path
 

@@ -100,6 +100,11 @@ class Law(Record):
         return str(cls.model_fields["law"].default)
 
     @property
+    def rounds(self) -> bool:
+        """Whether it is written in F, C, J or invariants, in which small strains are rounded."""
+        return False
+
+    @property
     def has_energy(self) -> bool:
         """True when the law derives from a strain energy, so its tangent is symmetric."""
         return type(self).energy is not Law.energy
@@ -336,10 +341,6 @@ class Isotropic(Law):
             self.__dict__.update({**dict.fromkeys(moduli.NAMES), **given})
         else:
             self.__dict__.update(vars(moduli.complete(**given)))
-
-    def strain(self, F: Expr) -> Expr:
-        """The strain from which the stress is computed, shape of F: by default Green's."""
-        return infinitesimal_strain(F) if self.linear else green_strain(F)
 
     def small_strain(self) -> moduli.Moduli | None:
         """See `Law.small_strain`."""

@@ -34,28 +34,28 @@ class Mixed(ModifiedLaw):
     compliance: Expr
     incompressible: bool = False
 
-    def strain(self, F: Expr) -> Expr:
+    def volume_strain(self, F: Expr) -> Expr:
         """Conjugate of p: the law's volume strain, or its incompressibility constraint."""
         return self.law.incompressibility(F) if self.incompressible else self.law.volume_strain(F)
 
-    def strain_gradient(self, F: Expr) -> Expr:
-        """Derivative of `strain` with respect to F."""
+    def volume_gradient(self, F: Expr) -> Expr:
+        """Derivative of `volume_strain` with respect to F."""
         law = self.law
         exact = self.incompressible
         return law.incompressibility_gradient(F) if exact else law.volume_gradient(F)
 
     def gap(self, F: Expr) -> Expr:
         """Residual of the pressure's equation: g - p/k."""
-        return self.strain(F) - self.p * self.compliance
+        return self.volume_strain(F) - self.p * self.compliance
 
     def energy(self, F: Expr) -> Expr:
         """Energy per reference volume [J/m^3], see the class."""
-        shape, g = self.law.shape_energy(F), self.strain(F)
+        shape, g = self.law.shape_energy(F), self.volume_strain(F)
         return shape + self.p * g - self.p**2 * self.compliance / 2
 
     def stress(self, F: Expr) -> Expr:
         """First Piola-Kirchhoff stress [Pa], the derivative of the energy at fixed p."""
-        return self.law.shape_stress(F) + self.p * self.strain_gradient(F)
+        return self.law.shape_stress(F) + self.p * self.volume_gradient(F)
 
 
 def variance(p: Expr, q: Expr, J: Expr) -> Expr:

@@ -174,7 +174,7 @@ class FormulaEnergy(UserEnergy):
 
     @property
     def rounds(self) -> bool:
-        """Whether it is written in F, C, J or invariants, in which small strains are rounded."""
+        """See `Law.rounds`."""
         return any(not name.startswith("E") for name in self.parsed.names - set(self.parameters))
 
     @property
@@ -300,7 +300,7 @@ class Energy(UserEnergy):
         used = {name: spatial.constant(f, None) for name, f in self._used_beside().items()}
         return {**super().spatial_constants(), **used}  # type: ignore[dict-item]
 
-    def with_symbols(self, symbols: Mapping[str, Any]) -> Self:
+    def with_symbols(self, symbols: Mapping[str, Expr]) -> Self:
         """See `Law.with_symbols`."""
         used = {f: symbols[name] for name, f in self._used_beside().items() if name in symbols}
         law = super().with_symbols(symbols)

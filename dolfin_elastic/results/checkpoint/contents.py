@@ -158,7 +158,7 @@ _NUMBERS = {
     "ledger.scale": UNKNOWN,
     # explicit motion
     "remaining": FINITE,
-    "every": POSITIVE,
+    "every": SIZE,
     "work": FINITE,
     "square": SIZE,
     "known_square": SIZE,

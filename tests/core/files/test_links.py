@@ -178,5 +178,5 @@ def test_files_are_opened_as_they_are(tmp_path: Path) -> None:
 @pytest.mark.parametrize("file", ["/tmp/a.png", "../a.png", "a/../../b.png", "a\n.png"])
 def test_pictures_stay_in_their_folder(tmp_path: Path, file: str) -> None:
     (tmp_path / "case.toml").write_text(CASE.replace('"side.png"', f"'''{file}'''"))
-    with pytest.raises(InputError, match="is no name in the folder of results"):
+    with pytest.raises(InputError, match="lies outside the folder|is no name of a file"):
         read_case(tmp_path / "case.toml")

@@ -656,7 +656,7 @@ def test_in_a_case(comm):
     (start,) = found.contacts
     assert (start.contact, start.gap, start.place) == ("contact[0] 'floor'", 0.0, (0.0, 0.0))
     small = {**TABLES["mesh"], "unit": "mm"}
-    above = {"on": "right", "plane": {"axis": "-x", "at": 0.0015}}
+    above = {"on": "left", "plane": {"axis": "x", "at": -0.0005}}
     notes = report(Case.from_dict(TABLES | {"mesh": small, "contact": [above]}), comm=comm).notes
     assert any("are they in m? Then it would be 0.0005 m away" in note for note in notes)
     misspelt = TABLES | {"contact": [TABLES["contact"][0] | {"on": "botom"}]}

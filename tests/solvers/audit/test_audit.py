@@ -176,7 +176,7 @@ PRESSED = {
         "mesh": {"box": {"size": [20, 20, 20], "cells": [2, 2, 2], "origin": [-10, 0, 0]}},
         "support": [{"on": name, "kind": "normal"} for name in ("bottom", "front")],
         "contact": [
-            {"on": name, "plane": {"normal": n, "point": [-9.9975e-3 * n[0], 0, 0]}}
+            {"on": name, "plane": {"normal": n, "point": [-9.9975 * n[0], 0, 0]}}
             for name, n in WALLS.items()
         ],
     },

@@ -365,7 +365,7 @@ class Implicit:
         newton, krylov = self.scheme.counts()
         with stage("solve"), self.options.in_force(), self.options.elastic_errors():
             ts.solve()
-            while self._failed() and self.scheme.fall_back():
+            while _failed(ts, self.newton) and self.scheme.fall_back():
                 ts.setConvergedReason(PETSc.TS.ConvergedReason.CONVERGED_ITERATING)
                 ts.solve()
             self.options.report_unused()
@@ -379,9 +379,6 @@ class Implicit:
         self._krylov += krylov
         if ts.getConvergedReason() < 0:
             raise self._failure()
-
-    def _failed(self) -> bool:
-        return self.ts.getConvergedReason() < 0 and not self.newton.test.interrupted
 
     def _failure(self) -> ConvergenceError:
         t = float(self.ts.getTime())
@@ -497,3 +494,8 @@ class Implicit:
     def destroy(self) -> None:
         """Frees what it owns. Collective."""
         self._owned.close()
+
+
+def _failed(ts: PETSc.TS, newton: Newton) -> bool:
+    """Whether a step has no solution, and not because a signal has asked for the end."""
+    return ts.getConvergedReason() < 0 and not newton.test.interrupted
