@@ -41,7 +41,8 @@ EXPLICIT = {"end": 1.0, "scheme": "central-differences", "every": "0.05 s"}
 
 @pytest.fixture(autouse=True)
 def _handler():
-    """The handlers of before are there again."""
+    """The handlers of before are there again: those of Python, whatever commands have set."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     assert not signals.watched()
