@@ -40,9 +40,10 @@ EXPLICIT = {"end": 1.0, "scheme": "central-differences", "every": "0.05 s"}
 
 
 @pytest.fixture(autouse=True)
-def _handler():
-    """The handlers of before are there again: those of Python, whatever commands have set."""
+def _handler(monkeypatch: pytest.MonkeyPatch):
+    """The handlers of before are there again: Python's own, whatever commands have left."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    monkeypatch.setattr(signals, "_current", [])
     yield
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     assert not signals.watched()
