@@ -732,7 +732,9 @@ def _audit_lines(audit: Table, summary: Table) -> Iterator[str]:
 
 def _reservations(summary: Table) -> Iterator[str]:
     """What limits how far the largest stresses can be believed."""
-    for text in (summary.get("error") or {}).get("reservations") or []:
+    error = summary.get("error")
+    found = error.get("reservations") if isinstance(error, Mapping) else None
+    for text in found if isinstance(found, list) else []:
         yield f"Largest stress: {text}."
 
 

@@ -196,6 +196,8 @@ def _reach(case: Case, problem: Problem) -> float:
     pushed = len(problem.contact_pairs) > 1 and any(c.values for c in case.contact)
     if not (moving or loaded or started or pushed or problem.cell is not None):
         return 0.0
+    if case.dynamics is not None and (loaded or started):  # it may fall, or fly
+        return np.inf
     end, default = _end(case)
     times = [end * i / (TIMES - 1) for i in range(TIMES)]
     values = problem.dirichlet.values_at(times, default)

@@ -366,8 +366,11 @@ class _Convergence:
 
 def _doubt(peak: Peak | None) -> str:
     """A warning where the quantity is at a singular place, or not resolved; empty elsewhere."""
-    if peak is None or not (peak.singular or peak.unresolved):
+    if peak is None:
         return ""
+    if not (peak.singular or peak.unresolved):
+        known = np.isfinite(peak.error)
+        return "" if known else "; its error is not known, for a face elsewhere is not resolved"
     if peak.unresolved:
         return f"; its peak is not known: {peak.unresolved}"
     return f"; it is at {peak.singular}, where the stress has no limit"

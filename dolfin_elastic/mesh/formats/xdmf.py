@@ -508,8 +508,9 @@ def _check_nodes(mesh: Mesh, cells: IntArray, tags: _Tags) -> None:
     bad = int(np.count_nonzero((cells < 0) | (cells >= count)))
     if total(mesh.comm, bad):
         raise MeshError(
-            f"the cells of '{tags.attribute}' have points that do not exist",
-            expected=f"numbers from 0 to {count - 1}",
+            f"the cells of '{tags.attribute}' have points that do not exist, or that no "
+            "cell of the mesh uses",
+            expected=f"{count} points, numbered from 0",
         )
 
 

@@ -60,20 +60,15 @@ def _offence(value: object) -> bool:
     )
 
 
-def _pairs(value: object) -> bool:
-    return isinstance(value, list) and all(
-        isinstance(one, list) and len(one) == 2 and all(map(_number, one)) for one in value
-    )
-
-
 FINITE = Kind("a finite number", _number)
 TIME = Kind("a finite number not below 0", lambda v: _number(v) and v >= 0)
 SIZE = Kind("a positive number", lambda v: _number(v) and v > 0)
-SHARE = Kind("a share from 0 to 1", lambda v: _number(v) and 0 <= v <= 1)
+DONE = Kind("a finite number up to 1", lambda v: _number(v) and v <= 1)
 MEASURED = Kind("a number", _any_number)
 UNKNOWN = Kind("a number or null", lambda v: v is None or _any_number(v))
 KNOWN_SIZE = Kind("a positive number or null", lambda v: v is None or (_number(v) and v >= 0))
 COUNT = Kind("a whole number not below 0", lambda v: _whole(v, 0))
+COUNTED = Kind("a whole number not below 0, or null", lambda v: v is None or _whole(v, 0))
 POSITIVE = Kind("a whole number above 0", lambda v: _whole(v, 1))
 LAST = Kind("a whole number from -1 on", lambda v: _whole(v, -1))
 TEXT = Kind("a text", lambda v: isinstance(v, str) and "\0" not in v)
@@ -81,7 +76,7 @@ FLAG = Kind("true or false", lambda v: isinstance(v, bool))
 TABLE = Kind("a table", lambda v: isinstance(v, dict))
 LISTS = Kind("a list of tables", lambda v: isinstance(v, list) and all(map(TABLE.fits, v)))
 NUMBERS = Kind("a list of numbers", _nested)
-PAIRS = Kind("a list of pairs of numbers", _pairs)
+PAIRS = Kind("a list of pairs of numbers", lambda v: isinstance(v, list) and all(map(_two, v)))
 MEASURES = Kind("a list of numbers", lambda v: isinstance(v, list) and all(map(_any_number, v)))
 OFFENCES = Kind(
     "a table of offences", lambda v: isinstance(v, dict) and all(map(_offence, v.values()))
@@ -96,7 +91,7 @@ SCALARS = Kind(
 _CONTENT = {
     "step": COUNT,
     "t": FINITE,
-    "done": SHARE,
+    "done": DONE,
     "written": TEXT,
     "mesh": TABLE,
     "case": TEXT,
@@ -131,8 +126,9 @@ _NUMBERS = {
     "arc.lead": NUMBERS,
     "arc.size": SIZE,
     "arc.longest": MEASURED,
-    "arc.points": PAIRS,
-    "arc.limits": NUMBERS,
+    "arc.slope": MEASURED,
+    "arc.negative": COUNTED,
+    "arc.limits": PAIRS,
     "arc.newton": TABLE,
     "arc.newton.stiffest": KNOWN_SIZE,
     "arc.newton.linear": TEXT,
@@ -213,8 +209,10 @@ def fault_of(content: object, step: int) -> str:
     known = content.get("case_text")
     if known is not None and not TEXT.fits(known):
         return "'case_text' is no text"
+    # Behind a limit point the load of a path may fall below 0.
+    path = {"t": FINITE} if content["numbers"].get("arc") else {}
     return (
-        _first(content["numbers"], _NUMBERS, "numbers.")
+        _first(content["numbers"], {**_NUMBERS, **path}, "numbers.")
         or _array_fault(content["arrays"])
         or next(filter(None, _of_outputs(content["outputs"])), "")
     )

@@ -116,7 +116,8 @@ class FinishedRun:
     @property
     def metres(self) -> float:
         """Metres per unit of length of the mesh, in which places beside it are written."""
-        mesh = (self.summary.get("model") or {}).get("mesh") or {}
+        model = self.summary.get("model")
+        mesh = model.get("mesh") if isinstance(model, dict) else None
         found = mesh.get("metres", 1.0) if isinstance(mesh, dict) else 1.0
         return float(found) if isinstance(found, int | float) and found > 0 else 1.0
 

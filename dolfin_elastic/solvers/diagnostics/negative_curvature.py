@@ -102,7 +102,7 @@ def _count(tangent: _Tangent, *, exactly: bool) -> Found:
         if ended.direction is None:
             return Found(None, reason=ended.reason)
         if enough and tangent.is_whole:
-            return Found(1, at_least=True, direction=tangent.spread(ended.direction))
+            return _proven(tangent, ended.direction)
         if not directions.add(ended.direction):
             return Found(None, reason="the linear solver does not converge with its tangent")
         if enough and directions.verdict(at_least=True).negative:
@@ -113,6 +113,20 @@ def _count(tangent: _Tangent, *, exactly: bool) -> Found:
                 reason=f"its tangent has more than {MOST_DIRECTIONS} directions of little or "
                 "negative stiffness",
             )
+
+
+def _proven(tangent: _Tangent, d: FloatArray) -> Found:
+    """A negative eigenvalue, where a symmetric tangent itself is negative along d. Collective.
+
+    Conjugate gradients end with such a direction also where only the preconditioner is negative.
+
+    Args:
+        tangent: The tangent.
+        d: The direction, on its rows.
+    """
+    if tangent.dot(d, tangent.product(d)) > 0.0:
+        return Found(None, reason="its preconditioner is not positive definite")
+    return Found(1, at_least=True, direction=tangent.spread(d))
 
 
 class _Tangent:

@@ -295,11 +295,12 @@ class ArcLength:
             here: `Newton.unknowns` at its beginning.
         """
         assert self._increment is not None
-        last, spent = self._increment, NewtonResult()
+        last, spent, moved = self._increment, NewtonResult(), False
         there, lam = self._bordered.unknowns(), self._multipliers()
 
         def find(s: float) -> Sample | None:
-            nonlocal spent
+            nonlocal spent, moved
+            moved = True
             self._undo(here, begin.t)
             result = self._step(last, s)
             spent = replace(
@@ -311,7 +312,7 @@ class ArcLength:
 
         least = BALANCED * self._newton.tolerance.rtol
         found = limit_points(begin, end, find, least=least)
-        if spent.newton:
+        if moved:
             self._bordered.put_back(there)
             self._put_multipliers(lam)
             assert self._bordered.bordered is not None

@@ -67,9 +67,12 @@ def limit_points(
         least: Error of the load of a point of the path, over the load.
     """
     found: list[LimitPoint] = []
-    left = begin
-    while roots := [x for x in _turns(left, end) if x > left.s + APART * (end.s - begin.s)]:
-        point, limit = _located(left, end, roots[0], find)
+    left, last, apart = begin, begin.s, APART * (end.s - begin.s)
+    while roots := _further(left, end, last, apart):
+        before = last
+        point, limit, last = _located(left, end, roots[0], find)
+        if found and last <= before + apart:  # the same one again
+            break
         found.append(LimitPoint(limit.t, max(limit.error, least * abs(limit.t))))
         if point is None or len(found) > 2:
             break
@@ -77,10 +80,25 @@ def limit_points(
     return found
 
 
+def _further(left: Sample, end: Sample, last: float, apart: float) -> list[float]:
+    """Turns of the load behind the limit point that was found last [m].
+
+    Args:
+        left: The last point of the path that was found, before that limit point or behind it.
+        end: Of the step.
+        last: Distance of that limit point [m].
+        apart: Least distance between two limit points [m].
+    """
+    turns = _turns(left, end)
+    if left.s < last:  # the first one is that limit point, as this longer cubic sees it
+        turns = turns[1:]
+    return [x for x in turns if x > max(left.s, last) + apart]
+
+
 def _located(
     left: Sample, right: Sample, x: float, find: Callable[[float], Sample | None]
-) -> tuple[Sample | None, LimitPoint]:
-    """The limit point next to x, and the last point of the path that was found there."""
+) -> tuple[Sample | None, LimitPoint, float]:
+    """The last point of the path found next to x, the limit point, and its distance [m]."""
     samples, point = [left, right], None
     value = _cubic(left, right, x)
     error = max(abs(value - left.t), abs(value - right.t))
@@ -90,7 +108,7 @@ def _located(
             break
         point = found
         if not np.isfinite(found.slope):  # the tangent is singular: it is the limit point
-            return point, LimitPoint(found.t, abs(value - found.t))
+            return point, LimitPoint(found.t, abs(value - found.t)), found.s
         samples = [found, *sorted(samples, key=lambda sample: abs(sample.s - found.s))]
         left, right = (left, found) if left.slope * found.slope <= 0.0 else (found, right)
         # The two nearest points give the better cubic, the two around the limit one with a root.
@@ -101,12 +119,12 @@ def _located(
             roots = _turns(left, right)
         if not roots:
             # The slope is all that is left to tell: the limit is within a step of Newton's method.
-            return found, LimitPoint(found.t, abs(found.slope * (right.s - left.s)))
+            return found, LimitPoint(found.t, abs(found.slope * (right.s - left.s))), found.s
         x = roots[int(np.argmin(np.abs(np.array(roots) - found.s)))]
         value, error = _cubic(*pair, x), abs(found.slope * (x - found.s))
         if error <= EXACT * abs(value):
             break
-    return point, LimitPoint(value, error)
+    return point, LimitPoint(value, error), x
 
 
 def _coefficients(a: Sample, b: Sample) -> tuple[float, float, float, float]:

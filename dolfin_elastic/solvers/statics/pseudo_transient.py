@@ -152,5 +152,5 @@ def perturb(newton: Newton, mode: FloatArray, size: float) -> None:
         w.array[moves] = start + size / 2**halving * mode
         w.scatter_forward()
         assembler.problem.unknowns.w_to_u()
-        if guard is None or guard.watch.smallest()[0] > 0.0:
+        if guard is None or guard.watch.refused()[0] > 0.0:
             break

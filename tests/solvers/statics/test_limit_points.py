@@ -181,6 +181,28 @@ def test_cubics(steps):
     assert len(points) <= (3 if steps >= 6 else 5) * len(found)
 
 
+@pytest.mark.parametrize("height", [1e-1, 1e-3, 1e-5])
+def test_flat_limits_are_found_once(height):
+    """Where the load hardly varies, its error says little of the place: none is told twice.
+
+    Steps with one limit point in them, of a load that is no cubic.
+    """
+    draw = np.random.default_rng(1)
+    for _ in range(300):
+        c, top = np.append(draw.uniform(-0.3, 0.3, 2), -0.1), draw.uniform(0.05, 0.95)
+        load = np.polynomial.Polynomial([1.0, 0.0, -height, *(height * c)])
+        slope = load.deriv()
+        at = [x.real for x in slope.roots() if abs(x.imag) < 1e-9 and -top < x.real < 1 - top]
+        if len(at) != 1:
+            continue
+
+        def find(s: float, top: float = top, load: Any = load, slope: Any = slope) -> Sample:
+            return Sample(s, float(load(s - top)), float(slope(s - top)))
+
+        (limit,) = limit_points(find(0.0), find(1.0), find)
+        assert abs(limit.t - float(load(at[0]))) <= limit.error + 1e-12
+
+
 def test_a_point_that_is_not_found():
     """Then the cubic of the whole step tells the limit, with an error as large as the step's."""
     begin, end = spring(0.0), spring(8.0)

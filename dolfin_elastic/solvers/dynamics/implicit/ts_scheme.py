@@ -60,6 +60,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         self._end_forces: Forces | None = None
         self._old_end_forces: Forces | None = None
         self._accepted: StepForces | None = None
+        self._largest_load = 0.0
         self._higher_order: FloatArray | None = None
 
     # --- what the motion asks for ---
@@ -93,7 +94,9 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         before, now = self._end_forces.loads, self._forces_at(t).loads
         sums = np.array([np.sum((now - before) ** 2), np.sum(before**2), np.sum(now**2)])
         change, *size = total(self.assembler.comm, sums)
-        return bool(change > CHANGED**2 * max(size))
+        # Loads that pass zero are compared with the largest so far.
+        self._largest_load = max(self._largest_load, *size)
+        return bool(change > CHANGED**2 * self._largest_load)
 
     def accept(self) -> StepForces:
         """See `ImplicitScheme.accept`."""
@@ -274,7 +277,8 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         """Stores the accepted step and the size of the next one [s]."""
         assert self._stage is not None
         assert self._stage_forces is not None
-        start, end = self._stage.start, self._stage.start.t + self._stage.h
+        start = self._stage.start
+        end = self._control.without_round_off(start.t + self._stage.h)
         middle = self._stage_forces
         if not self._midpoint:
             self._old_end_forces, self._end_forces = self._end_forces, self._forces_at(end)
@@ -282,7 +286,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
             middle = self._old_end_forces.mean(self._end_forces)
         u = self.problem.w.x.array[self.moving.displacement_dofs]
         self._accepted = StepForces(self._stage_forces, middle, u - start.u)
-        ts.setTime(self._control.without_round_off(end))
+        ts.setTime(end)
         ts.setTimeStep(h)
 
     def _put_back(self, U: PETSc.Vec, V: PETSc.Vec) -> None:
