@@ -119,7 +119,8 @@ class CellKernel:
         Returns:
             Shape (cells, points, columns).
         """
-        return self.expression.eval(cells).reshape(len(cells), -1, len(self.columns))
+        points, columns = self.expression.size // len(self.columns), len(self.columns)
+        return self.expression.eval(cells).reshape(len(cells), points, columns)
 
 
 def cell_kernel(

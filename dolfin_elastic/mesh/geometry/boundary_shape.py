@@ -104,7 +104,7 @@ class BoundaryShape:
             return
         frames = _exact_frames(known.normals, facet_corners(mesh, self.facets))
         given: BoolArray = np.asarray(np.isfinite(frames).all(axis=2))
-        count = self._ridges.of_rows(given.astype(float))
+        count = self._ridges.of_rows(given[..., None].astype(float))[..., 0]
         self.exact = np.asarray(edge & (count > 1.5))
         exact, _ = self._interior_angles(np.where(given[..., None], frames, self._frames))
         self.angles = np.where(self.exact, exact, by_facets)
@@ -134,7 +134,7 @@ class BoundaryShape:
         before = None if self._known is None else self._known.arcs
         found = (self._next_is_alike() if before is None else before).astype(float)
         within = (np.abs(self.turns) > _FLAT) & (np.abs(self.turns) < _ARC)
-        return within & (self._ridges.of_rows(found) > 0.5)
+        return within & (self._ridges.of_rows(found[..., None])[..., 0] > 0.5)
 
     def _next_is_alike(self) -> BoolArray:
         """Whether at the corner opposite to each edge there are others like it. Collective."""
@@ -146,7 +146,7 @@ class BoundaryShape:
         square = along[..., :, None] * along[..., None, :]
         # Two facets beside each edge add a half each.
         rows = np.stack([marked * 0.5, marked * 0.5 * self.turns], axis=-1)
-        rows = (rows[..., None, None] * square[:, :, None]).reshape(*marked.shape, -1)
+        rows = (rows[..., None, None] * square[:, :, None]).reshape(*marked.shape, 2 * d * d)
         work = la.vector(mesh.topology.index_map(0), rows.shape[-1])
         table = work.array.reshape(-1, rows.shape[-1])
         for k in range(d):

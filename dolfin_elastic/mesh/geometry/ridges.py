@@ -110,13 +110,13 @@ class Ridges:
         """For each row that was given the sum over those of the same ridge. Collective.
 
         Args:
-            values: A number or several for each row, shape (..., columns) or (...), where the rows
-                may have any shape.
+            values: Shape (..., columns), where the rows may have any shape.
 
         Returns:
             Of the same shape.
         """
-        table = values.reshape(len(self._of_row), -1)
+        # The columns are named: a rank without rows cannot count them.
+        table = values.reshape(len(self._of_row), values.shape[-1])
         return self.sums(slice(None), table)[self._of_row].reshape(values.shape)
 
     def nodes(self, V: fem.FunctionSpace) -> IndexArray:

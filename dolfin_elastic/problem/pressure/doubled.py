@@ -91,7 +91,7 @@ def doubled(W: fem.FunctionSpace, number: int, group: IntArray) -> DoubledSpace:
     copies = np.where(pairs.mine, own, there).astype(np.int32)
     table = new[np.asarray(W.dofmap.list)]
     rows = np.searchsorted(pairs.key(pairs.here), pairs.key(pairs.of_cells))
-    table[:, pairs.columns] = copies[rows].reshape(len(table), -1)
+    table[:, pairs.columns] = copies[rows].reshape(len(table), len(pairs.columns))
     cells, dofmap = adjacency(np.ascontiguousarray(table, dtype=np.int32)), W.dofmap
     made = cpp.fem.DofMap(dofmap.dof_layout, index_map, dofmap.index_map_bs, cells, dofmap.bs)
     space = fem.FunctionSpace(W.mesh, W.ufl_element(), space_like(W, made))

@@ -273,7 +273,8 @@ class RegionStress:
 
     def _evaluated(self, part: slice) -> FloatArray:
         cells = self.cells[part]
-        return self._kernel.eval(cells).reshape(len(cells), -1, self._width)
+        points = self._kernel.size // self._width
+        return self._kernel.eval(cells).reshape(len(cells), points, self._width)
 
     def allowable_at_nodes(self) -> FloatArray:
         """Allowable stress [Pa] at the owned nodes, NaN without. Collective."""
