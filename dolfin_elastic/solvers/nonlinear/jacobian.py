@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import basix
@@ -164,50 +165,54 @@ def _marks(problem: Problem, of_regions: Sequence[bool]) -> BoolArray | None:
     return found
 
 
-class _ByLoop:
-    """Extremes by one loop over the cells, for F = I + grad u. Collective to make.
+@dataclass(eq=False)
+class _Evaluator:
+    """What both ways to extremes need. Collective to make.
 
     Args:
-        problem: Whose displacement is the only unknown.
+        problem: The problem.
         points: Of each cell.
         small: Which cells have a linear law; None: none.
         surviving: Which cells have a law that survives inversion; None: none.
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        points: FloatArray,
-        small: BoolArray | None,
-        surviving: BoolArray | None,
-    ) -> None:
-        mesh = problem.body.mesh
-        gradients, corners, sizes = tabulated(problem, points)
+    problem: Problem
+    points: FloatArray
+    small: BoolArray | None
+    surviving: BoolArray | None
+
+
+@dataclass(eq=False)
+class _ByLoop(_Evaluator):
+    """Extremes by one loop over the cells, for F = I + grad u as the only unknown."""
+
+    def __post_init__(self) -> None:
+        problem, mesh = self.problem, self.problem.body.mesh
+        gradients, corners, sizes = tabulated(problem, self.points)
         self._loop = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
-        self._mesh, self._w = mesh, problem.w
         nodes = [
             np.ascontiguousarray(dofs) for dofs in (mesh.geometry.dofmap, problem.V.dofmap.list)
         ]
         self._cells = (*nodes, mesh.geometry.x)
         self._tables, self._count = (gradients, corners), len(problem.body.owned_cells())
-        self._small, self._surviving = (
+        self._marks = [
             np.zeros(0, dtype=np.int8) if marks is None else marks.astype(np.int8)
-            for marks in (small, surviving)
-        )
+            for marks in (self.small, self.surviving)
+        ]
 
     def __call__(self) -> Extremes | None:
         """Of the owned cells of this rank; None without any. Not collective."""
         if not self._count:
             return None
         found, cells = np.empty(4), np.empty(4, dtype=np.int32)
-        arrays = (*self._cells, self._w.x.array, *self._tables)
-        marks = (len(self._small), self._small, len(self._surviving), self._surviving)
+        arrays = (*self._cells, self.problem.w.x.array, *self._tables)
+        marks = [given for marks in self._marks for given in (len(marks), marks)]
         inverted = self._loop.call("extremes", self._count, *arrays, *marks, found, cells)
-        places = [_middle(self._mesh, int(cell)) for cell in cells]
+        places = [_middle(self.problem.body.mesh, int(cell)) for cell in cells]
         low, high, square, refused = map(float, found)
         steepest = (
             (float(np.nan_to_num(np.sqrt(square))), places[2])
-            if len(self._small)
+            if self.small is not None
             else (0.0, NOWHERE)
         )
         return Extremes(
@@ -215,34 +220,21 @@ class _ByLoop:
         )
 
 
-class _ByExpression:
-    """The same for any F of all unknowns, by an expression of it. Collective to make.
+@dataclass(eq=False)
+class _ByExpression(_Evaluator):
+    """The same for any F of all unknowns, by an expression of it."""
 
-    Args:
-        problem: Of any unknowns.
-        points: Of each cell.
-        small: Which cells have a linear law; None: none.
-        surviving: Which cells have a law that survives inversion; None: none.
-    """
-
-    def __init__(
-        self,
-        problem: Problem,
-        points: FloatArray,
-        small: BoolArray | None,
-        surviving: BoolArray | None,
-    ) -> None:
-        self._mesh, self._points, self._small = problem.body.mesh, points, small
-        self._surviving = surviving
-        self._cells = problem.body.owned_cells()
+    def __post_init__(self) -> None:
+        problem = self.problem
+        self._mesh, self._cells = problem.body.mesh, problem.body.owned_cells()
         F = problem.weak_form.F(problem.w)
         seen = [ufl.det(F)]
-        if small is not None:
+        if self.small is not None:
             H = displacement_gradient(F)
             seen.append(ufl.inner(H, H))
         self._columns = len(seen)
         self._seen_in = compile_expression(
-            problem.body.comm, ufl.as_vector(seen), points, problem.jit
+            problem.body.comm, ufl.as_vector(seen), self.points, problem.jit
         )
 
     def __call__(self) -> Extremes | None:
@@ -251,7 +243,7 @@ class _ByExpression:
         for first in range(0, len(self._cells), BLOCK):
             cells = self._cells[first : first + BLOCK]
             seen = self._seen_in.eval(self._mesh, cells)
-            seen = seen.reshape(len(cells), len(self._points), self._columns)
+            seen = seen.reshape(len(cells), len(self.points), self._columns)
             before = [] if found is None else [found]
             found = Extremes.of([*before, self._of(cells, seen)])
         return found
@@ -262,8 +254,8 @@ class _ByExpression:
         values[np.isnan(values)] = -np.inf  # as bad as can be, on whichever rank
         least, most = values.min(axis=1), values.max(axis=1)
         low, refused = self._at(cells, least, int(np.argmin(least))), least
-        if self._surviving is not None:
-            refused = np.where(self._surviving[cells], np.inf, least)
+        if self.surviving is not None:
+            refused = np.where(self.surviving[cells], np.inf, least)
         return Extremes(
             low,
             self._at(cells, most, int(np.argmax(most))),
@@ -274,9 +266,9 @@ class _ByExpression:
 
     def _steepest_of(self, cells: IndexArray, seen: FloatArray) -> Extreme:
         """Largest |grad u| in those of some cells that have linear laws."""
-        if self._small is None:
+        if self.small is None:
             return 0.0, NOWHERE
-        squares = np.where(self._small[cells], seen[:, :, -1].max(axis=1), 0.0)
+        squares = np.where(self.small[cells], seen[:, :, -1].max(axis=1), 0.0)
         steep = np.nan_to_num(np.sqrt(squares))
         return self._at(cells, steep, int(np.argmax(steep)))
 
