@@ -14,26 +14,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers.cube import cube
 from helpers.processes import PROGRAM, cli, started
 from helpers.traced import traced
 
 pytestmark = pytest.mark.usefixtures("serial_only")
 
-CASE = """\
-[mesh]
-box = {size = [1, 1, 1], cells = [1, 1, 1]}
-degree = 1
-[materials.m]
-law = "linear-elastic"
-E = 1e6
-nu = 0.3
-[[support]]
-on = "left"
-[[load]]
-kind = "traction"
-on = "right"
-value = [1, 0, 0]
-"""
+CASE = cube()
 MODES = """\
 [mesh]
 box = {size = [1, 1, 1], cells = [1, 1, 1]}

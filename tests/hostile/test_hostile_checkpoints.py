@@ -17,6 +17,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from helpers.cube import cube
 from helpers.decks import COMM, made, shared_folder
 from mpi4py import MPI
 
@@ -27,21 +28,8 @@ from dolfin_elastic.results.checkpoint.checksums import array_checksum
 from dolfin_elastic.results.hdf5 import Rows
 
 NAN, INF = float("nan"), float("inf")
-COMMON = """\
-[mesh]
-box = {size = [1, 1, 1], cells = [1, 1, 1]}
-degree = 1
-[materials.a]
-law = "neo-hookean"
-E = 1e6
-nu = 0.3
-density = 1000
-[[support]]
-on = "left"
-[[load]]
-kind = "traction"
-on = "right"
-value = [1e3, 0, 0]
+COMMON = f"""\
+{cube("neo-hookean", traction=1e3, more="density = 1000")}
 [output]
 formats = ["xdmf", "csv"]
 """

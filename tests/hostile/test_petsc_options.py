@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from helpers.cube import cube
 from helpers.processes import cli
 from helpers.runs import begun, case, finished
 
@@ -12,19 +13,7 @@ from dolfin_elastic.core.errors import CaseError
 from dolfin_elastic.core.petsc_options import PetscValue, refuse_beyond_solvers
 from dolfin_elastic.solvers.linear import choice
 
-CASE = """[mesh]
-box = {size = [1, 1, 1], cells = [1, 1, 1]}
-[materials.m]
-law = "linear-elastic"
-E = 1e6
-nu = 0.3
-[[support]]
-on = "left"
-[[load]]
-kind = "traction"
-on = "right"
-value = [1, 0, 0]
-"""
+CASE = cube()
 
 GIVEN: dict[str, PetscValue] = {
     "ksp_type": "gmres",
