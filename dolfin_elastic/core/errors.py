@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -262,6 +262,21 @@ def check_kept(folder: Path, where: str) -> None:
         )
 
 
+_ALIKE = 0.6
+"""Likeness from which on a name may be the one that is meant: "tip" and "top"."""
+_OTHER_INITIAL = 0.75
+"""The same where the first letters differ, which is a rare slip: "eft" and "left", but not "where"
+and "sphere"."""
+
+
+def _alike(name: str, known: Sequence[str]) -> list[str]:
+    """At most three known names that may be meant, the most similar one first."""
+    initial = name[:1].casefold()
+    first = [one for one in known if one[:1].casefold() == initial]
+    other = get_close_matches(name, [one for one in known if one not in first], 3, _OTHER_INITIAL)
+    return get_close_matches(name, [*get_close_matches(name, first, 3, _ALIKE), *other], 3, _ALIKE)
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Hint at an unknown name: the most similar known one, or else the list of all.
 
@@ -273,7 +288,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
         For example ``did you mean 'left'?`` or ``known: left, right``.
     """
     names = sorted(known)
-    match = get_close_matches(name, names, n=1, cutoff=0.6)
+    match = _alike(name, names)
     if match:
         return f"did you mean '{match[0]}'?"
     return f"known: {', '.join(names)}" if names else "there are none"
@@ -293,7 +308,7 @@ def nearest_first(name: str, known: Iterable[str], meant: str = "") -> str:
     """
     names = list(known)
     quoted = [one for one in names if f'"{one}"' in meant]
-    near = quoted or get_close_matches(name, names, cutoff=0.6)
+    near = quoted or _alike(name, names)
     hint = f"{meant}; " if meant else f"did you mean '{near[0]}'? " if near else ""
     return f"{hint}known: {', '.join(dict.fromkeys((*near, *names)))}"
 

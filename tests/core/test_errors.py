@@ -48,3 +48,23 @@ def test_exit_codes(kind: str, code: int) -> None:
 def test_nearest_file(name: str, known: list[str], hint: str) -> None:
     """A file of another name is not proposed for the one that is missing."""
     assert errors.nearest_file(name, known) == hint
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("plain", "did you mean 'plane'?"),
+        ("Plane", "did you mean 'plane'?"),
+        ("phere", "did you mean 'sphere'?"),
+        ("spehre", "did you mean 'sphere'?"),
+        # Two letters of three in common with another name, but no slip of the hand.
+        ("where", "known: box, cylinder, plane, sphere"),
+        ("x", "known: box, cylinder, plane, sphere"),
+    ],
+)
+def test_nearest_names(name: str, hint: str) -> None:
+    """A name that is far from all of them gets the list, and no wrong guess."""
+    known = ["sphere", "plane", "cylinder", "box"]
+    assert errors.nearest(name, known) == hint
+    guess = hint if hint.startswith("did") else ""
+    assert errors.nearest_first(name, known).startswith(guess or "known: sphere, plane")
