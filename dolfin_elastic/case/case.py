@@ -23,6 +23,7 @@ from mpi4py import MPI
 from pydantic import PrivateAttr
 
 from dolfin_elastic.case.analysis import ANALYSES, AnalysisTables
+from dolfin_elastic.case.check.memory import check_elements
 from dolfin_elastic.case.curve_files import has_curve_files, with_curves
 from dolfin_elastic.case.model_tables import read_material_tables
 from dolfin_elastic.case.tables import Material, table_of
@@ -112,6 +113,9 @@ class Case(AnalysisTables):
     def read_body(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Body:
         """The mesh with all its names. Collective."""
         key = next(k for k in ("file", "box", "rectangle") if getattr(self.mesh, k) is not None)
+        with locate_errors(self.file, f"mesh.{key}"):
+            if cells := self.mesh.generated_cells:
+                check_elements(comm, cells, 2 if key == "rectangle" else 3, self.degree)
         with locate_errors(self.file, f"mesh.{key}", exact=False):
             body = self.mesh.body(
                 self.folder, comm, curved=self.curved, surfaces=self.surfaces, trust=self._trusted
@@ -125,7 +129,10 @@ class Case(AnalysisTables):
                 points=self.points,
                 scale=body.unit.metres,
             )
-            return self.mesh.refined(named)
+            finer = self.mesh.refined(named)
+        with locate_errors(self.file, f"mesh.{key}"):
+            check_elements(comm, finer.num_cells, finer.dim, self.degree, made=True)
+        return finer
 
     def make_problem(self, body: Body) -> Problem:
         """The boundary value problem. Collective.

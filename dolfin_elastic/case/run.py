@@ -28,10 +28,12 @@ from dolfin_elastic.case.check.mesh_quality import bending_notes, shape_notes
 from dolfin_elastic.case.check.plausibility import unit_information
 from dolfin_elastic.case.model_record import model_record
 from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished, written_tables
+from dolfin_elastic.case.tables import check_name_of_folder
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import (
     CaseError,
     ElasticError,
+    InputError,
     OutputError,
     SolveError,
     StoppedError,
@@ -93,6 +95,11 @@ def run(
         SolveError: No solution was found; the results so far are complete.
         OutputError: Results cannot be written.
     """
+    if isinstance(output, str):
+        try:
+            check_name_of_folder(output)
+        except InputError as error:
+            raise error.at("output") from None
     folder = Path(output) if output is not None else case.results_folder()
     yield from loop_together(comm, _Run(case, folder, dict(petsc or {}), comm, asked).states())
 

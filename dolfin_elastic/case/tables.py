@@ -34,6 +34,7 @@ from dolfin_elastic.mesh import (
     rectangle_body,
 )
 from dolfin_elastic.mesh.distribute import is_cad
+from dolfin_elastic.mesh.generate import number_of_cells
 from dolfin_elastic.mesh.local_size import CadSizes, LocalSize
 from dolfin_elastic.mesh.selectors import Place, Point, Selector
 from dolfin_elastic.model.dimension import Geometry
@@ -230,6 +231,18 @@ class MeshTable(Record):
         )
 
     @property
+    def generated_cells(self) -> float:
+        """Number of triangles or tetrahedra of a box or rectangle; 0 of a file.
+
+        Where elements are smaller in some places, those before these are made.
+        """
+        made = self.box or self.rectangle
+        if made is None:
+            return 0.0
+        times = self.refine if isinstance(self.refine, int) else 0
+        return float(number_of_cells(made.cells)) * 2.0 ** (len(made.cells) * times)
+
+    @property
     def _places(self) -> Sequence[LocalSize]:
         """Where the elements are smaller."""
         return self.refine if isinstance(self.refine, list) else ()
@@ -302,6 +315,24 @@ class Material(Record):
         return law if self.on is None else {**law, "on": self.on}
 
 
+def check_name_of_folder(folder: str) -> None:
+    """Refuses what names no folder of results.
+
+    Args:
+        folder: What a user wrote.
+
+    Raises:
+        InputError: It is blank, or too long.
+    """
+    if not folder.strip():
+        raise InputError(
+            f"{quoted(folder)} is no name of a folder",
+            expected='for example "results", or "." for that of the case file',
+        )
+    if any(len(part.encode(errors="replace")) > LONGEST_NAME for part in Path(folder).parts):
+        raise InputError(f"{quoted(folder)}: file name too long", expected="a shorter one")
+
+
 class Output(Record):
     """The table [output]: what is written, where, and how often.
 
@@ -341,15 +372,8 @@ class Output(Record):
     @field_validator("folder")
     @classmethod
     def _is_folder(cls, folder: str | None) -> str | None:
-        if folder is not None and not folder.strip():
-            raise InputError(
-                f"{quoted(folder)} is no name of a folder",
-                expected='for example "results", or "." for that of the case file',
-            )
-        if folder is not None and any(
-            len(part.encode(errors="replace")) > LONGEST_NAME for part in Path(folder).parts
-        ):
-            raise InputError(f"{quoted(folder)}: file name too long", expected="a shorter one")
+        if folder is not None:
+            check_name_of_folder(folder)
         return folder
 
     @field_validator("fields")

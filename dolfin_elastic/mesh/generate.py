@@ -11,10 +11,11 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.compat import adjacency
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.files.memory import check_memory
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.mesh.distribute import before_partitioning
+from dolfin_elastic.mesh.distribute import BYTES, before_partitioning
 from dolfin_elastic.mesh.geometry.simplices import boundary_facets, facet_corners
 
 _MOST_CELLS = 2**31 - 1
@@ -58,7 +59,9 @@ def box_body(
         MeshError: The numbers make no box.
     """
     dim = _check(size, cells, origin)
-    _check_extremes(size, cells, scale)
+    number = number_of_cells(cells)
+    _check_extremes(size, scale)
+    check_memory(comm, number, BYTES[dim], where="cells", expected="fewer cells")
     low = np.array([*origin, 0.0][:dim], dtype=float) * scale
     high = low + np.asarray(size, dtype=float) * scale
     count = [int(n) for n in cells]
@@ -143,30 +146,41 @@ def _check(size: Sequence[float], cells: Sequence[int], origin: Sequence[float])
     return dim
 
 
-def _check_extremes(size: Sequence[float], cells: Sequence[int], scale: float) -> None:
+def _check_extremes(size: Sequence[float], scale: float) -> None:
     """Refuses boxes at which DOLFINx fails, or whose sides cannot be told apart.
 
     Args:
         size: Lengths of the edges, in units of `scale` metres.
-        cells: Number of little cubes or squares along each edge.
         scale: Metres per unit of length.
 
     Raises:
-        MeshError: More cells than 32-bit numbers count, or an edge much shorter than others.
+        MeshError: An edge is much shorter than others.
     """
-    number = math.prod(int(n) for n in cells) * math.factorial(len(size))
-    if number > _MOST_CELLS:
-        raise MeshError(
-            f"{number:.3g} cells are too many",
-            where="cells",
-            expected=f"at most {_MOST_CELLS:.3g}: PETSc's numbers have 32 bits",
-        )
     if min(size) * scale < _SHORTEST or min(size) < _THINNEST * max(size):
         raise MeshError(
             f"an edge of {min(size) * scale:.3g} m is too short",
             where="size",
             expected=f"at least {_SHORTEST:g} m, and {_THINNEST:g} of the longest edge",
         )
+
+
+def number_of_cells(cells: Sequence[int]) -> int:
+    """Number of tetrahedra of a box, or of triangles of a rectangle.
+
+    Args:
+        cells: Number of little cubes or squares along each edge.
+
+    Raises:
+        MeshError: There are more than 32-bit numbers count.
+    """
+    number = math.prod(int(n) for n in cells) * math.factorial(len(cells))
+    if number > _MOST_CELLS:
+        raise MeshError(
+            f"{number:.3g} cells are too many",
+            where="cells",
+            expected=f"at most {_MOST_CELLS:.3g}: PETSc's numbers have 32 bits",
+        )
+    return number
 
 
 def _partitioner(comm: MPI.Comm, count: Sequence[int]) -> Callable[..., object] | None:

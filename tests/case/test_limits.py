@@ -8,12 +8,14 @@ import threading
 import time
 from pathlib import Path
 
+import meshio
 import pytest
 from mpi4py import MPI
 
-from dolfin_elastic import read_case
+from dolfin_elastic import box_body, read_case
 from dolfin_elastic.case.check.report import report
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.files import memory
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="read on rank 0 alone")
 MESH = "box = {size = [1, 1, 1], cells = [1, 1, 1]}\n"
@@ -125,3 +127,52 @@ def test_a_case_that_is_a_pipe(tmp_path: Path) -> None:
         read_case(tmp_path / "case.toml")
     with pytest.raises(InputError, match=r"/dev/zero: this is a device, not a file"):
         read_case("/dev/zero")
+
+
+MEMORY = {
+    "box": ("box = {size = [1, 1, 1], cells = [20, 20, 20]}", "mesh.box: 4.8e.04 elements need"),
+    "rectangle": (
+        "rectangle = {size = [1, 1], cells = [200, 200]}",
+        "mesh.rectangle: 8e.04 elements need",
+    ),
+    "refine": (
+        "box = {size = [1, 1, 1], cells = [5, 5, 5]}\nrefine = 2",
+        "mesh.box: 4.8e.04 elements need",
+    ),
+    "local": (
+        'box = {size = [1, 1, 1], cells = [5, 5, 5]}\nrefine = [{on = "all", size = 0.04}]',
+        r"mesh.refine\[0\].size: .* elements need",
+    ),
+    "file": ('file = "box.vtu"', "mesh.file: .* elements need"),
+}
+"""Mesh of a case, and the message of a machine with little memory."""
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("kind", MEMORY)
+def test_refused_for_want_of_memory(
+    kind: str, degree: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before the kernel ends the program; the same case fits into more memory."""
+    mesh, message = MEMORY[kind]
+    if kind == "file":
+        made = box_body(size=[1, 1, 1], cells=[12, 12, 12], comm=MPI.COMM_SELF).mesh.geometry
+        cells = [("tetra", made.dofmap)]
+        meshio.Mesh(made.x, cells).write(tmp_path / "box.vtu")
+    regions = "[regions]\nall = {box = [[0, 0, 0], [1, 1, 1]]}\n" if kind == "local" else ""
+    text = case(f"{mesh}\ndegree = {degree}", rest=regions + STATICS)
+    (tmp_path / "case.toml").write_text(
+        text.replace('[0, 0, "10 kPa"]', '[0, "10 kPa"]') if kind == "rectangle" else text
+    )
+    read = read_case(tmp_path / "case.toml")
+    monkeypatch.setattr(memory, "free_memory", lambda: 1e12)
+    body = read.read_body()
+    assert body.num_cells > 1000
+    monkeypatch.setattr(memory, "free_memory", lambda: 5e6)
+    with pytest.raises(InputError, match=message) as caught:
+        read.read_body()
+    told = str(caught.value)
+    assert told.startswith(f"{tmp_path / 'case.toml'}: mesh."), told
+    assert "5 MB are free" in told
+    if kind in ("box", "rectangle", "refine"):
+        assert ("mesh.degree = 1" in told) == (degree == 2)

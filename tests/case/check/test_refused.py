@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.cube import cube
 
 from dolfin_elastic import run
 from dolfin_elastic.case.case import Case
@@ -378,6 +380,13 @@ def test_boxes_that_cannot_be_made(box: dict[str, Any], text: str) -> None:
 
 def test_pictures_in_folders_of_their_own() -> None:
     assert case(output={"pictures": [{"file": "views/a.png"}]}).output.pictures[0].file
+
+
+@pytest.mark.parametrize("output", ["", " "])
+def test_a_run_without_a_name_of_its_folder(output: str) -> None:
+    """An empty variable of a script would be the current folder, whose files are overwritten."""
+    with pytest.raises(InputError, match=f'^output: "{output}" is no name of a folder'):
+        next(run(Case.from_dict(tomllib.loads(cube())), output=output))
 
 
 @pytest.mark.parametrize(
