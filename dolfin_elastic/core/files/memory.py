@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import dolfin_elastic.core.startup.started  # noqa: F401  # before anything starts MPI
+
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
