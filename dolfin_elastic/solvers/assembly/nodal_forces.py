@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from hashlib import blake2b
 
 import numpy as np
 from dolfinx import fem, la
@@ -17,7 +18,8 @@ class Forces:
 
     A form's coefficients and constants are packed once.  What changes from step to step, the
     displacement and the velocity that dashpots see, is read into the packed arrays again; numbers
-    and formulas that change with time are taken over by `renew`.
+    and formulas that change with time are taken over by `renew`, and what a program has changed by
+    `pack_again`.
 
     Args:
         problem: Whose displacement; linear elements, no unknowns beside it.
@@ -39,13 +41,13 @@ class Forces:
         self._points = points
         self._packed = pack_coefficients(form._cpp_object)
         formulas = problem.context.formulas
+        moving = (problem.u, problem.context.velocity), () if formulas is None else formulas.moving
         self._reads, self._timed = (
             [read for field in fields for read in _reads(form, field, self._packed)]
-            for fields in (
-                (problem.u, problem.context.velocity),
-                () if formulas is None else formulas.moving,
-            )
+            for fields in moving
         )
+        read = [field._cpp_object for fields in moving for field in fields]
+        self._fixed = [field for field in form._cpp_object.coefficients if field not in read]
         self._constants = pack_constants(form._cpp_object)
         self._at_points: FloatArray = np.empty(0)
         self.renew()
@@ -57,6 +59,25 @@ class Forces:
             read.again()
         if self._point_loads is not None:
             self._at_points = self._points * self._point_loads.nodal()
+
+    def fingerprint(self) -> bytes:
+        """Of this rank's numbers and fields, but those that follow the motion or the time.
+
+        Where it has changed from one look to the next without a step, a program has changed it.
+        """
+        digest = blake2b()
+        values = [pack_constants(self._form._cpp_object), *(field.x.array for field in self._fixed)]
+        if self._point_loads is not None:
+            values.append(self._point_loads.nodal())
+        for value in values:
+            digest.update(np.ascontiguousarray(value))
+        return digest.digest()
+
+    def pack_again(self) -> None:
+        """Takes over all numbers and fields, which a program may have changed. Not collective."""
+        for key, values in pack_coefficients(self._form._cpp_object).items():
+            self._packed[key][...] = values  # in place: the reads have views of them
+        self.renew()
 
     def assemble(self) -> None:
         """The forces at the present displacement, summed over the ranks. Collective."""

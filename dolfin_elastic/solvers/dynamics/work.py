@@ -270,6 +270,9 @@ class _WorkTerm(Protocol):
     def update_time(self) -> None:
         """Takes over the values of the present time. Not collective."""
 
+    def pack_again(self) -> None:
+        """Takes over all values, which a program may have changed. Not collective."""
+
     def step(self, du: FloatArray) -> float:
         """This rank's share of the work of a step [J]. Collective.
 
@@ -291,6 +294,9 @@ class _NodalLoad:
 
     def update_time(self) -> None:
         self._forces.renew()
+
+    def pack_again(self) -> None:
+        self._forces.pack_again()
 
     def step(self, du: FloatArray) -> float:
         self._forces.assemble()
@@ -316,6 +322,9 @@ class _MovingObstacle:
     def update_time(self) -> None:
         self._forces.renew()
 
+    def pack_again(self) -> None:
+        self._forces.pack_again()
+
     def step(self, du: FloatArray) -> float:
         force, place = self._force, self._place
         self.begin()
@@ -334,6 +343,8 @@ class _MovingSupports:
         self._reactions = a.constrained_part(a.residual.owned)
 
     def update_time(self) -> None: ...
+
+    def pack_again(self) -> None: ...
 
     def step(self, du: FloatArray) -> float:
         before = self._reactions
@@ -420,6 +431,15 @@ class ExternalWork:
         """Takes over the values of the present time. Not collective."""
         for term in self.terms:
             term.update_time()
+
+    def renew(self) -> None:
+        """Goes on with forces that a program has changed at the present state. Collective.
+
+        What was done before stays as it is; the work of the next step begins with the new forces.
+        """
+        for term in self.terms:
+            term.pack_again()
+        self.begin(self.sum)
 
     def step(self, du: FloatArray) -> None:
         """Adds the work of a step that has led to the present state. Collective.

@@ -64,10 +64,12 @@ def flow_to_equilibrium(
         result = _flow(retry)
         verdict = judge(newton) if result.converged else None
     while verdict is not None and verdict.stable is False:
-        if not sizes:
-            return result.refused(UNSTABLE), None
-        perturb(newton, weakest_mode(newton, verdict.direction), sizes.pop(0))
-        result = _flow(retry)
+        saddle, mode = newton.unknowns(), weakest_mode(newton, verdict.direction)
+        result = result.refused(UNSTABLE)
+        while sizes and not result.converged:
+            retry.undo(saddle)
+            perturb(newton, mode, sizes.pop(0))
+            result = _flow(retry)
         verdict = judge(newton) if result.converged else None
     return result, verdict
 

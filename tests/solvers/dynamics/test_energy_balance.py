@@ -17,6 +17,7 @@ from dolfin_elastic import (
     Contact,
     Dashpot,
     Dynamics,
+    Gravity,
     LinearElastic,
     NeoHookean,
     Problem,
@@ -286,10 +287,96 @@ def test_a_load_that_a_program_changes(scheme: str, keys: dict[str, Any], comm: 
     assert state.energies["potential"] == pytest.approx(-tip, rel=1e-9)
 
 
-def mean_at_the_end(problem: Problem) -> float:
-    """Mean displacement along y of the loaded end [m]."""
+EXPLICIT = ["symplectic-euler", "central-differences"]
+
+
+@pytest.mark.parametrize("every", [1, 10])
+@pytest.mark.parametrize("scheme", EXPLICIT)
+def test_a_weight_that_a_program_changes_in_explicit_motion(
+    scheme: str, every: int, comm: MPI.Comm
+) -> None:
+    """A free body whose weight is minus three times as large from t = 0.1 s on, of 0.3 s.
+
+    u = g T^2/2 + g T (0.2 s) - 3 g (0.2 s)^2/2, T = 0.1 s, and all work becomes kinetic energy.
+    Central differences are exact.  Symplectic Euler moves on with the velocity at the end of each
+    step: in n steps with the acceleration a it goes n a dt^2/2 further.
+    """
+    problem = strip(comm, loads=[Gravity(value=[0, -2.0])])
+    (weight,) = constants_of(problem, [0, -2.0])
+    state: Any = None
+    settings = {"scheme": scheme, "end": 0.3, "dt": 2e-4, "every": every}
+    for state in Dynamics(problem, **settings).steps():
+        if state.step == 500:
+            weight.value[1] *= -3.0
+    u = -2.0 * (0.1**2 / 2 + 0.1 * 0.2 - 3 * 0.2**2 / 2)
+    v = -2.0 * (0.1 - 3 * 0.2)
+    further = [0.0, 0.0]
+    if scheme == "symplectic-euler":
+        further = [0.1 * -2.0 * 2e-4 / 2, 0.2 * 6.0 * 2e-4 / 2]
+    assert state.max_displacement == pytest.approx(u + sum(further), rel=1e-9)
+    assert state.energies["kinetic"] == pytest.approx(0.5 * 200 * v**2, rel=1e-9)
+    work = 100 * v**2 + 200 * (-2.0 * further[0] + 6.0 * further[1])
+    assert state.energies["external"] == pytest.approx(work, rel=1e-9)
+    assert state.failure == ""
+
+
+@pytest.mark.parametrize("changes", [False, True], ids=["constant", "in time"])
+@pytest.mark.parametrize("scheme", EXPLICIT)
+def test_a_load_that_a_program_changes_in_explicit_motion(
+    scheme: str, changes: bool, comm: MPI.Comm, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Ten times the load from t = 0.2 s on: the motion and the work of the implicit scheme."""
+    curve = {"curve": [[0, 1], [0.6, 1.2]]} if changes else {}
+    found = []
+    for settings in ({"scheme": scheme, "every": "0.1 s"}, {"dt": 2e-3, "every": 50}):
+        load = Traction(on="right", value=[0, -100.0], **curve)
+        problem = strip(comm, supports=[Support(on="left")], loads=[load])
+        (pull,) = constants_of(problem, [0, -100.0])
+        state: Any = None
+        for state in Dynamics(problem, end=0.6, **settings).steps():
+            if 0.2 <= state.t < 0.21:
+                pull.value[1] *= 10.0
+        gained = state.energies["total"] - state.energies["external"]
+        assert abs(gained) < 2e-2 * state.energies["total"]
+        assert state.failure == ""
+        found.append((mean_at_the_end(problem), state.energies["external"]))
+    np.testing.assert_allclose(found[0], found[1], rtol=3e-2)
+    assert not any("nowhere" in line for line in caplog.messages)
+
+
+def test_a_material_that_a_program_changes_in_explicit_motion(comm: MPI.Comm) -> None:
+    """A modulus ten times as large from the start on moves as the body of that modulus does."""
+    found = []
+    for factor in (1.0, 10.0):
+        law = LinearElastic(E=factor * 1e6, nu=0.0, density=1000.0)
+        body = rectangle_body(size=(1, 0.2), cells=(8, 2), comm=comm)
+        loads = [Traction(on="right", value=[100.0, 0])]
+        problem = Problem(body, law, degree=1, supports=[Support(on="left")], loads=loads)
+        settings = {"scheme": "central-differences", "end": 0.02, "dt": 1e-5, "every": 100}
+        for state in Dynamics(problem, **settings).steps():
+            if state.step == 0 and factor == 1.0:
+                for modulus in stiffness_of(problem):
+                    modulus.value *= 10.0
+        found.append(mean_at_the_end(problem, 0))
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+
+
+def stiffness_of(problem: Problem) -> list[fem.Constant]:
+    """Lame's constants in the forms: numbers of the size of the modulus."""
+    constants = extract_constants(problem.weak_form.residual)
+    return [c for c in constants if c.ufl_shape == () and float(c.value) > 1e5]
+
+
+def constants_of(problem: Problem, value: list[float]) -> list[fem.Constant]:
+    """Constants of the virtual work that have this value."""
+    vectors = [c for c in extract_constants(problem.weak_form.residual) if c.ufl_shape == (2,)]
+    return [c for c in vectors if list(c.value) == value]
+
+
+def mean_at_the_end(problem: Problem, component: int = 1) -> float:
+    """Mean displacement of the loaded end [m], by default along y."""
     ds = ufl.Measure("ds", problem.body.mesh, subdomain_data=[(1, ends(problem))])(1)
-    own = fem.assemble_scalar(fem.form(problem.u[1] * ds))
+    own = fem.assemble_scalar(fem.form(problem.u[component] * ds))
     return float(problem.body.comm.allreduce(own)) / 0.2
 
 

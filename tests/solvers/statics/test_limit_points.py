@@ -77,6 +77,17 @@ def truss(folder: Path, **statics: Any) -> list[State]:
     return [*case.make_solver(case.make_problem(case.read_body())).steps()]
 
 
+@pytest.mark.parametrize("rtol", [1e-4, 1e-6, 1e-11])
+@pytest.mark.parametrize("first", [0.05, 0.4])
+def test_errors_are_at_least_the_true_ones(folder, first, rtol):
+    """Also where forces balance to few digits, or to many: beside the closed form."""
+    *_, last = truss(folder, first_step=first, rtol=rtol)
+    found, errors = 1.5 * np.array(last.limit_points), 1.5 * np.array(last.limit_errors)
+    assert len(found) == 2
+    assert np.all(np.abs(found - [1.0, -1.0]) <= errors)
+    assert errors.max() < 20 * rtol
+
+
 @pytest.mark.parametrize("first", [None, 0.05, 0.2, 0.4])
 def test_truss(folder, first):
     """Both limit points to 1e-7, whatever the steps: parabolas were off by 2e-4, 8 % or saw one."""

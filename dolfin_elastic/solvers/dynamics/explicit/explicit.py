@@ -123,7 +123,7 @@ class Explicit:
             StabilityError: The step became larger than the stable one, or the state is lost.
         """
         if saved is None:
-            yield self._begin()
+            yield from self._shown(self._begin())
         else:
             with restoring(saved):
                 self.restore(saved)
@@ -154,12 +154,36 @@ class Explicit:
                 if self._drifts(state):
                     self.size.check_before(self.scheme.steps)
                 self._last.save(self.restart_state())
-                yield replace(state, failure=self._monitor.failure)
+                yield from self._shown(replace(state, failure=self._monitor.failure))
                 shown = monotonic()
             elif self.scheme.steps % STEPS_A_LOOK == 0 and _due_between(comm, shown):
-                yield self._state_between()
+                yield from self._shown(self._state_between())
                 raise_if_agreed(comm)
                 shown = monotonic()
+
+    def _shown(self, state: State) -> Iterator[State]:
+        """Yields a state, and takes over loads that a program has changed meanwhile. Collective.
+
+        The motion goes on from there with the new forces, and so does the work.
+
+        Args:
+            state: The present one.
+        """
+        before = self.scheme.fingerprint()
+        yield state
+        changed = float(self.scheme.fingerprint() != before)
+        if largest(self.assembler.comm, changed) == 0.0:
+            return
+        dt, excess = self.size.dt, self.scheme.conserved_excess(self.size.dt)
+        if state.between:
+            self.work.close()
+        self.scheme.renew_forces()
+        self.work.renew()
+        if not state.between:
+            self.scheme.start()
+            self._monitor.loads_changed(self.scheme.conserved_excess(dt) - excess)
+            self._last.save(self.restart_state())
+        self.size.check_before(self.scheme.steps)
 
     def _state_between(self) -> State:
         """The present state as far as it is known without bringing the velocity to its time.

@@ -135,6 +135,17 @@ class StabilityMonitor:
         what = f"{100 * share:.3g} % of the energy has come from nowhere: a smaller dt or safety"
         self._offences.add({"energy": Offence(what, share, fails=True)}, f"t = {t:.6g} s")
 
+    def loads_changed(self, excess: float) -> None:
+        """Takes in what a program's change of the loads does to the conserved energy. Collective.
+
+        Args:
+            excess: Change of `ExplicitScheme.conserved_excess`, on this rank [J].
+        """
+        change = total(self._problem.body.comm, excess)
+        self._start += change
+        if self._first is not None:
+            self._first = self._first + np.array([0.0, change])
+
     def check_input(self, t: float) -> None:
         """Refuses supports and loads without finite values. Collective.
 

@@ -198,6 +198,15 @@ class ExplicitScheme(ABC):
             self._work.update_time()
         self._forces.assemble()
 
+    def fingerprint(self) -> bytes:
+        """See `Forces.fingerprint`."""
+        return self._forces.fingerprint()
+
+    def renew_forces(self) -> None:
+        """Takes over forces that a program has changed at the present state. Collective."""
+        self._forces.pack_again()
+        self.assemble_forces()
+
     @np.errstate(all="ignore")
     def find_acceleration(self, interval: float) -> None:
         """Sets `a` and `change` to forces over mass; of supports, their mean acceleration.
