@@ -28,7 +28,7 @@ LOAD = "a formula of that load that has a finite value for every displacement an
 SMALLER = "more load steps, a smaller load, or a finer mesh where the cells are crushed"
 BUCKLING = (
     "a small imperfection that leads into the mode (a side load, a bent mesh), or statics.method = "
-    '"arc-length" to follow the path'
+    '"arc-length" to follow the path, or [dynamics] to see where the body goes'
 )
 LIMIT_POINT = (
     'statics.method = "arc-length", which follows the path beyond, or a prescribed displacement in '
@@ -44,9 +44,31 @@ WITHOUT_SLIVERS = (
     "mesh anew without such slivers (dolfin-elastic check lists the worst cells), or "
     "law = 'fixed-corotated', which goes on with inverted cells"
 )
+MIRRORED = (
+    "the law is a function of C alone, which cannot tell a cell from its mirror image: it does not "
+    "resist being turned inside out, and an inverted cell would stay so"
+)
+SEES_INVERSION = (
+    "law = 'neo-hookean', which resists inversion, or law = 'fixed-corotated', which goes on with "
+    "inverted cells and turns them back"
+)
 SMALLER_STEP = (
     "a smaller dt, or a scheme that damps more (a smaller spectral_radius, implicit-euler)"
 )
+
+
+def far_motion(what: str, far: float, longest: float) -> str:
+    """The suspicion that the unit of a prescribed motion was forgotten.
+
+    Args:
+        what: What moves.
+        far: How far it goes [m].
+        longest: The longest side of the body [m].
+    """
+    return (
+        f"{what} is to move by {far:.3g} m, and the body is {longest:.3g} m long: is a unit "
+        "missing? Bare numbers and formulas are in m"
+    )
 
 
 def in_motion(advice: str) -> str:

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.toml import key_text
+from dolfin_elastic.core.errors import FormulaError
+from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import first_of, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.core.units import MeshLength
@@ -20,7 +22,7 @@ from dolfin_elastic.mesh.body import Body, cell_size, extent
 from dolfin_elastic.mesh.criteria import BoundingBox, bounding_box
 from dolfin_elastic.mesh.geometry.simplices import facet_nodes, outward_normals, prepare_facets
 from dolfin_elastic.mesh.point_selection import vertices_of
-from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
+from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.model.loads import ConcentratedLoad, Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.supports.displacement import (
@@ -31,13 +33,17 @@ from dolfin_elastic.model.supports.displacement import (
     Rotation,
 )
 from dolfin_elastic.model.supports.rigid_surface import Rigid
-from dolfin_elastic.model.values import Component
+from dolfin_elastic.model.values import Component, amplitude_of, depends_on_time
 from dolfin_elastic.problem.material_regions import poisson, young
 
 _LONG, _SHORT = 1e3, 1e-6
 """Lengths of a body [m] beyond which mesh.unit looks wrong."""
 _UNITLESS = 20.0
 """Length [m] from which a mesh without a unit looks like one in millimetres."""
+_FAR = 10.0
+"""Lengths of the body that a moving support or obstacle may go in motion: it may carry the body."""
+_TIMES = 101
+"""Times at which prescribed motions are evaluated."""
 _DENSITIES = 1.0, 30e3
 """Foams are above, osmium is below [kg/m^3]."""
 _FAST = 25e3
@@ -113,24 +119,60 @@ def size_notes(case: Case, body: Body) -> Iterator[str]:
         yield f"the body is {what}: is mesh.unit what the mesh is in?"
     elif longest > _UNITLESS and case.mesh.unit is None and not body.unit.stated:
         yield f"the body is {longest:.3g} m long, and no mesh.unit is given: is the mesh in mm?"
-    for key, values in _prescribed_motions(case):
-        moved = max(map(_size, values), default=0.0)
-        if moved > longest:
+    corners = np.array([*product(*zip(*bounding_box(body.mesh), strict=True))])
+    for key, values, curve in _prescribed_motions(case):
+        moved = max((_farthest(case, value, curve, corners) for value in values), default=0.0)
+        far = _FAR if case.dynamics is not None and _changes(values, curve) else 1.0
+        if moved > far * longest:
             yield (
                 f"{key}: {moved:.3g} m is more than the body is long "
                 f"({longest:.3g} m): is a unit missing?"
             )
 
 
-def _prescribed_motions(case: Case) -> Iterator[tuple[str, tuple[Component, ...]]]:
-    """Keys of displacements of supports and obstacles [m], and their values."""
+def _prescribed_motions(
+    case: Case,
+) -> Iterator[tuple[str, tuple[Component, ...], Amplitude | None]]:
+    """Keys of displacements of supports and obstacles [m], their values and curves."""
     for i, support in enumerate(case.support):
         values = support.vectors.get("displacement", ())
         if isinstance(support, Normal):
             values = (support.value,)
-        yield f"support[{i}].displacement", values
+        yield f"support[{i}].displacement", values, getattr(support, "curve", None)
     for i, contact in enumerate(case.contact):
-        yield f"contact[{i}].motion", contact.values
+        yield f"contact[{i}].motion", contact.values, contact.curve
+
+
+def _changes(values: tuple[Component, ...], curve: Amplitude | None) -> bool:
+    """Whether a body in motion may be meant to be carried along: what moves depends on time."""
+    return depends_on_time(values) or curve not in (None, CONSTANT)
+
+
+def _farthest(case: Case, value: Component, curve: Amplitude | None, corners: FloatArray) -> float:
+    """Largest size of a component within the analysis, at the corners of the body [m].
+
+    What has no value somewhere is left out: other checks tell of it.
+
+    Args:
+        case: How long it is.
+        value: The component.
+        curve: Its amplitude, if it has one.
+        corners: Of the bounding box [m], shape (n, dim).
+    """
+    end = case.final_load if case.dynamics is None else case.dynamics.end
+    amplitude = amplitude_of(value, curve) or CONSTANT
+    times = sorted({*np.linspace(0.0, end, _TIMES), *(t for t in amplitude.breakpoints if t < end)})
+    places = {"z": np.zeros(len(corners)), **dict(zip("xyz", corners.T, strict=False))}
+    found = 0.0
+    for t in times:
+        try:
+            size = _size(value)
+            if isinstance(value, Formula):
+                size = float(np.max(np.abs(np.nan_to_num(value.evaluate(t=t, **places), posinf=0))))
+            found = max(found, abs(amplitude.at(float(t))) * size)
+        except FormulaError:
+            continue
+    return found
 
 
 def _size(value: Component) -> float:

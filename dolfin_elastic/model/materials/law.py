@@ -72,10 +72,10 @@ class Law(Record):
     barrier: ClassVar[bool] = False
     """The energy grows without bound as J falls to 0, so an inverted state is never finite."""
     survives_inversion: ClassVar[bool] = False
-    """An inverted cell is told from its mirror image, has a finite stress and is turned back.
-
-    Laws of C alone that are finite there, such as St. Venant-Kirchhoff's, take a mirrored cell for
-    one at rest."""
+    """An inverted cell is told from its mirror image, has a finite stress and is turned back."""
+    of_strain_alone: ClassVar[bool] = False
+    """A function of C alone that is finite wherever F is: an inverted cell has the stress of its
+    mirror image, the mirrored body that of one at rest, so that nothing turns it back."""
     frame_indifferent: ClassVar[bool] = True
     """Rotating the body rotates its stress and leaves its energy."""
     limited: ClassVar[bool] = False
@@ -103,6 +103,11 @@ class Law(Record):
     def rounds(self) -> bool:
         """Whether it is written in F, C, J or invariants, in which small strains are rounded."""
         return False
+
+    @property
+    def blind_to_inversion(self) -> bool:
+        """Whether it cannot tell an inverted cell from its mirror image, see `of_strain_alone`."""
+        return self.of_strain_alone
 
     @property
     def has_energy(self) -> bool:

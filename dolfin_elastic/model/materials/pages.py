@@ -77,6 +77,9 @@ def _properties(kind: type[Law]) -> str:
         "It survives inversion: an inverted cell has a finite stress, which turns it back.": (
             law.survives_inversion
         ),
+        "It does not see inversion: a function of C alone gives an inverted cell the stress of its "
+        "mirror image, so that nothing turns it back. Statics and implicit motion refuse such "
+        "states; in explicit motion the audit fails.": law.blind_to_inversion,
         "Its pressure can be an unknown of its own, for nearly incompressible bodies.": isinstance(
             law, SplitLaw
         ),

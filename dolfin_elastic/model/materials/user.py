@@ -178,6 +178,13 @@ class FormulaEnergy(UserEnergy):
         return any(not name.startswith("E") for name in self.parsed.names - set(self.parameters))
 
     @property
+    def blind_to_inversion(self) -> bool:
+        """See `Law.blind_to_inversion`."""
+        if isinstance(self, UserVolumetric):  # a function of J
+            return False
+        return self.parsed.names - set(self.parameters) <= user_names.OF_STRAIN
+
+    @property
     def parsed(self) -> Formula:
         """The parsed formula.
 

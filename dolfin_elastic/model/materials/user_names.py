@@ -28,6 +28,11 @@ ALONG = ("I4", "I5", "I4bar")
 ACROSS = ("I6", "I7", "I6bar", "I8")
 """The same along a second fibre b; and a.C b (a.b) of the two."""
 TENSORS = ("F", "C", "E")
+OF_STRAIN = frozenset(
+    {name for name in COMPONENTS if name[0] != "F"}
+    | {"I1", "I2", "I3", "I4", "I5", "I6", "I7", "I8", *_STRETCHES}
+)
+"""Functions of C alone, which are the same for F and its mirror image."""
 
 
 def known(*, fibre: bool = False, fibre2: bool = False) -> frozenset[str]:

@@ -32,7 +32,7 @@ from dolfin_elastic.solvers.diagnostics.evidence import (
     Cells,
     Fault,
     TrialStates,
-    naming_sliver,
+    explained,
     not_finite,
 )
 from dolfin_elastic.solvers.diagnostics.loose_parts import find_loose_part
@@ -241,7 +241,7 @@ class _CauseSearch:
                 f"; the last iterate has {messages.count(count, 'such cell')} in {self._names()}"
             )
         found = self._make("inverted", text, messages.SMALLER, place)
-        return naming_sliver(self.problem.body, found)
+        return explained(self.problem, found)
 
     def _names(self) -> str:
         found = sorted({cell.material for cell in self.worst if cell.jacobian <= 0.0})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import basix
@@ -20,7 +21,6 @@ from dolfin_elastic.core.parallel import (
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.material_point.checks import with_finite_moduli
 from dolfin_elastic.material_point.domain import undefined_operation
-from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.quality import SLIVER, quality_at
 from dolfin_elastic.mesh.geometry.simplices import cell_corners
 from dolfin_elastic.problem.material_regions import MaterialRegion
@@ -176,18 +176,35 @@ class TrialStates:
 # --- terms without a finite value ---
 
 
-def naming_sliver(body: Body, found: Diagnosis) -> Diagnosis:
-    """The diagnosis of inverted cells, with the quality of the first one if it is a sliver.
+def blind_to_inversion(problem: Problem, cells: Sequence[BadCell]) -> bool:
+    """Whether the first of some cells has a law that does not see inversion. Not collective.
+
+    Args:
+        problem: Its materials.
+        cells: Inverted or nearly so, the worst first.
+    """
+    first = cells[0].material if cells else ""
+    return any(p.law.blind_to_inversion for p in problem.regions if first in ("", p.name))
+
+
+def explained(problem: Problem, found: Diagnosis) -> Diagnosis:
+    """The diagnosis of inverted cells, with why the law did not resist, or that one is a sliver.
 
     Collective.
 
     Args:
-        body: The body.
+        problem: Its body and laws.
         found: Any diagnosis; others than "inverted" are left as they are.
     """
     if found.cause != "inverted" or not found.place:
         return found
-    quality = quality_at(body, found.place)
+    if blind_to_inversion(problem, found.cells):
+        found = replace(
+            found,
+            text=f"{found.text}; {messages.MIRRORED}",
+            advice=f"{found.advice}; or {messages.SEES_INVERSION}",
+        )
+    quality = quality_at(problem.body, found.place)
     if quality > SLIVER:
         return found
     return replace(

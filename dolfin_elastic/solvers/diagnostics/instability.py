@@ -91,7 +91,8 @@ def unstable(
     at_failed = _spectrum(states, failed)
     lost = at_failed is not None and at_failed.unstable
     if settled and lost and at_failed is not None:
-        return _finding(states, failed, at_failed, which="equilibrium that was found")
+        which = f"equilibrium at load factor {float(problem.context.t.value):.6g}"
+        return _finding(states, failed, at_failed, which=which)
     if at_good.mode is None or at_failed is None:
         return Finding()
     left = _stiffness_left(_spectrum(states, np.zeros_like(good)), at_good.mode)
@@ -183,7 +184,8 @@ def _finding(
     assembler = states.assembler
     mode = spectrum.mode
     text = (
-        f"the {which} is unstable: its tangent has {_eigenvalues(spectrum.negative)}"
+        f"the {which} is unstable, so that the body leaves it at the slightest push: its tangent "
+        f"has {_eigenvalues(spectrum.negative)}"
         if spectrum.unstable
         else "near the last equilibrium stability is lost: the stiffness against one motion has "
         f"fallen to {100 * left:.2g} % of that at rest"

@@ -14,7 +14,7 @@ from dolfin_elastic.core.parallel import agree, first_of, largest, total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.values import Component
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.messages import coordinates
+from dolfin_elastic.solvers.messages import MIRRORED, SEES_INVERSION, coordinates
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 
 EPS = float(np.finfo(float).eps)
@@ -107,12 +107,13 @@ def set_initial(
 
 def _check_upright(problem: Problem) -> None:
     J, place = JacobianWatch(problem).refused()
-    if not J > 0.0:
-        raise InputError(
-            f"it turns cells inside out: det F = {J:.3g} at {coordinates(place)} m",
-            where="dynamics.initial_displacement",
-            expected="det F > 0 everywhere",
-        )
+    if J > 0.0:
+        return
+    what = f"it turns cells inside out: det F = {J:.3g} at {coordinates(place)} m"
+    expected = "det F > 0 everywhere"
+    if any(part.law.blind_to_inversion for part in problem.regions):
+        what, expected = f"{what}; {MIRRORED}", f"{expected}, or {SEES_INVERSION}"
+    raise InputError(what, where="dynamics.initial_displacement", expected=expected)
 
 
 def _speeds(problem: Problem, moment: float) -> tuple[FloatArray, float]:

@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
-from dolfin_elastic.core.errors import ConvergenceError
+import numpy as np
+
+from dolfin_elastic.core.errors import ConvergenceError, FormulaError
+from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.mesh.body import extent
+from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import StrainEnergy, SupportForces
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor
 from dolfin_elastic.solvers.diagnostics.stability import Verdict
 from dolfin_elastic.solvers.messages import coordinates, in_words
 from dolfin_elastic.solvers.nonlinear.contact import ContactResults
-from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
+from dolfin_elastic.solvers.nonlinear.convergence import UNSTABLE, NewtonResult
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
+
+
+FAR = 3.0
+"""Lengths of the body beyond which a prescribed motion is suspected of a missing unit, where no
+equilibrium is found: rubber may be stretched that far."""
 
 
 class StaticStates:
@@ -141,14 +153,37 @@ class StaticStates:
             judge_stability=judge_stability and self._newton.bordered is None,
         )
         force, place = self._assembler.residual.largest()
+        state, suspicion = self.state(goal, result), self._suspicion()
+        self._problem.set_time(goal, default=PROPORTIONAL)
+        if suspicion:
+            found = replace(found, advice=f"{suspicion}; else {found.advice}")
+        none = "no stable equilibrium" if result.reason == UNSTABLE else "no equilibrium"
         return ConvergenceError(
-            f"no equilibrium beyond load factor {t:.6g}: {found.text}\n  at the end: "
+            f"{none} beyond load factor {t:.6g}: {found.text}\n  at the end: "
             f"{in_words(result.reason)}, Newton iterations: {result.newton}; the largest force "
             f"out of balance, {force:.3g} N, is at {coordinates(place)} m",
             advice=found.advice,
-            state=self.state(goal, result),
+            state=state,
             diagnosis=found,
         )
+
+    def _suspicion(self) -> str:
+        """Whether something is moved by far more than the body is long, in words. Collective.
+
+        By the end of the run, which may be far ahead.  The problem's time is that of the end then.
+        """
+        problem, longest = self._problem, max(extent(self._problem.body))
+        try:
+            problem.set_time(self._end, default=PROPORTIONAL)
+        except FormulaError:  # of a curve or an angle: on all ranks
+            return ""
+        targets = np.abs(np.nan_to_num(problem.dirichlet.targets, posinf=0.0, neginf=0.0))
+        moved = {"a support": largest(problem.body.comm, float(np.max(targets, initial=0.0)))}
+        for pair in problem.contact_pairs:
+            size = float(np.max(np.abs(np.nan_to_num(pair.shift.value, posinf=0.0, neginf=0.0))))
+            moved[f"the obstacle of '{pair.label}'"] = size
+        what, far = max(moved.items(), key=lambda one: one[1])
+        return messages.far_motion(what, far, longest) if far > FAR * longest else ""
 
     def restart_state(self) -> dict[str, Any]:
         """See `Restartable`: number of states and history of the audit. Not collective."""

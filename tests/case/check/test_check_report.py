@@ -534,6 +534,37 @@ def test_forgotten_units():
     assert note.startswith("support[0].displacement: 5 m is more than the body is long (3 m)")
 
 
+PUSH = {"on": "top", "plane": {"point": [0, 0, 3], "normal": [0, 0, -1]}, "curve": [[0, 0], [1, 1]]}
+
+
+@pytest.mark.parametrize(
+    ("moved", "motion", "told"),
+    [
+        ({"support": [{"on": "bottom", "displacement": [0, 0, "5*t^2"]}]}, None, "5 m"),
+        ({"support": [{"on": "bottom", "displacement": [0, 0, "2*x*sin(pi*t)"]}]}, None, "4 m"),
+        ({"support": [{"on": "bottom", "displacement": [0, 0, "0.5*t^2"]}]}, None, ""),
+        ({"contact": [PUSH | {"motion": [0, 0, -5]}]}, None, "5 m"),
+        ({"contact": [PUSH | {"motion": [0, 0, -5]}]}, 1.0, ""),
+        ({"contact": [PUSH | {"motion": [0, 0, -50]}]}, 1.0, "50 m"),
+        ({"contact": [PUSH | {"motion": [0, 0, -50], "curve": [[2, 0], [9, 1]]}]}, 1.0, ""),
+        ({"contact": [PUSH | {"motion": [0, 0, -5], "curve": "20*t"}]}, 1.0, "100 m"),
+        ({"contact": [PUSH | {"motion": [0, 0, "-200*t"], "curve": None}]}, 0.25, "50 m"),
+    ],
+)
+def test_motions_in_time_without_a_unit(moved, motion, told):
+    """Formulas and tables, by their largest value within the analysis; a body in motion may go far.
+
+    A press that is to go 5 mm in a mesh of mm ended in advice about the material.
+    """
+    contacts = [{k: v for k, v in c.items() if v is not None} for c in moved.get("contact", ())]
+    tables = moved | ({"contact": contacts} if contacts else {})
+    if motion is not None:
+        tables |= {"dynamics": {"end": motion, "dt": 0.01}}
+    notes = [note for note in report(case(**tables)).notes if "than the body is long" in note]
+    assert len(notes) == (1 if told else 0), notes
+    assert all(f": {told} is more than the body is long (3 m)" in note for note in notes)
+
+
 THICK = {"law": "linear-elastic", "E": E, "nu": 0.3}
 
 

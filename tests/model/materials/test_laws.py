@@ -52,6 +52,16 @@ def test_no_stress_at_rest(name):
     assert np.abs(point(name).stress(I)).max() <= 1e-14 * E
 
 
+@LAWS
+def test_what_does_not_see_inversion_has_the_mirror_image_at_rest(name):
+    """And nothing else has: linear laws aside, whose rotations are strains, too."""
+    law = make(name)
+    with np.errstate(all="ignore"):
+        stress = np.abs(point(name).stress(np.diag([1.0, 1.0, -1.0]))).max()
+    assert law.blind_to_inversion == bool(stress <= 1e-14 * E)
+    assert not (law.blind_to_inversion and law.survives_inversion)
+
+
 @ENERGIES
 def test_no_energy_at_rest_and_some_elsewhere(name):
     assert abs(point(name).energy(I)) <= 1e-14 * E

@@ -510,3 +510,18 @@ def test_own_names_are_in_the_guide():
     text = (ROOT / "docs/guide/materials.md").read_text(encoding="utf-8")
     for name in (*user_names.PLAIN, *user_names.ALONG, *user_names.ACROSS):
         assert f"`{name}`" in text, name
+
+
+@pytest.mark.parametrize(
+    ("energy", "blind"),
+    [
+        ("mu*(E11^2 + E22^2 + E33^2 + 2*E12^2 + 2*E13^2 + 2*E23^2)", True),
+        ("mu*(I1 - 3)^2 + (I3 - 1)^2", True),
+        ("mu/2*(lambda1^2 + lambda2^2 + lambda3^2 - 3 - ln(I3))", True),
+        ("mu/2*(I1 - 3) - mu*ln(J)", False),
+        ("mu*(F11 - 1)^2", False),
+    ],
+)
+def test_formulas_that_do_not_see_inversion(energy: str, blind: bool) -> None:
+    """Functions of C alone: those of J or F itself may."""
+    assert read_energy({"energy": energy, "parameters": {"mu": 1.0}}).blind_to_inversion == blind

@@ -10,6 +10,7 @@ import pytest
 import ufl
 
 from dolfin_elastic import (
+    Contact,
     Energy,
     FixedCorotated,
     Gent,
@@ -366,3 +367,64 @@ def test_incompatible_supports():
     )
     states, _ = failure(torn, "inverted")
     assert states[-1].load_factor < 1.0
+
+
+# --- unstable equilibria ---
+
+
+def square_column() -> Problem:
+    return Problem(
+        box_body(size=(0.01, 0.01, 0.1), cells=(2, 2, 10)),
+        NeoHookean(E=1e6, nu=0.45),
+        supports=[Support(on="bottom")],
+        loads=[Traction(on="top", value=[0, 0, -4e3])],
+    )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("steps", [1, 2, 4])
+def test_a_square_column_finds_its_bent_shape(steps):
+    """Just above the critical load the flow from a small perturbation takes for ever.
+
+    The two modes of a square section have nearly the same load, so that the bent body turns into
+    the other one through a flat valley.  It stopped there with "unstable", whatever the steps.
+    """
+    *states, state = Statics(square_column(), steps=steps, max_displacement=0.02).steps()
+    assert state.max_displacement > 0.02
+    assert {s.stability.negative for s in states[1:]} == {0}
+    assert state.load_factor < 0.6
+
+
+@pytest.mark.long
+def test_an_unstable_equilibrium_is_told_as_such():
+    """It was "no equilibrium beyond ...: the equilibrium that was found is unstable"."""
+    _, error = failure(square_column(), "unstable", steps=2, snap=False)
+    text = str(error)
+    assert re.search(r"^no stable equilibrium beyond load factor 0\.53\d*: ", text)
+    told = (
+        r"the equilibrium at load factor 0\.53\d* is unstable, so that the body leaves it at the "
+        r"slightest push: its tangent has 1 negative eigenvalue; it buckles, sideways to the load"
+    )
+    assert re.search(told, text), text
+    assert "that was found" not in text
+    assert error.advice.startswith("a small imperfection")
+    assert "arc-length" in error.advice
+    assert error.advice.endswith("[dynamics] to see where the body goes")
+
+
+def test_a_failure_repeats_the_suspicion_of_a_missing_unit():
+    """The load factor of the failure is small: what counts is where the obstacle is to go."""
+    press = Contact(on="top", plane={"point": [0, 0.1], "normal": [0, -1]}, motion=[0, "-50*t"])
+    problem = Problem(
+        rectangle_body(size=(0.1, 0.1), cells=(2, 2)),
+        NeoHookean(E=1e6, nu=0.3),
+        supports=[Support(on="bottom")],
+        contacts=[press],
+        degree=1,
+    )
+    with pytest.raises(ConvergenceError) as caught:
+        list(Statics(problem).steps())
+    told = "' is to move by 50 m, and the body is 0.1 m long: is a unit missing? Bare numbers and"
+    assert told in caught.value.advice
+    assert "; else " in caught.value.advice
+    assert caught.value.state.t < 0.01

@@ -24,6 +24,7 @@ class StVenantKirchhoff(Isotropic, SplitLaw):
 
     volume_modulus: ClassVar[str] = "lmbda"
     limited: ClassVar[bool] = True
+    of_strain_alone: ClassVar[bool] = True
 
     def shape_energy(self, F: Expr) -> Expr:
         """mu E:E."""

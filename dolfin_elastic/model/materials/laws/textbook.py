@@ -29,6 +29,7 @@ class Textbook(Isotropic):
     law: Literal["textbook"] = "textbook"
     frame_indifferent: ClassVar[bool] = False
     limited: ClassVar[bool] = True
+    of_strain_alone: ClassVar[bool] = True
     warning: ClassVar[str] = (
         "the law 'textbook' has no energy and is not frame-indifferent: its stress is wrong as "
         "soon as the body turns; use 'st-venant-kirchhoff' for real work"

@@ -13,7 +13,13 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.audit.offences import FAILING_GAIN, Offence, WorstOffences
-from dolfin_elastic.solvers.messages import coordinates, load_not_finite
+from dolfin_elastic.solvers.diagnostics.evidence import Cells, blind_to_inversion
+from dolfin_elastic.solvers.messages import (
+    MIRRORED,
+    SEES_INVERSION,
+    coordinates,
+    load_not_finite,
+)
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrains
 
 log = logging.getLogger("dolfin_elastic")
@@ -81,6 +87,10 @@ class StabilityMonitor:
         self.place = tuple(float(x) for x in place[: self._problem.body.dim])
         what = f"det F = {J:.3g} at {coordinates(self.place)} m"
         self.inverted = f"cells had turned inside out by t = {t:.6g} s, {what}"
+        if blind_to_inversion(self._problem, Cells(self._assembler).worst()):
+            text = f"{self.inverted}: {MIRRORED}; {SEES_INVERSION}"
+            self._offences.add({"inverted": Offence(text, -J, fails=True)}, f"t = {t:.6g} s")
+            return
         log.warning(
             "%s: the law permits it, but no body does so: %s",
             self.inverted,

@@ -20,7 +20,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Restartable, RestartState, SavedState, State, StateCopy
 from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.diagnostics.evidence import Cells, naming_sliver, not_finite, plain
+from dolfin_elastic.solvers.diagnostics.evidence import Cells, explained, not_finite, plain
 from dolfin_elastic.solvers.dynamics.explicit.monitor import RESISTS, StabilityMonitor
 from dolfin_elastic.solvers.dynamics.explicit.stable_step import StepSize
 from dolfin_elastic.solvers.messages import coordinates
@@ -196,7 +196,7 @@ class Replay:
         cells, dim = Cells(self._march.assembler), self._march.problem.body.dim
         cause, (text, advice, place) = self._why(cells)
         found = Diagnosis(cause, text, advice, place[:dim], cells.worst())
-        return naming_sliver(self._march.problem.body, found)
+        return explained(self._march.problem, found)
 
     def _why(self, cells: Cells) -> tuple[str, tuple[str, str, Place]]:
         step, t = self._march.now

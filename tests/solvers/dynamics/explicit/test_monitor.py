@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dolfinx import fem
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -35,7 +36,9 @@ from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.dynamics.explicit import monitor as lookout
+from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
 from dolfin_elastic.solvers.dynamics.explicit.monitor import StabilityMonitor
+from dolfin_elastic.solvers.dynamics.schemes import SCHEMES, ExplicitRow
 
 FREE, EULER, CENTRAL = "free", "symplectic-euler", "central-differences"
 BOTH = pytest.mark.parametrize("scheme", [EULER, CENTRAL])
@@ -73,8 +76,33 @@ def test_cells_inside_out_are_told_of_once(
 
 
 def test_what_is_lost_by_them_is_told_with_the_place(comm: MPI.Comm) -> None:
-    with pytest.raises(StabilityError, match=r"no finite motion after .* inside out by t = .* at"):
+    told = r"no finite motion after .* inside out by t = .* at.* a function of C alone"
+    with pytest.raises(StabilityError, match=told) as caught:
         run(pressed(StVenantKirchhoff(**SOFT), 1e6, comm), scheme=CENTRAL, end=0.15, every=5)
+    assert "law = 'fixed-corotated', which goes on with inverted cells" in caught.value.advice
+
+
+def test_a_law_that_does_not_see_inversion_fails(
+    comm: MPI.Comm, caplog: pytest.LogCaptureFixture
+) -> None:
+    """What implicit motion refuses is no result here, either: a block that begins mirrored.
+
+    St. Venant-Kirchhoff's law has it at rest, so its energy says nothing.
+    """
+    problem = pressed(StVenantKirchhoff(**SOFT), 0.0, comm)
+    explicit = SCHEMES[CENTRAL]
+    assert isinstance(explicit, ExplicitRow)
+    v = fem.Function(problem.V)
+    problem.u.interpolate(lambda x: np.array([0 * x[0], 0 * x[1], -2 * x[2]]))
+    motion = Explicit(problem, v, explicit.scheme, end=0.01, dt=None, safety=0.9)
+    *_, last = motion.run()
+    motion.destroy()
+    assert last.energies["total"] == pytest.approx(0.0, abs=1e-9)
+    assert "inside out by t = 0 s, det F = -1 at" in last.failure
+    assert "a function of C alone" in last.failure
+    assert "law = 'fixed-corotated', which goes on" in last.failure
+    (line,) = told(comm, caplog, "inside out")
+    assert line.startswith("audit: ")
 
 
 # --- what is said of a motion that is lost ---
