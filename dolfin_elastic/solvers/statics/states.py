@@ -25,7 +25,6 @@ from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 
-
 FAR = 3.0
 """Lengths of the body beyond which a prescribed motion is suspected of a missing unit, where no
 equilibrium is found: rubber may be stretched that far."""
