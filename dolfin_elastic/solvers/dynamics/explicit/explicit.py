@@ -244,10 +244,7 @@ class Explicit:
 
     def finite(self) -> bool:
         """Whether energies and forces are finite. Collective."""
-        return self._finite(self._energies.measure())
-
-    def _finite(self, measures: Measures) -> bool:
-        return self._energies.finite(measures[0], self.scheme.out_of_balance)
+        return self._energies.finite(self._energies.measure()[0], self.scheme.out_of_balance)
 
     def state(self, *, moved: bool) -> State:
         """The present state. Collective.
@@ -268,7 +265,7 @@ class Explicit:
             StabilityError: It is not finite.
         """
         measures = self._energies.measure()
-        if not self._finite(measures):
+        if not self._energies.finite(measures[0], self.scheme.out_of_balance):
             raise Replay(self, self._monitor, self._last).not_finite()
         self._monitor.observe(self.scheme.t, last=self._ended)
         return self._state(measures)
