@@ -155,6 +155,7 @@ def largest_row(
     places: Callable[[IntArray], FloatArray],
     *,
     least: float = 0.0,
+    about: float = 0.0,
 ) -> LargestRow | None:
     """The largest number, whose place is the same on any number of ranks. Collective.
 
@@ -166,6 +167,7 @@ def largest_row(
         values: This rank's numbers; what is -inf or nan does not count.
         places: Places [m] of some of its rows, shape (rows, dim).
         least: Absolute difference below which numbers are equal, beside the relative one.
+        about: Number whose difference from the largest one the relative one is of.
 
     Returns:
         None where no number counts.
@@ -174,7 +176,7 @@ def largest_row(
     top = largest(comm, float(known.max(initial=-np.inf)))
     if top == -np.inf:
         return None
-    near = max(EQUAL * abs(top), least) if np.isfinite(top) else 0.0
+    near = max(EQUAL * abs(top - about), least) if np.isfinite(top) else 0.0
     rows = np.flatnonzero(known >= top - near if near else known == top)
     x = np.asarray(places(rows)) if len(rows) else np.empty((0, 1))
     mine = None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import basix
@@ -15,6 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic.core.jit import compile_c, compile_expression
+from dolfin_elastic.core.parallel import largest_row, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.model.kinematics import displacement_gradient
@@ -35,8 +35,12 @@ Extreme = tuple[float, FloatArray]
 NOWHERE: FloatArray = np.zeros(3)
 
 
+ROUND_OFF = 1e-14
+"""Difference of two det F, or of two |grad u|, that rounding decides."""
+
+
 class Extremes(NamedTuple):
-    """Extremes over cells, those of a rank or of all.
+    """Extremes over all cells.
 
     Attributes:
         low: Smallest det F.
@@ -52,21 +56,19 @@ class Extremes(NamedTuple):
     refused: Extreme
     inverted: int
 
-    @classmethod
-    def of(cls, found: Sequence[Extremes]) -> Extremes:
-        """Those of several sets of cells, at least one."""
-        lows, highs, steeps, refused, inverted = zip(*found, strict=True)
-        return cls(
-            min(lows, key=_value),
-            max(highs, key=_value),
-            max(steeps, key=_value),
-            min(refused, key=_value),
-            sum(inverted),
-        )
 
+class CellExtremes(NamedTuple):
+    """Extremes inside each owned cell of a rank.
 
-def _value(extreme: Extreme) -> float:
-    return extreme[0]
+    Attributes:
+        least: Smallest det F; what is no number counts as -inf.
+        most: Largest det F, likewise.
+        squares: Largest |grad u|^2; empty where no law is linear.
+    """
+
+    least: FloatArray
+    most: FloatArray
+    squares: FloatArray
 
 
 class JacobianWatch:
@@ -89,12 +91,14 @@ class JacobianWatch:
             kind, max(problem.weak_form.rule(region) for region in problem.regions)
         )
         self._problem = problem
-        small = _marks(problem, [part.law.linear for part in problem.regions])
-        surviving = _marks(problem, [part.law.survives_inversion for part in problem.regions])
-        self.survives = surviving is not None
+        self._small = _marks(problem, [part.law.linear for part in problem.regions])
+        self._surviving = _marks(problem, [part.law.survives_inversion for part in problem.regions])
+        self.survives = self._surviving is not None
         plain = problem.W is problem.V and problem.cell is None
         evaluator = _ByLoop if plain and not problem.context.axisymmetric else _ByExpression
-        self._evaluate: _ByLoop | _ByExpression = evaluator(problem, points, small, surviving)
+        self._evaluate: _ByLoop | _ByExpression = evaluator(
+            problem, points, linear=self._small is not None
+        )
         self._seen: FloatArray | None = None
         self._found: Extremes | None = None
 
@@ -145,9 +149,40 @@ class JacobianWatch:
     def _evaluated(self) -> Extremes:
         """See `_now`. Collective."""
         with stage("assemble"):
-            found = self._evaluate()  # none on ranks without cells
-        everywhere = self._problem.body.comm.allgather(found)
-        return Extremes.of([one for one in everywhere if one is not None])
+            least, most, squares = self._evaluate()
+        inverted = total(self._problem.body.comm, int(np.count_nonzero(~(least > 0.0))))
+        low, refused = self._at_smallest(least), None
+        if self._surviving is not None:
+            refused = self._at_smallest(np.where(self._surviving, np.inf, least))
+        steepest = 0.0, NOWHERE
+        if self._small is not None:
+            steep = np.nan_to_num(np.sqrt(np.where(self._small, squares, 0.0)))
+            steepest = self._at_largest(steep, about=0.0)
+        high = self._at_largest(most)
+        if high[0] == -np.inf:  # there is no number at all: a cell is named all the same
+            high = low
+        return Extremes(low, high, steepest, refused or low, inverted)
+
+    def _at_smallest(self, values: FloatArray) -> Extreme:
+        value, place = self._at_largest(-values, about=-1.0)
+        return -value, place
+
+    def _at_largest(self, values: FloatArray, *, about: float = 1.0) -> Extreme:
+        """The largest value of the owned cells of all ranks, and its place. Collective.
+
+        Args:
+            values: One for each cell; -inf where none counts.
+            about: Value whose differences count: that of the undeformed body.
+        """
+        mesh, cells = self._problem.body.mesh, self._problem.body.owned_cells()
+        found = largest_row(
+            self._problem.body.comm,
+            values,
+            lambda rows: _middles(mesh, cells[rows]),
+            least=ROUND_OFF,
+            about=about,
+        )
+        return (-np.inf, NOWHERE) if found is None else (found.value, np.array(found.place))
 
 
 def _marks(problem: Problem, of_regions: Sequence[bool]) -> BoolArray | None:
@@ -165,120 +200,81 @@ def _marks(problem: Problem, of_regions: Sequence[bool]) -> BoolArray | None:
     return found
 
 
-@dataclass(eq=False)
-class _Evaluator:
-    """What both ways to extremes need. Collective to make.
+class _ByLoop:
+    """Extremes by one loop over the cells, for F = I + grad u. Collective to make.
 
     Args:
-        problem: The problem.
+        problem: Whose displacement is the only unknown.
         points: Of each cell.
-        small: Which cells have a linear law; None: none.
-        surviving: Which cells have a law that survives inversion; None: none.
+        linear: A law is.
     """
 
-    problem: Problem
-    points: FloatArray
-    small: BoolArray | None
-    surviving: BoolArray | None
-
-
-@dataclass(eq=False)
-class _ByLoop(_Evaluator):
-    """Extremes by one loop over the cells, for F = I + grad u as the only unknown."""
-
-    def __post_init__(self) -> None:
-        problem, mesh = self.problem, self.problem.body.mesh
-        gradients, corners, sizes = tabulated(problem, self.points)
+    def __init__(self, problem: Problem, points: FloatArray, *, linear: bool) -> None:
+        mesh = problem.body.mesh
+        gradients, corners, sizes = tabulated(problem, points)
         self._loop = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
+        self._w = problem.w
         nodes = [
             np.ascontiguousarray(dofs) for dofs in (mesh.geometry.dofmap, problem.V.dofmap.list)
         ]
         self._cells = (*nodes, mesh.geometry.x)
         self._tables, self._count = (gradients, corners), len(problem.body.owned_cells())
-        self._marks = [
-            np.zeros(0, dtype=np.int8) if marks is None else marks.astype(np.int8)
-            for marks in (self.small, self.surviving)
-        ]
+        self._linear = linear
 
-    def __call__(self) -> Extremes | None:
-        """Of the owned cells of this rank; None without any. Not collective."""
-        if not self._count:
-            return None
-        found, cells = np.empty(4), np.empty(4, dtype=np.int32)
-        arrays = (*self._cells, self.problem.w.x.array, *self._tables)
-        marks = [given for marks in self._marks for given in (len(marks), marks)]
-        inverted = self._loop.call("extremes", self._count, *arrays, *marks, found, cells)
-        places = [_middle(self.problem.body.mesh, int(cell)) for cell in cells]
-        low, high, square, refused = map(float, found)
-        steepest = (
-            (float(np.nan_to_num(np.sqrt(square))), places[2])
-            if self.small is not None
-            else (0.0, NOWHERE)
+    def __call__(self) -> CellExtremes:
+        """Of the owned cells of this rank. Not collective."""
+        count = self._count
+        found = CellExtremes(
+            np.empty(count), np.empty(count), np.empty(count if self._linear else 0)
         )
-        return Extremes(
-            (low, places[0]), (high, places[1]), steepest, (refused, places[3]), inverted
-        )
+        arrays = (*self._cells, self._w.x.array, *self._tables)
+        self._loop.call("extremes", count, *arrays, int(self._linear), *found)
+        return found
 
 
-@dataclass(eq=False)
-class _ByExpression(_Evaluator):
-    """The same for any F of all unknowns, by an expression of it."""
+class _ByExpression:
+    """The same for any F of all unknowns, by an expression of it. Collective to make.
 
-    def __post_init__(self) -> None:
-        problem = self.problem
-        self._mesh, self._cells = problem.body.mesh, problem.body.owned_cells()
+    Args:
+        problem: Of any unknowns.
+        points: Of each cell.
+        linear: A law is.
+    """
+
+    def __init__(self, problem: Problem, points: FloatArray, *, linear: bool) -> None:
+        self._mesh, self._points, self._linear = problem.body.mesh, points, linear
+        self._cells = problem.body.owned_cells()
         F = problem.weak_form.F(problem.w)
         seen = [ufl.det(F)]
-        if self.small is not None:
+        if linear:
             H = displacement_gradient(F)
             seen.append(ufl.inner(H, H))
         self._columns = len(seen)
         self._seen_in = compile_expression(
-            problem.body.comm, ufl.as_vector(seen), self.points, problem.jit
+            problem.body.comm, ufl.as_vector(seen), points, problem.jit
         )
 
-    def __call__(self) -> Extremes | None:
-        """Of the owned cells of this rank; None without any. Not collective."""
-        found: Extremes | None = None
-        for first in range(0, len(self._cells), BLOCK):
+    def __call__(self) -> CellExtremes:
+        """Of the owned cells of this rank. Not collective."""
+        count = len(self._cells)
+        found = CellExtremes(
+            np.empty(count), np.empty(count), np.empty(count if self._linear else 0)
+        )
+        for first in range(0, count, BLOCK):
             cells = self._cells[first : first + BLOCK]
+            here = slice(first, first + len(cells))
             seen = self._seen_in.eval(self._mesh, cells)
-            seen = seen.reshape(len(cells), len(self.points), self._columns)
-            before = [] if found is None else [found]
-            found = Extremes.of([*before, self._of(cells, seen)])
+            seen = seen.reshape(len(cells), len(self._points), self._columns)
+            J = np.where(np.isnan(seen[:, :, 0]), -np.inf, seen[:, :, 0])
+            found.least[here], found.most[here] = J.min(axis=1), J.max(axis=1)
+            if self._linear:
+                found.squares[here] = np.nan_to_num(seen[:, :, 1]).max(axis=1)
         return found
 
-    def _of(self, cells: IndexArray, seen: FloatArray) -> Extremes:
-        """The extremes of some cells, of which there is one at least."""
-        values = seen[:, :, 0]
-        values[np.isnan(values)] = -np.inf  # as bad as can be, on whichever rank
-        least, most = values.min(axis=1), values.max(axis=1)
-        low, refused = self._at(cells, least, int(np.argmin(least))), least
-        if self.surviving is not None:
-            refused = np.where(self.surviving[cells], np.inf, least)
-        return Extremes(
-            low,
-            self._at(cells, most, int(np.argmax(most))),
-            self._steepest_of(cells, seen),
-            self._at(cells, refused, int(np.argmin(refused))),
-            int(np.sum(~(least > 0.0))),
-        )
 
-    def _steepest_of(self, cells: IndexArray, seen: FloatArray) -> Extreme:
-        """Largest |grad u| in those of some cells that have linear laws."""
-        if self.small is None:
-            return 0.0, NOWHERE
-        squares = np.where(self.small[cells], seen[:, :, -1].max(axis=1), 0.0)
-        steep = np.nan_to_num(np.sqrt(squares))
-        return self._at(cells, steep, int(np.argmax(steep)))
-
-    def _at(self, cells: IndexArray, values: FloatArray, row: int) -> Extreme:
-        return float(values[row]), _middle(self._mesh, int(cells[row]))
-
-
-def _middle(mesh: Mesh, cell: int) -> FloatArray:
-    """Mean place of the nodes of a cell [m]."""
-    return np.asarray(mesh.geometry.x[mesh.geometry.dofmap[cell]].mean(axis=0))
+def _middles(mesh: Mesh, cells: IndexArray) -> FloatArray:
+    """Mean places of the nodes of cells [m], shape (n, 3)."""
+    return np.asarray(mesh.geometry.x[mesh.geometry.dofmap[cells]].mean(axis=1))
 
 
 HALVINGS = 10
