@@ -115,12 +115,14 @@ class Unknowns:
     @cached_property
     def places(self) -> FloatArray:
         """Places [m] of the nodes of V in the reference configuration, ghosts too, shape (n, 3)."""
-        return _places(self.V)
+        found: FloatArray = self.V.tabulate_dof_coordinates()
+        found.flags.writeable = False
+        return found
 
-    @cached_property
+    @property
     def unknown_places(self) -> FloatArray:
         """As `places`, of the nodes of U."""
-        return self.places if self.U is self.V else _places(self.U)
+        return self.places
 
     def _split(self, w: Expr) -> tuple[Expr, ...]:
         return tuple(ufl.split(w)) if self.auxiliary_fields else (w,)
@@ -243,10 +245,4 @@ def _of_geometry(body: Body, V: fem.FunctionSpace) -> IndexArray:
     width = min(rows.shape[1], nodes.shape[1])
     found = np.full(len(body.mesh.geometry.x), -1, dtype=np.int32)
     found[rows[:, :width]] = nodes[:, :width]
-    return found
-
-
-def _places(V: fem.FunctionSpace) -> FloatArray:
-    found: FloatArray = V.tabulate_dof_coordinates()
-    found.flags.writeable = False
     return found

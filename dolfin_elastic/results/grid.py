@@ -146,7 +146,7 @@ def places_of(V: fem.FunctionSpace, nodes: IntArray) -> FloatArray:
     wanted = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=bool)
     wanted[nodes] = True
     cells, local = np.nonzero(wanted[V.dofmap.list])
-    # As in a table of all nodes, where the last cell counts: periodic nodes have several places.
+    # Of several cells the last one counts, as in a table of all nodes.
     last = np.zeros(len(wanted), dtype=np.int64)
     last[V.dofmap.list[cells, local]] = np.arange(len(cells))
     chosen = last[nodes]

@@ -25,6 +25,7 @@ from dolfin_elastic.results.extremes import extremes
 from dolfin_elastic.results.recovery.error import ErrorEstimator
 from dolfin_elastic.results.recovery.peaks import find_peaks
 from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 
 WORLD = MPI.COMM_WORLD
 
@@ -59,6 +60,9 @@ def test_equal_values(method: str) -> None:
         assert np.linalg.norm(found[name].place) == pytest.approx(nearest)
         assert found[name].place == min(WORLD.allgather(found[name].place))
     assert found["min_jacobian"].place == found["max_jacobian"].place
+    watch = JacobianWatch(problem)
+    for value, place in (*watch.extremes(), watch.steepest(), watch.refused()):
+        assert place == pytest.approx(found["min_jacobian"].place), value
     peaks = find_peaks(problem, ErrorEstimator(problem)(state))
     assert peaks.largest.place == pytest.approx((0, 0, 0), abs=1e-12)
 
@@ -94,6 +98,15 @@ def test_round_off_decides_nothing(seed: int) -> None:
     assert found.place == pytest.approx(wanted, abs=1e-12)
     assert found.value == pytest.approx(2.0, rel=1e-8)
     assert WORLD.bcast(found) == found
+
+
+def test_differences_count() -> None:
+    """Of numbers near 1 their differences from it: 1e-9 is not equal to 2e-9, but to round-off."""
+    values = 1 + 1e-9 * np.array([2.0, 1.0, 2.0 + 1e-7])
+    x = np.array([[2.0, 0, 0], [0, 0, 0], [3, 0, 0]])
+    found = largest_row(WORLD, values, lambda rows: x[rows], least=1e-14, about=1.0)
+    assert found is not None
+    assert found.place == (2, 0, 0)
 
 
 def test_nothing_counts() -> None:

@@ -217,6 +217,46 @@ class PeriodicPairing:
                 )
         return np.asarray(match, dtype=np.int64)
 
+    def places(self, V: fem.FunctionSpace, merged: MergedDofmap) -> FloatArray:
+        """Places [m] of the nodes of a merged space, ghosts too, shape (n, 3). Collective.
+
+        Of a node with several places it is that nearest to the origin, and of equally near ones the
+        first along x, then y, then z: the same on any number of ranks.
+
+        Args:
+            V: The plain space.
+            merged: The same with merged nodes.
+        """
+        imap, x = merged.space.dofmap.index_map, V.tabulate_dof_coordinates()
+        found = np.empty((imap.size_local + imap.num_ghosts, 3))
+        found[merged.new] = x
+        ids, places = self._images(x, V, merged)
+        nodes, group = np.unique(ids, return_inverse=True)
+        kept = np.ones(len(ids), dtype=bool)
+        for key in (np.linalg.norm(places, axis=1), *places.T):
+            least = np.full(len(nodes), np.inf)
+            np.minimum.at(least, group[kept], key[kept])
+            kept &= key <= least[group] + self._near
+        first = np.empty((len(nodes), 3))
+        first[group[kept]] = places[kept]
+        numbers = imap.local_to_global(np.arange(len(found), dtype=np.int32))
+        on_faces = np.isin(numbers, nodes)
+        found[on_faces] = first[np.searchsorted(nodes, numbers[on_faces])]
+        return found
+
+    def _images(
+        self, x: FloatArray, V: fem.FunctionSpace, merged: MergedDofmap
+    ) -> tuple[IntArray, FloatArray]:
+        """Merged global index and place [m] of each node of the faces, from all ranks."""
+        imap, comm, low = merged.space.dofmap.index_map, self.body.comm, self.body.dim - 1
+        faces = [facets for pair in self._facets for facets in pair]
+        nodes = np.unique(
+            np.concatenate([fem.locate_dofs_topological(V, low, facets) for facets in faces])
+        )
+        nodes = nodes[nodes < V.dofmap.index_map.size_local]
+        ids = imap.local_to_global(merged.new[nodes])
+        return np.concatenate(comm.allgather(ids)), np.concatenate(comm.allgather(x[nodes]))
+
     # --- the fixed vertex ---
 
     def corner_nodes(self, V: fem.FunctionSpace, merged: MergedDofmap) -> IndexArray:

@@ -12,7 +12,7 @@ from ufl.core.expr import Expr
 from ufl.finiteelement import AbstractFiniteElement
 
 from dolfin_elastic.core.compat import collapsed
-from dolfin_elastic.core.types import IndexArray, IntArray
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.periodic.dofmap import Field, MergedDofmap
 from dolfin_elastic.problem.periodic.unit_cell import Cell
 from dolfin_elastic.problem.spaces import AuxiliaryField, Unknowns
@@ -47,6 +47,12 @@ class Fluctuation(Unknowns):
         self.cell, self._dim = cell, int(mesh.geometry.dim)
         super().__init__(mesh, degree, auxiliary_fields, groups)
         self.pinned = self._pinned()
+        self._unknown_places = cell.pairing.places(self.V, self._merged)
+
+    @property
+    def unknown_places(self) -> FloatArray:
+        """Places [m] of the nodes of U, see `PeriodicPairing.places`."""
+        return self._unknown_places
 
     def _pinned(self) -> tuple[IndexArray, IndexArray]:
         nodes = self.cell.pairing.corner_nodes(self.V, self._merged)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -391,6 +392,43 @@ def test_given_up():
     # Its volume is gone at t = 0.295, unless it grows sideways first, and back from 0.7 on.
     assert 0.1 < caught.value.state.t < 0.5
     assert caught.value.diagnosis.cause not in ("rigid-motion", "round-off")
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_place_of_a_node_with_several(dim, degree):
+    """That nearest to the origin, of equally near ones the first along x, y and z."""
+    make, pairs = (rectangle_body, PAIRS) if dim == 2 else (box_body, PAIRS3)
+    size, origin = np.array([1.0, 2.0, 1.5])[:dim], np.array([-0.75, -1.0, 3.0])[:dim]
+    body = make(size=size, cells=(4, 4, 3)[:dim], origin=origin)
+    problem = Problem(
+        body, rubber(1, dim=dim), degree=degree, periodic=Periodic(pairs=pairs, gradient=np.eye(dim))
+    )
+    x = problem.unknowns.unknown_places[:, :dim]
+    assert np.all(x < origin + size + 1e-9)
+    shifts = np.array(list(itertools.product((-1, 0, 1), repeat=dim)))
+    images = x[:, None] + shifts * size
+    inside = ((images > origin - 1e-9) & (images < origin + size + 1e-9)).all(axis=2)
+    away = np.where(inside, np.linalg.norm(images, axis=2), np.inf)
+    wrong = 0
+    for node, place in enumerate(x):
+        nearest = images[node][away[node] < away[node].min() + 1e-9]
+        wrong += not np.allclose(min(map(tuple, nearest.round(9))), place, rtol=0, atol=1e-8)
+    assert MPI.COMM_WORLD.allreduce(wrong) == 0
+
+
+def test_place_of_equal_forces():
+    """Forces alike on a cell's faces: the place that is told is the same on any ranks."""
+    body = rectangle_body(size=(1, 1), cells=(4, 4), origin=(-0.9, -0.9))
+    problem = Problem(body, rubber(1, dim=2), periodic=Periodic(pairs=PAIRS, gradient=np.eye(2)))
+    assembler = Assembler(problem)
+    forces = assembler.residual.owned.reshape(-1, 2)
+    x = problem.unknowns.unknown_places[: len(forces), :2]
+    forces[np.isclose(np.abs(x + 0.4), 0.5).any(axis=1)] = 1.0
+    force, place = assembler.residual.largest()
+    assembler.destroy()
+    assert force == pytest.approx(np.sqrt(2))
+    assert place == pytest.approx([-0.025, 0.1])  # (0.1, 0.1) is the fixed vertex
 
 
 @pytest.mark.parametrize("degree", [1, 2])
