@@ -410,17 +410,21 @@ def _content(manifest: Path, step: int) -> tuple[dict[str, Any], str]:
 def _damage(comm: MPI.Comm, fields: Path, arrays: Mapping[str, Any]) -> str:
     """What is wrong with the fields of a checkpoint; empty if nothing is. Collective."""
     for name, known in arrays.items():
-        count, why = known["shape"][0], ""
+        count, rows = known["shape"][0], None
         first, last = (count * rank // comm.size for rank in (comm.rank, comm.rank + 1))
+        why = ""
         try:
             values = hdf5.read(fields, name, first, last - first)
-            rows = hdf5.Rows(values, first, count)
-            failed = values.dtype != np.float64 or list(values.shape[1:]) != known["shape"][1:]
-            failed = failed or not np.isfinite(values).all()
+            alike = values.dtype == np.float64 and list(values.shape[1:]) == known["shape"][1:]
+            if alike and np.isfinite(values).all():
+                rows = hdf5.Rows(values, first, count)
         except _UNREADABLE as error:
-            failed, why = True, f": {error}" if isinstance(error, UnsafeHdf5Error) else ""
-        if largest(comm, float(failed)) or array_checksum(comm, rows) != known["sum"]:
-            return f"{fields.name} is not as it was written{why}"
+            why = f": {error}" if isinstance(error, UnsafeHdf5Error) else ""
+        found = comm.allgather((rows is not None, why))  # one text, though ranks read other rows
+        whole = all(good for good, _ in found)
+        if not whole or rows is None or array_checksum(comm, rows) != known["sum"]:
+            said = next((text for _, text in found if text), "")
+            return f"{fields.name} is not as it was written{said}"
     return ""
 
 

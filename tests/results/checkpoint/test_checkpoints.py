@@ -29,6 +29,7 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.core.errors import OutputError, RestartError
+from dolfin_elastic.core.files.hdf5 import UnsafeHdf5Error
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.problem.state import RestartState, State
@@ -342,6 +343,26 @@ def test_a_damaged_checkpoint_is_passed_over(
     assert "the checkpoint of step 5 is damaged" in said
     on_root(WORLD, (folder / FOLDER / "step_000004.h5").unlink)
     assert step_found(folder, u) is None
+
+
+def test_the_damage_that_one_rank_sees_is_told_by_all(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each rank reads its own rows: those of the last one alone are unsafe here."""
+    several(folder, 5)
+    said: list[str] = []
+    monkeypatch.setattr(checkpoints.log, "warning", lambda text, *of: said.append(text % of))
+    if WORLD.rank == WORLD.size - 1:
+
+        def refuse(*_: object) -> None:
+            raise UnsafeHdf5Error("its array leads out of the file")
+
+        monkeypatch.setattr(checkpoints.hdf5, "read", refuse)
+    assert newest_checkpoint(WORLD, folder) is None
+    assert len(said) == 1
+    assert said[0].endswith("(step_000005.h5 is not as it was written: its array leads out of the "
+        "file): going back further")
+    assert WORLD.allgather(said) == [said] * WORLD.size
 
 
 @pytest.mark.parametrize(("number", "which"), [(3, "an older"), (99, "a newer")])
