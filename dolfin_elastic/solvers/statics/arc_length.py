@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,12 @@ from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
 from dolfin_elastic.solvers.nonlinear.bordered import JoinedScalars, ScalarUnknowns
 from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.statics.limit_points import LimitPoint, Sample, limit_points
+from dolfin_elastic.solvers.statics.limit_points import (
+    LimitPoint,
+    Sample,
+    first_reached,
+    limit_points,
+)
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
 from dolfin_elastic.solvers.statics.step_size import StepSpeed
 
@@ -248,20 +254,44 @@ class ArcLength:
         self._increment, self._scalar_increment = self._length.increment(), self._all.get() - before
         begin = Sample(0.0, float(before[0]), self._slope)
         end = Sample(self._length.arc(), self._length.t, along)
-        limits, spent = self._limits(begin, end, here)
-        if self._length.t < self._end:
+        inside = _Inside(self, begin.t, here, self._increment)
+        limits = self._limits(begin, end, inside)
+        samples = [begin, *sorted(inside.found, key=lambda sample: sample.s), end]
+        reached = max(sample.t for sample in samples) >= self._end
+        if not reached:
             self.limits += limits
             verdict = self._report(begin.t, verdict, limits)
             self._slope, self._negative = slope, _counted(verdict)
             factor = np.sqrt(DESIRED_ITERATIONS / max(result.newton, 1))
             self._size = min(self._longest, size * float(np.clip(factor, 0.5, 2.0)))
         else:
-            self.limits += [limit for limit in limits if limit.t < self._end]
+            missed = inside.found and first_reached(samples, self._end, inside) is None
             self._scalar_increment, self._increment = beginning
+            if missed:
+                return PathPoint(begin.t, result.refused("DIVERGED_MAX_IT"))
+            self.limits += takewhile(lambda limit: limit.t < self._end, limits)
+        spent = inside.spent
         result = replace(
             result, newton=result.newton + spent.newton, krylov=result.krylov + spent.krylov
         )
-        return PathPoint(self._length.t, result, verdict)
+        return PathPoint(self._end if reached else self._length.t, result, verdict)
+
+    def find(
+        self, t: float, here: FloatArray, last: FloatArray, size: float
+    ) -> tuple[Sample | None, NewtonResult]:
+        """The point of the path at a distance from a known one; None: not found. Collective.
+
+        Args:
+            t: Load factor of the known point.
+            here: `Newton.unknowns` of it.
+            last: Owned displacements in whose direction to go [m].
+            size: The distance [m].
+        """
+        self._undo(here, t)
+        result = self._step(last, size)
+        if not result.converged:
+            return None, result
+        return Sample(self._length.arc(), self._length.t, self._slopes()[0]), result
 
     # --- limit points ---
 
@@ -282,42 +312,25 @@ class ArcLength:
             slope = scalars[0] / along
             return float(slope), float(np.sign(along) * scalars[0] / np.sqrt(product(way, way)))
 
-    def _limits(
-        self, begin: Sample, end: Sample, here: FloatArray
-    ) -> tuple[list[LimitPoint], NewtonResult]:
-        """Limit points inside the step, and what the solves for them have cost. Collective.
+    def _limits(self, begin: Sample, end: Sample, inside: _Inside) -> list[LimitPoint]:
+        """Limit points inside the step. Collective.
 
         Afterwards the problem is at the end of the step, as before.
 
         Args:
             begin: Of the step.
             end: Of the step.
-            here: `Newton.unknowns` at its beginning.
+            inside: Finds points in it.
         """
-        assert self._increment is not None
-        last, spent, moved = self._increment, NewtonResult(), False
         there, lam = self._bordered.unknowns(), self._multipliers()
-
-        def find(s: float) -> Sample | None:
-            nonlocal spent, moved
-            moved = True
-            self._undo(here, begin.t)
-            result = self._step(last, s)
-            spent = replace(
-                spent, newton=spent.newton + result.newton, krylov=spent.krylov + result.krylov
-            )
-            if not result.converged:
-                return None
-            return Sample(self._length.arc(), self._length.t, self._slopes()[0])
-
         least = BALANCED * self._newton.tolerance.rtol
-        found = limit_points(begin, end, find, least=least)
-        if moved:
+        found = limit_points(begin, end, inside, least=least)
+        if inside.moved:
             self._bordered.put_back(there)
             self._put_multipliers(lam)
             assert self._bordered.bordered is not None
             self._bordered.bordered.evaluate()
-        return found, spent
+        return found
 
     def _multipliers(self) -> list[FloatArray]:
         return [pair.lam.x.array.copy() for pair in self._problem.contact_pairs]
@@ -476,6 +489,40 @@ class ArcLength:
         if not result.converged:
             return PathPoint(t, result, good=here, failed=self._retry.failed)
         return PathPoint(self._end, result, judge(self._newton))
+
+
+class _Inside:
+    """Finds points of a path inside a step of it. Collective to call.
+
+    Args:
+        path: The path.
+        t: Load factor at the beginning of the step.
+        here: `Newton.unknowns` there.
+        last: Owned displacement increment of the step [m].
+
+    Attributes:
+        found: All points found.
+        spent: Iterations for them.
+        moved: The problem is not where it was.
+    """
+
+    def __init__(self, path: ArcLength, t: float, here: FloatArray, last: FloatArray) -> None:
+        self._path, self._begin = path, (t, here, last)
+        self.found: list[Sample] = []
+        self.spent, self.moved = NewtonResult(), False
+
+    def __call__(self, s: float) -> Sample | None:
+        """The point at a distance [m] from the beginning; None: not found."""
+        self.moved = True
+        found, result = self._path.find(*self._begin, s)
+        self.spent = replace(
+            self.spent,
+            newton=self.spent.newton + result.newton,
+            krylov=self.spent.krylov + result.krylov,
+        )
+        if found is not None:
+            self.found.append(found)
+        return found
 
 
 def _explained(change: int, limits: int) -> bool:

@@ -12,8 +12,9 @@ interpolation).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -78,6 +79,36 @@ def limit_points(
             break
         left = point
     return found
+
+
+def first_reached(
+    samples: Sequence[Sample], t: float, find: Callable[[float], Sample | None]
+) -> Sample | None:
+    """The first point of a path in a step that has a load factor; None where it is not found.
+
+    Args:
+        samples: Known points of the step, in their order; the first has a smaller load factor, and
+            one of the others has not.
+        t: The load factor.
+        find: See `limit_points`; what it has found last is returned.
+    """
+    a, b = next(pair for pair in pairwise(samples) if pair[0].t < t <= pair[1].t)
+    for _ in range(MOST):
+        found = find(_reaching(a, b, t))
+        if found is None or abs(found.t - t) <= EXACT * abs(t):
+            return found
+        a, b = (found, b) if found.t < t else (a, found)
+    return found
+
+
+def _reaching(a: Sample, b: Sample, t: float) -> float:
+    """Where the cubic of two points has a load factor between theirs, the first time [m]."""
+    share = (t - a.t) / (b.t - a.t)
+    if np.isfinite([a.slope, b.slope]).all():
+        c0, c1, c2, c3 = _coefficients(a, b)
+        roots = [x.real for x in np.roots([c3, c2, c1, c0 - t]) if abs(x.imag) < 1e-9]
+        share = min((x for x in roots if 0.0 < x < 1.0), default=share)
+    return a.s + float(share) * (b.s - a.s)
 
 
 def _further(left: Sample, end: Sample, last: float, apart: float) -> list[float]:

@@ -37,8 +37,8 @@ LOAD = E * THICK * 2 * HEIGHT**3 / (3 * np.sqrt(3)) / (2 * LENGTH**3)
 """The largest force of a bar of unit depth [N]."""
 
 
-def truss(folder: Path, **statics: Any) -> list[State]:
-    """All states of the path to the largest force downwards, beyond both limit points."""
+def truss(folder: Path, load: float = 1.5, **statics: Any) -> list[State]:
+    """All states of the path to a force downwards, by default beyond both limit points."""
     across = np.array([-HEIGHT, SPAN]) / LENGTH * THICK / 2
     ends = np.array([[0.0, 0.0], [SPAN, HEIGHT]])
     corners = [ends[0] - across, ends[1] - across, ends[1] + across, ends[0] + across]
@@ -67,7 +67,7 @@ def truss(folder: Path, **statics: Any) -> list[State]:
                     "on": "b",
                     "point": [SPAN, HEIGHT],
                     "displacement": [0, "free"],
-                    "force": [0, -LOAD * 1.5],
+                    "force": [0, -LOAD * load],
                 },
             ],
             "statics": {"method": "arc-length", **statics},
@@ -99,6 +99,24 @@ def test_truss(folder, first):
     assert errors.max() < 1e-6
     assert {s.audit.verdict for s in states[1:] if s.audit is not None} == {"pass"}
     assert len(states[0].limit_points) == 0
+
+
+@pytest.mark.parametrize("load", [0.5, 0.95, 0.9999])
+@pytest.mark.parametrize("first", [0.1, 0.6])
+def test_an_end_that_is_passed_within_a_step(folder, load, first):
+    """Below the limit point, at the larger height of two with this load, though steps pass both."""
+    *_, state = truss(folder, load, first_step=first)
+    a = 3**-0.5 * HEIGHT  # the height of the limit point, but for the slope of the bar
+
+    def off(h: float) -> float:
+        return E * THICK * h * (HEIGHT**2 - h**2) / (2 * LENGTH**3) - LOAD * load
+
+    h = float(brentq(off, a, HEIGHT, xtol=1e-18))
+    strain = (h**2 - HEIGHT**2) / (2 * LENGTH**2)
+    assert state.load_factor == pytest.approx(1.0, rel=1e-12)
+    # dF = 0 there: an error 1e-8 of the force is one of 1e-6 of the energy.
+    assert state.energies["strain"] == pytest.approx(E * THICK * LENGTH * strain**2 / 2, rel=1e-5)
+    assert state.limit_points == ()
 
 
 def test_states_are_those_of_a_path_that_is_not_looked_into(monkeypatch):

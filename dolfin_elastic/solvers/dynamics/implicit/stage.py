@@ -227,7 +227,7 @@ class StageSolver:
         u_end = np.asarray(problem.dirichlet.targets)
         u_start = problem.dirichlet.extract(problem.u.x.array)
         v_end, a_end = prescribed_rates(problem, end, h)
-        a_start = problem.dirichlet.extract(self._context.a.x.array)
+        a = self._prescribed_acceleration(v_end, a_end, h)
         problem.set_time(start.t + (1 - p.alpha_f) * h)
         return Stage(
             parameters=p,
@@ -236,11 +236,27 @@ class StageSolver:
             h=h,
             predictor=p.predicted(start.v, start.a, h),
             u=p.alpha_f * u_start + (1 - p.alpha_f) * u_end,
-            a=(1 - p.alpha_f) * a_end + p.alpha_f * a_start,
+            a=a,
             u_end=u_end,
             v_end=v_end,
             a_end=a_end,
         )
+
+    def _prescribed_acceleration(self, v_end: FloatArray, a_end: FloatArray, h: float) -> FloatArray:
+        """Of supports at the stage [m/s^2], like `DirichletConditions.targets`.
+
+        Where the energy is kept, M a must be the change of the momentum, at supports as elsewhere:
+        with another acceleration of theirs, nodes beside them do work that nothing accounts for.
+
+        Args:
+            v_end: Prescribed velocity at the end of the step [m/s].
+            a_end: Prescribed acceleration there [m/s^2].
+            h: Length of the step [s].
+        """
+        extract, context, p = self._problem.dirichlet.extract, self._context, self._parameters
+        if self._moving.conserves:
+            return np.asarray((v_end - extract(context.v.x.array)) / h)
+        return np.asarray((1 - p.alpha_f) * a_end + p.alpha_f * extract(context.a.x.array))
 
     def _solve_from(self, guess: FloatArray) -> bool:
         newton = self._newton
