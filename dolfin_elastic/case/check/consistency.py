@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from dolfin_elastic.case.case import Case, locate_errors
+from dolfin_elastic.case.check.initial_state import NOTHING_MOVES
 from dolfin_elastic.case.check.plausibility import plausibility_notes
 from dolfin_elastic.case.tables import Material
 from dolfin_elastic.case.toml import key_text
@@ -431,5 +432,5 @@ def _notes(case: Case) -> Iterator[str]:
             yield "modal.preload is not set: the modes are those at rest, without the loads"
         return
     unloaded = case.dynamics is None and not case.load and not moving
-    if unloaded and case.periodic is None:
-        yield "there is no load and every support is at rest: nothing will move"
+    if unloaded and case.periodic is None and not case.contact:  # see `contact_notes`
+        yield NOTHING_MOVES

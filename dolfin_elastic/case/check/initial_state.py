@@ -27,6 +27,8 @@ from dolfin_elastic.solvers.nonlinear.contact import (
     penetration_message,
 )
 
+NOTHING_MOVES = "there is no load and every support is at rest: nothing will move"
+"""A note of statics."""
 TIMES = 41
 """Times of a motion, or of statics, at which supports and loads are evaluated."""
 _NEAR = 0.5
@@ -158,7 +160,7 @@ def touching_notes(problem: Problem) -> Iterator[str]:
 def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     """Obstacles that the body can never touch, or in which it begins deeply. Collective.
 
-    A body that is moved reaches no farther than it is large and than its supports move; a body that
+    An obstacle in which the body begins moves it without loads, as in a press fit. A body that is moved reaches no farther than it is large and than its supports move; a body that
     nothing moves stays where it is.
 
     Args:
@@ -169,8 +171,10 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
         return
     diagonal, reach = span(problem.body), _reach(case, problem)
     gaps = initial_gaps(problem, moving=case.dynamics is not None)
+    pressed = False
     for i, (pair, (gap, _)) in enumerate(zip(problem.contact_pairs, gaps, strict=True)):
         nearest = min(gap, *_gaps_over_time(case, pair))
+        pressed |= nearest < -_ROUND_OFF * pair.size
         if nearest > max(reach, _ROUND_OFF * pair.size):
             why = "farther than the body is large" if reach else "and nothing moves the body"
             yield (
@@ -184,6 +188,8 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
             )
         if text := _in_another_unit(problem.body.unit, case.contact[i], pair, diagonal):
             yield f"contact '{pair.label}': {text}"
+    if not (reach or pressed) and case.dynamics is None and (case.modal is None or case.preloaded):
+        yield NOTHING_MOVES
 
 
 def _reach(case: Case, problem: Problem) -> float:

@@ -644,6 +644,16 @@ def test_an_obstacle_that_has_moved_when_a_motion_begins(curve, comm):
         assert start.gap == pytest.approx(0.1)
 
 
+@pytest.mark.parametrize(("at", "still"), [(0.25, False), (0.0, True), (-0.25, True)])
+def test_only_an_obstacle_in_which_the_body_begins_moves_it_without_loads(at, still, comm):
+    """A press fit needs no load; a body that only touches stays as it is."""
+    tables = {key: value for key, value in TABLES.items() if key != "load"}
+    tables["support"] = [{"on": "top"}]
+    tables["contact"] = [{"on": "bottom", "plane": {"axis": "y", "at": at}}]
+    notes = report(Case.from_dict(tables), comm=comm).notes
+    assert any("nothing will move" in note for note in notes) is still
+
+
 def test_in_a_case(comm):
     case = Case.from_dict(TABLES)
     assert Case.from_dict(case.to_dict()) == case
