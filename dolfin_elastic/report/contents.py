@@ -165,8 +165,8 @@ def _trust(peak: Table) -> tuple[str, str]:
     if "unresolved" not in peak:  # of a run before this was recorded
         return "", ""
     return "peak not known", (
-        "The elements are too large for a curved face where the stress is largest, or may be: see "
-        "the reservations under the checks."
+        "This mesh does not show how large it is, for its elements lock, or are too large for a "
+        "curved face where the stress is largest, or may be: see the reservations under the checks."
     )
 
 

@@ -42,12 +42,13 @@ class Locking:
     nu: float
     up_to: float
 
+    def cause(self) -> str:
+        """Why, for people."""
+        return f"linear elements lock at nu = {self.nu:g} ('{self.part}')"
+
     def text(self) -> str:
         """It for people."""
-        return (
-            f"linear elements lock at nu = {self.nu:g} ('{self.part}'), which this estimate does "
-            f"not see: up to {100 * self.up_to:.2g} %"
-        )
+        return f"{self.cause()}, which this estimate does not see: up to {100 * self.up_to:.2g} %"
 
 
 def unseen_locking(problem: Problem, relative: float) -> Locking | None:

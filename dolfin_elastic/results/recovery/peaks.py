@@ -15,6 +15,7 @@ from dolfin_elastic.core.units import stress_unit
 from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.results.grid import places_of
 from dolfin_elastic.results.recovery.error import ErrorEstimate
+from dolfin_elastic.results.recovery.locking import unseen_locking
 from dolfin_elastic.results.recovery.resolution import RESOLVED, largest_at_nodes, resolution
 from dolfin_elastic.results.recovery.singular import SingularPlaces, singular_places
 from dolfin_elastic.results.recovery.stress import von_mises
@@ -220,7 +221,8 @@ def find_peaks(problem: Problem, estimate: ErrorEstimate) -> Peaks:
 
     Its error is that of the largest stress at any regular place: the largest sum of a stress and
     its own error, less the largest stress.  It is not known where the mesh does not resolve the
-    face at which the stress is largest, or one where it may be larger; see `resolution`.
+    face at which the stress is largest, or one where it may be larger, see `resolution`, nor where
+    linear elements lock, see `unseen_locking`.
 
     Args:
         problem: The problem that is solved, in the state of the estimate.
@@ -273,6 +275,7 @@ class _Finder:
     def __init__(self, problem: Problem, estimate: ErrorEstimate, places: SingularPlaces) -> None:
         self._problem, self._places = problem, places
         self._resolution = resolution(problem)
+        self._locking = unseen_locking(problem, estimate.relative)
         own = problem.V.dofmap.index_map.size_local
         nodes = problem.V.dofmap.list[: len(problem.body.owned_cells())]
         of_cells = estimate.difference[nodes].max(axis=1, initial=0.0)
@@ -337,6 +340,8 @@ class _Finder:
         """
         if not peak.place or peak.value <= 0:
             return peak, None
+        if self._locking is not None:  # the recovered stress is that of a body that hardly moves
+            return replace(peak, error=np.nan, unresolved=self._locking.cause()), None
         if peak.unresolved:
             return replace(peak, error=np.nan), None
         unresolved = self._resolution.unresolved

@@ -113,5 +113,8 @@ def test_it_is_told(folder):
     found = summary["error"]["locking"]
     assert found["nu"] == pytest.approx(0.499)
     assert found["up_to"] > summary["error"]["energy_norm"]
+    peak = summary["error"]["elsewhere"] or summary["error"]["von_mises"]
+    assert peak["error"] is None
+    assert peak["unresolved"].startswith("linear elements lock at nu = 0.499")
     notes = " ".join(audit_of(FinishedRun(folder / "results")).notes)
     assert "linear elements lock at nu = 0.499" in notes
