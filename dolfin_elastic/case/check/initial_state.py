@@ -160,8 +160,9 @@ def touching_notes(problem: Problem) -> Iterator[str]:
 def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     """Obstacles that the body can never touch, or in which it begins deeply. Collective.
 
-    An obstacle in which the body begins moves it without loads, as in a press fit. A body that is moved reaches no farther than it is large and than its supports move; a body that
-    nothing moves stays where it is.
+    An obstacle in which the body begins moves it without loads, as in a press fit.  A body that is
+    moved reaches no farther than it is large and than its supports move; a body that nothing moves
+    stays where it is.
 
     Args:
         case: Its contacts, and what moves the body.
