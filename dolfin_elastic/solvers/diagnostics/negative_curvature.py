@@ -17,9 +17,10 @@ and Lanczos); E. V. Haynsworth, Linear Algebra Appl. 1 (1968) 73 (inertia of Sch
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import total
@@ -52,8 +53,12 @@ _WEIGHTS = np.array([1.0, 1.0, 3.0])
 """Of the noise, of the preconditioned one, and of the smooth part in the right-hand side: with
 equal ones the parts of a mode of the whole body cancelled each other on some meshes."""
 
-_ROUND_OFF = 1e-8
+ROUND_OFF = 1e-8
 """Of inner products of vectors of size 1, in the preconditioner's norm."""
+
+_FLUTTER = (
+    "its tangent is not symmetric and has complex eigenvalues: flutter is a question of motion"
+)
 
 _REAL = 1e-6
 """Imaginary over absolute value of eigenvalues that count as real."""
@@ -79,6 +84,8 @@ class Found:
 
 def count_negative(newton: Newton, *, exactly: bool = False) -> Found:
     """Negative eigenvalues of the fields' last tangent, those of pressures left out. Collective.
+
+    For factors of one that is not symmetric see `factored_inertia`.
 
     Args:
         newton: The solver, whose preconditioner or factors may be those of an older tangent.
@@ -132,9 +139,6 @@ def _proven(tangent: _Tangent, d: FloatArray) -> Found:
 class _Tangent:
     """M, its preconditioner, and the inverse of A, on owned rows of the fields. Collective.
 
-    With factors of an unsymmetric A the preconditioner is (A^-1 + A^-T)/2, which is positive
-    definite where M is, for it is A^-1 M A^-T.
-
     Args:
         newton: The solver.
 
@@ -175,11 +179,7 @@ class _Tangent:
             return self._free(split.precondition(r))
         self._take(r)
         self._pc.apply(self._x, self._y)
-        found = self._y.array_r
-        if self._linear.direct and not self.symmetric:
-            self._pc.applyTranspose(self._x, self._z)
-            found = (found + self._z.array_r) / 2
-        return self._free(found[self._rows].copy())
+        return self._free(self._y.array_r[self._rows].copy())
 
     def inverse(self, f: FloatArray) -> FloatArray | None:
         """The fields' part of A^-1 f, None where the linear solver does not converge. Collective.
@@ -217,8 +217,8 @@ class _Tangent:
             The three, and their products with the preconditioner, one a row.
         """
         moves, smooth = self._assembler.displacement_dofs, start_vector(self._assembler)
-        noise = self._forces(moves, _noise(self._assembler))
-        parts = [noise, self.precondition(noise), self._forces(moves, smooth)]
+        rough = self._forces(moves, noise(self._assembler))
+        parts = [rough, self.precondition(rough), self._forces(moves, smooth)]
         images = [parts[1], *map(self.precondition, parts[1:])]
         return np.array(parts), np.array(images)
 
@@ -305,23 +305,47 @@ class _Directions:
         if not self._d:
             return Found(0)
         D, Y = np.array(self._d), np.array(self._y)
-        G = total(self._tangent.comm, D @ Y.T)
-        if self._tangent.symmetric:
-            compliances, vectors = np.linalg.eigh((G + G.T) / 2)
-        else:
-            found, vectors = np.linalg.eig(G)
-            if np.any(np.abs(found.imag) > _REAL * np.abs(found)):
-                return Found(
-                    None,
-                    reason="its tangent is not symmetric and has complex eigenvalues: flutter is a "
-                    "question of motion",
-                )
-            compliances, vectors = found.real, vectors.real
-        weakest = int(np.argmin(compliances))
-        if compliances[weakest] > 0.0:
-            weakest = int(np.argmax(compliances))
-        direction = self._tangent.spread(vectors[:, weakest] @ Y)
-        return Found(int(np.sum(compliances < 0.0)), at_least, direction)
+        symmetric = self._tangent.symmetric
+        found = by_directions(
+            self._tangent.comm, D, Y, symmetric=symmetric, at_least=at_least
+        )
+        if found.direction is None:
+            return found
+        return replace(found, direction=self._tangent.spread(found.direction))
+
+
+def by_directions(
+    comm: MPI.Comm,
+    D: FloatArray,
+    Y: FloatArray,
+    *,
+    symmetric: bool = False,
+    at_least: bool,
+) -> Found:
+    """What the eigenvalues of D^T A^-1 D say. Collective.
+
+    Args:
+        comm: The ranks.
+        D: Orthonormal directions, one a row, owned entries.
+        Y: A^-1 D.
+        symmetric: A is.
+        at_least: The symmetric part of A need not be positive definite on their complement.
+
+    Returns:
+        With a direction that is a combination of the rows of Y.
+    """
+    G = total(comm, D @ Y.T)
+    if symmetric:
+        compliances, vectors = np.linalg.eigh((G + G.T) / 2)
+    else:
+        found, vectors = np.linalg.eig(G)
+        if np.any(np.abs(found.imag) > _REAL * np.abs(found)):
+            return Found(None, reason=_FLUTTER)
+        compliances, vectors = found.real, vectors.real
+    weakest = int(np.argmin(compliances))
+    if compliances[weakest] > 0.0:
+        weakest = int(np.argmax(compliances))
+    return Found(int(np.sum(compliances < 0.0)), at_least, vectors[:, weakest] @ Y)
 
 
 @dataclass(frozen=True)
@@ -431,7 +455,7 @@ def _begin(tangent: _Tangent) -> _Begin:
     scale = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=sizes > 0.0)
     values, vectors = np.linalg.eigh(scale[:, None] * (products + products.T) / 2 * scale)
     negative = None
-    if values[0] < -_ROUND_OFF:
+    if values[0] < -ROUND_OFF:
         negative = (vectors[:, 0] * scale) @ images
     weights = scale * _WEIGHTS
     return _Begin(weights @ parts, weights @ images, negative)
@@ -446,7 +470,7 @@ def start_vector(assembler: Assembler) -> FloatArray:
     return np.asarray((1.0 + waves).ravel())
 
 
-def _noise(assembler: Assembler) -> FloatArray:
+def noise(assembler: Assembler) -> FloatArray:
     """Numbers between -1 and 1 at owned displacements that look random, the same on any ranks.
 
     They are functions of the places, the last digits of sines.

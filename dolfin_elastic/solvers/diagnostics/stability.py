@@ -11,7 +11,7 @@ J. Liesen, Acta Numerica 14 (2005), section 3.4.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +23,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.state import Stability
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.diagnostics.factored_inertia import count_by_factors
 from dolfin_elastic.solvers.diagnostics.negative_curvature import (
     Found,
     count_negative,
@@ -41,9 +42,6 @@ At the limit a state takes about six seconds on one core, and up to four states 
 
 NEGATIVE_PIVOTS = 12
 """Index of their number in MUMPS's INFOG."""
-
-DETERMINANT = 12
-"""Index of its mantissa in MUMPS's RINFOG."""
 
 _DIGITS = 1e-3
 """Relative accuracy of the weakest mode's stiffness."""
@@ -94,7 +92,7 @@ class Verdict:
 
 
 @stage("stability")
-def judge(newton: Newton) -> Verdict:
+def judge(newton: Newton, *, surely: bool = True) -> Verdict:
     """Whether the equilibrium at the end of a Newton solve is stable. Collective.
 
     The tangent judged is the last one of Newton's method, one small step before the solution.  It
@@ -105,12 +103,15 @@ def judge(newton: Newton) -> Verdict:
     Args:
         newton: The solver, after a solve that has converged; scalar unknowns beside its fields add
             the inertia of their Schur complement.
+        surely: With factors of an unsymmetric tangent, also an even number of stiff negative
+            eigenvalues is found, at half the cost of a factorisation; else a state on the way to
+            one that is judged so.
     """
     if newton.assembler.problem.linear:
         return Verdict(Stability(0))
     if newton.shift > 0.0 or not (newton.result.newton or newton.factorised):
         newton.factorise()
-    fields = _of_fields(newton)
+    fields = _of_fields(newton, surely=surely)
     if fields.negative is None:
         return Verdict(Stability(None, reason=fields.reason), fields.direction)
     negative = fields.negative
@@ -124,33 +125,30 @@ def judge(newton: Newton) -> Verdict:
 _SINGULAR = "its tangent is singular"
 
 
-def _of_fields(newton: Newton) -> Found:
+def _of_fields(newton: Newton, *, surely: bool) -> Found:
     """The inertia of the fields' tangent: by pivots where there are any, for these are free."""
     pc = newton.ksp.getPC()
     if newton.linear.direct and newton.assembler.problem.symmetric and _counts_pivots(pc):
         below = negative_pivots(pc, newton.assembler)
         return Found(below, reason=_SINGULAR if below is None else "")
-    constrained = newton.bordered is not None and bool(np.any(newton.bordered.scalars.signs < 0.0))
-    found = count_negative(newton, exactly=constrained)
-    odd = _is_odd(pc, newton.assembler) if newton.linear.direct else None
-    if odd is None or found.negative is None or found.negative % 2 == odd:
+    exactly = newton.bordered is not None and bool(np.any(newton.bordered.scalars.signs < 0.0))
+    if not newton.linear.direct or newton.assembler.problem.symmetric:
+        return count_negative(newton, exactly=exactly)
+    found = None if surely or exactly else count_by_factors(newton)
+    if found is not None and found.negative == 0:
         return found
-    return replace(found, negative=found.negative + 1, at_least=True)
+    return count_by_factors(newton, _of_symmetric_part(newton.assembler))
 
 
-def _is_odd(pc: PETSc.PC, assembler: Assembler) -> bool | None:
-    """Whether the number of negative eigenvalues is odd, by the sign of the determinant.
-
-    Complex eigenvalues come in pairs, whose product is positive.  Those of pressures are left out.
-    None where the factors have no determinant.
-    """
-    if pc.getType() != "lu" or pc.getFactorSolverType() != "mumps":
+def _of_symmetric_part(assembler: Assembler) -> int | None:
+    """Negative pivots of the tangent's symmetric part, None where they cannot be had."""
+    problem = assembler.problem
+    if problem.num_dofs > LIMIT[problem.body.dim]:
         return None
-    factors = pc.getFactorMatrix()
-    mantissa = factors.getMumpsRinfog(DETERMINANT)
-    if factors.getMumpsIcntl(33) != 1 or mantissa == 0.0:
-        return None
-    return bool((mantissa < 0.0) != (assembler.pressures % 2 == 1))
+    tangent = FactorisedTangent(assembler, symmetric_part=True)
+    negative = tangent.negative
+    tangent.destroy()
+    return negative
 
 
 @dataclass(frozen=True)
@@ -166,11 +164,21 @@ class Mode:
     motion: FloatArray
 
 
+def _symmetric_part(A: PETSc.Mat) -> PETSc.Mat:
+    """(A + A^T)/2. Collective."""
+    S = A.transpose(PETSc.Mat())
+    S.axpy(1.0, A, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    S.scale(0.5)
+    S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+    return S
+
+
 class FactorisedTangent:
     """A factorised tangent. Collective; `destroy` it.
 
     Args:
         assembler: Its `matrix` is the tangent to be looked at.
+        symmetric_part: Its symmetric part is, where it is not symmetric.
 
     Attributes:
         sound: The factors exist and are finite; without, nothing else here is of use.
@@ -178,14 +186,18 @@ class FactorisedTangent:
             symmetric, so that its pivots say nothing.
     """
 
-    def __init__(self, assembler: Assembler) -> None:
+    def __init__(self, assembler: Assembler, *, symmetric_part: bool = False) -> None:
         self.assembler, self.comm = assembler, assembler.comm
-        self._symmetric = bool(assembler.problem.symmetric)
+        symmetric = bool(assembler.problem.symmetric)
+        self._symmetric = symmetric or symmetric_part
         self._ksp = PETSc.KSP().create(self.comm)
         self._ksp.setOptionsPrefix("elastic_doctor_")
         self._ksp.setType("preonly")
-        with assembler.tangent.entries() as matrix:
+        with assembler.tangent.entries() as tangent:
+            matrix = tangent if symmetric or not symmetric_part else _symmetric_part(tangent)
             self._ksp.setOperators(matrix)
+            if matrix is not tangent:
+                matrix.destroy()  # the solver holds it
             self.sound, self.negative = self._factorise(), None
         if self.sound and self._symmetric:
             self.negative = negative_pivots(self._ksp.getPC(), assembler)

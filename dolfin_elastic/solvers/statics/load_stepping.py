@@ -271,7 +271,8 @@ class LoadStepping:
             goal = within_stride(self._problem, self._t, sizes.goal(self._t))
             step = _Step(self._t, goal, self._newton.unknowns())
             result = self._solve(step)
-            refusal = self._refusal() if result.converged else result.reason
+            last = goal >= self._settings.end
+            refusal = self._refusal(last=last) if result.converged else result.reason
             if refusal:
                 if refusal == ANOTHER:
                     self._jumped_to = goal, self._newton.unknowns()
@@ -320,11 +321,14 @@ class LoadStepping:
             self._sizes.begin_anew()
         self._t = goal
 
-    def _refusal(self) -> str:
+    def _refusal(self, *, last: bool) -> str:
         """Why the equilibrium is not the next point of the path; empty: it is. Collective.
 
         Newton's method may find an unstable equilibrium, one on another path, or one where a
         material's energy has no finite value.
+
+        Args:
+            last: It would be the last point.
         """
         if self._problem.linear:
             self._verdict = judge(self._newton)
@@ -332,7 +336,7 @@ class LoadStepping:
         self._path_check.evaluate()
         if not self._path_check.finite():
             return BEYOND
-        self._verdict = judge(self._newton)
+        self._verdict = judge(self._newton, surely=last)
         if self._verdict.stable is False:
             return UNSTABLE
         if self._jumps >= JUMPS:
