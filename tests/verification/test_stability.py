@@ -35,8 +35,10 @@ from dolfin_elastic import (
     LinearElastic,
     Pressure,
     Problem,
+    Spring,
     Statics,
     Support,
+    Traction,
     rectangle_body,
     run,
 )
@@ -173,6 +175,42 @@ def test_small_strains_are_stable_without_a_look(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(negative_curvature, "ITERATIONS", 1)
     state = at_the_end(column(0.5, ONE_END, law=LinearElastic(E=E, nu=0.3)), "iterative")
     assert state.stability.verdict == "stable"
+
+
+class Negated(LinearElastic):
+    """Of negative shear modulus."""
+
+    law: Any = "negated"
+
+    def shape_energy(self, F: Any) -> Any:
+        """See `LinearElastic`."""
+        return -super().shape_energy(F)
+
+
+@pytest.mark.parametrize("method", ["direct", "iterative"])
+@pytest.mark.parametrize(
+    ("law", "springs", "stable"),
+    [
+        (LinearElastic(E=E, nu=0.3), "-10*E*y/4", False),
+        (LinearElastic(E=E, nu=0.3), "-1e-3*E*y/4", True),
+        (Negated(E=E, nu=0.3), "0*y", False),
+    ],
+    ids=["springs", "weak springs", "law"],
+)
+def test_small_strains_of_negative_stiffness(method: str, law: Any, springs: str, stable: bool):
+    """Formulas and laws of Python may have any sign, and are judged."""
+    problem = Problem(
+        rectangle_body(size=(1, 4), cells=(2, 8)),
+        law,
+        degree=2,
+        supports=[Support(on="bottom"), Spring(on="left", normal=springs.replace("E", f"{E:g}"))],
+        loads=[Traction(on="top", value=[0, -1])],
+    )
+    if stable:
+        assert at_the_end(problem, method).stability.verdict == "stable"
+        return
+    with pytest.raises(ConvergenceError, match="unstable"):
+        at_the_end(problem, method)
 
 
 def test_a_stiffer_rubber_is_judged_by_few_directions():

@@ -116,7 +116,7 @@ class _Krylov:
             self._F.append(f)
             self._Y.append(y)
             moved = y[self._moves]
-            self._next.insert(number - 1, moved / max(self._size(moved), 1e-300))
+            self._next.insert(number - 1, np.asarray(moved / max(self._size(moved), 1e-300)))
             # A block of two goes on with both displacements, a single force with its own.
 
     def negative(self) -> FloatArray:
@@ -175,7 +175,7 @@ class _Krylov:
             Q = np.array(others)
             f = f - Q.T @ total(self._comm, Q @ f)
         size = self._size(f)
-        return f / size if size > ROUND_OFF * before else np.zeros_like(f)
+        return np.asarray(f / size if size > ROUND_OFF * before else np.zeros_like(f))
 
     def _size(self, f: FloatArray) -> float:
         return float(np.sqrt(total(self._comm, float(f @ f))))

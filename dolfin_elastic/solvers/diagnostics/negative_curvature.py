@@ -306,9 +306,7 @@ class _Directions:
             return Found(0)
         D, Y = np.array(self._d), np.array(self._y)
         symmetric = self._tangent.symmetric
-        found = by_directions(
-            self._tangent.comm, D, Y, symmetric=symmetric, at_least=at_least
-        )
+        found = by_directions(self._tangent.comm, D, Y, symmetric=symmetric, at_least=at_least)
         if found.direction is None:
             return found
         return replace(found, direction=self._tangent.spread(found.direction))

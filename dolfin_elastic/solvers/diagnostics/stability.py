@@ -18,9 +18,14 @@ import numpy as np
 from petsc4py import PETSc
 
 from dolfin_elastic.core.compat import petsc_errors
+from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.model.materials.law import ModifiedLaw
+from dolfin_elastic.model.materials.laws.linear_elastic import LinearElastic
+from dolfin_elastic.model.materials.laws.orthotropic import Orthotropic
+from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Stability
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.factored_inertia import count_by_factors
@@ -97,8 +102,8 @@ def judge(newton: Newton, *, surely: bool = True) -> Verdict:
 
     The tangent judged is the last one of Newton's method, one small step before the solution.  It
     is assembled anew only where there is none, or one with a shifted diagonal, whose eigenvalues
-    are larger.  That of a linear problem is positive definite by construction: its laws are, and
-    neither loads nor contacts change it.
+    are larger.  That of a linear problem need not be looked at where its laws and springs have been
+    checked to be positive definite: neither loads nor contacts change it.
 
     Args:
         newton: The solver, after a solve that has converged; scalar unknowns beside its fields add
@@ -107,7 +112,7 @@ def judge(newton: Newton, *, surely: bool = True) -> Verdict:
             eigenvalues is found, at half the cost of a factorisation; else a state on the way to
             one that is judged so.
     """
-    if newton.assembler.problem.linear:
+    if newton.assembler.problem.linear and _has_checked_stiffness(newton.assembler.problem):
         return Verdict(Stability(0))
     if newton.shift > 0.0 or not (newton.result.newton or newton.factorised):
         newton.factorise()
@@ -121,6 +126,27 @@ def judge(newton: Newton, *, surely: bool = True) -> Verdict:
         return Verdict(Stability(None, reason=_SINGULAR), fields.direction)
     return Verdict(Stability(negative, at_least=fields.at_least), fields.direction)
 
+
+def _has_checked_stiffness(problem: Problem) -> bool:
+    """Whether the case's own checks leave no negative stiffness in laws and springs.
+
+    Formulas for the stiffness of springs and of orthotropic laws, and laws that a user has derived
+    in Python, may have any sign.
+    """
+    for region in problem.regions:
+        law = region.law
+        while isinstance(law, ModifiedLaw):
+            law = law.law
+        varies = law.spatial_constants().keys() - _NO_STIFFNESS
+        if type(law) is not LinearElastic and (type(law) is not Orthotropic or varies):
+            return False
+    return not any(
+        isinstance(c, Formula) for spring in problem.springs for c in spring.coefficients
+    )
+
+
+_NO_STIFFNESS = {"density", "expansion", "allowable", "viscosity", "axis1", "axis2"}
+"""Constants whose change in space does not change the sign of a stiffness."""
 
 _SINGULAR = "its tangent is singular"
 

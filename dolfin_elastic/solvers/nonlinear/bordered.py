@@ -24,7 +24,6 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 
-
 SAME = 0.1
 """Relative change of scalars, or error of their stiffness, below which they count as known."""
 

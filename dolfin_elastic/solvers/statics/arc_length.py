@@ -248,7 +248,7 @@ class ArcLength:
         if not result.converged or self._turns_sharply(last):
             log.debug("arc length %g m: %s, a shorter one", size / 2, result.reason)
             return PathPoint(self._length.t, result.refused(result.reason))
-        verdict = judge(self._bordered)
+        verdict = judge(self._bordered, surely=False)
         along, slope = self._slopes()
         beginning = self._scalar_increment, self._increment
         self._increment, self._scalar_increment = self._length.increment(), self._all.get() - before
@@ -437,7 +437,7 @@ class ArcLength:
             too_fast = StepSpeed(self._assembler).too_fast(0.0, t, here, result)
             too_fast = too_fast or self._assembler.max_displacement() > longest
             if result.converged and not (too_fast and t / 2 >= least):
-                return PathPoint(t, result, judge(self._newton))
+                return PathPoint(t, result, judge(self._newton, surely=False))
             if t / 2 < least:
                 return PathPoint(0.0, result, good=here, failed=self._retry.failed)
             self._retry.undo(here)

@@ -332,7 +332,7 @@ class LoadStepping:
         """
         if self._problem.linear:
             self._verdict = judge(self._newton)
-            return ""
+            return UNSTABLE if self._verdict.stable is False else ""
         self._path_check.evaluate()
         if not self._path_check.finite():
             return BEYOND
