@@ -35,6 +35,10 @@ ROUGH, FINE = 1e-2, 1e-3
 its part of the right-hand side is larger.  The second where there are modes of little stiffness
 left, among which the negative one may have a small part."""
 
+SKEW = 1e-4
+"""Skew part over the whole of an unsymmetric tangent below which its own products do for M: they
+have the same curvature.  Pressure on a body whose ends are free has 1e-6."""
+
 WEAK = 0.1
 """Smallest Ritz value below which it counts as little: those of multigrid are between 0.3 and 1."""
 
@@ -161,13 +165,25 @@ class _Tangent:
         self._A, self._pc = assembler.tangent.matrix, newton.ksp.getPC()
         self._x, self._y, self._z = (assembler.create_vector() for _ in range(3))
         self._ksp: PETSc.KSP | None = None
+        self._is_skew = not self.symmetric and self._skewness() > SKEW
+
+    def _skewness(self) -> float:
+        """|(A - A^T) v|/|A v| for noise v. Collective."""
+        self._x.set(0.0)
+        self._x.array_w[self._assembler.displacement_dofs] = noise(self._assembler)
+        self._assembler.remove_constrained(self._x)
+        self._A.mult(self._x, self._y)
+        self._A.multTranspose(self._x, self._z)
+        size = self._y.norm()
+        self._z.axpy(-1.0, self._y)
+        return float(self._z.norm() / size) if size > 0.0 else 0.0
 
     def product(self, x: FloatArray) -> FloatArray:
         """M x [N]. Collective."""
         self._take(x)
         self._A.mult(self._x, self._y)
         found = self._y.array_r
-        if not self.symmetric:
+        if self._is_skew:
             self._A.multTranspose(self._x, self._z)
             found = (found + self._z.array_r) / 2
         return found.copy() if self._softer is None else self._softer.eliminate(found)
