@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import meshio
@@ -15,7 +16,8 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.mesh import mesh_statistics, read_body
+from dolfin_elastic.mesh import Body, mesh_statistics, read_body
+from dolfin_elastic.mesh.geometry.simplices import cell_corners, facet_corners, prepare_facets
 
 COMM = MPI.COMM_WORLD
 POINTS, CUBE = box((1, 1, 1), (1, 1, 1))
@@ -170,3 +172,73 @@ def test_a_raw_file_of_xdmf_elsewhere(folder: Path) -> None:
     made(write)
     with pytest.raises(MeshError, match="its data file '/dev/zero' is not beside it"):
         read_body(folder / "cube.xdmf")
+
+
+def test_points_that_no_cell_uses(folder: Path) -> None:
+    """They are dropped with a note; tags and fields are those of the same mesh without them.
+
+    The first, one in the midst and the last, of which one has no place and one is in a tag.
+    """
+    extra = [0, 5, 10]
+    rows = np.setdiff1d(np.arange(11), extra)
+    x = np.full((11, 3), 7.0)
+    x[rows], x[5] = POINTS, np.nan
+    facets = np.unique(np.sort(np.concatenate([CUBE[:, [0, 1, 2]], CUBE[:, [1, 2, 3]]])), axis=0)
+    marks = 1 + np.arange(len(facets)) % 2
+
+    def write(name: str, points: np.ndarray, number: Any, more: list[list[int]]) -> None:
+        heat = np.full(len(points), -1.0)
+        heat[number(np.arange(8))] = np.arange(8.0)
+        mesh = meshio.Mesh(
+            points,
+            [("tetra", number(CUBE))],
+            point_data={"heat": heat},
+            cell_data={"region": [np.arange(len(CUBE)) % 2 + 1]},
+        )
+        mesh.write(folder / f"{name}.xdmf")
+        tags = np.concatenate([number(facets), np.array(more, dtype=int).reshape(-1, 3)])
+        values = np.concatenate([marks, np.full(len(more), 3)])
+        add_facets(folder / f"{name}.xdmf", tags, values)
+
+    made(lambda: write("plain", POINTS, lambda i: i, []))
+    made(lambda: write("more", x, lambda i: rows[i], [[0, 1, 2]]))
+    plain, more = (read_body(folder / f"{name}.xdmf") for name in ("plain", "more"))
+    assert "3 of 11 points belong to no cell (dropped)" in more.information
+    assert not any("belong to no cell" in said for said in plain.information)
+    assert more.incomplete == {"facets_3": "1 of its 1 members belong to no cell"}
+    assert mesh_statistics(more).volume == pytest.approx(1.0)
+    found = [contents(body) for body in (plain, more)]
+    assert found[0] == found[1]
+    assert set(more.surfaces) == {"facets_1", "facets_2"}
+    assert set(more.regions) == {"region_1", "region_2"}
+
+
+def add_facets(path: Path, facets: np.ndarray, values: np.ndarray) -> None:
+    """Tags of facets, as DOLFINx puts them beside a mesh."""
+    with h5py.File(path.with_suffix(".h5"), "a") as file:
+        file["facets"], file["marks"] = facets, values
+    count, name = len(facets), path.with_suffix(".h5").name
+    grid = (
+        f'<Grid Name="facets" GridType="Uniform"><Topology TopologyType="Triangle">'
+        f'<DataItem Dimensions="{count} 3" NumberType="Int" Format="HDF">{name}:/facets</DataItem>'
+        f'</Topology><Attribute Name="facets" Center="Cell">'
+        f'<DataItem Dimensions="{count}" NumberType="Int" Format="HDF">{name}:/marks</DataItem>'
+        "</Attribute></Grid></Domain>"
+    )
+    path.write_text(path.read_text().replace("</Domain>", grid))
+
+
+def contents(body: Body) -> list[Any]:
+    """Places of all parts and values of a field, in an order of their own; of all ranks."""
+    mesh = body.mesh
+    prepare_facets(mesh)
+    x, dofs = mesh.geometry.x, mesh.geometry.dofmap
+    found: list[Any] = []
+    for parts, dim in ((body.regions, 3), (body.surfaces, 2)):
+        for name, rows in sorted(parts.items()):
+            own = rows[rows < mesh.topology.index_map(dim).size_local]
+            at = cell_corners(mesh, own) if dim == 3 else facet_corners(mesh, own)
+            found += [(name, *place) for place in at.mean(axis=1).round(9).tolist()]
+    heat = body.fields["heat"].values[:, 0]
+    found += [("heat", *x[i].round(9).tolist(), heat[i]) for i in np.unique(dofs)]
+    return sorted(set().union(*COMM.allgather(set(found))))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from mpi4py import MPI
@@ -115,7 +116,7 @@ def _used(raw: RawMesh) -> RawMesh:
     unused = int(np.count_nonzero(~used))
     if unused == 0:
         return raw
-    note = f"{unused} of {len(used)} points belong to no cell (dropped)"
+    note = unused_text(unused, len(used))
     rest = _restricted(raw, used, "belong to no cell")
     return replace(rest, information=(*rest.information, note))
 
@@ -309,6 +310,44 @@ def check_distributed(comm: MPI.Comm, cells: IntArray, points: int, dim: int) ->
             f"{branching} facets lie between three or more cells: the mesh overlaps itself",
             expected="remesh",
         )
+
+
+def unused_points(comm: MPI.Comm, cells: IntArray, points: int) -> IntArray:
+    """Global numbers of the points that no cell uses, sorted, the same on all ranks. Collective.
+
+    Args:
+        comm: The ranks that read.
+        cells: This rank's share of the cells, which `check_distributed` has looked at.
+        points: Number of points in this rank's share.
+    """
+    starts = np.cumsum([0, *comm.allgather(points)])
+    here = np.unique(cells)
+    ends = np.searchsorted(here, starts)
+    used = np.zeros(points, dtype=bool)
+    for part in comm.alltoall([here[a:b] for a, b in pairwise(ends)]):
+        used[part - starts[comm.rank]] = True
+    mine = starts[comm.rank] + np.flatnonzero(~used)
+    return np.concatenate(comm.allgather(mine.astype(np.int64)))
+
+
+def without(numbers: IntArray, unused: IntArray) -> IntArray:
+    """Numbers of points after others are left out. Not collective.
+
+    Args:
+        numbers: Before, of any shape.
+        unused: What is left out, sorted.
+    """
+    return np.asarray(numbers - np.searchsorted(unused, numbers)) if len(unused) else numbers
+
+
+def unused_text(count: int, points: int) -> str:
+    """What is said of points that are left out.
+
+    Args:
+        count: How many they are.
+        points: Of how many.
+    """
+    return f"{count} of {points} points belong to no cell (dropped)"
 
 
 def _out_of_range(cells: IntArray, points: int) -> MeshError | None:

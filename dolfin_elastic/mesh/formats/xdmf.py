@@ -22,12 +22,18 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import MeshError, not_shown, why_no_file
 from dolfin_elastic.core.files.xml import read_xml
 from dolfin_elastic.core.parallel import agree, on_root, total
-from dolfin_elastic.core.types import AnyArray, IndexArray, IntArray
+from dolfin_elastic.core.types import AnyArray, BoolArray, IndexArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.mesh.distribute import build_body, make_mesh
+from dolfin_elastic.mesh.distribute import build_body, left_out, make_mesh
 from dolfin_elastic.mesh.fields import MeshField
-from dolfin_elastic.mesh.formats.cleaning import check_distributed, straight
+from dolfin_elastic.mesh.formats.cleaning import (
+    check_distributed,
+    straight,
+    unused_points,
+    unused_text,
+    without,
+)
 from dolfin_elastic.mesh.formats.raw import RawMesh, assemble
 from dolfin_elastic.mesh.formats.xdmf_named import (
     Array,
@@ -186,24 +192,34 @@ def read_xdmf(
     if not contents.shared(dim):
         return build_body(lambda: _by_meshio(path, dim), comm=comm, unit=unit, source=path.name)
     try:
-        mesh = _mesh(comm, path, contents, unit.metres)
+        mesh, unused = _mesh(comm, path, contents, unit.metres)
         body = Body(mesh, source=path.name, unit=unit, notes=contents.notes)
-        body = named(_tagged(body, path, contents), path, contents.names)
-        return replace(body, fields={d.name: _field(body, path, d) for d in contents.data})
+        if len(unused):
+            said = unused_text(len(unused), contents.points.rows)
+            body = replace(body, information=(*body.information, said))
+        body = named(_tagged(body, path, contents, unused), path, contents.names)
+        fields = {data.name: _field(body, path, data, unused) for data in contents.data}
+        return replace(body, fields=fields)
     except MeshError as error:
         raise error.at(path.name) from None
 
 
-def _mesh(comm: MPI.Comm, path: Path, contents: _Contents, scale: float) -> Mesh:
+def _mesh(comm: MPI.Comm, path: Path, contents: _Contents, scale: float) -> tuple[Mesh, IntArray]:
+    """The mesh, and the points of the file that it is without. Collective."""
     width = _KINDS[contents.kind][1]
     cells = _cells(comm, path, contents.kind, contents.cells)
     x = np.ascontiguousarray(_share(comm, path, contents.points), dtype=np.float64)
     order = 1 if width == contents.dim + 1 else 2
+    check_distributed(comm, cells, len(x), contents.dim)
+    unused = unused_points(comm, cells, len(x))
+    if contents.names.parts:  # converted meshes have none; their parts are by the file's numbers
+        unused = unused[:0]
+    first = _first_row(comm, contents.points.rows)
+    x = x[~np.isin(np.arange(first, first + len(x)), unused)]
     bad = int(np.count_nonzero(~np.isfinite(x).all(axis=1)))
     if count := int(total(comm, bad)):
         raise MeshError(f"{count} points have coordinates that are not numbers")
-    check_distributed(comm, cells, len(x), contents.dim)
-    return make_mesh(comm, cells, x * scale, order)
+    return make_mesh(comm, without(cells, unused), x * scale, order), unused
 
 
 def _cells(comm: MPI.Comm, path: Path, kind: str, cells: Array) -> IntArray:
@@ -215,14 +231,19 @@ def _cells(comm: MPI.Comm, path: Path, kind: str, cells: Array) -> IntArray:
     return np.ascontiguousarray(rows[:, order], dtype=np.int64)
 
 
+def _first_row(comm: MPI.Comm, rows: int, rank: int | None = None) -> int:
+    """The first row of the share of a rank, by default this one. Not collective."""
+    rank, (each, more) = comm.rank if rank is None else rank, divmod(rows, comm.size)
+    return rank * each + min(rank, more)
+
+
 def _share(comm: MPI.Comm, path: Path, array: Array) -> AnyArray:
     """This rank's share of the rows of an array, as DOLFINx divides them. Collective."""
-    each, more = divmod(array.rows, comm.size)
-    start = comm.rank * each + min(comm.rank, more)
+    start, stop = (_first_row(comm, array.rows, rank) for rank in (comm.rank, comm.rank + 1))
     rows: AnyArray = np.empty((0, array.columns))
     error = None
     try:
-        rows = hdf_rows(path, array, start, start + each + (comm.rank < more))
+        rows = hdf_rows(path, array, start, stop)
     except OSError as caught:
         error = MeshError(f"the array '{array.file}:{array.path}' cannot be read: {caught}")
     agree(comm, error)
@@ -388,10 +409,11 @@ def _rows(grid: ElementTree.Element, part: str) -> int:
     return dimensions(item)[0] if item is not None else 0
 
 
-def _field(body: Body, path: Path, data: _Data) -> MeshField:
+def _field(body: Body, path: Path, data: _Data, unused: IntArray) -> MeshField:
     """Reads a field on rank 0, in pieces. Collective."""
     try:
-        return distributed(body, data.centre, path, data.array)
+        left = unused if data.centre == "point" else None
+        return distributed(body, data.centre, path, data.array, left)
     except MeshError as error:
         raise MeshError(f"the field '{data.name}': {error}") from None
 
@@ -467,50 +489,88 @@ def _by_meshio(path: Path, dim: int | None) -> RawMesh:
     return assemble(read_meshio(path), source=path.name, dim=dim)
 
 
-def _tagged(body: Body, path: Path, contents: _Contents) -> Body:
+def _tagged(body: Body, path: Path, contents: _Contents, unused: IntArray) -> Body:
+    incomplete: dict[str, str] = {}
     for tags in contents.tags:
-        parts = _parts(body.mesh, path, tags)
+        parts, lost = _parts(body.mesh, path, tags, contents.points.rows, unused)
         low = contents.dim - tags.dim
         kind = "points" if tags.dim == 0 else {0: "regions", 1: "surfaces"}.get(low, "edges")
         if kind == "points":
             nodes = vertex_nodes(body.mesh)
             parts = {name: np.sort(nodes[vertices]) for name, vertices in parts.items()}
-        body = body.named(**{kind: parts})
-    return body
+        body = body.named(**{kind: {n: rows for n, rows in parts.items() if n not in lost}})
+        incomplete |= lost
+    if not incomplete:
+        return body
+    notes = (*body.notes, *left_out(incomplete))
+    return replace(body, incomplete={**body.incomplete, **incomplete}, notes=notes)
 
 
-def _parts(mesh: Mesh, path: Path, tags: _Tags) -> dict[str, IndexArray]:
+def _parts(
+    mesh: Mesh, path: Path, tags: _Tags, points: int, unused: IntArray
+) -> tuple[dict[str, IndexArray], dict[str, str]]:
+    """Name to local entities, and to what is missing of it. Collective.
+
+    Args:
+        mesh: The mesh.
+        path: The `.xdmf` file.
+        tags: What it holds of them.
+        points: How many the file has.
+        unused: Those that the mesh is without.
+    """
     if tags.dim == 1 and mesh.topology.dim == 3:
         prepare_edges(mesh)
     if tags.dim < mesh.topology.dim:
         mesh.topology.create_connectivity(tags.dim, mesh.topology.dim)
     mesh.topology.create_connectivity(tags.dim, 0)
     cells = _cells(mesh.comm, path, tags.kind, tags.cells)
-    numbers = _share(mesh.comm, path, tags.values).reshape(-1).astype(np.int32)
-    _check_nodes(mesh, cells, tags)
+    numbers: IndexArray = _share(mesh.comm, path, tags.values).reshape(-1).astype(np.int32)
+    _check_nodes(mesh, cells, tags, points)
+    gone = np.asarray(np.isin(cells, unused).any(axis=1))
+    lost = _lost(mesh.comm, tags.attribute, numbers, gone)
+    cells, numbers = without(cells[~gone], unused), numbers[~gone]
     entities, values = distribute_entity_data(mesh, tags.dim, cells, numbers)
     found = meshtags_from_entities(mesh, tags.dim, graph.adjacencylist(entities), values)
     present = np.unique(np.concatenate(mesh.comm.allgather(np.unique(found.values))))
     if len(present) > _MOST:
-        return {}
-    return {
+        return {}, {}
+    parts = {
         f"{tags.attribute}_{value}": _shared(mesh, tags.dim, found.find(value)) for value in present
     }
+    return parts, lost
 
 
-def _check_nodes(mesh: Mesh, cells: IntArray, tags: _Tags) -> None:
+def _lost(comm: MPI.Comm, name: str, numbers: IndexArray, gone: BoolArray) -> dict[str, str]:
+    """Name to what a part has lost with points that no cell uses. Collective.
+
+    Args:
+        comm: The ranks.
+        name: Of the tags.
+        numbers: Of this rank's share of their cells.
+        gone: Which of these have such points.
+    """
+    values = np.unique(np.concatenate(comm.allgather(np.unique(numbers[gone]))))
+    if len(values) > _MOST:
+        return {}
+    found = {}
+    for value in values:
+        mine = np.array([np.sum(gone & (numbers == value)), np.sum(numbers == value)])
+        count, every = total(comm, mine)
+        found[f"{name}_{value}"] = f"{count} of its {every} members belong to no cell"
+    return found
+
+
+def _check_nodes(mesh: Mesh, cells: IntArray, tags: _Tags, points: int) -> None:
     """Refuses data of cells whose points do not exist. Collective.
 
     Raises:
         MeshError: There are some.
     """
-    count = mesh.geometry.index_map().size_global
-    bad = int(np.count_nonzero((cells < 0) | (cells >= count)))
+    bad = int(np.count_nonzero((cells < 0) | (cells >= points)))
     if total(mesh.comm, bad):
         raise MeshError(
-            f"the cells of '{tags.attribute}' have points that do not exist, or that no "
-            "cell of the mesh uses",
-            expected=f"{count} points, numbered from 0",
+            f"the cells of '{tags.attribute}' have points that do not exist",
+            expected=f"{points} points, numbered from 0",
         )
 
 

@@ -218,7 +218,11 @@ def hdf_rows(file: Path, array: Array, start: int = 0, stop: int | None = None) 
 
 
 def distributed(
-    body: Body, centre: Literal["cell", "point"], file: Path, array: Array
+    body: Body,
+    centre: Literal["cell", "point"],
+    file: Path,
+    array: Array,
+    unused: IntArray | None = None,
 ) -> MeshField:
     """A field whose rows rank 0 reads in pieces. Collective.
 
@@ -227,10 +231,14 @@ def distributed(
         centre: What the rows belong to.
         file: The `.xdmf` file.
         array: The rows.
+        unused: Rows of the file that the mesh is without, sorted; None: it has all of them.
 
     Raises:
         MeshError: It cannot be read, or has another number of rows.
     """
+    kept = None
+    if unused is not None and len(unused):
+        kept = np.setdiff1d(np.arange(array.rows), unused)
 
     def read(start: int, stop: int) -> FloatArray:
         """Some rows, of shape (stop - start, columns).
@@ -239,9 +247,13 @@ def distributed(
             start: The first row.
             stop: The row after the last one.
         """
-        return np.asarray(hdf_rows(file, array, start, stop), dtype=np.float64)
+        if kept is None:
+            return np.asarray(hdf_rows(file, array, start, stop), dtype=np.float64)
+        rows = kept[start:stop]
+        found = hdf_rows(file, array, int(rows[0]), int(rows[-1]) + 1)
+        return np.asarray(found[rows - rows[0]], dtype=np.float64)
 
-    shape = array.rows, array.columns
+    shape = array.rows if kept is None else len(kept), array.columns
     return distribute_rows(body.mesh, centre, shape, read if body.comm.rank == 0 else None)
 
 

@@ -18,8 +18,8 @@ SOURCE = (
 """
     + GRADIENTS
     + r"""
-/* Smallest and largest det F of each cell, and where there are `linear` laws the largest |grad u|^2.
-   What is no number counts as -inf, and as 0. */
+/* Smallest and largest det F of each cell, and where there are `linear` laws the largest
+   |grad u|^2.  What is no number counts as -inf, and as 0. */
 void extremes(int64_t count, const int32_t* corners, const int32_t* nodes, const double* x,
               const double* u, const double* tables, const double* geometry_tables,
               int64_t linear, double* least, double* most, double* steepest)

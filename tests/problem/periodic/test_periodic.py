@@ -402,7 +402,10 @@ def test_place_of_a_node_with_several(dim, degree):
     size, origin = np.array([1.0, 2.0, 1.5])[:dim], np.array([-0.75, -1.0, 3.0])[:dim]
     body = make(size=size, cells=(4, 4, 3)[:dim], origin=origin)
     problem = Problem(
-        body, rubber(1, dim=dim), degree=degree, periodic=Periodic(pairs=pairs, gradient=np.eye(dim))
+        body,
+        rubber(1, dim=dim),
+        degree=degree,
+        periodic=Periodic(pairs=pairs, gradient=np.eye(dim)),
     )
     x = problem.unknowns.unknown_places[:, :dim]
     assert np.all(x < origin + size + 1e-9)

@@ -360,8 +360,10 @@ def test_the_damage_that_one_rank_sees_is_told_by_all(
         monkeypatch.setattr(checkpoints.hdf5, "read", refuse)
     assert newest_checkpoint(WORLD, folder) is None
     assert len(said) == 1
-    assert said[0].endswith("(step_000005.h5 is not as it was written: its array leads out of the "
-        "file): going back further")
+    assert said[0].endswith(
+        "(step_000005.h5 is not as it was written: its array leads out of the "
+        "file): going back further"
+    )
     assert WORLD.allgather(said) == [said] * WORLD.size
 
 

@@ -242,7 +242,9 @@ class StageSolver:
             a_end=a_end,
         )
 
-    def _prescribed_acceleration(self, v_end: FloatArray, a_end: FloatArray, h: float) -> FloatArray:
+    def _prescribed_acceleration(
+        self, v_end: FloatArray, a_end: FloatArray, h: float
+    ) -> FloatArray:
         """Of supports at the stage [m/s^2], like `DirichletConditions.targets`.
 
         Where the energy is kept, M a must be the change of the momentum, at supports as elsewhere:
