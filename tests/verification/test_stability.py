@@ -44,6 +44,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.cli.console import _end_rows, audit_rows
 from dolfin_elastic.core.errors import ConvergenceError
+from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import Stability
 from dolfin_elastic.report.contents import audit_of
 from dolfin_elastic.results.finished.run import FinishedRun
@@ -51,6 +52,7 @@ from dolfin_elastic.solvers.diagnostics import negative_curvature
 from dolfin_elastic.solvers.diagnostics.stability import judge
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.linear.hierarchy import _inverse
+from dolfin_elastic.solvers.statics.retry import RetryStrategy
 
 NEAR = 0.015
 """Distance from the critical load: closer to it Newton's method finds the branch that bends."""
@@ -220,6 +222,19 @@ def test_a_stiffer_rubber_is_judged_by_few_directions():
         found = negative_curvature.count_negative(newton)
     assert found.negative == 0
     assert found.direction is not None
+
+
+def test_motions_of_the_state_before_are_begun_with():
+    """Near the critical load; the verdicts are those of pivots below and above it."""
+    case = next(c for c in CASES if c.name == "a rubber column")
+    with equilibrium(case.problem(case.critical), "iterative") as newton:
+        solve, problem = RetryStrategy(newton, None).solve, newton.assembler.problem
+        for share in (0.3, 0.96, 1 - NEAR, 1 + NEAR, 1.1, 0.3):
+            problem.set_time(share, default=PROPORTIONAL)
+            assert solve([("", newton.unknowns())]).converged
+            verdict = judge(newton)
+            assert verdict.stable is (referee(newton) == 0)
+            assert bool(newton.soft.motions) is (share > 0.9)
 
 
 def test_multigrid_stays_positive_definite():

@@ -28,7 +28,7 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.schur import SofterVolume
-from dolfin_elastic.solvers.nonlinear.newton import Newton
+from dolfin_elastic.solvers.nonlinear.newton import Newton, Soft
 
 ROUGH, FINE = 1e-2, 1e-3
 """Relative preconditioned residual of conjugate gradients; a mode of negative stiffness is met if
@@ -97,14 +97,19 @@ def count_negative(newton: Newton, *, exactly: bool = False) -> Found:
     """
     options = newton.options  # of parts of the preconditioner that are made at their first use
     with options.in_force(), options.elastic_errors(), newton.linear.left_as_it_is():
-        tangent = _Tangent(newton)
-        found = _count(tangent, exactly=exactly)
+        tangent, kept = _Tangent(newton), newton.soft
+        directions = _Directions(tangent)
+        # Near a critical load the softer volume is too soft along the same motions again.
+        if any(tangent.dot(d, tangent.product(d)) < 0.0 for d in kept.directions):
+            directions.begin(kept)
+        found = _count(tangent, directions, exactly=exactly)
+        newton.soft = directions.kept()
         tangent.destroy()
     return found
 
 
-def _count(tangent: _Tangent, *, exactly: bool) -> Found:
-    directions, begin = _Directions(tangent), _begin(tangent)
+def _count(tangent: _Tangent, directions: _Directions, *, exactly: bool) -> Found:
+    begin = _begin(tangent)
     enough = tangent.symmetric and not exactly  # of others, one proves nothing before the end
     while True:
         ended = _conjugate_gradients(tangent, directions, begin)
@@ -118,7 +123,7 @@ def _count(tangent: _Tangent, *, exactly: bool) -> Found:
             return Found(None, reason="the linear solver does not converge with its tangent")
         if enough and directions.verdict(at_least=True).negative:
             return directions.verdict(at_least=True)
-        if directions.count == MOST_DIRECTIONS:
+        if directions.count >= MOST_DIRECTIONS:
             return Found(
                 None,
                 reason=f"its tangent has more than {MOST_DIRECTIONS} directions of little or "
@@ -197,10 +202,17 @@ class _Tangent:
         self._pc.apply(self._x, self._y)
         return self._free(self._y.array_r[self._rows].copy())
 
-    def inverse(self, f: FloatArray) -> FloatArray | None:
-        """The fields' part of A^-1 f, None where the linear solver does not converge. Collective.
+    def inverse(self, f: FloatArray, guess: FloatArray | None = None) -> FloatArray | None:
+        """A^-1 f, None where the linear solver does not converge. Collective.
 
         Roughly where it iterates.  GMRES, whatever Newton's solver: A may be indefinite.
+
+        Args:
+            f: On the rows of M.
+            guess: Of the solution, on all rows, of any length.
+
+        Returns:
+            On all owned rows.
         """
         self._take(f)
         if self._linear.direct:
@@ -208,9 +220,34 @@ class _Tangent:
             good = bool(np.isfinite(self._y.norm()))
         else:
             ksp = self._gmres()
+            ksp.setInitialGuessNonzero(guess is not None)
+            if guess is not None:
+                self._guess(guess)
             ksp.solve(self._x, self._y)
             good = ksp.getConvergedReason() > 0
-        return self._free(self._y.array_r[self._rows].copy()) if good else None
+        if not good:
+            return None
+        self._assembler.remove_constrained(self._y)
+        return np.asarray(self._y.array_r.copy())
+
+    def _guess(self, guess: FloatArray) -> None:
+        """Of the length that leaves the smallest residual."""
+        self._y.array_w[:] = guess
+        self._assembler.remove_constrained(self._y)
+        self._A.mult(self._y, self._z)
+        square = self._z.dot(self._z)
+        self._y.scale(self._z.dot(self._x) / square if square > 0.0 else 0.0)
+
+    def force(self, w: FloatArray) -> FloatArray:
+        """The rows of M of A w. Collective."""
+        self._x.array_w[:] = w
+        self._assembler.remove_constrained(self._x)
+        self._A.mult(self._x, self._y)
+        return self._free(self.on_rows(self._y.array_r))
+
+    def on_rows(self, w: FloatArray) -> FloatArray:
+        """The rows of M of all owned ones."""
+        return np.asarray(w[self._rows])
 
     def _gmres(self) -> PETSc.KSP:
         if self._ksp is None:
@@ -287,12 +324,26 @@ class _Directions:
     def __init__(self, tangent: _Tangent) -> None:
         self._tangent = tangent
         self._d: list[FloatArray] = []
-        self._y: list[FloatArray] = []
+        self._whole: list[FloatArray] = []  # A^-1 D on all rows
 
     @property
     def count(self) -> int:
         """How many there are."""
         return len(self._d)
+
+    def begin(self, kept: Soft) -> None:
+        """Begins with the motions of another state. Collective."""
+        for motion in kept.motions:
+            y = motion
+            d = self._tangent.force(y)  # whose solution is nearly known
+            for other, solved in zip(self._d, self._whole, strict=True):
+                share = self._tangent.dot(other, d)
+                d, y = d - share * other, y - share * solved
+            self.add(d, guess=y)
+
+    def kept(self) -> Soft:
+        """For the next state that is judged."""
+        return Soft(tuple(self._d), tuple(self._whole))
 
     def project(self, v: FloatArray) -> FloatArray:
         """The part of a vector on their complement. Collective."""
@@ -301,15 +352,20 @@ class _Directions:
         D = np.array(self._d)
         return np.asarray(v - D.T @ total(self._tangent.comm, D @ v))
 
-    def add(self, d: FloatArray) -> bool:
-        """Adds a direction and solves for it; False where that fails. Collective."""
+    def add(self, d: FloatArray, guess: FloatArray | None = None) -> bool:
+        """Adds a direction and solves for it; False where that fails. Collective.
+
+        Args:
+            d: The direction.
+            guess: Of A^-1 d, of any length.
+        """
         d = self.project(self.project(d))  # twice is enough for round-off
         size = np.sqrt(self._tangent.dot(d, d))
-        y = self._tangent.inverse(d / size) if size > 0.0 else None
+        y = self._tangent.inverse(d / size, guess) if size > 0.0 else None
         if y is None:
             return False
         self._d.append(d / size)
-        self._y.append(y)
+        self._whole.append(y)
         return True
 
     def verdict(self, *, at_least: bool) -> Found:
@@ -320,7 +376,8 @@ class _Directions:
         """
         if not self._d:
             return Found(0)
-        D, Y = np.array(self._d), np.array(self._y)
+        D = np.array(self._d)
+        Y = np.array([self._tangent.on_rows(y) for y in self._whole])
         symmetric = self._tangent.symmetric
         found = by_directions(self._tangent.comm, D, Y, symmetric=symmetric, at_least=at_least)
         if found.direction is None:

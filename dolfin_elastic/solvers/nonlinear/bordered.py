@@ -146,6 +146,8 @@ class Bordered:
         ksp: Solves with the fields' tangent.
 
     Attributes:
+        columns: B, owned entries, one array a scalar.
+        corner: D.
         last: The scalars' residual at the last evaluation.
         iterations: Of the fields' linear solver so far.
     """
@@ -159,12 +161,10 @@ class Bordered:
             ((self._own, None), (self._own, None)), context=self, comm=self._comm
         )
         self.matrix.setUp()
-        self._columns: list[FloatArray] = []
+        self.columns: list[FloatArray] = []
         self._rows: list[FloatArray] = []
-        self._corner: FloatArray = np.zeros((scalars.size, scalars.size))
-        self._solved: list[FloatArray] | None = None
-        self._left: list[FloatArray] | None = None  # of the columns, B - K K^-1 B
-        self._schur: FloatArray = self._corner
+        self.corner: FloatArray = np.zeros((scalars.size, scalars.size))
+        self._elimination = _Elimination(self)
         self.iterations = self._reason = 0
         self.last: FloatArray = np.zeros(scalars.size)
 
@@ -228,10 +228,10 @@ class Bordered:
         values = self.scalar_part(x)
         self._x.array_w[:] = x.array_r[: self._size]
         self.scalars.put(values)
-        self._columns, self._corner = self._differences(values)
+        self.columns, self.corner = self._differences(values)
         self._rows = self.scalars.rows()
         self.assembler.tangent.assemble(self._x)
-        self._solved = None
+        self._elimination.solved = None
 
     def _differences(self, values: FloatArray) -> tuple[list[FloatArray], FloatArray]:
         """Derivatives of the fields' and the scalars' residuals with respect to the scalars.
@@ -291,12 +291,13 @@ class Bordered:
         self._x.array_w[:] = x.array_r[: self._size]
         self.assembler.tangent.matrix.mult(self._x, self._b)
         fields = self._b.array_r.copy()
-        for s, column in zip(scalars, self._columns, strict=True):
+        for s, column in zip(scalars, self.columns, strict=True):
             fields += s * column
-        below = self._products(x.array_r[: self._size]) + self._corner @ scalars
+        below = self.products(x.array_r[: self._size]) + self.corner @ scalars
         self.fill(y, fields, below)
 
-    def _products(self, fields: FloatArray) -> FloatArray:
+    def products(self, fields: FloatArray) -> FloatArray:
+        """C times owned entries of the fields. Collective."""
         local = np.array([np.dot(row, fields) for row in self._rows])
         return np.asarray(self._comm.allreduce(local, op=MPI.SUM))
 
@@ -309,80 +310,27 @@ class Bordered:
             x: Receives the solution.
         """
         self._reason = 0
-        plain = self._inverse(b.array_r[: self._size])
+        plain = self.inverse(b.array_r[: self._size])
         self.eliminate()
-        assert self._solved is not None
-        right, size = self.scalar_part(b) - self._products(plain), self._norm(b.array_r)
-        scalars = self._by_schur(right)
+        assert self._elimination.solved is not None
+        right, size = self.scalar_part(b) - self.products(plain), self._elimination.norm(b.array_r)
+        scalars = self._elimination.by_schur(right)
         for _ in range(REFINEMENTS):
             before = scalars
-            if not self._inexact(scalars, size):
+            if self._reason or not self._elimination.inexact(scalars, size):
                 break
-            self._refine()
-            scalars = self._by_schur(right)
+            self._elimination.refine()
+            scalars = self._elimination.by_schur(right)
             if size == 0.0 and np.allclose(scalars, before, rtol=SAME, atol=0.0):
                 break
-        for s, z in zip(scalars, self._solved, strict=True):
+        for s, z in zip(scalars, self._elimination.solved, strict=True):
             plain = plain - s * z
         self.fill(x, plain, scalars)
         ksp.setConvergedReason(self._reason or PETSc.KSP.ConvergedReason.CONVERGED_ITS)
 
     def eliminate(self) -> None:
         """Solves for the columns of the present tangent, unless they are. Collective."""
-        if self._solved is None:
-            self._solved, self._left = [self._inverse(column) for column in self._columns], None
-            self._take_schur()
-
-    def _take_schur(self) -> None:
-        assert self._solved is not None
-        products = [self._products(z) for z in self._solved]
-        self._schur = self._corner - np.column_stack(products)
-
-    def _by_schur(self, right: FloatArray) -> FloatArray:
-        """The scalars; NaN where the system is singular.
-
-        Args:
-            right: Their equations without the fields.
-        """
-        try:
-            return np.asarray(np.linalg.solve(self._schur, right), dtype=np.float64)
-        except np.linalg.LinAlgError:
-            return np.full(self.scalars.size, np.nan)
-
-    def _inexact(self, scalars: FloatArray, size: float) -> bool:
-        """Whether the fields' residual is larger than their solver leaves by itself. Collective.
-
-        Args:
-            scalars: How much of each column the solution has.
-            size: Norm of the fields' right-hand side.
-        """
-        if self.ksp.getType() == "preonly" or self._reason or not np.all(np.isfinite(scalars)):
-            return False
-        if self._left is None:
-            self._find_left()
-        assert self._left is not None
-        return self._norm(scalars @ np.array(self._left)) > self.ksp.getTolerances()[0] * size
-
-    def _find_left(self) -> None:
-        assert self._solved is not None
-        self._left = []
-        for z, column in zip(self._solved, self._columns, strict=True):
-            self._x.array_w[:] = z
-            self.assembler.tangent.matrix.mult(self._x, self._b)
-            self._left.append(column - self._b.array_r)
-
-    def _refine(self) -> None:
-        """Solves for what is left of the columns. Collective."""
-        assert self._solved is not None
-        assert self._left is not None
-        left = [self._inverse(r) for r in self._left]
-        self._solved = [z + more for z, more in zip(self._solved, left, strict=True)]
-        self._find_left()
-        self._take_schur()
-
-    def _norm(self, fields: FloatArray) -> float:
-        own = fields[: self._size]
-        return float(np.sqrt(total(self._comm, float(own @ own))))
+        self._elimination.eliminate()
 
     def tangent(self, rtol: float | None = None) -> tuple[FloatArray, FloatArray]:
         """Direction of the path along which the first scalar's equation alone changes. Collective.
@@ -394,17 +342,17 @@ class Bordered:
             Owned entries of the fields, and the scalars, NaN where the tangent is singular.
         """
         if rtol is not None:
-            usual, self._solved = self.ksp.getTolerances()[0], None
+            usual, self._elimination.solved = self.ksp.getTolerances()[0], None
             self.ksp.setTolerances(rtol=rtol)
             self.eliminate()
             self.ksp.setTolerances(rtol=usual)
         self.eliminate()
-        assert self._solved is not None
+        assert self._elimination.solved is not None
         right = np.zeros(self.scalars.size)
         right[0] = 1.0
-        scalars = self._by_schur(right)
+        scalars = self._elimination.by_schur(right)
         fields = np.zeros(self._size)
-        for s, z in zip(scalars, self._solved, strict=True):
+        for s, z in zip(scalars, self._elimination.solved, strict=True):
             fields -= s * z
         return fields, scalars
 
@@ -418,23 +366,15 @@ class Bordered:
         if not len(counted):
             return 0
         for refined in range(REFINEMENTS + 1):
-            S = (signs[:, None] * self._schur)[np.ix_(counted, counted)]
+            S = (signs[:, None] * self._elimination.schur)[np.ix_(counted, counted)]
             values = np.linalg.eigvalsh((S + S.T) / 2)
-            if refined == REFINEMENTS or self._error() <= SAME * np.abs(values).min():
+            if refined == REFINEMENTS or self._elimination.error() <= SAME * np.abs(values).min():
                 break
-            self._refine()
+            self._elimination.refine()
         return int(np.sum(values < 0.0)) - int(np.sum(signs < 0.0))
 
-    def _error(self) -> float:
-        """About that of the Schur complement: C K^-1 (B - K Z), C being B^T or so. Collective."""
-        if self.ksp.getType() == "preonly" or self._solved is None:
-            return 0.0
-        if self._left is None:
-            self._find_left()
-        products = np.array(self._solved) @ np.array(self._left).T
-        return float(np.abs(total(self._comm, products)).max())
-
-    def _inverse(self, right: FloatArray) -> FloatArray:
+    def inverse(self, right: FloatArray) -> FloatArray:
+        """K^-1 times owned entries, counted in `iterations`. Collective."""
         self._b.array_w[:] = right
         self.ksp.solve(self._b, self._x)
         self.iterations += self.ksp.getIterationNumber()
@@ -447,7 +387,7 @@ class Bordered:
 
         Not `destroy`, which PETSc would call for each thing that has this as its context.
         """
-        for thing in (self.matrix, self._x, self._b):
+        for thing in (self.matrix, self._x, self._b, self._elimination):
             thing.destroy()
 
 
@@ -464,3 +404,96 @@ def python_solver(snes: PETSc.SNES, context: Bordered, prefix: str) -> None:
     ksp.setType("python")
     ksp.setPythonContext(context)
     ksp.getPC().setType("none")
+
+
+class _Elimination:
+    """K^-1 B, and the Schur complement D - C K^-1 B.
+
+    Args:
+        of: The system.
+
+    Attributes:
+        solved: K^-1 B, one array a scalar; None until it is asked for.
+        schur: The Schur complement.
+    """
+
+    def __init__(self, of: Bordered) -> None:
+        self._of, self._comm = of, of.assembler.comm
+        self.solved: list[FloatArray] | None = None
+        self.schur: FloatArray = of.corner
+        self._left: list[FloatArray] | None = None  # B - K K^-1 B
+        self._x, self._b = (of.assembler.create_vector() for _ in range(2))
+
+    def eliminate(self) -> None:
+        """Solves for the columns of the present tangent, unless they are. Collective."""
+        if self.solved is None:
+            self.solved, self._left = (
+                [self._of.inverse(column) for column in self._of.columns],
+                None,
+            )
+            self._take_schur()
+
+    def _take_schur(self) -> None:
+        assert self.solved is not None
+        products = [self._of.products(z) for z in self.solved]
+        self.schur = self._of.corner - np.column_stack(products)
+
+    def by_schur(self, right: FloatArray) -> FloatArray:
+        """The scalars; NaN where the system is singular.
+
+        Args:
+            right: Their equations without the fields.
+        """
+        try:
+            return np.asarray(np.linalg.solve(self.schur, right), dtype=np.float64)
+        except np.linalg.LinAlgError:
+            return np.full(self._of.scalars.size, np.nan)
+
+    def inexact(self, scalars: FloatArray, size: float) -> bool:
+        """Whether the fields' residual is larger than their solver leaves by itself. Collective.
+
+        Args:
+            scalars: How much of each column the solution has.
+            size: Norm of the fields' right-hand side.
+        """
+        if self._of.ksp.getType() == "preonly" or not np.all(np.isfinite(scalars)):
+            return False
+        if self._left is None:
+            self._find_left()
+        assert self._left is not None
+        return self.norm(scalars @ np.array(self._left)) > self._of.ksp.getTolerances()[0] * size
+
+    def _find_left(self) -> None:
+        assert self.solved is not None
+        self._left = []
+        for z, column in zip(self.solved, self._of.columns, strict=True):
+            self._x.array_w[:] = z
+            self._of.assembler.tangent.matrix.mult(self._x, self._b)
+            self._left.append(column - self._b.array_r)
+
+    def refine(self) -> None:
+        """Solves for what is left of the columns. Collective."""
+        assert self.solved is not None
+        assert self._left is not None
+        left = [self._of.inverse(r) for r in self._left]
+        self.solved = [z + more for z, more in zip(self.solved, left, strict=True)]
+        self._find_left()
+        self._take_schur()
+
+    def norm(self, fields: FloatArray) -> float:
+        own = fields[: self._of.assembler.size]
+        return float(np.sqrt(total(self._comm, float(own @ own))))
+
+    def error(self) -> float:
+        """About that of the Schur complement: C K^-1 (B - K Z), C being B^T or so. Collective."""
+        if self._of.ksp.getType() == "preonly" or self.solved is None:
+            return 0.0
+        if self._left is None:
+            self._find_left()
+        products = np.array(self.solved) @ np.array(self._left).T
+        return float(np.abs(total(self._comm, products)).max())
+
+    def destroy(self) -> None:
+        """Frees its vectors. Collective."""
+        self._x.destroy()
+        self._b.destroy()

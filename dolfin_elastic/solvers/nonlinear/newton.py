@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,20 @@ from dolfin_elastic.solvers.petsc.monitors import FileMonitors
 from dolfin_elastic.solvers.petsc.options import Options, ksp_reason, snes_reason
 
 log = logging.getLogger("dolfin_elastic")
+
+
+@dataclass(frozen=True)
+class Soft:
+    """Motions of little stiffness that a judgement of stability has met.
+
+    Attributes:
+        directions: Along which it looked, owned rows of displacements.
+        motions: The solutions of the tangent for these, owned entries of all unknowns.
+    """
+
+    directions: tuple[FloatArray, ...] = ()
+    motions: tuple[FloatArray, ...] = ()
+
 
 Shift = Callable[[float, float], float]
 """From free residual and target [N] to the share of the tangent's diagonal that is added to it."""
@@ -63,6 +78,7 @@ class Newton:
         test: When a solve ends.
         factorised: The factors are those of the tangent at the end of the last solve.
         shift: Share of its diagonal that was added to the last tangent.
+        soft: Motions that were soft when stability was judged last.
     """
 
     def __init__(
@@ -80,7 +96,7 @@ class Newton:
     ) -> None:
         self.assembler, self.choice, self.tolerance = assembler, choice, tolerance
         self.result, self._inertia = NewtonResult(), inertia
-        self.shift, self.factorised = 0.0, False
+        self.shift, self.factorised, self.soft = 0.0, False, Soft()
         self._shift_of: Shift | None = None
         body = assembler.problem.body
         self.span, self.cell_size = span(body), cell_size(body)
