@@ -35,7 +35,7 @@ from dolfin_elastic.mesh import (
 )
 from dolfin_elastic.mesh.distribute import is_cad
 from dolfin_elastic.mesh.generate import number_of_cells
-from dolfin_elastic.mesh.local_size import CadSizes, LocalSize
+from dolfin_elastic.mesh.local_size import MOST_CELLS, CadSizes, LocalSize
 from dolfin_elastic.mesh.selectors import Place, Point, Selector
 from dolfin_elastic.model.dimension import Geometry
 from dolfin_elastic.model.materials.law import Law
@@ -240,7 +240,9 @@ class MeshTable(Record):
         if made is None:
             return 0.0
         times = self.refine if isinstance(self.refine, int) else 0
-        return float(number_of_cells(made.cells)) * 2.0 ** (len(made.cells) * times)
+        number = float(number_of_cells(made.cells))
+        refined = number * 2.0 ** (len(made.cells) * times)
+        return refined if refined <= MOST_CELLS else number  # else `mesh.refine` is refused
 
     @property
     def _places(self) -> Sequence[LocalSize]:

@@ -149,6 +149,11 @@ class Law(Record):
         found.pop("density", None)
         return found
 
+    @property
+    def surely_stiff(self) -> bool:
+        """The checks of its constants leave no negative stiffness in the undeformed body."""
+        return False
+
     def spatial_constants(self) -> dict[str, SpatialValue]:
         """Name and value of everything in the law that varies in space, density included."""
         return {n: value for n, value in self.__dict__.items() if isinstance(value, SpatialValue)}
@@ -281,6 +286,11 @@ class ModifiedLaw(ABC):
     def has_energy(self) -> bool:
         """The law derives from a strain energy."""
         return self.law.has_energy
+
+    @property
+    def surely_stiff(self) -> bool:
+        """The law behind is."""
+        return self.law.surely_stiff
 
     @property
     def density(self) -> float | None:

@@ -22,9 +22,6 @@ from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.model.materials.law import ModifiedLaw
-from dolfin_elastic.model.materials.laws.linear_elastic import LinearElastic
-from dolfin_elastic.model.materials.laws.orthotropic import Orthotropic
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Stability
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -133,20 +130,12 @@ def _has_checked_stiffness(problem: Problem) -> bool:
     Formulas for the stiffness of springs and of orthotropic laws, and laws that a user has derived
     in Python, may have any sign.
     """
-    for region in problem.regions:
-        law = region.law
-        while isinstance(law, ModifiedLaw):
-            law = law.law
-        varies = law.spatial_constants().keys() - _NO_STIFFNESS
-        if type(law) is not LinearElastic and (type(law) is not Orthotropic or varies):
-            return False
+    if not all(region.law.surely_stiff for region in problem.regions):
+        return False
     return not any(
         isinstance(c, Formula) for spring in problem.springs for c in spring.coefficients
     )
 
-
-_NO_STIFFNESS = {"density", "expansion", "allowable", "viscosity", "axis1", "axis2"}
-"""Constants whose change in space does not change the sign of a stiffness."""
 
 _SINGULAR = "its tangent is singular"
 

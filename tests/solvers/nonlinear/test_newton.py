@@ -198,7 +198,7 @@ def test_failure_says_where_and_what_to_try():
     reached = states[-1].load_factor
     # The limit load is half of what was asked for; steps end 1/64 of the load below it.
     assert 0.5 - 2 / 64 <= reached <= 0.5
-    assert f"no equilibrium beyond load factor {reached:.6g}" in text
+    assert f"no stable equilibrium beyond load factor {reached:.6g}" in text
     assert "Newton iterations" in text
     assert " N, is at (" in text
     assert "\n  try: " in text

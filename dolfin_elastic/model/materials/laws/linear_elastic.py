@@ -26,6 +26,11 @@ class LinearElastic(Isotropic, SplitLaw):
 
     volume_modulus: ClassVar[str] = "lmbda"
 
+    @property
+    def surely_stiff(self) -> bool:
+        """See `Law`; a law that is derived from this one may be anything."""
+        return type(self) is LinearElastic
+
     def shape_energy(self, F: Expr) -> Expr:
         """mu eps:eps."""
         eps = infinitesimal_strain(F)

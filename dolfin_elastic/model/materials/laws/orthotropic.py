@@ -22,6 +22,10 @@ SMALLEST_ANGLE = 1e-6
 """Sine of the angle below which two axes count as one."""
 
 
+_NO_STIFFNESS = {"density", "expansion", "allowable", "viscosity", "axis1", "axis2"}
+"""Constants whose change in space does not change the sign of a stiffness."""
+
+
 class Orthotropic(Law):
     """Hooke's law with three planes of symmetry, for small strains.
 
@@ -76,6 +80,12 @@ class Orthotropic(Law):
         "axis1": [1, 1, 0],
         "axis2": [0, 1, 1],
     }
+
+    @property
+    def surely_stiff(self) -> bool:
+        """See `Law`: constants that vary in space are not checked against each other."""
+        varies = self.spatial_constants().keys() - _NO_STIFFNESS
+        return type(self) is Orthotropic and not varies
 
     def model_post_init(self, context: object) -> None:
         """Checks that the solid is stable and that its axes differ."""
