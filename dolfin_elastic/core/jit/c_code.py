@@ -21,6 +21,7 @@ from dolfin_elastic.core.jit.compile import (
     on_all_ranks,
     roots,
 )
+from dolfin_elastic.core.native.source import declarations, read
 from dolfin_elastic.core.timing import stage
 
 Array: TypeAlias = NDArray[np.generic]
@@ -111,38 +112,43 @@ class CFunctions:
 
 def compile_c(
     comm: MPI.Comm,
-    declarations: str,
-    source: str | Code,
+    file: str,
     sizes: Mapping[str, int],
     jit_options: JitOptions,
+    *,
+    kernel: Code | None = None,
 ) -> CFunctions:
-    """Compiles C functions, or takes them from the cache. Collective.
+    """Compiles the functions of a file in `core.native`, or takes them from the cache. Collective.
 
     Args:
         comm: The ranks.
-        declarations: Of the functions, for cffi.
-        source: In C, the same on all ranks.
-        sizes: Macros that the source uses, by name.
+        file: Its name.
+        sizes: Macros that it uses, by name.
         jit_options: From `options`.
+        kernel: The header "kernel.h", where it includes one.
 
     Raises:
         OutputError: There is no folder for compiled code.
         StoppedError: A signal has asked for the end of the run meanwhile.
     """
     macros = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
-    plain = source
-    source = Code(plain, lambda: plain) if isinstance(plain, str) else plain
+
+    def text(of_kernel: str | None = None) -> str:
+        return macros + read(file, {} if of_kernel is None else {"kernel.h": of_kernel})
+
+    keyed = text(kernel and kernel.key)
+    prototypes = declarations(keyed)
     # Products and sums may be fused; in forms FFCx decides, and gcc fuses by default, too.
     # Vectors are handed on by functions that are all inlined: no ABI is concerned.
     flags = [*jit_options["cffi_extra_compile_args"], "-ffp-contract=fast", "-Wno-psabi"]
     soabi = str(sysconfig.get_config_var("SOABI"))
-    text = "\n".join([declarations, macros + source.key, *flags, cffi.__version__, soabi])
-    key = "loops_" + hashlib.sha256(text.encode()).hexdigest()
+    whole = "\n".join([keyed, *flags, cffi.__version__, soabi])
+    key = "loops_" + hashlib.sha256(whole.encode()).hexdigest()
 
     def compile_into(folder: Path) -> None:
         ffi = cffi.FFI()
-        ffi.cdef(declarations)
-        ffi.set_source(NAME, macros + source.make(), extra_compile_args=flags)
+        ffi.cdef(prototypes)
+        ffi.set_source(NAME, text(kernel and kernel.make()), extra_compile_args=flags)
         ffi.compile(tmpdir=str(folder))
 
     with stage("compile"):

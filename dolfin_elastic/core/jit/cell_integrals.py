@@ -27,160 +27,6 @@ from dolfin_elastic.core.jit.compile import JitOptions, Library, expression_and_
 from dolfin_elastic.core.jit.lanes import Kernel
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 
-DECLARATIONS = """
-int64_t width(void);
-int64_t add_vector(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                   const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
-                   int64_t first, int64_t known, const double* constants, double* out);
-int64_t add_scalar(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                   const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
-                   int64_t first, int64_t known, const double* constants, double* out);
-int64_t evaluate(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                 const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
-                 int64_t first, int64_t known, const double* constants, int64_t size, double* out);
-"""
-
-TAKING = r"""
-#define LANE(values, entry, l) ((values)[(entry) * LANES + (l)])
-
-/* Constants, the same in all lanes. */
-static inline void spread(int64_t count, const double* values, double* out)
-{
-  for (int64_t i = 0; i < count; i++)
-    for (int l = 0; l < LANES; l++)
-      LANE(out, i, l) = values[i];
-}
-
-/* Of the next LANES cells, or of count and the last of them again.  Unknowns stand in rows of BS at
-   ND nodes of a cell, its geometry has NG nodes. */
-static inline void take_cells(int64_t count, const int32_t* cells, const int32_t* corners,
-                              const double* x, const int32_t* dofs, const double* unknowns,
-                              double* y, double* w)
-{
-  for (int l = 0; l < LANES; l++)
-  {
-    const int64_t c = cells[l < count ? l : count - 1];
-    for (int m = 0; m < NG; m++)
-      for (int i = 0; i < 3; i++)
-        LANE(y, 3 * m + i, l) = x[3 * (int64_t)corners[c * NG + m] + i];
-    for (int a = 0; a < ND; a++)
-      for (int i = 0; i < BS; i++)
-        LANE(w, BS * a + i, l) = unknowns[BS * (int64_t)dofs[c * ND + a] + i];
-  }
-}
-
-#if LANES == 8
-/* Entry l of in[k] becomes entry k of out[l]. */
-INLINE void transpose(const lanes* in, lanes* out)
-{
-  lanes t[8], u[8];
-  for (int k = 0; k < 8; k += 2)
-  {
-    t[k] = __builtin_shuffle(in[k], in[k + 1], (marks){0, 8, 2, 10, 4, 12, 6, 14});
-    t[k + 1] = __builtin_shuffle(in[k], in[k + 1], (marks){1, 9, 3, 11, 5, 13, 7, 15});
-  }
-  for (int k = 0; k < 8; k += k % 4 == 1 ? 3 : 1)
-  {
-    u[k] = __builtin_shuffle(t[k], t[k + 2], (marks){0, 1, 8, 9, 4, 5, 12, 13});
-    u[k + 2] = __builtin_shuffle(t[k], t[k + 2], (marks){2, 3, 10, 11, 6, 7, 14, 15});
-  }
-  for (int k = 0; k < 4; k++)
-  {
-    out[k] = __builtin_shuffle(u[k], u[k + 4], (marks){0, 1, 2, 3, 8, 9, 10, 11});
-    out[k + 4] = __builtin_shuffle(u[k], u[k + 4], (marks){4, 5, 6, 7, 12, 13, 14, 15});
-  }
-}
-
-/* The values of each cell in a row. */
-static inline void put_cells(int64_t some, int64_t size, const lanes* values, double* out)
-{
-  int64_t j = 0;
-  for (; j + 8 <= size; j += 8)
-  {
-    lanes rows[8];
-    transpose(values + j, rows);
-    for (int64_t l = 0; l < some; l++)
-      memcpy(out + l * size + j, rows + l, sizeof(lanes));
-  }
-  for (; j < size; j++)
-    for (int64_t l = 0; l < some; l++)
-      out[l * size + j] = LANE((const double*)values, j, l);
-}
-#else
-static inline void put_cells(int64_t some, int64_t size, const lanes* values, double* out) {}
-#endif
-"""
-"""After a kernel's code: what it needs to know of cells."""
-
-SOURCE = r"""
-int64_t width(void)
-{
-  return LANES;
-}
-
-int64_t add_vector(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                   const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
-                   int64_t first, int64_t known, const double* constants, double* out)
-{
-  lanes y[3 * NG], w[packed], c[known + 1], b[BS * ND];
-  memset(w, 0, sizeof(w));
-  spread(known, constants, (double*)c);
-  for (int64_t n = 0; n < count; n += LANES)
-  {
-    const int64_t some = count - n < LANES ? count - n : LANES;
-    take_cells(some, cells + n, corners, x, dofs, unknowns, (double*)y, (double*)(w + first));
-    memset(b, 0, sizeof(b));
-    TABULATE(b, w, c, y);
-    for (int l = 0; l < some; l++)
-      for (int a = 0; a < ND; a++)
-        for (int i = 0; i < BS; i++)
-          out[BS * (int64_t)dofs[(int64_t)cells[n + l] * ND + a] + i]
-              += LANE((const double*)b, BS * a + i, l);
-  }
-  return 0;
-}
-
-int64_t add_scalar(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                   const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
-                   int64_t first, int64_t known, const double* constants, double* out)
-{
-  lanes y[3 * NG], w[packed], c[known + 1], value[1];
-  memset(w, 0, sizeof(w));
-  spread(known, constants, (double*)c);
-  for (int64_t n = 0; n < count; n += LANES)
-  {
-    const int64_t some = count - n < LANES ? count - n : LANES;
-    take_cells(some, cells + n, corners, x, dofs, unknowns, (double*)y, (double*)(w + first));
-    memset(value, 0, sizeof(value));
-    TABULATE(value, w, c, y);
-    for (int l = 0; l < some; l++)
-      *out += LANE((const double*)value, 0, l);
-  }
-  return 0;
-}
-
-int64_t evaluate(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                 const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
-                 int64_t first, int64_t known, const double* constants, int64_t size, double* out)
-{
-  lanes y[3 * NG], w[packed], c[known + 1], room[LANES == 1 ? 1 : size];
-  memset(w, 0, sizeof(w));
-  spread(known, constants, (double*)c);
-  for (int64_t n = 0; n < count; n += LANES)
-  {
-    const int64_t some = count - n < LANES ? count - n : LANES;
-    take_cells(some, cells + n, corners, x, dofs, unknowns, (double*)y, (double*)(w + first));
-    double* next = out + n * size;
-    lanes* values = LANES == 1 ? (lanes*)next : room;
-    memset(values, 0, size * sizeof(lanes));
-    TABULATE(values, w, c, y);
-    put_cells(some, size, values, next);
-  }
-  return 0;
-}
-"""
-
-
 _MOST = 4096
 """Numbers of a cell that are evaluated in lanes: 256 kB of the stack, of which most systems give
 8 MB. Rules of the highest degrees have more."""
@@ -256,14 +102,12 @@ class LaneLoops(NamedTuple):
     """Loops in C that use a kernel for several cells at once.
 
     Attributes:
-        declarations: Of the functions, for cffi.
-        source: In C; it has the code of `TAKING`, and stands where LANES > 1 only.  Else the same
-            functions do nothing, and are not called.
+        file: In `core.native`; it has the code of `cells.c`.  Where LANES is 1 its own functions
+            do nothing, and are not called.
         sizes: Macros, by name.
     """
 
-    declarations: str
-    source: str
+    file: str
     sizes: dict[str, int]
 
 
@@ -374,14 +218,11 @@ def _loops_over_cells(
     """
     corners, _, dofs = _elements(w)
     sizes = {"NG": corners.shape[1], "ND": dofs.shape[1], "BS": w.function_space.dofmap.bs}
-    declarations, loops = DECLARATIONS, TAKING + SOURCE
+    file = "cells.c"
     if more is not None:
-        declarations += more.declarations
-        idle = more.declarations.replace(";", " { return -1; }")
-        loops += f"#if LANES > 1\n{more.source}\n#else\n{idle}\n#endif\n"
-        sizes |= more.sizes
-    code = kernel.code(loops, many=many)
-    return compile_c(w.function_space.mesh.comm, declarations, code, sizes, jit_options)
+        file, sizes = more.file, sizes | more.sizes
+    code = kernel.code(many=many)
+    return compile_c(w.function_space.mesh.comm, file, sizes, jit_options, kernel=code)
 
 
 def _kernel(expression: fem.Expression, library: Library, w: fem.Function) -> Kernel | None:

@@ -18,7 +18,6 @@ from dolfin_elastic.mesh.geometry.simplices import (
     cells_beside_facets,
     facet_normals,
 )
-from dolfin_elastic.mesh.geometry.thickness_loops import DECLARATIONS, SOURCE
 
 _STEPS = 40
 """Steps of the random walk: it goes about 2.5 cells far, and sees walls of up to seven cells."""
@@ -87,7 +86,7 @@ class _Walk:
     def __init__(self, mesh: Mesh) -> None:
         self._dim, comm = mesh.topology.dim, mesh.comm
         mesh.topology.create_connectivity(self._dim, 0)
-        self._loops = compile_c(comm, DECLARATIONS, SOURCE, {"DIM": self._dim}, options(comm))
+        self._loops = compile_c(comm, "thickness.c", {"DIM": self._dim}, options(comm))
         places, width = mesh.topology.index_map(0), 8 if self._dim == 3 else 4
         self._shape = places.size_local + places.num_ghosts, width
         self._sums = {

@@ -37,7 +37,6 @@ from dolfin_elastic.core.jit import JitOptions, compile_c, options
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.curved import quadrature_rule, shape_functions
-from dolfin_elastic.results.recovery.loops import DECLARATIONS, SOURCE
 
 _CHUNK = 2048
 """Cells that are treated at once, which bounds the memory."""
@@ -94,8 +93,7 @@ class Patches:
         nodes = shape_functions(V.mesh, np.asarray(V.element.basix_element.points))
         self._loops = compile_c(
             V.mesh.comm,
-            DECLARATIONS,
-            SOURCE,
+            "patches.c",
             {
                 "DIM": self._dim,
                 "DEGREE": self._degree,

@@ -52,7 +52,7 @@ def smoothed_interpolation(
             prescribed they may become zero.
         diagonal: That of A.
         threshold: |A_ij| / sqrt(|A_ii| |A_jj|) of a strong connection.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
 
     Returns:
         P, whose coarse matrix `galerkin` makes, and modes of shape (nodes, modes, modes).
@@ -149,7 +149,7 @@ def galerkin(A: BlockRows, P: Interpolation, loops: CFunctions) -> BlockRows:
     Args:
         A: Square.
         P: Interpolation to the owned nodes of A.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
     start, columns, P_blocks, numbers = _with_ghosts(A, P)
     side = P.halo.owners(numbers) if A.symmetric else np.arange(len(numbers))
@@ -184,8 +184,8 @@ def _coarse_pattern(
         A: The matrix.
         P: Interpolation.
         every: Its rows of all nodes here.
-        sides: See `product_pattern` in `block_loops`, with a side and a number for each column.
-        loops: Those of `block_loops`.
+        sides: See `product_pattern` in multigrid.c, with a side and a number for each column.
+        loops: Those of multigrid.c.
     """
     size = len(sides[0])
     product = _product_pattern(A.pattern(), every, None, size, loops)
@@ -212,7 +212,7 @@ def _product_pattern(
         B: Of the second.
         halved: The sides, if only one half is wanted.
         size: Columns of the second.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
     rows, nothing = len(A[0]) - 1, np.empty(0, dtype=np.int32)
     half = (0, nothing, np.empty(0, dtype=np.int64)) if halved is None else (1, *halved)
@@ -259,7 +259,7 @@ def _transposed(pattern: Pattern, size: int, loops: CFunctions) -> Pattern:
     Args:
         pattern: Of the matrix.
         size: Its columns.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
     start, room = np.empty(size + 1, dtype=np.int64), np.empty(size, dtype=np.int64)
     rows = np.empty(len(pattern[1]), dtype=np.int32)

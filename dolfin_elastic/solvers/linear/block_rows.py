@@ -105,7 +105,7 @@ class BlockRows:
 
         Args:
             x: At owned nodes and ghosts.
-            loops: Those of `block_loops`.
+            loops: Those of multigrid.c.
         """
         y = np.empty((self.rows, self.R))
         loops.call("product", self.R, self.rows, self.start, self.columns, self.blocks, x, y)
@@ -115,7 +115,7 @@ class BlockRows:
         """The diagonal blocks of a square matrix, shape (rows, R, R). Local.
 
         Args:
-            loops: Those of `block_loops`.
+            loops: Those of multigrid.c.
         """
         blocks = np.zeros((self.rows, self.R, self.R))
         for first, count, part in self.parts():
@@ -153,7 +153,7 @@ def in_single_precision(blocks: FloatArray, loops: CFunctions) -> SingleArray:
 
     Args:
         blocks: Shape (blocks, R, C).
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
     out = np.zeros(blocks.size + 2, dtype=np.float32)
     loops.call("in_single_precision", *blocks.shape, blocks, out)
@@ -167,7 +167,7 @@ def into_single_precision(blocks: FloatArray, loops: CFunctions) -> SingleArray:
 
     Args:
         blocks: Shape (blocks, R, C); lost.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
     if not blocks.flags.owndata:
         return in_single_precision(blocks, loops)
@@ -199,7 +199,7 @@ class PetscRows(BlockRows):
         matrix: Whose rows and columns of a node follow on each other; it must outlive this.
         R: Rows of a node.
         C: Columns of a node.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
 
     whole = False
@@ -283,7 +283,7 @@ class _HalfPattern(BlockRows):
 
 
 class HalfRows(_HalfPattern):
-    """A symmetric matrix by the half of its blocks, as `symmetric.loops` says.
+    """A symmetric matrix by the half of its blocks, as halves.h says.
 
     Rows in full are made a part at a time.
     """
@@ -364,7 +364,7 @@ def interpolation_from_petsc(matrix: PETSc.Mat, R: int, C: int, loops: CFunction
         matrix: Whose rows and columns of a node follow on each other.
         R: Rows of a node.
         C: Columns of a node.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
     A = PetscRows(matrix, R, C, loops)
     blocks = room_for(A.start[-1], R, C)

@@ -57,7 +57,7 @@ def diagonal_of(A: BlockRows, loops: CFunctions, vector: FloatArray | None = Non
 
     Args:
         A: The matrix.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
         vector: That of a similar matrix, which is overwritten.
     """
     blocks = A.diagonal(loops)
@@ -79,7 +79,7 @@ def _largest(
     Args:
         A: The matrix.
         inverse: D^-1.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
         vector: Where to start; the last one is left there.
         steps: How many.
     """
@@ -97,7 +97,7 @@ class Smoother:
 
     Args:
         A: The matrix, whose blocks are taken over: it has none of its own any longer.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
         diagonal: That of A, where it is known.
 
     Attributes:
@@ -189,7 +189,7 @@ class TangentSmoother(HalvedSmoother):
 
     Args:
         A: The tangent.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
         diagonal: That of A, where it is known.
     """
 
@@ -215,7 +215,7 @@ def smoother_of(A: BlockRows, loops: CFunctions, diagonal: Diagonal | None = Non
 
     Args:
         A: The matrix, which the smoother takes over.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
         diagonal: That of A, where it is known.
     """
     kinds: dict[type[BlockRows], type[Smoother]]
@@ -230,7 +230,7 @@ def taken_in_single_precision(A: BlockRows, loops: CFunctions) -> SingleArray:
 
     Args:
         A: The matrix.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
     if not A.whole:
         out = np.zeros(A.start[-1] * A.R * A.C + 1, dtype=np.float32)

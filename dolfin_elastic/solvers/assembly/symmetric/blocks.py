@@ -15,7 +15,6 @@ from dolfin_elastic.core.compat import column_map
 from dolfin_elastic.core.jit import CFunctions, compile_c
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray, SingleArray
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.assembly.symmetric.loops import DECLARATIONS, SOURCE
 from dolfin_elastic.solvers.petsc.halo import Halo, RowsOfOthers
 
 
@@ -30,7 +29,7 @@ class SymmetricBlocks:
         halo: Nodes of a rank's rows and columns.
         dim: Rows of a block.
         start: Where each owned node's row begins, and the last one ends.
-        columns: Local number of the node of each block; see `loops` for which are there.
+        columns: Local number of the node of each block; see halves.h for which are there.
         high: The blocks in single precision, column by column, and room for one entry more.
         low: What they lack.
         version: Grows with each change.
@@ -39,7 +38,7 @@ class SymmetricBlocks:
     def __init__(self, problem: Problem, form: fem.Form) -> None:
         self.dim, self.version = problem.body.dim, 0
         self.loops: CFunctions = compile_c(
-            problem.body.comm, DECLARATIONS, SOURCE, {"DIM": self.dim}, problem.jit
+            problem.body.comm, "symmetric.c", {"DIM": self.dim}, problem.jit
         )
         pattern = fem.create_sparsity_pattern(form)
         pattern.finalize()

@@ -2,7 +2,7 @@
 
 A form compiler writes the tangent of a law as one kernel, in which the derivative of the stress is
 contracted with each pair of shape functions.  In two stages FFCx compiles the `moduli` at the
-points of integration only, from the same UFL; `kernel` contracts them with shape functions and
+points of integration only, from the same UFL; tangent.c contracts them with shape functions and
 adds the result at places of the matrix that are found once.  Equal to round-off, and two to five
 times as fast.
 """
@@ -29,8 +29,6 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.weak_form import UNUSED
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, Conditions
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
-from dolfin_elastic.solvers.assembly.two_stage import lanes
-from dolfin_elastic.solvers.assembly.two_stage.kernel import DECLARATIONS, SOURCE
 
 BLOCK = 262144
 """Doubles of moduli that are evaluated at once: 2 MB stay in the cache of a core, and hide what a
@@ -74,7 +72,7 @@ def tangent_of_surroundings(problem: Problem) -> ufl.Form:
 
 
 def moduli(problem: Problem, region: MaterialRegion) -> Expr:
-    """What `kernel` contracts with shape functions, times the measure's weight.
+    """What tangent.c contracts with shape functions, times the measure's weight.
 
     For each pair of components i and k of the displacement, i <= k where the tangent is symmetric,
     dP_iJ/dF_kL of shape (dim, dim) [Pa]; where a pressure is unknown, too, these are followed in a
@@ -249,10 +247,10 @@ class _Term:
         self.tables = (gradients, pressures, corners, np.ascontiguousarray(weights))
         sizes |= {"NP": pressures.shape[1], "SYMMETRIC": int(problem.symmetric)}
         sizes |= {"STRIDE": _stride(problem)}
-        self.code = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
+        self.code = compile_c(problem.body.comm, "tangent.c", sizes, problem.jit)
         half = None
         if problem.symmetric and not mixed:
-            half = LaneLoops(lanes.DECLARATIONS, lanes.SOURCE, sizes)
+            half = LaneLoops("tangent_lanes.c", sizes)
         values = moduli(problem, region)
         self._moduli = CellExpression(values, points, problem.w, problem.jit, half)
         self.in_lanes = half is not None and self._moduli.in_lanes
@@ -264,7 +262,7 @@ class _Term:
 
         Args:
             elements: Geometry nodes of cells, their places, nodes of the displacement.
-            places: Which entries are fixed, and where blocks stand; see `lanes`.
+            places: Which entries are fixed, and where blocks stand; see tangent_lanes.c.
         """
         constants = self._moduli.constants
         gradients, _, corners, weights = self.tables
@@ -283,7 +281,7 @@ class _Term:
 def tabulated(
     problem: Problem, points: FloatArray
 ) -> tuple[FloatArray, FloatArray, dict[str, int]]:
-    """Derivatives of shape functions by reference coordinates, as `GRADIENTS` reads them.
+    """Derivatives of shape functions by reference coordinates, as gradients.h reads them.
 
     Args:
         problem: Whose displacement.

@@ -1,91 +1,14 @@
-"""The C code of multigrid in blocks: products of matrices, aggregates, and the cycle.
+/* Multigrid in blocks: products of matrices, aggregates, and the cycle.
 
-Sizes of blocks are macros: DIM components of a node's displacement and MODES rigid-body modes of an
-aggregate.  Matrices are as in `block_rows.BlockRows`; in the cycle their blocks have single
-precision, which halves what is read from memory, and vectors double.
-"""
+   Sizes of blocks are macros: DIM components of a node's displacement and MODES rigid-body modes of
+   an aggregate.  Matrices are as in `block_rows.BlockRows`; in the cycle their blocks have single
+   precision, which halves what is read from memory, and vectors double. */
 
-from __future__ import annotations
-
-from dolfin_elastic.solvers.assembly.symmetric.loops import HALVES, HALVES_DECLARATIONS
-
-DECLARATIONS = (
-    HALVES_DECLARATIONS
-    + """
-int64_t count_blocks(int64_t n, int64_t R, const int64_t* start, const int32_t* columns,
-        const int64_t* far_start, const int32_t* far_columns, const int32_t* node,
-        const int32_t* far_node, int32_t* mark, int64_t* block_start);
-int64_t fill_blocks(int64_t n, int64_t R, int64_t C, const int64_t* start, const int32_t* columns,
-        const double* values, const int64_t* far_start, const int32_t* far_columns,
-        const double* far_values, const int32_t* node, const int32_t* far_node,
-        const int8_t* component, const int8_t* far_component, int64_t* place,
-        const int64_t* block_start, int32_t* block_columns, double* blocks);
-int64_t take_diagonal(int64_t first, int64_t n, int64_t R, const int64_t* start,
-        const int32_t* columns, const double* blocks, double* diagonal);
-int64_t invert_blocks(int64_t R, int64_t n, double* blocks);
-int64_t times_diagonal(int64_t R, int64_t n, const double* blocks, const double* x, double* y);
-int64_t connections(int64_t first, int64_t n, int64_t R, const int64_t* start,
-        const int32_t* columns, const double* blocks, int64_t owned, const double* sizes,
-        float* strong, const double* threshold);
-int64_t aggregate(int64_t n, const int64_t* start, const int32_t* columns, const float* strong,
-        int32_t* member);
-int64_t hold_fixed(int64_t first, int64_t n, int64_t R, int64_t C, const int64_t* start,
-        const int32_t* columns, const double* blocks, double* modes);
-int64_t orthonormalise(int64_t n, int64_t R, int64_t C, int64_t aggregates, const int32_t* member,
-        double* modes, double* factors, double* work);
-int64_t count_smoothed(int64_t n, const int64_t* start, const int32_t* columns,
-        const float* strong, const int32_t* member, int32_t* mark, int64_t* p_start);
-int64_t fill_smoothed(int64_t R, int64_t C, int64_t first, int64_t n, const int64_t* start,
-        const int32_t* columns, const double* blocks, const float* strong, const double* inverse,
-        const double* modes, const double* turned, const double* tentative, const int32_t* member,
-        const double* omega, const int64_t* p_start, int32_t* p_columns, float* p_blocks,
-        int32_t* place, double* w);
-int64_t transpose(int64_t n, int64_t size, const int64_t* start, const int32_t* columns,
-        int64_t* t_start, int32_t* t_columns, int64_t* next);
-int64_t most_of_product(int64_t n, const int64_t* a_start, const int32_t* a_columns,
-        const int64_t* b_start);
-int64_t product_pattern(int64_t n, const int64_t* a_start, const int32_t* a_columns,
-        const int64_t* b_start, const int32_t* b_columns, int64_t halved, const int32_t* side,
-        const int64_t* numbers, int32_t* mark, int64_t* start, int32_t* columns);
-int64_t galerkin(int64_t R, int64_t C, int64_t first, int64_t n, const int64_t* start,
-        const int32_t* columns, const double* blocks, const int64_t* p_start,
-        const int32_t* p_columns, const float* p_blocks, const int64_t* c_start,
-        const int32_t* c_columns, double* coarse, const int32_t* side, const int64_t* numbers,
-        int32_t* place, int32_t* list, double* w);
-int64_t in_single_precision(int64_t count, int64_t R, int64_t C, const double* blocks,
-        float* out);
-int64_t into_single_precision(int64_t count, int64_t R, int64_t C, double* blocks);
-int64_t product(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
-        const double* blocks, const double* x, double* y);
-int64_t smooth(int64_t R, int64_t n, const int64_t* start, const int32_t* columns, const float* a,
-        const float* inverse, const double* x, const double* b, double* y);
-int64_t smooth_first(int64_t R, int64_t n, const float* inverse, const double* b, double* y);
-int64_t restrict_residual(int64_t R, int64_t C, int64_t n, const int64_t* start,
-        const int32_t* columns, const float* a, const double* x, const double* b,
-        const int64_t* p_start, const int32_t* p_columns, const float* p, double* coarse);
-int64_t correct(int64_t R, int64_t n, const float* inverse, const double* x, const double* b,
-        double* y);
-int64_t restrict_vector(int64_t R, int64_t C, int64_t n, const int64_t* p_start,
-        const int32_t* p_columns, const float* p, const double* r, double* coarse);
-int64_t prolong(int64_t R, int64_t C, int64_t n, const int64_t* p_start, const int32_t* p_columns,
-        const float* p, const double* e, double* x);
-int64_t rows_of_half(int64_t R, int64_t first, int64_t count, const int64_t* full,
-        const int32_t* full_columns, const int32_t* source, const double* half, double* blocks);
-int64_t product_of_half(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
-        const double* half, const double* x, double* y);
-int64_t rounded_product_of_half(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
-        const float* half, const double* x, double* y);
-"""
-)
-
-SOURCE = (
-    r"""
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
-"""
-    + HALVES
-    + r"""
+
+#include "halves.h"
 
 /* Sizes of blocks are constants of the inlined functions. */
 #define DISPATCH(R, C, f, ...)                                                                     \
@@ -1012,7 +935,7 @@ int64_t prolong(int64_t R, int64_t C, int64_t n, const int64_t* p_start, const i
   return 0;
 }
 
-/* The blocks of some rows of a matrix by the half of its blocks, see `symmetric.loops`. */
+/* The blocks of some rows of a matrix by the half of its blocks, see halves.h. */
 INLINE void rows_of_half_(const int R, const int C, int64_t first, int64_t count,
                           const int64_t* full, const int32_t* full_columns, const int32_t* source,
                           const double* half, double* blocks)
@@ -1157,5 +1080,3 @@ int64_t rounded_product_of_half(int64_t R, int64_t n, const int64_t* start, cons
   DISPATCH(R, R, rounded_product_of_half_, n, start, columns, half, x, y);
   return 0;
 }
-"""
-)

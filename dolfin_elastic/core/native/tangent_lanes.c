@@ -1,28 +1,17 @@
-"""The C code of half of a symmetric tangent, of several cells at once.
+/* Half of a symmetric tangent, of several cells at once.
 
-Moduli of LANES cells (`core.jit.vectorise`) are contracted with shape functions where they are: in
-the first cache of a core, or in the second one.  `kernel` has the formulas, and the same for one
-cell after the other.
-"""
+   Moduli of LANES cells are contracted with shape functions where they are: in the first cache of a
+   core, or in the second one.  tangent.c has the formulas, and the same for one cell after the
+   other. */
 
-from __future__ import annotations
+#include "cells.c"
 
-from dolfin_elastic.solvers.assembly.symmetric.loops import ADDING
-from dolfin_elastic.solvers.assembly.two_stage.kernel import GRADIENTS
+#if LANES > 1
+#define real lanes
+#define MAGNITUDE(x) fabs_lanes(x)
+#include "gradients.h"
+#include "split.h"
 
-_HEAD = """
-int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
-                 const int32_t* nodes, const double* unknowns, int64_t known,
-                 const double* constants, const double* tables, const double* geometry_tables,
-                 const double* weights, const int8_t* fixed, const uint16_t* places, int64_t owned,
-                 const int64_t* start, float* high, float* low, const int64_t* far_start,
-                 const int32_t* far_columns, double* far_blocks)"""
-
-SOURCE = (
-    ADDING
-    + "#define real lanes\n#define MAGNITUDE(x) fabs_lanes(x)\n"
-    + GRADIENTS
-    + r"""
 #define SQUARE (DIM * DIM)
 #define PAIRS (ND * (ND + 1) / 2)
 #define MODULI (DIM * (DIM + 1) / 2 * SQUARE)
@@ -85,9 +74,13 @@ static void add_far(const double* K, int pair, int l, int turned, int32_t row, i
           far_blocks[f * SQUARE + i * DIM + k]
               += LANE(K, pair * SQUARE + (turned ? k * DIM + i : i * DIM + k), l);
 }
-"""
-    + _HEAD
-    + r"""
+
+int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
+                 const int32_t* nodes, const double* unknowns, int64_t known,
+                 const double* constants, const double* tables, const double* geometry_tables,
+                 const double* weights, const int8_t* fixed, const uint16_t* places, int64_t owned,
+                 const int64_t* start, float* high, float* low, const int64_t* far_start,
+                 const int32_t* far_columns, double* far_blocks)
 {
   lanes y[NG][3], w[DIM * ND], c[known + 1], A[NQ * MODULI], K[PAIRS][SQUARE];
   const double* entries = (const double*)K;
@@ -148,8 +141,14 @@ static void add_far(const double* K, int pair, int l, int turned, int32_t row, i
   }
   return 0;
 }
-"""
-)
-"""Where LANES > 1, after what `core.jit.cell_integrals.TAKING` has."""
-
-DECLARATIONS = f"{_HEAD};"
+#else
+int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
+                 const int32_t* nodes, const double* unknowns, int64_t known,
+                 const double* constants, const double* tables, const double* geometry_tables,
+                 const double* weights, const int8_t* fixed, const uint16_t* places, int64_t owned,
+                 const int64_t* start, float* high, float* low, const int64_t* far_start,
+                 const int32_t* far_columns, double* far_blocks)
+{
+  return -1;
+}
+#endif

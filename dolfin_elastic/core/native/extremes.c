@@ -1,28 +1,16 @@
-"""The loop in C that finds the extremes of det F and of |grad u| in each cell of a rank."""
+/* Extremes of det F and of |grad u| in each cell of a rank. */
 
-from __future__ import annotations
-
-from dolfin_elastic.solvers.assembly.two_stage.kernel import GRADIENTS
-
-DECLARATIONS = """
-void extremes(int64_t count, const int32_t* corners, const int32_t* nodes, const double* x,
-              const double* u, const double* tables, const double* geometry_tables,
-              int64_t linear, double* least, double* most, double* steepest);
-"""
-
-SOURCE = (
-    r"""
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
-"""
-    + GRADIENTS
-    + r"""
-/* Smallest and largest det F of each cell, and where there are `linear` laws the largest
+
+#include "gradients.h"
+
+/* Smallest and largest det F of each cell, and where there are `linear` laws, 1 or 0, the largest
    |grad u|^2.  What is no number counts as -inf, and as 0. */
-void extremes(int64_t count, const int32_t* corners, const int32_t* nodes, const double* x,
-              const double* u, const double* tables, const double* geometry_tables,
-              int64_t linear, double* least, double* most, double* steepest)
+int64_t extremes(int64_t count, const int32_t* corners, const int32_t* nodes, const double* x,
+                 const double* u, const double* tables, const double* geometry_tables,
+                 int64_t linear, double* least, double* most, double* steepest)
 {
   for (int64_t c = 0; c < count; c++)
   {
@@ -67,6 +55,5 @@ void extremes(int64_t count, const int32_t* corners, const int32_t* nodes, const
     if (linear)
       steepest[c] = steep;
   }
+  return 0;
 }
-"""
-)

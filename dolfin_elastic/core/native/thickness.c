@@ -1,27 +1,10 @@
-"""The loops over cells of the thickness of a body, in C; formulas: see `thickness`."""
+/* The loops over cells of the thickness of a body; formulas: see `thickness`.
 
-from __future__ import annotations
+   DIM.  Rows of vertices have the components of a symmetric tensor, column by column of its upper
+   triangle, and are padded to whole vector registers.  Those of the boundary's density, which walk
+   far, are of single precision: the walk is bound by their memory, and a thickness is wanted to two
+   digits.  Those of the edges are not: across flat cells a component is a small difference. */
 
-DECLARATIONS = """
-int64_t take_volumes(int64_t count, int64_t width, const int32_t* geometry, const double* x,
-                     double* volumes);
-int64_t add_cells(int64_t count, int64_t width, const int32_t* geometry, const double* x,
-                  const int32_t* vertices, const double* volumes, double* sums);
-int64_t step(int64_t count, const int32_t* vertices, const double* volumes, const double* before,
-             double* sums);
-int64_t rounded_step(int64_t count, const int32_t* vertices, const double* volumes,
-                     const float* before, float* sums);
-int64_t next_polynomial(int64_t count, const float* inverse, const float* sums, int64_t degree,
-                        const float* weights, float* before, float* now, float* found);
-int64_t at_cells(int64_t count, const int32_t* vertices, const float* density,
-                 const double* metric, double* thickness, double* across, double* along);
-"""
-
-# DIM. Rows of vertices have the components of a symmetric tensor, column by column of its upper
-# triangle, and are padded to whole vector registers.  Those of the boundary's density, which walk
-# far, are of single precision: the walk is bound by their memory, and a thickness is wanted to two
-# digits.  Those of the edges are not: across flat cells a component is a small difference.
-SOURCE = r"""
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
@@ -87,34 +70,39 @@ int64_t add_cells(int64_t count, int64_t width, const int32_t* geometry, const d
 }
 
 /* The mean of the rows of each cell's vertices, times its volume, to its vertices. */
-#define STEP(NAME, REAL)                                                                          \
-  int64_t NAME(int64_t count, const int32_t* vertices, const double* volumes, const REAL* before, \
-               REAL* sums)                                                                        \
+#define STEP(REAL)                                                                                \
+  for (int64_t c = 0; c < count; c++)                                                             \
   {                                                                                               \
-    for (int64_t c = 0; c < count; c++)                                                           \
+    REAL mean[ROW] = {0};                                                                         \
+    for (int k = 0; k < NC; k++)                                                                  \
     {                                                                                             \
-      REAL mean[ROW] = {0};                                                                       \
-      for (int k = 0; k < NC; k++)                                                                \
-      {                                                                                           \
-        const REAL* restrict row = before + (int64_t)vertices[c * NC + k] * ROW;                  \
-        for (int i = 0; i < ROW; i++)                                                             \
-          mean[i] += row[i];                                                                      \
-      }                                                                                           \
-      const REAL share = (REAL)(volumes[c] / NC);                                                 \
+      const REAL* restrict row = before + (int64_t)vertices[c * NC + k] * ROW;                    \
       for (int i = 0; i < ROW; i++)                                                               \
-        mean[i] *= share;                                                                         \
-      for (int k = 0; k < NC; k++)                                                                \
-      {                                                                                           \
-        REAL* restrict sum = sums + (int64_t)vertices[c * NC + k] * ROW;                          \
-        for (int i = 0; i < ROW; i++)                                                             \
-          sum[i] += mean[i];                                                                      \
-      }                                                                                           \
+        mean[i] += row[i];                                                                        \
     }                                                                                             \
-    return 0;                                                                                     \
-  }
+    const REAL share = (REAL)(volumes[c] / NC);                                                   \
+    for (int i = 0; i < ROW; i++)                                                                 \
+      mean[i] *= share;                                                                           \
+    for (int k = 0; k < NC; k++)                                                                  \
+    {                                                                                             \
+      REAL* restrict sum = sums + (int64_t)vertices[c * NC + k] * ROW;                            \
+      for (int i = 0; i < ROW; i++)                                                               \
+        sum[i] += mean[i];                                                                        \
+    }                                                                                             \
+  }                                                                                               \
+  return 0;
 
-STEP(step, double)
-STEP(rounded_step, float)
+int64_t step(int64_t count, const int32_t* vertices, const double* volumes, const double* before,
+             double* sums)
+{
+  STEP(double)
+}
+
+int64_t rounded_step(int64_t count, const int32_t* vertices, const double* volumes,
+                     const float* before, float* sums)
+{
+  STEP(float)
+}
 
 /* Chebyshev polynomial of 2 S - 1 of some degree, 2 (2 S - 1) now - before, and what it adds to a
    sum with weights, where S now is the sums of a step by the inverse of each vertex's volume. */
@@ -229,4 +217,3 @@ int64_t at_cells(int64_t count, const int32_t* vertices, const float* density,
   }
   return 0;
 }
-"""

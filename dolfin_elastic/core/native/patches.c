@@ -1,43 +1,11 @@
-"""The loops over cells of the patch recovery and of the estimated error, in C.
+/* The loops over cells of the patch recovery and of the estimated error.
 
-Formulas: see `patches` and `error`.  Sums over the cells of a patch are added up in place, so that
-no array has a row for each corner of each cell.
-"""
+   Formulas: see `patches` and `error`.  Sums over the cells of a patch are added up in place, so
+   that no array has a row for each corner of each cell.
 
-from __future__ import annotations
+   DIM, DEGREE, NG geometry nodes and ND nodes of a cell, NS sampling points, NM monomials, and at
+   most WIDEST columns. */
 
-DECLARATIONS = """
-int64_t add_spread(int64_t count, const int32_t* cells, const int32_t* geometry, const double* x,
-                   const double* samples, const int32_t* corners, const double* centres,
-                   double* sums);
-int64_t add_products(int64_t count, const int32_t* cells, const int32_t* geometry, const double* x,
-                     const double* samples, const int32_t* corners, const double* centres,
-                     const double* size, double* sums);
-int64_t invert_products(int64_t count, const double* limit, const double* products,
-                        double* inverses, int8_t* whole);
-int64_t add_gains(int64_t count, const int32_t* cells, const int32_t* geometry, const double* x,
-                  const double* samples, const int32_t* corners, const double* centres,
-                  const double* size, const double* solve, double* sums);
-int64_t add_moments(int64_t count, const int32_t* cells, const int32_t* geometry, const double* x,
-                    const double* samples, const int32_t* corners, const double* centres,
-                    const double* size, int64_t width, const double* values, double* sums);
-int64_t take_nodal(int64_t count, const int32_t* cells, const int32_t* geometry, const double* x,
-                   const double* shape, const int32_t* corners, const double* centres,
-                   const double* size, const int32_t* edges, int64_t width, const double* fitted,
-                   double* values);
-int64_t add_nodal(int64_t count, const int32_t* cells, const int32_t* nodes, int64_t width,
-                  const double* values, double* sums);
-int64_t add_errors(int64_t count, const int32_t* cells, const int32_t* geometry, const double* x,
-                   int64_t points, const double* gradients, const double* weights,
-                   const double* shape, const double* to_nodes, int64_t width, int64_t pairs,
-                   const double* shares, int64_t weighted, const double* recovered,
-                   int64_t stride, int64_t first, int64_t step, const double* raw, double* found,
-                   double* difference);
-"""
-
-# DIM, DEGREE, NG geometry nodes and ND nodes of a cell, NS sampling points, NM monomials, and at
-# most WIDEST columns.
-SOURCE = r"""
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
@@ -366,4 +334,3 @@ int64_t add_errors(int64_t count, const int32_t* cells, const int32_t* geometry,
   }
   return 0;
 }
-"""

@@ -1,106 +1,25 @@
-"""The C code that turns moduli at points into element tangents and adds them up.
+/* Moduli at points become element tangents, which are added up.
 
-    K_ai,bk = sum over points  w |det dX/dxi|  dN_a/dX_J  A_iJkL  dN_b/dX_L
-    K_ai,b  = sum over points  w |det dX/dxi|  dN_a/dX_J  G_iJ    M_b
-    K_a,bk  = sum over points  w |det dX/dxi|  M_a        H_kL    dN_b/dX_L
-    K_a,b   = sum over points  w |det dX/dxi|  M_a        c       M_b
+       K_ai,bk = sum over points  w |det dX/dxi|  dN_a/dX_J  A_iJkL  dN_b/dX_L
+       K_ai,b  = sum over points  w |det dX/dxi|  dN_a/dX_J  G_iJ    M_b
+       K_a,bk  = sum over points  w |det dX/dxi|  M_a        H_kL    dN_b/dX_L
+       K_a,b   = sum over points  w |det dX/dxi|  M_a        c       M_b
 
-with A = dP/dF, and, where a pressure is unknown beside the displacement, G = dP/dp, and H, c the
-same derivatives of the pressure's equation; N are the shape functions of the displacement, M those
-of the pressure, of which there may be none.
+   with A = dP/dF, and, where a pressure is unknown beside the displacement, G = dP/dp, and H, c the
+   same derivatives of the pressure's equation; N are the shape functions of the displacement, M
+   those of the pressure, of which there may be none.
 
-Sources: Belytschko, Liu & Moran, Nonlinear Finite Elements (2000), (6.4.6), with A in place of its
-material and geometric parts; Bonet & Wood, Nonlinear Continuum Mechanics for Finite Element
-Analysis (2008), 8.6.
-"""
+   Sources: Belytschko, Liu & Moran, Nonlinear Finite Elements (2000), (6.4.6), with A in place of
+   its material and geometric parts; Bonet & Wood, Nonlinear Continuum Mechanics for Finite Element
+   Analysis (2008), 8.6. */
 
-from __future__ import annotations
-
-from dolfin_elastic.solvers.assembly.symmetric.loops import ADDING
-
-DECLARATIONS = """
-int64_t find_places(int64_t count, const int32_t* cells, const int32_t* nodes,
-                    const int64_t* start, const int32_t* columns, uint16_t* places);
-int64_t add_tangent(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
-                    const int32_t* nodes, const double* moduli, const double* tables,
-                    const double* pressures, const double* geometry_tables, const double* weights,
-                    const int8_t* fixed, const int64_t* start, const uint16_t* places,
-                    double* values);
-int64_t find_upper_places(int64_t count, const int32_t* cells, const int32_t* nodes, int64_t owned,
-                    const int64_t* start, const int32_t* columns, uint16_t* places);
-int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
-                 const int32_t* nodes, const double* moduli, const double* tables,
-                 const double* pressures, const double* geometry_tables, const double* weights,
-                 const int8_t* fixed, const uint16_t* places, int64_t owned, const int64_t* start,
-                 float* high, float* low, const int64_t* far_start, const int32_t* far_columns,
-                 double* far_blocks);
-int64_t add_product(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
-                    const int32_t* nodes, const double* moduli, const double* tables,
-                    const double* pressures, const double* geometry_tables, const double* weights,
-                    const double* direction, double* product);
-"""
-
-# All sizes are known to the compiler, which unrolls and vectorises the innermost loops.
-GRADIENTS = r"""
-#ifndef real
-#define real double
-#define MAGNITUDE fabs
-#endif
-
-/* Gradients dN_a/dX_J as g[J][a] at a point; returns |det dX/dxi|. */
-static inline real gradients(const real corners[NG][3], const double* restrict geometry,
-                             const double* restrict table, real g[DIM][NDP])
-{
-  real j[DIM][DIM], k[DIM][DIM];
-  memset(j, 0, sizeof(j));
-  for (int n = 0; n < NG; n++)
-    for (int d = 0; d < DIM; d++)
-      for (int m = 0; m < DIM; m++)
-        j[d][m] += corners[n][d] * geometry[n * DIM + m];
-#if DIM == 3
-  const real c0 = j[1][1] * j[2][2] - j[1][2] * j[2][1];
-  const real c1 = j[1][2] * j[2][0] - j[1][0] * j[2][2];
-  const real c2 = j[1][0] * j[2][1] - j[1][1] * j[2][0];
-  const real det = j[0][0] * c0 + j[0][1] * c1 + j[0][2] * c2, id = 1.0 / det;
-  k[0][0] = c0 * id;
-  k[1][0] = c1 * id;
-  k[2][0] = c2 * id;
-  k[0][1] = (j[0][2] * j[2][1] - j[0][1] * j[2][2]) * id;
-  k[1][1] = (j[0][0] * j[2][2] - j[0][2] * j[2][0]) * id;
-  k[2][1] = (j[0][1] * j[2][0] - j[0][0] * j[2][1]) * id;
-  k[0][2] = (j[0][1] * j[1][2] - j[0][2] * j[1][1]) * id;
-  k[1][2] = (j[0][2] * j[1][0] - j[0][0] * j[1][2]) * id;
-  k[2][2] = (j[0][0] * j[1][1] - j[0][1] * j[1][0]) * id;
-#else
-  const real det = j[0][0] * j[1][1] - j[0][1] * j[1][0], id = 1.0 / det;
-  k[0][0] = j[1][1] * id;
-  k[0][1] = -j[0][1] * id;
-  k[1][0] = -j[1][0] * id;
-  k[1][1] = j[0][0] * id;
-#endif
-  for (int d = 0; d < DIM; d++)
-    for (int a = 0; a < NDP; a++)
-    {
-      real sum = table[a] * k[0][d];
-      for (int m = 1; m < DIM; m++)
-        sum += table[m * NDP + a] * k[m][d];
-      g[d][a] = sum;
-    }
-  return MAGNITUDE(det);
-}
-"""
-"""Of ND shape functions at a point of a cell with NG nodes of its geometry, in DIM dimensions.
-
-Of the type `real`, by default a number; its absolute value is MAGNITUDE."""
-
-SOURCE = (
-    r"""
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
-"""
-    + ADDING
-    + r"""
+
+#include "gradients.h"
+#include "split.h"
+
 /* A cell's nodes are ND of the displacement, of DIM unknowns in a row each, and NP of the pressure.
    The first unknown of each is STRIDE times what `nodes` has. */
 #define NODES (ND + NP)
@@ -145,9 +64,6 @@ int64_t find_places(int64_t count, const int32_t* cells, const int32_t* nodes,
   return -1;
 }
 
-"""
-    + GRADIENTS
-    + r"""
 struct tangent
 {
   double K[DIM][DIM][ND][NDP], G[DIM][NP][NDP], H[DIM][NP][NDP], C[NP][NP];
@@ -299,7 +215,7 @@ int64_t add_tangent(int64_t count, const int32_t* cells, const int32_t* corners,
 }
 
 /* Place of the block of nodes a <= b of a cell in the row of the lower one, where at least one is
-   owned; see `symmetric`. */
+   owned; see symmetric.c. */
 int64_t find_upper_places(int64_t count, const int32_t* cells, const int32_t* nodes, int64_t owned,
                           const int64_t* start, const int32_t* columns, uint16_t* places)
 {
@@ -337,7 +253,7 @@ static void add_far(const struct tangent* T, int a, int b, int32_t row, int32_t 
           far_blocks[k * SQUARE + i * DIM + j] += T->K[i][j][a][b];
 }
 
-/* Adds half of a symmetric tangent: see `symmetric` for where its blocks stand. */
+/* Adds half of a symmetric tangent: see symmetric.c for where its blocks stand. */
 int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
                  const int32_t* nodes, const double* moduli, const double* tables,
                  const double* pressures, const double* geometry_tables, const double* weights,
@@ -422,5 +338,3 @@ int64_t add_product(int64_t count, const int32_t* cells, const int32_t* corners,
   }
   return 0;
 }
-"""
-)
