@@ -22,9 +22,10 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.compat import cells_of_integral
 from dolfin_elastic.core.jit import lanes
-from dolfin_elastic.core.jit.c_code import CFunctions, compile_c
-from dolfin_elastic.core.jit.compile import JitOptions, Library, expression_and_module
-from dolfin_elastic.core.jit.lanes import Kernel
+from dolfin_elastic.core.jit.c_code import compile_c
+from dolfin_elastic.core.jit.compile import JitOptions, expression_and_module
+from dolfin_elastic.core.jit.lanes import NO_KERNEL, Kernel
+from dolfin_elastic.core.native.functions import CFunctions, Library
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 
 _MOST = 4096
@@ -92,18 +93,18 @@ class CellIntegrals:
 
     def _call(self, loop: str, integrals: Sequence[_Integral], out: FloatArray) -> None:
         constants = pack_constants(self._form._cpp_object)
-        unknowns = (*self._elements, self._w.x.array, self._packed, self._first)
+        w = self._w.x.array
+        unknowns = (*self._elements, len(w), w, self._packed, self._first)
         for one in integrals:
             where = (one.kernel.address, len(one.cells), one.cells)
             one.loops.call(loop, *where, *unknowns, len(constants), constants, out)
 
 
-class LaneLoops(NamedTuple):
-    """Loops in C that use a kernel for several cells at once.
+class Loops(NamedTuple):
+    """Further loops in C that use a kernel.
 
     Attributes:
-        file: In `core.native`; it has the code of `cells.c`.  Where LANES is 1 its own functions
-            do nothing, and are not called.
+        file: In `core.native`; it includes cells.h.
         sizes: Macros, by name.
     """
 
@@ -121,12 +122,13 @@ class CellExpression:
         points: Of the reference cell, shape (points, dim).
         w: The unknowns.
         jit_options: From `options`.
-        more: What else is to be done with it in lanes.
+        loops: What is to be done with it; by default it can only be evaluated, and else not,
+            where it has a kernel.
 
     Attributes:
         size: Numbers in a cell: points times components.
         kernel: FFCx's function, which has no coefficient but the unknowns; else None.
-        in_lanes: It has code for several cells at once, and so have the functions of `more`.
+        in_lanes: It has code for several cells at once.
     """
 
     def __init__(
@@ -135,36 +137,37 @@ class CellExpression:
         points: FloatArray,
         w: fem.Function,
         jit_options: JitOptions,
-        more: LaneLoops | None = None,
+        loops: Loops | None = None,
     ) -> None:
         comm = w.function_space.mesh.comm
         self._expression, library = expression_and_module(comm, expression, points, jit_options)
         self._w, self.kernel, self.in_lanes = w, _kernel(self._expression, library, w), False
         compiled = self._expression.ufcx_expression
         self.size = int(compiled.num_points) * int(self._expression.value_size)
-        if self.kernel is None:
+        if self.kernel is None and loops is None:
             return
-        self._elements = _elements(w)
-        many = pays(w) and self.size <= _MOST
-        self._loops = _loops_over_cells(
-            w, self.kernel, jit_options, many=many, more=more if many else None
-        )
+        self._elements, kernel = _elements(w), self.kernel or NO_KERNEL
+        many = self.kernel is not None and pays(w) and self.size <= _MOST
+        self.loops = _loops_over_cells(w, kernel, jit_options, many=many, loops=loops)
         self._packed = w.function_space.element.space_dimension
-        self.in_lanes = self._loops.call("width") > 1
+        self.in_lanes = self.loops.call("width") > 1
 
     @property
     def constants(self) -> FloatArray:
         """Values of the constants of the expression."""
         return pack_constants(self._expression._cpp_object)
 
-    def call(self, name: str, *arguments: int | AnyArray) -> int:
-        """Calls a function of `more`, where it is `in_lanes`. Not collective.
+    def call(self, name: str, cells: IndexArray, *arguments: int | AnyArray) -> int:
+        """Calls one of the loops that it was made with, over some cells. Not collective.
 
         Args:
-            name: Of the function.
-            arguments: Integers and arrays.
+            name: Of the function, which takes the kernel, or 0, the cells, and what cells.h says.
+            cells: Local cells.
+            arguments: What else it takes.
         """
-        return self._loops.call(name, *arguments)
+        w, constants, address = self._w.x.array, self.constants, (self.kernel or NO_KERNEL).address
+        where = (address, len(cells), cells, *self._elements, len(w), w)
+        return self.loops.call(name, *where, len(constants), constants, *arguments)
 
     def eval(self, cells: IndexArray, out: FloatArray | None = None) -> FloatArray:
         """Values in cells, shape (cells, size). Not collective.
@@ -180,17 +183,18 @@ class CellExpression:
             return out
         cells = np.ascontiguousarray(cells, dtype=np.int32)
         constants = self.constants
-        where = (self.kernel.address, len(cells), cells, *self._elements, self._w.x.array)
+        w = self._w.x.array
+        where = (self.kernel.address, len(cells), cells, *self._elements, len(w), w)
         sizes = (self._packed, 0, len(constants))
-        self._loops.call("evaluate", *where, *sizes, constants, self.size, out)
+        self.loops.call("evaluate", *where, *sizes, constants, self.size, out)
         return out
 
 
-def _elements(w: fem.Function) -> tuple[IndexArray, FloatArray, IndexArray]:
-    """Geometry nodes of cells, their places, nodes of unknowns."""
+def _elements(w: fem.Function) -> tuple[int, IndexArray, int, FloatArray, IndexArray]:
+    """Geometry nodes of cells, their places, with the number of both; nodes of unknowns."""
     mesh, dofmap = w.function_space.mesh, w.function_space.dofmap
     corners, dofs = (np.ascontiguousarray(m) for m in (mesh.geometry.dofmap, dofmap.list))
-    return corners, mesh.geometry.x, dofs
+    return len(corners), corners, len(mesh.geometry.x), mesh.geometry.x, dofs
 
 
 def pays(w: fem.Function) -> bool:
@@ -205,7 +209,7 @@ def _loops_over_cells(
     jit_options: JitOptions,
     *,
     many: bool,
-    more: LaneLoops | None = None,
+    loops: Loops | None = None,
 ) -> CFunctions:
     """The loops for a kernel. Collective.
 
@@ -214,15 +218,14 @@ def _loops_over_cells(
         kernel: FFCx's function.
         jit_options: From `options`.
         many: There are so many cells that lanes pay.
-        more: Further loops.
+        loops: Which; by default those of cells.c.
     """
-    corners, _, dofs = _elements(w)
-    sizes = {"NG": corners.shape[1], "ND": dofs.shape[1], "BS": w.function_space.dofmap.bs}
-    file = "cells.c"
-    if more is not None:
-        file, sizes = more.file, sizes | more.sizes
+    _, corners, _, _, dofs = _elements(w)
+    sizes = {"NG": corners.shape[1], "NW": dofs.shape[1], "BS": w.function_space.dofmap.bs}
+    file, further = loops or ("cells.c", {})
     code = kernel.code(many=many)
-    return compile_c(w.function_space.mesh.comm, file, sizes, jit_options, kernel=code)
+    comm = w.function_space.mesh.comm
+    return compile_c(comm, file, sizes | further, jit_options, kernel=code)
 
 
 def _kernel(expression: fem.Expression, library: Library, w: fem.Function) -> Kernel | None:

@@ -58,3 +58,7 @@ class Kernel:
         rules = files(__package__).joinpath("vectorise.py").read_text(encoding="utf-8")
         which = [self.folder.name, self.number] if many else []
         return Code("\n".join(map(str, [rules, written("lanes.h"), self.arguments, *which])), make)
+
+
+NO_KERNEL = Kernel(0, 7, Path(), 0)
+"""Of loops that are given what else a kernel would write."""

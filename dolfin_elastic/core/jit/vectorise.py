@@ -58,7 +58,7 @@ def kernel_in_lanes(folder: Path, number: int) -> str | None:
         "static __attribute__((noinline)) void tabulate(lanes* restrict A,\n"
         "    const lanes* restrict w, const lanes* restrict c,\n"
         "    const lanes* restrict coordinate_dofs)\n"
-        f"{body}\n#define TABULATE tabulate\n"
+        f"{body}\n#define TABULATE(...) ((void)kernel, tabulate(__VA_ARGS__))\n"
     )
 
 

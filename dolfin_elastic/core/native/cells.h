@@ -4,6 +4,11 @@
 
 #define LANE(values, entry, l) ((values)[(entry) * LANES + (l)])
 
+int64_t width(void)
+{
+  return LANES;
+}
+
 /* Constants, the same in all lanes. */
 static inline void spread(int64_t count, const double* values, double* out)
 {
@@ -13,7 +18,7 @@ static inline void spread(int64_t count, const double* values, double* out)
 }
 
 /* Of the next LANES cells, or of count and the last of them again.  Unknowns stand in rows of BS at
-   ND nodes of a cell, its geometry has NG nodes. */
+   NW nodes of a cell, its geometry has NG nodes. */
 static inline void take_cells(int64_t count, const int32_t* cells, const int32_t* corners,
                               const double* x, const int32_t* dofs, const double* unknowns,
                               double* y, double* w)
@@ -24,9 +29,9 @@ static inline void take_cells(int64_t count, const int32_t* cells, const int32_t
     for (int m = 0; m < NG; m++)
       for (int i = 0; i < 3; i++)
         LANE(y, 3 * m + i, l) = x[3 * (int64_t)corners[c * NG + m] + i];
-    for (int a = 0; a < ND; a++)
+    for (int a = 0; a < NW; a++)
       for (int i = 0; i < BS; i++)
-        LANE(w, BS * a + i, l) = unknowns[BS * (int64_t)dofs[c * ND + a] + i];
+        LANE(w, BS * a + i, l) = unknowns[BS * (int64_t)dofs[c * NW + a] + i];
   }
 }
 
@@ -68,5 +73,6 @@ static inline void put_cells(int64_t some, int64_t size, const lanes* values, do
       out[l * size + j] = LANE((const double*)values, j, l);
 }
 #else
-static inline void put_cells(int64_t some, int64_t size, const lanes* values, double* out) {}
+/* Of one cell, they are. */
+#define put_cells(some, size, values, out) ((void)(some))
 #endif

@@ -8,9 +8,11 @@
 
 /* Smallest and largest det F of each cell, and where there are `linear` laws, 1 or 0, the largest
    |grad u|^2.  What is no number counts as -inf, and as 0. */
-int64_t extremes(int64_t count, const int32_t* corners, const int32_t* nodes, const double* x,
-                 const double* u, const double* tables, const double* geometry_tables,
-                 int64_t linear, double* least, double* most, double* steepest)
+int64_t extremes(int64_t count, const int32_t corners[NG * count], const int32_t nodes[ND * count],
+                 int64_t points, const double x[3 * points], int64_t entries,
+                 const double u[entries], const double tables[NQ * DIM * NDP],
+                 const double geometry_tables[NQ * NG * DIM], int64_t linear, double least[count],
+                 double most[count], double steepest[linear * count])
 {
   for (int64_t c = 0; c < count; c++)
   {

@@ -1,7 +1,7 @@
 /* What any matrix by the half of its blocks needs.
 
-   Row i of n owned nodes has its block of the diagonal, those of owned nodes j > i, and those of all
-   nodes of other ranks, which are numbered from n on.  Blocks stand column by column. */
+   Row i of n owned nodes has its block of the diagonal, those of owned nodes j > i, and those of
+   all nodes of other ranks, which are numbered from n on.  Blocks stand column by column. */
 
 #include <stdint.h>
 #include <string.h>
@@ -63,7 +63,8 @@ INLINE void multiply_three(const int both, int64_t n, const int64_t* start, cons
 }
 
 /* Where rows of all blocks begin. */
-int64_t count_in_full(int64_t n, const int64_t* start, const int32_t* columns, int64_t* full)
+int64_t count_in_full(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+                      int64_t full[n + 1])
 {
   memset(full, 0, sizeof(int64_t) * (n + 1));
   for (int64_t i = 0; i < n; i++)
@@ -79,8 +80,9 @@ int64_t count_in_full(int64_t n, const int64_t* start, const int32_t* columns, i
 }
 
 /* Their columns, sorted, and where their blocks stand; `next` is room for n. */
-int64_t columns_in_full(int64_t n, const int64_t* start, const int32_t* columns,
-                        const int64_t* full, int64_t* next, int32_t* full_columns, int32_t* source)
+int64_t columns_in_full(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+                        const int64_t full[n + 1], int64_t next[n], int32_t full_columns[full[n]],
+                        int32_t source[full[n]])
 {
   memcpy(next, full, sizeof(int64_t) * n);
   for (int64_t i = 0; i < n; i++)

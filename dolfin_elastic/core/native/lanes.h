@@ -1,13 +1,18 @@
-/* Numbers of LANES cells at once; or of one cell, and then TABULATE of the kernel at `kernel`, which
-   has so many ARGUMENTS. */
+/* Numbers of LANES cells at once; or of one cell, and then TABULATE of the kernel at `kernel`,
+   which has so many ARGUMENTS. */
 
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
 
+#define INLINE static inline __attribute__((always_inline))
+/* Of eight numbers, as places, or true and false. */
+typedef int64_t marks __attribute__((vector_size(64)));
+
 #if LANES == 1
 typedef double lanes;
+#define fabs_lanes(x) fabs(x)
 /* FFCx 0.10 and newer hand on a pointer to the user's data, too. */
 #if ARGUMENTS == 7
 typedef void (*tabulate)(double*, const double*, const double*, const double*, const int*,
@@ -24,8 +29,6 @@ typedef double lanes __attribute__((vector_size(8 * LANES), may_alias));
 #define ZERO ((lanes){0})
 /* The same in all lanes, where it is a number; a vector as it is: x - 0 is x, also for x = -0. */
 #define SPREAD(x) ((x) - ZERO)
-#define INLINE static inline __attribute__((always_inline))
-typedef int64_t marks __attribute__((vector_size(8 * LANES)));
 #define CHOOSE(mark, x, y) ((lanes)(((mark) & (marks)(x)) | (~(mark) & (marks)(y))))
 #define OF_ONE(f)            \
   INLINE lanes each_##f(lanes x) \

@@ -25,9 +25,11 @@
   } while (0)
 
 /* Blocks of each node's rows.  Of own and of other columns `node` is that of each column. */
-int64_t count_blocks(int64_t n, int64_t R, const int64_t* start, const int32_t* columns,
-                     const int64_t* far_start, const int32_t* far_columns, const int32_t* node,
-                     const int32_t* far_node, int32_t* mark, int64_t* block_start)
+int64_t count_blocks(int64_t n, int64_t R, const int64_t start[n * R + 1],
+                     const int32_t columns[start[n * R]], const int64_t far_start[n * R + 1],
+                     const int32_t far_columns[far_start[n * R]], int64_t own,
+                     const int32_t node[own], int64_t far, const int32_t far_node[far],
+                     int64_t size, int32_t mark[size], int64_t block_start[n + 1])
 {
   block_start[0] = 0;
   for (int64_t i = 0; i < n; i++)
@@ -73,11 +75,16 @@ INLINE int64_t put(int64_t r, int64_t R, int64_t C, int64_t first, int64_t last,
 /* The same blocks, of some rows.  Of own and of other columns `component` is the one of each
    column.  Rows are counted from the first of these, entries and columns of blocks from that of
    all, and blocks from their first. */
-int64_t fill_blocks(int64_t n, int64_t R, int64_t C, const int64_t* start, const int32_t* columns,
-                    const double* values, const int64_t* far_start, const int32_t* far_columns,
-                    const double* far_values, const int32_t* node, const int32_t* far_node,
-                    const int8_t* component, const int8_t* far_component, int64_t* place,
-                    const int64_t* block_start, int32_t* block_columns, double* blocks)
+int64_t fill_blocks(int64_t n, int64_t R, int64_t C, const int64_t start[n * R + 1],
+                    const int32_t columns[start[n * R]], const double values[start[n * R]],
+                    const int64_t far_start[n * R + 1],
+                    const int32_t far_columns[far_start[n * R]],
+                    const double far_values[far_start[n * R]], int64_t own,
+                    const int32_t node[own], int64_t far, const int32_t far_node[far],
+                    const int8_t component[own], const int8_t far_component[far], int64_t size,
+                    int64_t place[size], const int64_t block_start[n + 1],
+                    int32_t block_columns[block_start[n]],
+                    double blocks[R * C * (block_start[n] - block_start[0])])
 {
   blocks -= block_start[0] * R * C;
   for (int64_t i = 0; i < n; i++)
@@ -98,8 +105,10 @@ int64_t fill_blocks(int64_t n, int64_t R, int64_t C, const int64_t* start, const
 /* Loops that need the blocks of a matrix take n rows from `first` on, and their blocks alone. */
 
 /* Blocks of the diagonal. */
-int64_t take_diagonal(int64_t first, int64_t n, int64_t R, const int64_t* start,
-                      const int32_t* columns, const double* blocks, double* diagonal)
+int64_t take_diagonal(int64_t first, int64_t n, int64_t R, const int64_t start[first + n + 1],
+                      const int32_t columns[start[first + n]],
+                      const double blocks[R * R * (start[first + n] - start[first])],
+                      double diagonal[R * R * (first + n)])
 {
   blocks -= start[first] * R * R;
   for (int64_t i = first; i < first + n; i++)
@@ -157,7 +166,7 @@ INLINE void invert_blocks_(const int R, const int C, int64_t n, double* blocks)
     }
   }
 }
-int64_t invert_blocks(int64_t R, int64_t n, double* blocks)
+int64_t invert_blocks(int64_t R, int64_t n, double blocks[R * R * n])
 {
   DISPATCH(R, R, invert_blocks_, n, blocks);
   return 0;
@@ -176,7 +185,8 @@ INLINE void times_diagonal_(const int R, const int C, int64_t n, const double* b
       y[i * R + r] = s;
     }
 }
-int64_t times_diagonal(int64_t R, int64_t n, const double* blocks, const double* x, double* y)
+int64_t times_diagonal(int64_t R, int64_t n, const double blocks[R * R * n], const double x[R * n],
+                       double y[R * n])
 {
   DISPATCH(R, R, times_diagonal_, n, blocks, x, y);
   return 0;
@@ -200,9 +210,11 @@ INLINE void connections_(const int R, const int C, int64_t first, int64_t n, con
       strong[k] = j == i ? 0.0f : (float)(weak ? -square / size : square / size);
     }
 }
-int64_t connections(int64_t first, int64_t n, int64_t R, const int64_t* start,
-                    const int32_t* columns, const double* blocks, int64_t owned,
-                    const double* sizes, float* strong, const double* threshold)
+int64_t connections(int64_t first, int64_t n, int64_t R, const int64_t start[first + n + 1],
+                    const int32_t columns[start[first + n]],
+                    const double blocks[R * R * (start[first + n] - start[first])], int64_t owned,
+                    const double sizes[owned], float strong[start[first + n]],
+                    const double threshold[1])
 {
   DISPATCH(R, R, connections_, first, n, start, columns, blocks, owned, sizes, strong,
            threshold[0]);
@@ -211,8 +223,8 @@ int64_t connections(int64_t first, int64_t n, int64_t R, const int64_t* start,
 
 /* Aggregates of strongly connected owned nodes: Vanek, Mandel & Brezina (1996), Algorithm 2.
    Nodes without any connection get -1. Returns the number of aggregates. */
-int64_t aggregate(int64_t n, const int64_t* start, const int32_t* columns, const float* strong,
-                  int32_t* member)
+int64_t aggregate(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+                  const float strong[start[n]], int32_t member[n])
 {
   int32_t count = 0;
   const int32_t FREE = -2;
@@ -271,8 +283,10 @@ int64_t aggregate(int64_t n, const int64_t* start, const int32_t* columns, const
 }
 
 /* Modes move no prescribed component: one whose row has no entry but on the diagonal. */
-int64_t hold_fixed(int64_t first, int64_t n, int64_t R, int64_t C, const int64_t* start,
-                   const int32_t* columns, const double* blocks, double* modes)
+int64_t hold_fixed(int64_t first, int64_t n, int64_t R, int64_t C,
+                   const int64_t start[first + n + 1], const int32_t columns[start[first + n]],
+                   const double blocks[R * R * (start[first + n] - start[first])],
+                   double modes[R * C * (first + n)])
 {
   blocks -= start[first] * R * R;
   for (int64_t i = first; i < first + n; i++)
@@ -291,8 +305,9 @@ int64_t hold_fixed(int64_t first, int64_t n, int64_t R, int64_t C, const int64_t
 
 /* Orthonormal modes of each aggregate: modes (n, R, C) become the tentative interpolation, factors
    (aggregates, C, C) the modes of the coarse level. */
-int64_t orthonormalise(int64_t n, int64_t R, int64_t C, int64_t aggregates, const int32_t* member,
-                       double* modes, double* factors, double* work)
+int64_t orthonormalise(int64_t n, int64_t R, int64_t C, int64_t aggregates,
+                       const int32_t member[n], double modes[R * C * n],
+                       double factors[C * C * aggregates], double work[2 * aggregates])
 {
   memset(factors, 0, sizeof(double) * aggregates * C * C);
   double* before = work;            /* (aggregates) squares */
@@ -498,9 +513,9 @@ ROWS_AS_LANES(8, integers8, floats8, lanes8)
    a weak connection counts as if it moved with the aggregate of node i, as a rigid body: its modes
    times `turned`, the inverse factors of that aggregate.  So P stays sparse, and rigid motions are
    still interpolated. */
-int64_t count_smoothed(int64_t n, const int64_t* start, const int32_t* columns,
-                       const float* strong, const int32_t* member, int32_t* mark,
-                       int64_t* p_start)
+int64_t count_smoothed(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+                       const float strong[start[n]], int64_t nodes, const int32_t member[nodes],
+                       int64_t groups, int32_t mark[groups], int64_t p_start[n + 1])
 {
   p_start[0] = 0;
   for (int64_t i = 0; i < n; i++)
@@ -570,12 +585,17 @@ INLINE void fill_smoothed_(const int R, const int C, int64_t first, int64_t n,
     }
   }
 }
-int64_t fill_smoothed(int64_t R, int64_t C, int64_t first, int64_t n, const int64_t* start,
-                      const int32_t* columns, const double* blocks, const float* strong,
-                      const double* inverse,
-                      const double* modes, const double* turned, const double* tentative,
-                      const int32_t* member, const double* omega, const int64_t* p_start,
-                      int32_t* p_columns, float* p_blocks, int32_t* place, double* w)
+int64_t fill_smoothed(int64_t R, int64_t C, int64_t first, int64_t n,
+                      const int64_t start[first + n + 1], const int32_t columns[start[first + n]],
+                      const double blocks[R * R * (start[first + n] - start[first])],
+                      const float strong[start[first + n]],
+                      const double inverse[R * R * (first + n)], int64_t nodes,
+                      const double modes[R * C * nodes], const double tentative[R * C * nodes],
+                      const int32_t member[nodes], int64_t own, const double turned[C * C * own],
+                      const double omega[1], const int64_t p_start[first + n + 1],
+                      int32_t p_columns[p_start[first + n]],
+                      float p_blocks[R * C * p_start[first + n]], int64_t groups,
+                      int32_t place[groups], int64_t most, double w[8 * R * most])
 {
   DISPATCH(R, C, fill_smoothed_, first, n, start, columns, blocks, strong, inverse, modes, turned,
            tentative, member, omega[0], p_start, p_columns, p_blocks, place, w);
@@ -583,8 +603,9 @@ int64_t fill_smoothed(int64_t R, int64_t C, int64_t first, int64_t n, const int6
 }
 
 /* Rows that each of `size` columns has entries in, sorted; `next` is room for as many. */
-int64_t transpose(int64_t n, int64_t size, const int64_t* start, const int32_t* columns,
-                  int64_t* t_start, int32_t* t_columns, int64_t* next)
+int64_t transpose(int64_t n, int64_t size, const int64_t start[n + 1],
+                  const int32_t columns[start[n]], int64_t t_start[size + 1],
+                  int32_t t_columns[start[n]], int64_t next[size])
 {
   memset(t_start, 0, sizeof(int64_t) * (size + 1));
   for (int64_t k = 0; k < start[n]; k++)
@@ -599,8 +620,9 @@ int64_t transpose(int64_t n, int64_t size, const int64_t* start, const int32_t* 
 }
 
 /* The most entries that a product A B may have. */
-int64_t most_of_product(int64_t n, const int64_t* a_start, const int32_t* a_columns,
-                        const int64_t* b_start)
+int64_t most_of_product(int64_t n, const int64_t a_start[n + 1],
+                        const int32_t a_columns[a_start[n]], int64_t rows,
+                        const int64_t b_start[rows + 1])
 {
   int64_t count = 0;
   for (int64_t k = 0; k < a_start[n]; k++)
@@ -610,10 +632,12 @@ int64_t most_of_product(int64_t n, const int64_t* a_start, const int32_t* a_colu
 
 /* Where rows of a product A B begin, and their columns, row by row.  Where they are `halved`, only
    those from the diagonal on of two nodes of the same `side`. */
-int64_t product_pattern(int64_t n, const int64_t* a_start, const int32_t* a_columns,
-                        const int64_t* b_start, const int32_t* b_columns, int64_t halved,
-                        const int32_t* side, const int64_t* numbers, int32_t* mark, int64_t* start,
-                        int32_t* columns)
+int64_t product_pattern(int64_t n, const int64_t a_start[n + 1],
+                        const int32_t a_columns[a_start[n]], int64_t rows,
+                        const int64_t b_start[rows + 1], const int32_t b_columns[b_start[rows]],
+                        int64_t size, int64_t halved, const int32_t side[halved * size],
+                        const int64_t numbers[halved * size], int32_t mark[size],
+                        int64_t start[n + 1], int64_t most, int32_t columns[most])
 {
   start[0] = 0;
   for (int64_t i = 0; i < n; i++)
@@ -685,11 +709,15 @@ INLINE void galerkin_(const int R, const int C, int64_t first, int64_t n, const 
       place[list[s]] = -1;
   }
 }
-int64_t galerkin(int64_t R, int64_t C, int64_t first, int64_t n, const int64_t* start,
-                 const int32_t* columns, const double* blocks, const int64_t* p_start,
-                 const int32_t* p_columns, const float* p_blocks, const int64_t* c_start,
-                 const int32_t* c_columns, double* coarse, const int32_t* side,
-                 const int64_t* numbers, int32_t* place, int32_t* list, double* w)
+int64_t galerkin(int64_t R, int64_t C, int64_t first, int64_t n,
+                 const int64_t start[first + n + 1], const int32_t columns[start[first + n]],
+                 const double blocks[R * R * (start[first + n] - start[first])], int64_t nodes,
+                 const int64_t p_start[nodes + 1], const int32_t p_columns[p_start[nodes]],
+                 const float p_blocks[R * C * p_start[nodes]], int64_t groups,
+                 const int64_t c_start[groups + 1], const int32_t c_columns[c_start[groups]],
+                 double coarse[C * C * c_start[groups]], int64_t size, const int32_t side[size],
+                 const int64_t numbers[size], int32_t place[size], int64_t most,
+                 int32_t list[most], double w[8 * R * most])
 {
   DISPATCH(R, C, galerkin_, first, n, start, columns, blocks, p_start, p_columns, p_blocks, c_start,
            c_columns, coarse, side, numbers, place, list, w);
@@ -713,15 +741,17 @@ INLINE void product_(const int R, const int C, int64_t n, const int64_t* start,
       y[i * R + r] = z[r];
   }
 }
-int64_t product(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
-                const double* blocks, const double* x, double* y)
+int64_t product(int64_t R, int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+                const double blocks[R * R * start[n]], int64_t nodes, const double x[R * nodes],
+                double y[R * n])
 {
   DISPATCH(R, R, product_, n, start, columns, blocks, x, y);
   return 0;
 }
 
 /* Blocks of single precision, column by column. */
-int64_t in_single_precision(int64_t count, int64_t R, int64_t C, const double* blocks, float* out)
+int64_t in_single_precision(int64_t count, int64_t R, int64_t C,
+                            const double blocks[R * C * count], float out[R * C * count])
 {
   for (int64_t k = 0; k < count; k++)
     for (int64_t c = 0; c < C; c++)
@@ -731,7 +761,7 @@ int64_t in_single_precision(int64_t count, int64_t R, int64_t C, const double* b
 }
 
 /* The same in the first half of the memory of the blocks. */
-int64_t into_single_precision(int64_t count, int64_t R, int64_t C, double* blocks)
+int64_t into_single_precision(int64_t count, int64_t R, int64_t C, double blocks[R * C * count])
 {
   double a[MODES * MODES];
   float out[MODES * MODES];
@@ -813,8 +843,8 @@ INLINE void correct_(const int R, const int C, int64_t n, const float* inverse, 
       y[i * R + k] = z[k];
   }
 }
-int64_t correct(int64_t R, int64_t n, const float* inverse, const double* x, const double* b,
-                double* y)
+int64_t correct(int64_t R, int64_t n, const float inverse[R * R * n], const double x[R * n],
+                const double b[R * n], double y[R * n])
 {
   DISPATCH(R, R, correct_, n, inverse, x, b, y);
   return 0;
@@ -825,6 +855,7 @@ INLINE void smooth_(const int R, const int C, int64_t n, const int64_t* start,
                     const int32_t* columns, const float* a, const float* inverse, const double* x,
                     const double* b, double* y)
 {
+  (void)C;
   for (int64_t i = 0; i < n; i++)
   {
     double r[R], z[R];
@@ -840,8 +871,9 @@ INLINE void smooth_(const int R, const int C, int64_t n, const int64_t* start,
       y[i * R + k] = x[i * R + k] + z[k];
   }
 }
-int64_t smooth(int64_t R, int64_t n, const int64_t* start, const int32_t* columns, const float* a,
-               const float* inverse, const double* x, const double* b, double* y)
+int64_t smooth(int64_t R, int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+               const float a[R * R * start[n] + 1], const float inverse[R * R * n], int64_t nodes,
+               const double x[R * nodes], const double b[R * n], double y[R * n])
 {
   DISPATCH(R, R, smooth_, n, start, columns, a, inverse, x, b, y);
   return 0;
@@ -863,7 +895,8 @@ INLINE void smooth_first_(const int R, const int C, int64_t n, const float* inve
       y[i * R + k] = z[k];
   }
 }
-int64_t smooth_first(int64_t R, int64_t n, const float* inverse, const double* b, double* y)
+int64_t smooth_first(int64_t R, int64_t n, const float inverse[R * R * n], const double b[R * n],
+                     double y[R * n])
 {
   DISPATCH(R, R, smooth_first_, n, inverse, b, y);
   return 0;
@@ -888,8 +921,9 @@ INLINE void restrict_(const int R, const int C, int64_t n, const int64_t* p_star
   for (int64_t i = 0; i < n; i++)
     restrict_node(R, C, p_start[i], p_start[i + 1], p_columns, p, r + i * R, coarse);
 }
-int64_t restrict_vector(int64_t R, int64_t C, int64_t n, const int64_t* p_start,
-                        const int32_t* p_columns, const float* p, const double* r, double* coarse)
+int64_t restrict_vector(int64_t R, int64_t C, int64_t n, const int64_t p_start[n + 1],
+                        const int32_t p_columns[p_start[n]], const float p[R * C * p_start[n]],
+                        const double r[R * n], int64_t groups, double coarse[C * groups])
 {
   DISPATCH(R, C, restrict_, n, p_start, p_columns, p, r, coarse);
   return 0;
@@ -912,10 +946,12 @@ INLINE void restrict_residual_(const int R, const int C, int64_t n, const int64_
     restrict_node(R, C, p_start[i], p_start[i + 1], p_columns, p, r, coarse);
   }
 }
-int64_t restrict_residual(int64_t R, int64_t C, int64_t n, const int64_t* start,
-                          const int32_t* columns, const float* a, const double* x, const double* b,
-                          const int64_t* p_start, const int32_t* p_columns, const float* p,
-                          double* coarse)
+int64_t restrict_residual(int64_t R, int64_t C, int64_t n, const int64_t start[n + 1],
+                          const int32_t columns[start[n]], const float a[R * R * start[n] + 1],
+                          int64_t nodes, const double x[R * nodes], const double b[R * n],
+                          const int64_t p_start[n + 1], const int32_t p_columns[p_start[n]],
+                          const float p[R * C * p_start[n]], int64_t groups,
+                          double coarse[C * groups])
 {
   DISPATCH(R, C, restrict_residual_, n, start, columns, a, x, b, p_start, p_columns, p, coarse);
   return 0;
@@ -928,8 +964,9 @@ INLINE void prolong_(const int R, const int C, int64_t n, const int64_t* p_start
   for (int64_t i = 0; i < n; i++)
     AS_LANES(C, add_prolonged, R, C, p_start[i], p_start[i + 1], p_columns, p, e, x + i * R);
 }
-int64_t prolong(int64_t R, int64_t C, int64_t n, const int64_t* p_start, const int32_t* p_columns,
-                const float* p, const double* e, double* x)
+int64_t prolong(int64_t R, int64_t C, int64_t n, const int64_t p_start[n + 1],
+                const int32_t p_columns[p_start[n]], const float p[R * C * p_start[n]],
+                int64_t groups, const double e[C * groups], double x[R * n])
 {
   DISPATCH(R, C, prolong_, n, p_start, p_columns, p, e, x);
   return 0;
@@ -952,9 +989,12 @@ INLINE void rows_of_half_(const int R, const int C, int64_t first, int64_t count
             blocks[r * C + c] = a[c * R + r];
     }
 }
-int64_t rows_of_half(int64_t R, int64_t first, int64_t count, const int64_t* full,
-                     const int32_t* full_columns, const int32_t* source, const double* half,
-                     double* blocks)
+int64_t rows_of_half(int64_t R, int64_t first, int64_t count,
+                     const int64_t full[first + count + 1],
+                     const int32_t full_columns[full[first + count]],
+                     const int32_t source[full[first + count]], int64_t stored,
+                     const double half[R * R * stored],
+                     double blocks[R * R * (full[first + count] - full[first])])
 {
   DISPATCH(R, R, rows_of_half_, first, count, full, full_columns, source, half, blocks);
   return 0;
@@ -990,8 +1030,9 @@ INLINE void product_of_half_(const int R, const int C, int64_t n, const int64_t*
           y[j * R + c] += t[c];
     }
 }
-int64_t product_of_half(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
-                        const double* half, const double* x, double* y)
+int64_t product_of_half(int64_t R, int64_t n, const int64_t start[n + 1],
+                        const int32_t columns[start[n]], const double half[R * R * start[n]],
+                        int64_t nodes, const double x[R * nodes], double y[R * n])
 {
   DISPATCH(R, R, product_of_half_, n, start, columns, half, x, y);
   return 0;
@@ -1074,8 +1115,10 @@ INLINE void rounded_product_of_half_(const int R, const int C, int64_t n, const 
           }
       }
 }
-int64_t rounded_product_of_half(int64_t R, int64_t n, const int64_t* start, const int32_t* columns,
-                                const float* half, const double* x, double* y)
+int64_t rounded_product_of_half(int64_t R, int64_t n, const int64_t start[n + 1],
+                                const int32_t columns[start[n]],
+                                const float half[R * R * start[n] + R / 3], int64_t nodes,
+                                const double x[R * nodes], double y[R * n])
 {
   DISPATCH(R, R, rounded_product_of_half_, n, start, columns, half, x, y);
   return 0;

@@ -46,9 +46,11 @@ static inline double monomials(const double X[DIM], const double* restrict centr
   return square;
 }
 
-int64_t add_spread(int64_t count, const int32_t* cells, const int32_t* geometry, const double* x,
-                   const double* samples, const int32_t* corners, const double* centres,
-                   double* sums)
+int64_t add_spread(int64_t count, const int32_t cells[count], int64_t every,
+                   const int32_t geometry[NG * every], int64_t nodes, const double x[3 * nodes],
+                   const double samples[NS * NG], const int32_t corners[NC * count],
+                   int64_t vertices, const double centres[DIM * vertices],
+                   double sums[2 * vertices])
 {
   double X[NS][DIM];
   for (int64_t n = 0; n < count; n++)
@@ -69,9 +71,11 @@ int64_t add_spread(int64_t count, const int32_t* cells, const int32_t* geometry,
   return 0;
 }
 
-int64_t add_products(int64_t count, const int32_t* cells, const int32_t* geometry, const double* x,
-                     const double* samples, const int32_t* corners, const double* centres,
-                     const double* size, double* sums)
+int64_t add_products(int64_t count, const int32_t cells[count], int64_t every,
+                     const int32_t geometry[NG * every], int64_t nodes, const double x[3 * nodes],
+                     const double samples[NS * NG], const int32_t corners[NC * count],
+                     int64_t vertices, const double centres[DIM * vertices],
+                     const double size[vertices], double sums[NM * NM * vertices])
 {
   double X[NS][DIM], p[NM];
   for (int64_t n = 0; n < count; n++)
@@ -137,8 +141,9 @@ static inline int invert_leading(int kept, double limit, const double* restrict 
 
 /* Of each patch, by all monomials, or else by those of the highest degree that can be; the rest of
    `inverses` is zero. */
-int64_t invert_products(int64_t count, const double* limit, const double* products,
-                        double* inverses, int8_t* whole)
+int64_t invert_products(int64_t count, const double limit[1],
+                        const double products[NM * NM * count], double inverses[NM * NM * count],
+                        int8_t whole[count])
 {
   for (int64_t v = 0; v < count; v++)
   {
@@ -151,9 +156,12 @@ int64_t invert_products(int64_t count, const double* limit, const double* produc
   return 0;
 }
 
-int64_t add_gains(int64_t count, const int32_t* cells, const int32_t* geometry, const double* x,
-                  const double* samples, const int32_t* corners, const double* centres,
-                  const double* size, const double* solve, double* sums)
+int64_t add_gains(int64_t count, const int32_t cells[count], int64_t every,
+                  const int32_t geometry[NG * every], int64_t nodes, const double x[3 * nodes],
+                  const double samples[NS * NG], const int32_t corners[NC * count],
+                  int64_t vertices, const double centres[DIM * vertices],
+                  const double size[vertices], const double solve[NM * NM * vertices],
+                  double sums[vertices])
 {
   double X[NS][DIM], p[NM];
   for (int64_t n = 0; n < count; n++)
@@ -176,9 +184,12 @@ int64_t add_gains(int64_t count, const int32_t* cells, const int32_t* geometry, 
   return 0;
 }
 
-int64_t add_moments(int64_t count, const int32_t* cells, const int32_t* geometry, const double* x,
-                    const double* samples, const int32_t* corners, const double* centres,
-                    const double* size, int64_t width, const double* values, double* sums)
+int64_t add_moments(int64_t count, const int32_t cells[count], int64_t every,
+                    const int32_t geometry[NG * every], int64_t nodes, const double x[3 * nodes],
+                    const double samples[NS * NG], const int32_t corners[NC * count],
+                    int64_t vertices, const double centres[DIM * vertices],
+                    const double size[vertices], int64_t width,
+                    const double values[NS * width * count], double sums[NM * width * vertices])
 {
   double X[NS][DIM], p[NM];
   for (int64_t n = 0; n < count; n++)
@@ -206,20 +217,21 @@ int64_t add_moments(int64_t count, const int32_t* cells, const int32_t* geometry
 
 /* Values of the polynomials at corners, and in the middle of edges the mean of those of both ends;
    for each cell, node and column. */
-int64_t take_nodal(int64_t count, const int32_t* cells, const int32_t* geometry, const double* x,
-                   const double* shape, const int32_t* corners, const double* centres,
-                   const double* size, const int32_t* edges, int64_t width, const double* fitted,
-                   double* values)
+int64_t take_nodal(int64_t count, const int32_t cells[count], int64_t every,
+                   const int32_t geometry[NG * every], int64_t nodes, const double x[3 * nodes],
+                   const double shape[ND * NG], const int32_t corners[NC * count],
+                   int64_t vertices, const double centres[DIM * vertices],
+                   const double size[vertices], const int32_t edges[2 * (ND - NC)], int64_t width,
+                   const double fitted[NM * width * vertices], double values[ND * width * count])
 {
-#if DEGREE > 1
   double X[ND][DIM], p[NM];
-#endif
   for (int64_t n = 0; n < count; n++)
   {
     double* cell = values + n * ND * width;
     for (int k = 0; k < NC; k++)
       memcpy(cell + k * width, fitted + corners[n * NC + k] * NM * width, sizeof(double) * width);
-#if DEGREE > 1
+    if (ND == NC)
+      continue;
     places(geometry + (int64_t)cells[n] * NG, x, shape, ND, X);
     memset(cell + NC * width, 0, sizeof(double) * (ND - NC) * width);
     for (int k = NC; k < ND; k++)
@@ -236,14 +248,15 @@ int64_t take_nodal(int64_t count, const int32_t* cells, const int32_t* geometry,
             value[w] += factor * polynomial[i * width + w];
         }
       }
-#endif
   }
   return 0;
 }
 
 /* Sums at the nodes of a space, and in a last column the number of summands. */
-int64_t add_nodal(int64_t count, const int32_t* cells, const int32_t* nodes, int64_t width,
-                  const double* values, double* sums)
+int64_t add_nodal(int64_t count, const int32_t cells[count], int64_t every,
+                  const int32_t nodes[ND * every], int64_t width,
+                  const double values[ND * width * count], int64_t rows,
+                  double sums[rows * (width + 1)])
 {
   for (int64_t n = 0; n < count; n++)
     for (int k = 0; k < ND; k++)
@@ -286,12 +299,15 @@ static inline double work(int64_t pairs, const double* shares, const double* val
    von Mises stress, and the volume; and the recovered stress at nodes less that of the cell.
    The raw values of a cell are `stride` rows, of which those of its points begin with `first` and
    lie `step` apart: 0 where they are the same at all points. */
-int64_t add_errors(int64_t count, const int32_t* cells, const int32_t* geometry, const double* x,
-                   int64_t points, const double* gradients, const double* weights,
-                   const double* shape, const double* to_nodes, int64_t width, int64_t pairs,
-                   const double* shares, int64_t weighted, const double* recovered,
-                   int64_t stride, int64_t first, int64_t step, const double* raw, double* found,
-                   double* difference)
+int64_t add_errors(int64_t count, const int32_t cells[count], int64_t every,
+                   const int32_t geometry[NG * every], int64_t nodes, const double x[3 * nodes],
+                   int64_t points, const double gradients[points * NG * DIM],
+                   const double weights[points], const double shape[points * ND],
+                   const double to_nodes[ND * points], int64_t width, int64_t pairs,
+                   const double shares[pairs], int64_t weighted,
+                   const double recovered[ND * width * count], int64_t stride, int64_t first,
+                   int64_t step, const double raw[stride * width * count], double found[4 * count],
+                   double difference[6 * ND * count])
 {
   double off[WIDEST];
   for (int64_t n = 0; n < count; n++)

@@ -1,4 +1,4 @@
-/* Half of a symmetric tangent, see halves.h and split.h: product, diagonal, places, and rows in full.
+/* Half of a symmetric tangent, see halves.h and split.h: product, diagonal, places, rows in full.
 
    DIM: components of a node. */
 
@@ -43,22 +43,25 @@ INLINE void multiply(const int both, int64_t n, const int64_t* start, const int3
 #endif
 }
 
-int64_t product(int64_t n, const int64_t* start, const int32_t* columns, const float* high,
-                const float* low, const double* x, double* y)
+int64_t product(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+                const float high[SQUARE * start[n] + 1], const float low[SQUARE * start[n] + 1],
+                int64_t nodes, const double x[DIM * nodes], double y[DIM * n])
 {
   multiply(1, n, start, columns, high, low, x, y);
   return 0;
 }
 
-int64_t rounded_product(int64_t n, const int64_t* start, const int32_t* columns, const float* high,
-                        const double* x, double* y)
+int64_t rounded_product(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+                        const float high[SQUARE * start[n] + 1], int64_t nodes,
+                        const double x[DIM * nodes], double y[DIM * n])
 {
   multiply(0, n, start, columns, high, high, x, y);
   return 0;
 }
 
-int64_t take_diagonal(int64_t n, const int64_t* start, const float* high, const float* low,
-                      double* diagonal)
+int64_t take_diagonal(int64_t n, const int64_t start[n + 1],
+                      const float high[SQUARE * start[n] + 1],
+                      const float low[SQUARE * start[n] + 1], double diagonal[DIM * n])
 {
   for (int64_t i = 0; i < n; i++)
     for (int r = 0; r < DIM; r++)
@@ -70,8 +73,9 @@ int64_t take_diagonal(int64_t n, const int64_t* start, const float* high, const 
 }
 
 /* Overwrites some entries of the diagonal. */
-int64_t put_diagonal(int64_t count, const int32_t* entries, const double* values,
-                     const int64_t* start, float* high, float* low)
+int64_t put_diagonal(int64_t count, const int32_t entries[count], const double values[count],
+                     int64_t n, const int64_t start[n + 1], float high[SQUARE * start[n] + 1],
+                     float low[SQUARE * start[n] + 1])
 {
   for (int64_t m = 0; m < count; m++)
   {
@@ -83,8 +87,8 @@ int64_t put_diagonal(int64_t count, const int32_t* entries, const double* values
 }
 
 /* Adds blocks, row by row, at their places; those without a place are left out. */
-int64_t add_blocks(int64_t count, const int64_t* places, const double* blocks, float* high,
-                   float* low)
+int64_t add_blocks(int64_t count, const int64_t places[count], const double blocks[SQUARE * count],
+                   int64_t stored, float high[SQUARE * stored + 1], float low[SQUARE * stored + 1])
 {
   for (int64_t m = 0; m < count; m++)
     for (int r = 0; places[m] >= 0 && r < DIM; r++)
@@ -97,9 +101,11 @@ int64_t add_blocks(int64_t count, const int64_t* places, const double* blocks, f
 }
 
 /* The blocks of some rows, row by row. */
-int64_t rows_in_full(int64_t first, int64_t count, const int64_t* full,
-                     const int32_t* full_columns, const int32_t* source, const float* high,
-                     const float* low, double* blocks)
+int64_t rows_in_full(int64_t first, int64_t count, const int64_t full[first + count + 1],
+                     const int32_t full_columns[full[first + count]],
+                     const int32_t source[full[first + count]], int64_t stored,
+                     const float high[SQUARE * stored + 1], const float low[SQUARE * stored + 1],
+                     double blocks[SQUARE * (full[first + count] - full[first])])
 {
   for (int64_t i = first; i < first + count; i++)
     for (int64_t p = full[i]; p < full[i + 1]; p++, blocks += SQUARE)

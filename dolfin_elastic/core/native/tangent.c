@@ -9,14 +9,17 @@
    same derivatives of the pressure's equation; N are the shape functions of the displacement, M
    those of the pressure, of which there may be none.
 
+   Of LANES cells at once moduli are contracted where they are: in the first cache of a core, or in
+   the second one.
+
    Sources: Belytschko, Liu & Moran, Nonlinear Finite Elements (2000), (6.4.6), with A in place of
    its material and geometric parts; Bonet & Wood, Nonlinear Continuum Mechanics for Finite Element
    Analysis (2008), 8.6. */
 
-#include <math.h>
-#include <stdint.h>
-#include <string.h>
+#define real lanes
+#define MAGNITUDE(x) fabs_lanes(x)
 
+#include "cells.h"
 #include "gradients.h"
 #include "split.h"
 
@@ -26,8 +29,11 @@
 #define SQUARE (DIM * DIM)
 #define UPPER (ND * (ND + 1) / 2)
 #define COUPLINGS (NP == 0 ? 0 : SYMMETRIC ? 1 : 2)
-#define STIFFNESSES (SYMMETRIC ? DIM * (DIM + 1) / 2 * SQUARE : SQUARE * SQUARE)
-#define MODULI (STIFFNESSES + COUPLINGS * SQUARE + (NP > 0))
+/* Pairs of components i and k: i <= k where the tangent is symmetric. */
+#define PAIRS (SYMMETRIC ? DIM * (DIM + 1) / 2 : SQUARE)
+#define MODULI (PAIRS * SQUARE + COUPLINGS * SQUARE + (NP > 0))
+/* One cell after the other, rows are whole vector registers. */
+#define COLUMNS (LANES == 1 ? NDP : ND)
 
 static inline void first_unknowns(const int32_t* nodes, int32_t* first)
 {
@@ -37,8 +43,10 @@ static inline void first_unknowns(const int32_t* nodes, int32_t* first)
 
 /* Place of node b's first column within the rows of node a, for all pairs of a cell's nodes.
    Columns are sorted within a row; the rows of a node have the same columns. */
-int64_t find_places(int64_t count, const int32_t* cells, const int32_t* nodes,
-                    const int64_t* start, const int32_t* columns, uint16_t* places)
+int64_t find_places(int64_t count, const int32_t cells[count], int64_t every,
+                    const int32_t nodes[NODES * every], int64_t rows,
+                    const int64_t start[rows + 1], const int32_t columns[start[rows]],
+                    uint16_t places[NODES * NODES * every])
 {
   for (int64_t n = 0; n < count; n++)
     for (int a = 0; a < NODES; a++)
@@ -64,72 +72,96 @@ int64_t find_places(int64_t count, const int32_t* cells, const int32_t* nodes,
   return -1;
 }
 
-struct tangent
+/* What elements of the tangent are made of, the same for all cells. */
+struct model
 {
-  double K[DIM][DIM][ND][NDP], G[DIM][NP][NDP], H[DIM][NP][NDP], C[NP][NP];
+  int64_t kernel;
+  const int32_t *corners, *dofs;
+  const double *x, *unknowns, *moduli, *tables, *pressures, *geometry_tables, *weights;
+  const lanes* constants;
 };
 
-static inline void add_stiffness(const double* restrict A, double g[DIM][NDP], double volume,
-                                 double K[DIM][DIM][ND][NDP])
+/* Of K_ai,bk where the tangent is symmetric i <= k only, and of several cells, i = k, a <= b only;
+   H is G then. */
+struct tangent
+{
+  lanes K[PAIRS * ND * COLUMNS], G[DIM][NP][COLUMNS], H[DIM][NP][COLUMNS], C[NP][NP];
+};
+
+/* Where K_ai,bk is. */
+INLINE int entry(int i, int k, int a, int b)
+{
+  const int turned = SYMMETRIC && (i > k || (LANES > 1 && i == k && a > b));
+  const int I = turned ? k : i, K = turned ? i : k;
+  const int pair = SYMMETRIC ? I * DIM - I * (I - 1) / 2 + K - I : I * DIM + K;
+  return (pair * ND + (turned ? b : a)) * COLUMNS + (turned ? a : b);
+}
+
+INLINE void add_stiffness(const lanes* restrict A, lanes g[DIM][NDP], lanes volume, lanes* K)
 {
   for (int i = 0; i < DIM; i++)
-    for (int k = SYMMETRIC ? i : 0; k < DIM; k++, A += SQUARE)
+    for (int k = SYMMETRIC ? i : 0; k < DIM; k++, A += SQUARE, K += ND * COLUMNS)
     {
-      double h[DIM][NDP];
+      lanes h[DIM][COLUMNS];
       for (int J = 0; J < DIM; J++)
-      {
-        const double* row = A + J * DIM;
-        for (int b = 0; b < NDP; b++)
+        for (int b = 0; b < COLUMNS; b++)
         {
-          double sum = 0.0;
-          for (int L = 0; L < DIM; L++)
-            sum += row[L] * g[L][b];
+          lanes sum = A[J * DIM] * g[0][b];
+          for (int L = 1; L < DIM; L++)
+            sum += A[J * DIM + L] * g[L][b];
           h[J][b] = volume * sum;
         }
-      }
       for (int a = 0; a < ND; a++)
-        for (int b = 0; b < NDP; b++)
+        for (int b = SYMMETRIC && LANES > 1 && i == k ? a : 0; b < COLUMNS; b++)
         {
-          double sum = K[i][k][a][b];
+          lanes sum = K[a * COLUMNS + b];
           for (int J = 0; J < DIM; J++)
             sum += g[J][a] * h[J][b];
-          K[i][k][a][b] = sum;
+          K[a * COLUMNS + b] = sum;
         }
     }
 }
 
-static inline void add_coupling(const double* restrict G, double g[DIM][NDP],
-                                const double* restrict M, double volume, double K[DIM][NP][NDP])
+INLINE void add_coupling(const lanes* restrict G, lanes g[DIM][NDP], const double* restrict M,
+                         lanes volume, lanes K[DIM][NP][COLUMNS])
 {
   for (int i = 0; i < DIM; i++)
     for (int b = 0; b < NP; b++)
     {
-      const double factor = volume * M[b];
-      for (int a = 0; a < NDP; a++)
+      const lanes factor = volume * M[b];
+      for (int a = 0; a < COLUMNS; a++)
       {
-        double sum = 0.0;
-        for (int J = 0; J < DIM; J++)
+        lanes sum = G[i * DIM] * g[0][a];
+        for (int J = 1; J < DIM; J++)
           sum += G[i * DIM + J] * g[J][a];
         K[i][b][a] += factor * sum;
       }
     }
 }
 
-static inline void element(const int32_t* corners, const double* x, const double* restrict moduli,
-                           const double* restrict tables, const double* restrict pressures,
-                           const double* restrict geometry_tables, const double* restrict weights,
-                           struct tangent* restrict T)
+/* Of some cells, the n-th and those after it. */
+static void elements(const struct model* m, int64_t some, int64_t n, const int32_t* cells,
+                     struct tangent* restrict T)
 {
-  double g[DIM][NDP], y[NG][3];
-  for (int m = 0; m < NG; m++)
-    memcpy(y[m], x + 3 * (int64_t)corners[m], 3 * sizeof(double));
+  lanes g[DIM][NDP], y[NG][3], w[BS * NW], room[NQ * MODULI];
+  const lanes* moduli = room;
+  take_cells(some, cells + n, m->corners, m->x, m->dofs, m->unknowns, (double*)y, (double*)w);
+  if (m->kernel)
+  {
+    const int64_t kernel = m->kernel;
+    memset(room, 0, sizeof(room));
+    TABULATE(room, w, m->constants, (const lanes*)y);
+  }
+  else
+    moduli = (const lanes*)m->moduli + n * NQ * MODULI;
   memset(T, 0, sizeof(*T));
   for (int q = 0; q < NQ; q++)
   {
-    const double volume = weights[q] * gradients(y, geometry_tables + q * NG * DIM,
-                                                 tables + q * DIM * NDP, g);
-    const double *A = moduli + q * MODULI, *G = A + STIFFNESSES;
-    const double *M = pressures + q * NP;
+    const lanes volume
+        = m->weights[q] * gradients(y, m->geometry_tables + q * NG * DIM,
+                                    m->tables + q * DIM * NDP, g);
+    const lanes *A = moduli + q * MODULI, *G = A + PAIRS * SQUARE;
+    const double* M = m->pressures + q * NP;
     add_stiffness(A, g, volume, T->K);
     if (NP == 0)
       continue;
@@ -138,77 +170,95 @@ static inline void element(const int32_t* corners, const double* x, const double
       add_coupling(G + SQUARE, g, M, volume, T->H);
     for (int a = 0; a < NP; a++)
       for (int b = 0; b < NP; b++)
-        T->C[a][b] += volume * G[COUPLINGS * SQUARE] * M[a] * M[b];
+        T->C[a][b] += volume * G[COUPLINGS * SQUARE] * (M[a] * M[b]);
   }
-  if (SYMMETRIC) /* A_iJkL = A_kLiJ and H = G */
-  {
-    for (int i = 0; i < DIM; i++)
-      for (int k = i + 1; k < DIM; k++)
-        for (int a = 0; a < ND; a++)
-          for (int b = 0; b < ND; b++)
-            T->K[k][i][b][a] = T->K[i][k][a][b];
+  if (SYMMETRIC)
     memcpy(T->H, T->G, sizeof(T->G));
-  }
 }
 
-/* Rows and columns of fixed unknowns stay as they are. */
-static inline void drop_fixed(const int8_t* fixed, const int32_t* nodes, struct tangent* T)
+#define OF_CELL(x, l) (((double*)&(x))[l])
+
+/* Of the l-th cell rows and columns of fixed unknowns stay as they are. */
+INLINE void drop_fixed(const int8_t* fixed, const int32_t* nodes, int l, struct tangent* T)
 {
   for (int a = 0; a < ND; a++)
     for (int i = 0; i < DIM; i++)
       if (fixed[nodes[a] + i])
       {
-        for (int k = 0; k < DIM; k++)
-          for (int b = 0; b < ND; b++)
-            T->K[i][k][a][b] = T->K[k][i][b][a] = 0.0;
+        for (int b = 0; b < ND; b++)
+          for (int k = 0; k < DIM; k++)
+          {
+            OF_CELL(T->K[entry(i, k, a, b)], l) = 0.0;
+            OF_CELL(T->K[entry(k, i, b, a)], l) = 0.0;
+          }
         for (int b = 0; b < NP; b++)
-          T->G[i][b][a] = T->H[i][b][a] = 0.0;
+        {
+          OF_CELL(T->G[i][b][a], l) = 0.0;
+          OF_CELL(T->H[i][b][a], l) = 0.0;
+        }
       }
   for (int b = 0; b < NP; b++)
     if (fixed[nodes[ND + b]])
     {
       for (int i = 0; i < DIM; i++)
         for (int a = 0; a < ND; a++)
-          T->G[i][b][a] = T->H[i][b][a] = 0.0;
+        {
+          OF_CELL(T->G[i][b][a], l) = 0.0;
+          OF_CELL(T->H[i][b][a], l) = 0.0;
+        }
       for (int a = 0; a < NP; a++)
-        T->C[a][b] = T->C[b][a] = 0.0;
+      {
+        OF_CELL(T->C[a][b], l) = 0.0;
+        OF_CELL(T->C[b][a], l) = 0.0;
+      }
     }
 }
 
-int64_t add_tangent(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
-                    const int32_t* nodes, const double* moduli, const double* tables,
-                    const double* pressures, const double* geometry_tables, const double* weights,
-                    const int8_t* fixed, const int64_t* start, const uint16_t* places,
-                    double* values)
+int64_t add_tangent(int64_t kernel, int64_t count, const int32_t cells[count], int64_t every,
+                    const int32_t corners[NG * every], int64_t points, const double x[3 * points],
+                    const int32_t dofs[NW * every], int64_t entries,
+                    const double unknowns[entries], int64_t known, const double constants[known],
+                    int64_t given, const double moduli[given * NQ * MODULI],
+                    const double tables[NQ * DIM * NDP], const double pressures[NQ * NP],
+                    const double geometry_tables[NQ * NG * DIM], const double weights[NQ],
+                    const int32_t nodes[NODES * every], const int8_t fixed[entries],
+                    const int64_t start[entries + 1], const uint16_t places[NODES * NODES * every],
+                    double values[start[entries]])
 {
   struct tangent T __attribute__((aligned(64)));
-  for (int64_t n = 0; n < count; n++)
+  lanes c[known + 1];
+  const struct model m = {kernel,    corners,         dofs,    x, unknowns, moduli, tables,
+                          pressures, geometry_tables, weights, c};
+  spread(known, constants, (double*)c);
+  for (int64_t n = 0; n < count; n += LANES)
   {
-    const int64_t c = cells[n];
-    int32_t node[NODES];
-    first_unknowns(nodes + c * NODES, node);
-    const uint16_t* place = places + c * NODES * NODES;
-    element(corners + c * NG, x, moduli + n * NQ * MODULI, tables, pressures, geometry_tables,
-            weights, &T);
-    drop_fixed(fixed, node, &T);
-    for (int a = 0; a < ND; a++, place += NODES)
-      for (int i = 0; i < DIM; i++)
+    const int some = count - n < LANES ? count - n : LANES;
+    elements(&m, some, n, cells, &T);
+    for (int l = 0; l < some; l++)
+    {
+      const uint16_t* place = places + (int64_t)cells[n + l] * NODES * NODES;
+      int32_t node[NODES];
+      first_unknowns(nodes + (int64_t)cells[n + l] * NODES, node);
+      drop_fixed(fixed, node, l, &T);
+      for (int a = 0; a < ND; a++, place += NODES)
+        for (int i = 0; i < DIM; i++)
+        {
+          double* row = values + start[node[a] + i];
+          for (int b = 0; b < ND; b++)
+            for (int k = 0; k < DIM; k++)
+              row[place[b] + k] += OF_CELL(T.K[entry(i, k, a, b)], l);
+          for (int b = 0; b < NP; b++)
+            row[place[ND + b]] += OF_CELL(T.G[i][b][a], l);
+        }
+      for (int a = 0; a < NP; a++, place += NODES)
       {
-        double* row = values + start[node[a] + i];
+        double* row = values + start[node[ND + a]];
         for (int b = 0; b < ND; b++)
           for (int k = 0; k < DIM; k++)
-            row[place[b] + k] += T.K[i][k][a][b];
+            row[place[b] + k] += OF_CELL(T.H[k][a][b], l);
         for (int b = 0; b < NP; b++)
-          row[place[ND + b]] += T.G[i][b][a];
+          row[place[ND + b]] += OF_CELL(T.C[a][b], l);
       }
-    for (int a = 0; a < NP; a++, place += NODES)
-    {
-      double* row = values + start[node[ND + a]];
-      for (int b = 0; b < ND; b++)
-        for (int k = 0; k < DIM; k++)
-          row[place[b] + k] += T.H[k][a][b];
-      for (int b = 0; b < NP; b++)
-        row[place[ND + b]] += T.C[a][b];
     }
   }
   return 0;
@@ -216,8 +266,10 @@ int64_t add_tangent(int64_t count, const int32_t* cells, const int32_t* corners,
 
 /* Place of the block of nodes a <= b of a cell in the row of the lower one, where at least one is
    owned; see symmetric.c. */
-int64_t find_upper_places(int64_t count, const int32_t* cells, const int32_t* nodes, int64_t owned,
-                          const int64_t* start, const int32_t* columns, uint16_t* places)
+int64_t find_upper_places(int64_t count, const int32_t cells[count], int64_t every,
+                          const int32_t nodes[NODES * every], int64_t owned,
+                          const int64_t start[owned + 1], const int32_t columns[start[owned]],
+                          uint16_t places[UPPER * every])
 {
   for (int64_t n = 0; n < count; n++)
   {
@@ -243,97 +295,141 @@ int64_t find_upper_places(int64_t count, const int32_t* cells, const int32_t* no
 }
 
 /* Adds the block of nodes a and b to the row of a ghost. */
-static void add_far(const struct tangent* T, int a, int b, int32_t row, int32_t column,
+static void add_far(struct tangent* T, int l, int a, int b, int32_t row, int32_t column,
                     const int64_t* far_start, const int32_t* far_columns, double* far_blocks)
 {
-  for (int64_t k = far_start[row]; k < far_start[row + 1]; k++)
-    if (far_columns[k] == column)
+  for (int64_t f = far_start[row]; f < far_start[row + 1]; f++)
+    if (far_columns[f] == column)
       for (int i = 0; i < DIM; i++)
-        for (int j = 0; j < DIM; j++)
-          far_blocks[k * SQUARE + i * DIM + j] += T->K[i][j][a][b];
+        for (int k = 0; k < DIM; k++)
+          far_blocks[f * SQUARE + i * DIM + k] += OF_CELL(T->K[entry(i, k, a, b)], l);
 }
 
-/* Adds half of a symmetric tangent: see symmetric.c for where its blocks stand. */
-int64_t add_half(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
-                 const int32_t* nodes, const double* moduli, const double* tables,
-                 const double* pressures, const double* geometry_tables, const double* weights,
-                 const int8_t* fixed, const uint16_t* places, int64_t owned, const int64_t* start,
-                 float* high, float* low, const int64_t* far_start, const int32_t* far_columns,
-                 double* far_blocks)
+#if LANES == 1
+#define rows_of(block, rows) memcpy(rows, block, sizeof(doubles))
+#else
+#define rows_of(block, rows) transpose(block, (lanes*)rows)
+#endif
+
+/* Adds half of a symmetric tangent without pressures: see symmetric.c for where blocks stand. */
+int64_t add_half(int64_t kernel, int64_t count, const int32_t cells[count], int64_t every,
+                 const int32_t corners[NG * every], int64_t points, const double x[3 * points],
+                 const int32_t dofs[NW * every], int64_t entries, const double unknowns[entries],
+                 int64_t known, const double constants[known], int64_t given,
+                 const double moduli[given * NQ * MODULI], const double tables[NQ * DIM * NDP],
+                 const double pressures[NQ * NP], const double geometry_tables[NQ * NG * DIM],
+                 const double weights[NQ], const int32_t nodes[NODES * every],
+                 const int8_t fixed[entries], const uint16_t places[UPPER * every], int64_t owned,
+                 const int64_t start[owned + 1], float high[SQUARE * start[owned] + 1],
+                 float low[SQUARE * start[owned] + 1], int64_t ghosts,
+                 const int64_t far_start[ghosts + 1], const int32_t far_columns[far_start[ghosts]],
+                 double far_blocks[SQUARE * far_start[ghosts]])
 {
   struct tangent T __attribute__((aligned(64)));
-  for (int64_t n = 0; n < count; n++)
+  lanes c[known + 1];
+  const struct model m = {kernel,    corners,         dofs,    x, unknowns, moduli, tables,
+                          pressures, geometry_tables, weights, c};
+  spread(known, constants, (double*)c);
+  for (int64_t n = 0; n < count; n += LANES)
   {
-    const int64_t c = cells[n];
-    int32_t node[NODES];
-    first_unknowns(nodes + c * NODES, node);
-    const uint16_t* place = places + c * UPPER;
-    element(corners + c * NG, x, moduli + n * NQ * MODULI, tables, pressures, geometry_tables,
-            weights, &T);
-    drop_fixed(fixed, node, &T);
-    for (int a = 0; a < ND; a++)
-      for (int b = a; b < ND; b++, place++)
+    const int some = count - n < LANES ? count - n : LANES;
+    elements(&m, some, n, cells, &T);
+    for (int l = 0; l < some; l++)
+    {
+      int32_t node[NODES];
+      first_unknowns(nodes + (int64_t)cells[n + l] * NODES, node);
+      drop_fixed(fixed, node, l, &T);
+    }
+    for (int a = 0, pair = 0; a < ND; a++)
+      for (int b = a; b < ND; b++, pair++)
       {
-        const int32_t one = node[a] / DIM, two = node[b] / DIM;
-        const int p = one < two ? a : b, q = one < two ? b : a;
-        const int32_t row = node[p] / DIM;
-        if (row < owned)
-        {
-          const int64_t k = (start[row] + *place) * SQUARE;
-#define ENTRY(i, j) T.K[i][j][p][q]
+        lanes block[SQUARE]; /* row by row */
+        for (int i = 0; i < DIM; i++)
+          for (int k = 0; k < DIM; k++)
+            block[i * DIM + k] = T.K[entry(i, k, a, b)];
 #if DIM == 3
-          add_eight(high + k, low + k,
-                    (doubles){ENTRY(0, 0), ENTRY(1, 0), ENTRY(2, 0), ENTRY(0, 1), ENTRY(1, 1),
-                              ENTRY(2, 1), ENTRY(0, 2), ENTRY(1, 2)});
-          add_split(high + k + 8, low + k + 8, ENTRY(2, 2));
-#else
-          for (int j = 0; j < DIM; j++)
-            for (int i = 0; i < DIM; i++)
-              add_split(high + k + j * DIM + i, low + k + j * DIM + i, ENTRY(i, j));
+        doubles eight[LANES] __attribute__((aligned(64))); /* of each cell, the first ones */
+        rows_of(block, eight);
 #endif
+        for (int l = 0; l < some; l++)
+        {
+          const int64_t cell = cells[n + l];
+          const int32_t one = STRIDE * nodes[cell * NODES + a] / DIM;
+          const int32_t two = STRIDE * nodes[cell * NODES + b] / DIM;
+          const int turned = one > two; /* the row is that of the lower node */
+          const int32_t row = turned ? two : one;
+          if (row < owned)
+          {
+            const int64_t k = (start[row] + places[cell * UPPER + pair]) * SQUARE;
+#if DIM == 3
+            static const marks order[2]
+                = {{0, 3, 6, 1, 4, 7, 2, 5}, {0, 1, 2, 3, 4, 5, 6, 7}};
+            add_eight(high + k, low + k, __builtin_shuffle(eight[l], order[turned]));
+            add_split(high + k + 8, low + k + 8, OF_CELL(block[8], l));
+#else
+            for (int i = 0; i < DIM; i++)
+              for (int j = 0; j < DIM; j++)
+              {
+                const int64_t place = k + j * DIM + i; /* column by column */
+                const int at = turned ? j * DIM + i : i * DIM + j;
+                add_split(high + place, low + place, OF_CELL(block[at], l));
+              }
+#endif
+          }
+          if (one >= owned)
+            add_far(&T, l, a, b, one - owned, two, far_start, far_columns, far_blocks);
+          if (two >= owned && a != b)
+            add_far(&T, l, b, a, two - owned, one, far_start, far_columns, far_blocks);
         }
-        if (one >= owned)
-          add_far(&T, a, b, one - owned, two, far_start, far_columns, far_blocks);
-        if (two >= owned && a != b)
-          add_far(&T, b, a, two - owned, one, far_start, far_columns, far_blocks);
       }
   }
   return 0;
 }
 
-int64_t add_product(int64_t count, const int32_t* cells, const int32_t* corners, const double* x,
-                    const int32_t* nodes, const double* moduli, const double* tables,
-                    const double* pressures, const double* geometry_tables, const double* weights,
-                    const double* direction, double* product)
+int64_t add_product(int64_t kernel, int64_t count, const int32_t cells[count], int64_t every,
+                    const int32_t corners[NG * every], int64_t points, const double x[3 * points],
+                    const int32_t dofs[NW * every], int64_t entries,
+                    const double unknowns[entries], int64_t known, const double constants[known],
+                    int64_t given, const double moduli[given * NQ * MODULI],
+                    const double tables[NQ * DIM * NDP], const double pressures[NQ * NP],
+                    const double geometry_tables[NQ * NG * DIM], const double weights[NQ],
+                    const int32_t nodes[NODES * every], const double direction[entries],
+                    double product[entries])
 {
   struct tangent T __attribute__((aligned(64)));
-  for (int64_t n = 0; n < count; n++)
+  lanes c[known + 1];
+  const struct model m = {kernel,    corners,         dofs,    x, unknowns, moduli, tables,
+                          pressures, geometry_tables, weights, c};
+  spread(known, constants, (double*)c);
+  for (int64_t n = 0; n < count; n += LANES)
   {
-    const int64_t c = cells[n];
-    int32_t node[NODES];
-    first_unknowns(nodes + c * NODES, node);
-    element(corners + c * NG, x, moduli + n * NQ * MODULI, tables, pressures, geometry_tables,
-            weights, &T);
-    for (int i = 0; i < DIM; i++)
-      for (int a = 0; a < ND; a++)
+    const int some = count - n < LANES ? count - n : LANES;
+    elements(&m, some, n, cells, &T);
+    for (int l = 0; l < some; l++)
+    {
+      int32_t node[NODES];
+      first_unknowns(nodes + (int64_t)cells[n + l] * NODES, node);
+      for (int i = 0; i < DIM; i++)
+        for (int a = 0; a < ND; a++)
+        {
+          double sum = 0.0;
+          for (int k = 0; k < DIM; k++)
+            for (int b = 0; b < ND; b++)
+              sum += OF_CELL(T.K[entry(i, k, a, b)], l) * direction[node[b] + k];
+          for (int b = 0; b < NP; b++)
+            sum += OF_CELL(T.G[i][b][a], l) * direction[node[ND + b]];
+          product[node[a] + i] += sum;
+        }
+      for (int a = 0; a < NP; a++)
       {
         double sum = 0.0;
         for (int k = 0; k < DIM; k++)
           for (int b = 0; b < ND; b++)
-            sum += T.K[i][k][a][b] * direction[node[b] + k];
+            sum += OF_CELL(T.H[k][a][b], l) * direction[node[b] + k];
         for (int b = 0; b < NP; b++)
-          sum += T.G[i][b][a] * direction[node[ND + b]];
-        product[node[a] + i] += sum;
+          sum += OF_CELL(T.C[a][b], l) * direction[node[ND + b]];
+        product[node[ND + a]] += sum;
       }
-    for (int a = 0; a < NP; a++)
-    {
-      double sum = 0.0;
-      for (int k = 0; k < DIM; k++)
-        for (int b = 0; b < ND; b++)
-          sum += T.H[k][a][b] * direction[node[b] + k];
-      for (int b = 0; b < NP; b++)
-        sum += T.C[a][b] * direction[node[ND + b]];
-      product[node[ND + a]] += sum;
     }
   }
   return 0;

@@ -14,8 +14,8 @@
 #define ROW (DIM == 3 ? 8 : 4)
 
 /* Volumes of straight cells. */
-int64_t take_volumes(int64_t count, int64_t width, const int32_t* geometry, const double* x,
-                     double* volumes)
+int64_t take_volumes(int64_t count, int64_t width, const int32_t geometry[count * width],
+                     int64_t points, const double x[3 * points], double volumes[count])
 {
   for (int64_t c = 0; c < count; c++)
   {
@@ -38,8 +38,9 @@ int64_t take_volumes(int64_t count, int64_t width, const int32_t* geometry, cons
 
 /* Mean over the edges e of each cell of e e, times its volume, and the volume, to its vertices.
    The sum over the edges is DIM + 1 times that over the corners, taken from the barycentre. */
-int64_t add_cells(int64_t count, int64_t width, const int32_t* geometry, const double* x,
-                  const int32_t* vertices, const double* volumes, double* sums)
+int64_t add_cells(int64_t count, int64_t width, const int32_t geometry[count * width],
+                  int64_t points, const double x[3 * points], const int32_t vertices[NC * count],
+                  const double volumes[count], int64_t rows, double sums[ROW * rows])
 {
   for (int64_t c = 0; c < count; c++)
   {
@@ -92,22 +93,24 @@ int64_t add_cells(int64_t count, int64_t width, const int32_t* geometry, const d
   }                                                                                               \
   return 0;
 
-int64_t step(int64_t count, const int32_t* vertices, const double* volumes, const double* before,
-             double* sums)
+int64_t step(int64_t count, const int32_t vertices[NC * count], const double volumes[count],
+             int64_t rows, const double before[ROW * rows], double sums[ROW * rows])
 {
   STEP(double)
 }
 
-int64_t rounded_step(int64_t count, const int32_t* vertices, const double* volumes,
-                     const float* before, float* sums)
+int64_t rounded_step(int64_t count, const int32_t vertices[NC * count],
+                     const double volumes[count], int64_t rows, const float before[ROW * rows],
+                     float sums[ROW * rows])
 {
   STEP(float)
 }
 
 /* Chebyshev polynomial of 2 S - 1 of some degree, 2 (2 S - 1) now - before, and what it adds to a
    sum with weights, where S now is the sums of a step by the inverse of each vertex's volume. */
-int64_t next_polynomial(int64_t count, const float* inverse, const float* sums, int64_t degree,
-                        const float* weights, float* before, float* now, float* found)
+int64_t next_polynomial(int64_t count, const float inverse[count], const float sums[ROW * count],
+                        int64_t degree, const float weights[degree + 1], float before[ROW * count],
+                        float now[ROW * count], float found[ROW * count])
 {
   const float weight = weights[degree];
   for (int64_t n = 0; n < count; n++)
@@ -195,8 +198,9 @@ static inline double component(double M[DIM][DIM], double V[DIM][DIM], int a, in
   return sum;
 }
 
-int64_t at_cells(int64_t count, const int32_t* vertices, const float* density,
-                 const double* metric, double* thickness, double* across, double* along)
+int64_t at_cells(int64_t count, const int32_t vertices[NC * count], int64_t rows,
+                 const float density[ROW * rows], const double metric[ROW * rows],
+                 double thickness[count], double across[count], double along[count])
 {
   double A[DIM][DIM], M[DIM][DIM], V[DIM][DIM];
   for (int64_t c = 0; c < count; c++)

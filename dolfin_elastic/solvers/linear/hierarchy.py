@@ -96,7 +96,8 @@ class Level:
         """
         self._c[: self._coarse.owned] = correction
         self._coarse.fill(self._c)
-        self._loops.call("prolong", *self._sizes, *self._P, self._c, self.smoother.x)
+        c = self._c
+        self._loops.call("prolong", *self._sizes, *self._P, len(c), c, self.smoother.x)
         return self.smoother.once_more(b)
 
     def __str__(self) -> str:

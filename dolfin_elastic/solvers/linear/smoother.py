@@ -143,12 +143,14 @@ class Smoother:
             coarse: At all coarse nodes here, is added to.
         """
         (R, n), C = self.sizes, coarse.shape[1]
-        self._loops.call("restrict_residual", R, C, n, *self._matrix, self.x, b, *P, coarse)
+        matrix = (*self._matrix, len(self.x), self.x, b)
+        self._loops.call("restrict_residual", R, C, n, *matrix, *P, len(coarse), coarse)
 
     def once_more(self, b: FloatArray) -> FloatArray:
         """The next iterate, of owned nodes; valid until the next call. Collective."""
         self.halo.fill(self.x)
-        self._loops.call("smooth", *self.sizes, *self._matrix, self._scaled, self.x, b, self._y)
+        x = (len(self.x), self.x)
+        self._loops.call("smooth", *self.sizes, *self._matrix, self._scaled, *x, b, self._y)
         return self._y
 
     def renew(self) -> None:
@@ -171,7 +173,7 @@ class HalvedSmoother(Smoother):
         self._times(self.x, self._y)
         np.subtract(b, self._y, out=self._y)
         (R, n), C = self.sizes, coarse.shape[1]
-        self._loops.call("restrict_vector", R, C, n, *P, self._y, coarse)
+        self._loops.call("restrict_vector", R, C, n, *P, self._y, len(coarse), coarse)
 
     def once_more(self, b: FloatArray) -> FloatArray:
         """See `Smoother.once_more`."""

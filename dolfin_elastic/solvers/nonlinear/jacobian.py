@@ -216,7 +216,7 @@ class _ByLoop:
         nodes = [
             np.ascontiguousarray(dofs) for dofs in (mesh.geometry.dofmap, problem.V.dofmap.list)
         ]
-        self._cells = (*nodes, mesh.geometry.x)
+        self._cells = (*nodes, len(mesh.geometry.x), mesh.geometry.x)
         self._tables, self._count = (gradients, corners), len(problem.body.owned_cells())
         self._linear = linear
 
@@ -226,7 +226,8 @@ class _ByLoop:
         found = CellExtremes(
             np.empty(count), np.empty(count), np.empty(count if self._linear else 0)
         )
-        arrays = (*self._cells, self._w.x.array, *self._tables)
+        w = self._w.x.array
+        arrays = (*self._cells, len(w), w, *self._tables)
         self._loop.call("extremes", count, *arrays, int(self._linear), *found)
         return found
 
