@@ -14,9 +14,10 @@ from pydantic import Field, StrictBool, field_validator, model_validator
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.schema import Record, within
-from dolfin_elastic.core.units import COMMON_UNITS, metres
-from dolfin_elastic.mesh.criteria import bounding_box
-from dolfin_elastic.mesh.selectors import Axis, Middle
+from dolfin_elastic.core.shapes.shapes import Axis
+from dolfin_elastic.core.units import COMMON_UNITS
+from dolfin_elastic.mesh.criteria import BoundingBox
+from dolfin_elastic.mesh.selectors import Middle
 from dolfin_elastic.results.fields import check_field_names
 from dolfin_elastic.results.pictures.scene import Up, View
 from dolfin_elastic.results.writer import Numbers, Steps, Writer
@@ -323,14 +324,10 @@ class ClipPlane(Record):
         """
         from dolfin_elastic.results.pictures.clip import Clip
 
-        axis, (low, high) = "xyz".index(self.plane), bounding_box(body.mesh)
-        if axis >= body.dim:
-            raise InputError(
-                f"the body is plane, it has no {self.plane}", where="plane", expected="x or y"
-            )
         unit = body.unit
-        ends = float(low[axis]), float(high[axis])
-        at = sum(ends) / 2 if self.at == "middle" else metres(self.at, unit.metres)
+        space = BoundingBox.of(body, unit.metres)
+        axis, at = space.plane(self.plane, self.at)
+        ends = float(space.low[axis]), float(space.high[axis])
         if not ends[0] < at < ends[1]:
             raise InputError(
                 f"the plane {self.plane} = {at / unit.metres:.4g} {unit.name} misses the body",

@@ -30,6 +30,7 @@ POINTS = {
     "cli/test_console.py",
     "cli/test_tools.py",
     "core/test_formula.py",
+    "core/test_shapes.py",
     "core/test_units.py",
     "hostile/test_gmsh.py",
     "hostile/test_petsc_options.py",

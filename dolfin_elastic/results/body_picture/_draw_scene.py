@@ -75,6 +75,7 @@ class Data:
     directions: list[Array]
     normals: list[Array]
     curves: list[Array]
+    obstacles: list[tuple[Array, Array]]
 
     @staticmethod
     def read(path: str) -> Data:
@@ -97,6 +98,10 @@ class Data:
             [arrays[f"directions{i}"] for i in count],
             [arrays[f"normals{i}"] for i in count],
             [arrays[f"curve{i}"] for i in range(len(words["curves"]))],
+            [
+                (arrays[f"obstacle_points{i}"], arrays[f"obstacle_triangles{i}"])
+                for i in range(len(words["obstacles"]))
+            ],
         )
 
     @property
@@ -145,8 +150,8 @@ class Flat:
 # --- in space ---
 
 
-def _mesh(data: Data) -> pv.PolyData:
-    return pv.PolyData(data.points, np.insert(data.triangles, 0, 3, axis=1).ravel())
+def _mesh(points: Array, triangles: Array) -> pv.PolyData:
+    return pv.PolyData(points, np.insert(triangles, 0, 3, axis=1).ravel())
 
 
 def _edges(data: Data) -> pv.PolyData:
@@ -188,7 +193,7 @@ def _are_long(data: Data, pairs: Array) -> Array:
 
 
 def _add_body(plot: pv.Plotter, data: Data) -> None:
-    mesh = _mesh(data)
+    mesh = _mesh(data.points, data.triangles)
     rgb = np.array([pv.Color(c).int_rgb for c in data.colours()], dtype=np.uint8)
     mesh.cell_data["colour"] = rgb[data.patch]
     flat = bool(data.words["plane"])
@@ -248,21 +253,8 @@ def _add_symbols(plot: pv.Plotter, data: Data) -> None:
 
 
 def _add_obstacles(plot: pv.Plotter, data: Data) -> None:
-    size = data.diagonal
-    middle = (data.points.min(axis=0) + data.points.max(axis=0)) / 2
-    for one in data.words["obstacles"]:
-        point = np.array([*one["point"], 0.0])[:3]
-        ahead = np.array([*(one["direction"] or (0, 0, 1)), 0.0])[:3]
-        ahead = ahead / np.linalg.norm(ahead)
-        if one["shape"] == "sphere":
-            mesh = pv.Sphere(one["radius"], point, theta_resolution=60, phi_resolution=60)
-        elif one["shape"] == "cylinder":
-            centre = point + ((middle - point) @ ahead) * ahead
-            mesh = pv.Cylinder(centre, ahead, one["radius"], 1.3 * size, resolution=80)
-        else:
-            centre = middle - ((middle - point) @ ahead) * ahead
-            mesh = pv.Plane(centre, ahead, 0.9 * size, 0.9 * size)
-        plot.add_mesh(mesh, color=_SYMBOLS["contact"], opacity=0.18)
+    for points, triangles in data.obstacles:
+        plot.add_mesh(_mesh(points, triangles), color=_SYMBOLS["contact"], opacity=0.18)
 
 
 def _plotter(data: Data, view: Sequence[float]) -> pv.Plotter:
@@ -344,7 +336,7 @@ def _numbers(data: Data, view: Sequence[float]) -> Array:
     plot.disable_anti_aliasing()
     plot.render_window.SetMultiSamples(0)
     plot.set_background("#000000")
-    mesh, number = _mesh(data), data.patch + 1
+    mesh, number = _mesh(data.points, data.triangles), data.patch + 1
     codes = np.stack([number % 64 * 4 + 2, number // 64 % 64 * 4 + 2, number // 4096 * 4 + 2])
     mesh.cell_data["colour"] = codes.T.astype(np.uint8)
     plot.add_mesh(
@@ -404,17 +396,10 @@ def _symbol_labels(plot: pv.Plotter, data: Data) -> Iterator[Label]:
             top = int(seen[1].argmin())
             x, y = float(seen[0, top]), float(seen[1, top])
             yield Label(symbol["label"], x, y, _SYMBOLS["load"], True)
-    for one in data.words["obstacles"]:
-        middle = (data.points.min(axis=0) + data.points.max(axis=0)) / 2
-        point = np.array([*one["point"], 0.0])[:3]
-        if one["shape"] != "sphere":
-            ahead = np.array([*one["direction"], 0.0])[:3]
-            ahead = ahead / np.linalg.norm(ahead)
-            along = ((middle - point) @ ahead) * ahead
-            point = middle - along if one["shape"] == "plane" else point + along
-        x, y = _on_screen(plot, point)
+    for label, (points, _) in zip(data.words["obstacles"], data.obstacles, strict=True):
+        x, y = _on_screen(plot, points.mean(axis=0))
         inside = np.clip([x, y], [60, 30], [_SIZE[0] - 60, _SIZE[1] - 30])
-        yield Label(one["label"], float(inside[0]), float(inside[1]), _SYMBOLS["contact"], True)
+        yield Label(label, float(inside[0]), float(inside[1]), _SYMBOLS["contact"], True)
 
 
 def _short(name: str) -> str:
@@ -490,7 +475,7 @@ def _legend(data: Data) -> list[tuple[str, str, str]]:
         for symbol in data.words["symbols"]
         if symbol["kind"] == "load"
     ]
-    rows += [("o", _SYMBOLS["contact"], one["label"]) for one in data.words["obstacles"]]
+    rows += [("o", _SYMBOLS["contact"], label) for label in data.words["obstacles"]]
     return rows
 
 

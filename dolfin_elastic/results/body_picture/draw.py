@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dolfin_elastic.core.files.regular import fresh
+from dolfin_elastic.core.shapes.box import Box
 from dolfin_elastic.results.body_picture.scene import Scene
 from dolfin_elastic.results.files import make_folder, writing
 from dolfin_elastic.results.pictures.renderer import Renderer
@@ -37,16 +38,7 @@ def draw_scene(scene: Scene, file: Path) -> None:
         "legend": dict(scene.legend),
         "curves": [{"label": c.label, "named": c.named} for c in scene.curves],
         "symbols": [{"kind": s.kind, "label": s.label} for s in scene.symbols],
-        "obstacles": [
-            {
-                "label": o.label,
-                "shape": o.shape,
-                "point": o.point,
-                "direction": o.direction,
-                "radius": o.radius,
-            }
-            for o in scene.obstacles
-        ],
+        "obstacles": list(scene.obstacles),
     }
     arrays = {
         f"{key}{i}": getattr(one, key)
@@ -54,6 +46,10 @@ def draw_scene(scene: Scene, file: Path) -> None:
         for key in ("places", "directions", "normals")
     }
     arrays |= {f"curve{i}": one.pieces for i, one in enumerate(scene.curves)}
+    near = Box(scene.points.min(axis=0), scene.points.max(axis=0))
+    for i, shape in enumerate(scene.obstacles.values()):
+        points, triangles = shape.drawn(near, 2 if scene.plane else 3)
+        arrays |= {f"obstacle_points{i}": points, f"obstacle_triangles{i}": triangles}
     make_folder(file.parent)
     with tempfile.TemporaryDirectory(prefix="dolfin_elastic-") as folder:
         data, drawn = Path(folder, "scene.npz"), Path(folder, "scene.png")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.shapes.shapes import Shape
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.curved import facet_points, shape_functions
@@ -72,25 +73,6 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Obstacle:
-    """A rigid obstacle.
-
-    Attributes:
-        label: What stands beside it.
-        shape: "plane", "sphere" or "cylinder".
-        point: Of a plane or of the axis, or the centre [m].
-        direction: Normal or axis; of a sphere nothing.
-        radius: [m]; of a plane 0.
-    """
-
-    label: str
-    shape: str
-    point: tuple[float, ...]
-    direction: tuple[float, ...] = ()
-    radius: float = 0.0
-
-
-@dataclass(frozen=True)
 class Scene:
     """All that a picture shows.
 
@@ -102,7 +84,7 @@ class Scene:
         patches: They.
         plane: The body is plane.
         symbols: Of supports, loads and contacts.
-        obstacles: Of contacts.
+        obstacles: Of contacts: what stands beside each, to its shape in metres.
         curves: Surfaces of a plane body.
         legend: Name of a surface to what it is for.
         up: Axis that is up in the picture of a solid.
@@ -115,7 +97,7 @@ class Scene:
     patches: tuple[Patch, ...]
     plane: bool
     symbols: Sequence[Symbols] = ()
-    obstacles: Sequence[Obstacle] = ()
+    obstacles: Mapping[str, Shape] = field(default_factory=dict)
     curves: Sequence[Curve] = ()
     legend: Mapping[str, str] = field(default_factory=dict)
     up: Up = "z"

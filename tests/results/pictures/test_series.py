@@ -17,11 +17,11 @@ from helpers.states import make_problem, make_state
 from PIL import Image
 
 from dolfin_elastic.core.errors import InputError, OutputError
+from dolfin_elastic.core.shapes.shapes import CylinderObstacle, Plane, Shape, SphereObstacle
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.model.contact import CylinderObstacle, Obstacle, Plane, SphereObstacle
 from dolfin_elastic.results.outputs import Picture, limits_of
 from dolfin_elastic.results.pictures import renderer, series
-from dolfin_elastic.results.pictures.obstacles import Reach, obstacle_scene, obstacle_triangles
+from dolfin_elastic.results.pictures.obstacles import Reach, obstacle_scene
 from dolfin_elastic.results.pictures.scene import axes_of, up_against, window
 from dolfin_elastic.results.pictures.series import Limits, Series, encode, film_times, frames_at
 
@@ -293,11 +293,13 @@ def test_a_display_that_does_not_come_up(
         CylinderObstacle(axis=[1, 1, 0], point=[0, 0, 0], radius=3, inside=True),
     ],
 )
-def test_obstacles_are_drawn_where_the_gap_is_zero(obstacle: Obstacle) -> None:
+def test_obstacles_are_drawn_where_the_gap_is_zero(obstacle: Shape) -> None:
     """By the formula of the contact, and counter-clockwise seen from the free side."""
     shift = np.array([0.1, -0.2, 0.3])
-    low, high = -np.ones(3), np.ones(3)
-    x, triangles = obstacle_triangles([(obstacle, shift)], low, high, 3)
+    reach = Reach()
+    reach.take(np.array([-np.ones(3), np.ones(3)]))
+    scene: dict[str, Any] = {**obstacle_scene([(obstacle, shift)], reach, 3)}
+    x, triangles = scene["obstacle_points"] + scene["obstacle_shift"], scene["obstacle_triangles"]
     gap, normal = obstacle.gap([*(x - shift).T], float, np.sqrt)
     assert np.abs(gap).max() < 1e-12
     corners = x[triangles]
