@@ -108,45 +108,47 @@ def test_box() -> None:
 
 # --- a new obstacle ---
 
-CONE = '''
+RING = '''
 
-class Cone(Shape):
-    """An upright cone that stands on its tip, endless above.
+class Ring(Shape):
+    """A ring of round wire around an axis along z.
 
     Attributes:
-        tip: Its tip.
-        angle: Between axis and surface [degrees].
+        center: Its middle.
+        wide: Radius of the wire's axis.
+        radius: Of the wire.
     """
 
-    lengths: ClassVar[tuple[str, ...]] = ("tip",)
-    tip: Point
-    angle: Annotated[float, Field(gt=0, lt=90)]
+    lengths: ClassVar[tuple[str, ...]] = ("center", "wide", "radius")
+    center: Point
+    wide: Radius
+    radius: Radius
 
     def distance(self, x: Sequence[Scalar], number: Constant, root: Root) -> Distance:
         """See `Shape.distance`."""
-        *across, up = (a - number(c) for a, c in zip(x, self.tip, strict=True))
-        radius = root(sum(item * item for item in across) + 1e-30)
-        s, c = (number(f(math.radians(self.angle))) for f in (math.sin, math.cos))
-        return radius * c - up * s, [*(item / radius * c for item in across), -1.0 * s]
+        p, q, up = (a - number(c) for a, c in zip(x, self.center, strict=True))
+        away = root(p * p + q * q + 1e-20)  # not 0 on the axis
+        across = away - number(self.wide)
+        length = root(across * across + up * up)
+        n = across / length / away
+        return length - number(self.radius), [n * p, n * q, up / length]
 
     def triangles(self, near: Box, dim: int) -> Triangles:
         """See `Shape.triangles`."""
-        along = np.array([0.0, near.diagonal])
-        radii = along * math.tan(math.radians(self.angle))
-        return revolved(whole(self.tip), np.eye(3)[2], along, radii)
+        turn = np.linspace(0, 2 * np.pi, ROUND)
+        along, radii = self.radius * np.sin(turn), self.wide + self.radius * np.cos(turn)
+        return revolved(whole(self.center), np.eye(3)[2], along, radii)
 '''
 """A class, and its row: a field of `Contact`."""
 FIELD = "    cylinder: CylinderObstacle | None = None\n"
 ROWS = {
-    "    CylinderObstacle,\n": "    Cone,\n    CylinderObstacle,\n",
-    FIELD: f"{FIELD}    cone: Cone | None = None\n",
+    "    CylinderObstacle,\n": "    Ring,\n    CylinderObstacle,\n",
+    FIELD: f"{FIELD}    ring: Ring | None = None\n",
 }
 CASE = """
 [mesh]
 box = {size = [1, 1, 0.5], cells = [4, 4, 2]}
 degree = 1
-[points]
-below = {nearest = [0.5, 0.5, 0.5]}
 [materials.rubber]
 law = "neo-hookean"
 E = "1 MPa"
@@ -154,15 +156,15 @@ nu = 0.3
 [[support]]
 on = "bottom"
 [[contact]]
-name = "punch"
+name = "stamp"
 on = "top"
-cone = {tip = [0.5, 0.5, "501 mm"], angle = 60}
-motion = [0, 0, -0.05]
+ring = {center = [0.5, 0.5, "701 mm"], wide = 0.25, radius = "20 cm"}
+motion = [0, 0, "-11 mm"]
 [statics]
 steps = 2
 [output]
 pictures = [{file = "with.png"}, {file = "without.png", obstacles = false}]
-probes = {below = "below"}
+probes = {below = [0.25, 0.5, 0.5]}
 """
 
 
@@ -183,50 +185,50 @@ def command(folder: Path, *words: str) -> str:
 @pytest.mark.long
 @pytest.mark.skipif(not shutil.which("Xvfb"), reason="pictures need Xvfb")
 def test_a_new_obstacle_is_one_class_and_one_row(tmp_path: Path) -> None:
-    """A cone in a copy of the package: checked, computed, drawn, reported, and in the schema."""
+    """A ring in a copy of the package: checked, computed, drawn, reported, and in the schema."""
     from matplotlib.image import imread
 
     package = tmp_path / "dolfin_elastic"
     shutil.copytree(ROOT / "dolfin_elastic", package, ignore=shutil.ignore_patterns("__pycache__"))
     shapes, contact = package / "core/shapes/shapes.py", package / "model/contact.py"
-    shapes.write_text(shapes.read_text() + CONE)
+    shapes.write_text(shapes.read_text() + RING)
     text = contact.read_text()
     for before, after in ROWS.items():
         assert text.count(before) == 1
         text = text.replace(before, after)
     contact.write_text(text)
-    case = tmp_path / "cone.toml"
+    case = tmp_path / "stamp.toml"
     case.write_text(CASE)
 
-    checked = command(tmp_path, "check", "cone.toml")
-    # Of the nodes the one below the tip is nearest, 1 mm away across the surface of the cone.
-    row = next(line.split() for line in checked.splitlines() if "'punch'" in line)
-    assert row[2:5] == ["top", "cone", f"{-1e-3 * -np.sin(np.pi / 3):.4g}"], checked
-    assert checked.startswith("0\n")
-    case.write_text(CASE.replace('0.5, "501 mm"', "0.5"))
-    assert "contact[0].cone.tip: 2 components given" in command(tmp_path, "check", "cone.toml")
-    case.write_text(CASE.replace("cone = {", "cane = {"))
-    refused = command(tmp_path, "check", "cone.toml")
-    assert refused.startswith("2\n") and "did you mean 'cone'?" in refused
+    checked = command(tmp_path, "check", "stamp.toml")
+    assert checked.startswith("0\n"), checked
+    row = next(line.split() for line in checked.splitlines() if "'stamp'" in line)
+    assert row[2:5] == ["top", "ring", "0.001"], checked
+    case.write_text(CASE.replace('0.5, "701 mm"', "0.5"))
+    assert "contact[0].ring.center: 2 components given" in command(tmp_path, "check", "stamp.toml")
+    case.write_text(CASE.replace("ring = {", "rings = {"))
+    refused = command(tmp_path, "check", "stamp.toml")
+    assert refused.startswith("2\n") and "did you mean 'ring'?" in refused
     case.write_text(CASE)
 
-    ran = command(tmp_path, "run", "cone.toml")
+    ran = command(tmp_path, "run", "stamp.toml")
     assert ran.startswith("0\n"), ran
-    results = tmp_path / "cone_results"
+    results = tmp_path / "stamp_results"
     history = np.genfromtxt(results / "history.csv", delimiter=",", names=True)
-    assert history["reaction_punch_z"][-1] < -100
-    # The tip has moved 50 mm, of which 1 mm was free, and what penetrates is small.
-    assert history["displacement_below_z"][-1] == pytest.approx(-0.049, abs=5e-4)
+    assert history["reaction_stamp_z"][-1] < -100
+    # It has moved 11 mm, of which 1 mm was free; the node below it gives way to its side a little.
+    assert history["below_z"][-1] == pytest.approx(-0.010, abs=3e-4)
+    assert 0 < history["penetration_stamp"][-1] < 1e-3
     shown = [imread(results / name)[..., :3] for name in ("with.png", "without.png")]
     assert shown[0].shape == shown[1].shape
     assert (np.abs(shown[0] - shown[1]).max(axis=2) > 0.02).sum() > 2000
 
-    looked = command(tmp_path, "look", "cone.toml", "-o", "look.png")
+    looked = command(tmp_path, "look", "stamp.toml", "-o", "look.png")
     assert looked.startswith("0\n"), looked
     red, green, blue = np.moveaxis(imread(tmp_path / "look.png")[..., :3], 2, 0)
     assert ((blue > green + 0.03) & (red > green + 0.015) & (blue > 0.8)).sum() > 2000
 
-    assert command(tmp_path, "report", "cone_results").startswith("0\n")
+    assert command(tmp_path, "report", "stamp_results").startswith("0\n")
     page = (results / "report.html").read_text()
-    assert "may touch a rigid cone (tip " in page and "angle 60" in page
-    assert '"Cone"' in command(tmp_path, "schema")
+    assert "may touch a rigid ring (center " in page and "wide 250 mm" in page
+    assert '"Ring"' in command(tmp_path, "schema")

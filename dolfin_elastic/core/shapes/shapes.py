@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -61,10 +61,12 @@ class Shape(Record):
         Args:
             scale: Metres per unit of length of the mesh.
         """
-        found: dict[str, object] = {}
-        for key, value in self._given_lengths():
-            several = isinstance(value, tuple)
-            found[key] = tuple(metres(x, scale) for x in value) if several else metres(value, scale)
+        found: dict[str, object] = {
+            key: tuple(metres(x, scale) for x in value)
+            if isinstance(value, tuple)
+            else metres(value, scale)
+            for key, value in self._given_lengths()
+        }
         return self.model_copy(update=found)
 
     def bare_lengths(self) -> list[float]:
@@ -72,7 +74,7 @@ class Shape(Record):
         rows = [v if isinstance(v, tuple) else (v,) for _, v in self._given_lengths()]
         return [float(x) for row in rows for x in row if isinstance(x, int | float)]
 
-    def _given_lengths(self) -> list[tuple[str, Any]]:
+    def _given_lengths(self) -> list[tuple[str, Radius | tuple[Coordinate, ...]]]:
         every = [(key, getattr(self, key)) for key in self.lengths]
         return [(key, value) for key, value in every if value is not None]
 
