@@ -173,7 +173,9 @@ def _shapes(
     dim, scale = len(space.low), space.scale
     if selector.plane is not None:
         _, at = space.plane(selector.plane, selector.at or 0.0)
-        yield f"plane {selector.plane} = {at / scale:.6g}", Plane(axis=selector.plane, at=at).off
+        # Nobody has written it: of faces without samples "min" is infinite.
+        plane = Plane.model_construct(axis=selector.plane, at=at)
+        yield f"plane {selector.plane} = {at / scale:.6g}", plane.off
     if selector.box is not None:
         # The tolerance moves each face by itself.
         box = Box.between(selector.box, scale, dim, "box")
