@@ -45,7 +45,9 @@ def test_virtual_environment(tmp_path: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     assert "dolfin_elastic/cli/tools/templates/rubber.toml" in names
     code = [
-        file for file in (ROOT / "dolfin_elastic/core/native").iterdir() if file.suffix in (".c", ".h")
+        file
+        for file in (ROOT / "dolfin_elastic/core/native").iterdir()
+        if file.suffix in (".c", ".h")
     ]
     assert code
     assert {str(file.relative_to(ROOT)) for file in code} <= set(names)
