@@ -18,7 +18,7 @@ from dolfin_elastic.core.petsc_options import parse_arguments
 from dolfin_elastic.core.signals import INTERRUPTED, Stop
 
 if TYPE_CHECKING:
-    from dolfin_elastic.case.converge.progress import Level, Progress
+    from dolfin_elastic.study.converge.progress import Level, Progress
 
 NOT_REACHED = 6
 
@@ -75,10 +75,10 @@ def converge(
     from dataclasses import replace
 
     from dolfin_elastic.case.case import read_case
-    from dolfin_elastic.case.converge.converge import Goal, default_folder
-    from dolfin_elastic.case.converge.converge import converge as converge_case
-    from dolfin_elastic.case.converge.quantity import Quantity, tolerance
     from dolfin_elastic.results.writers.summary import mark_stopped
+    from dolfin_elastic.study.converge.converge import Goal, default_folder
+    from dolfin_elastic.study.converge.converge import converge as converge_case
+    from dolfin_elastic.study.converge.quantity import Quantity, tolerance
 
     goal = Goal(Quantity.read(until[0]), tolerance(until[1]), refinements, int(unknowns))
     comm = begin(quiet)
@@ -138,8 +138,8 @@ def show_table_of(progress: Progress, folder: Path) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from dolfin_elastic.case.converge.report import FILES
     from dolfin_elastic.cli.console import console, show_files, show_table
+    from dolfin_elastic.study.converge.report import FILES
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     heads = ("mesh", "cells", "unknowns", progress.head, "estimated error", "in energy")

@@ -32,12 +32,10 @@ from dolfin_elastic.problem.constraints.normals import (
     check_outside,
     spring_directions,
 )
+from dolfin_elastic.problem.constraints.periodic.fluctuation import Fluctuation
+from dolfin_elastic.problem.constraints.periodic.unit_cell import Cell, make_cell
 from dolfin_elastic.problem.context import FormContext, Measures
 from dolfin_elastic.problem.eigenstrain import eigenstrains
-from dolfin_elastic.problem.loads.cavities import BodyCavity, make_cavities
-from dolfin_elastic.problem.loads.contact import ContactPair, make_contacts, placed_contacts
-from dolfin_elastic.problem.loads.point_loads import NodalLoads
-from dolfin_elastic.problem.loads.pressure_symmetry import follower_pressure_has_potential
 from dolfin_elastic.problem.material_regions import (
     WHOLE,
     Formulation,
@@ -45,10 +43,12 @@ from dolfin_elastic.problem.material_regions import (
     make_material_regions,
     shear_modulus,
 )
-from dolfin_elastic.problem.periodic.fluctuation import Fluctuation
-from dolfin_elastic.problem.periodic.unit_cell import Cell, make_cell
 from dolfin_elastic.problem.pressure.groups import pressure_groups
 from dolfin_elastic.problem.spaces import Unknowns
+from dolfin_elastic.problem.terms.cavities import BodyCavity, make_cavities
+from dolfin_elastic.problem.terms.contact import ContactPair, make_contacts, placed_contacts
+from dolfin_elastic.problem.terms.point_loads import NodalLoads
+from dolfin_elastic.problem.terms.pressure_symmetry import follower_pressure_has_potential
 from dolfin_elastic.problem.weak_form import (
     StepStart,
     WeakForm,
@@ -57,7 +57,7 @@ from dolfin_elastic.problem.weak_form import (
 )
 
 if TYPE_CHECKING:
-    from dolfin_elastic.problem.ties.ties import Ties
+    from dolfin_elastic.problem.constraints.ties.ties import Ties
 
 
 class Problem:
@@ -174,7 +174,7 @@ class Problem:
         )
         self.ties: Ties | None = None
         if ties:
-            from dolfin_elastic.problem.ties.ties import Ties  # and all of scipy.sparse
+            from dolfin_elastic.problem.constraints.ties.ties import Ties  # and all of scipy.sparse
 
             self.ties = Ties(body, self.V, ties, self.dirichlet, axisymmetric=axisymmetric)
         # Terms that few problems have are only made on demand, to keep the usual path short.

@@ -35,7 +35,7 @@ POINTS = {
     "hostile/test_gmsh.py",
     "hostile/test_petsc_options.py",
     "hostile/test_terminal.py",
-    "material_point/test_material_point.py",
+    "model/point/test_material_point.py",
     "model/materials/test_moduli.py",
     "model/materials/test_reference_energies.py",
     "model/test_amplitude.py",
@@ -45,7 +45,7 @@ POINTS = {
     "test_docs.py",
     "test_install.py",
     "results/finished/test_plot.py",
-    "results/pictures/test_series.py",
+    "results/scene/test_series.py",
     "test_layout.py",
     "test_scaling_model.py",
     "test_tutorials.py",
@@ -54,7 +54,7 @@ POINTS = {
 """Tests of numbers and texts, and of rates, in which ranks take no part: on one rank only."""
 LAWS = {
     "case/check/test_check_report.py",
-    "case/converge/test_converge.py",
+    "study/converge/test_converge.py",
     "mesh/test_selection.py",
     "model/materials/test_law_input.py",
     "model/materials/test_laws.py",
@@ -84,7 +84,7 @@ REFERENCES = {
 meshes, supports, loads, pressures and probes, have tests of their own; on one rank only, but for
 the linear ones, which run on two so that reference cases as such do."""
 SHARED = {
-    "case/converge/test_converge.py",
+    "study/converge/test_converge.py",
     "case/test_node_loads.py",
     "case/test_restart.py",
     "hostile/test_generated.py",
@@ -94,11 +94,11 @@ SHARED = {
     "model/loads/test_loads.py",
     "model/loads/test_pressure.py",
     "model/supports/test_supports.py",
-    "problem/loads/test_at_points.py",
-    "problem/loads/test_contact.py",
-    "problem/loads/test_edges_points.py",
+    "problem/terms/test_at_points.py",
+    "problem/terms/test_contact.py",
+    "problem/terms/test_edges_points.py",
     "problem/test_mixed.py",
-    "problem/periodic/test_periodic.py",
+    "problem/constraints/periodic/test_periodic.py",
     "problem/test_problem.py",
     "results/checkpoint/test_checkpoints.py",
     "results/finished/test_finished.py",

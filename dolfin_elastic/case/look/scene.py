@@ -18,8 +18,8 @@ from dolfin_elastic.core.shapes.shapes import Shape
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.loads import Load, LoadPoints
-from dolfin_elastic.problem.loads.edges_points import points_of
-from dolfin_elastic.results.body_picture.scene import Symbols, spread_facets
+from dolfin_elastic.problem.terms.edges_points import points_of
+from dolfin_elastic.results.scene.body import Symbols, spread_facets
 
 
 @dataclass(frozen=True)
