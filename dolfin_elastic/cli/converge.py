@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from click.exceptions import Exit
 
-from dolfin_elastic.cli.early import import_early
 from dolfin_elastic.cli.run import AUDIT_FAILED, Petsc, Quiet, Trust, begin
 from dolfin_elastic.core.errors import StoppedError, check_kept
 from dolfin_elastic.core.petsc_options import parse_arguments
 from dolfin_elastic.core.signals import INTERRUPTED, Stop
+from dolfin_elastic.core.startup.libraries import start
 
 if TYPE_CHECKING:
     from dolfin_elastic.study.converge.progress import Level, Progress
@@ -70,7 +70,7 @@ def converge(
         quiet: Show warnings and errors only.
     """
     options, at_start = parse_arguments(petsc or [])
-    import_early(at_start)
+    start(at_start)
     from contextlib import closing
     from dataclasses import replace
 
