@@ -1,13 +1,17 @@
-"""Runs the cases of `SUITE` and compares their results with the references."""
+"""Small cases whose results are known, in closed form or from publications: `cases/*.toml`.
+
+Each holds a case file as users write it; its result is read from the `summary.json` of a run.
+"""
 
 from __future__ import annotations
 
 import json
 import logging
 import time
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -19,7 +23,42 @@ from dolfin_elastic.case.case import read_case
 from dolfin_elastic.case.run import run
 from dolfin_elastic.core.errors import ElasticError
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.study.verify.cases import SUITE, Verification
+
+
+@dataclass(frozen=True)
+class Verification:
+    """A case and what its result must be.
+
+    Attributes:
+        name: In one word.
+        what: What is computed, and what is compared.
+        source: Where the reference is from.
+        case: The case file.
+        value: Keys of the result in the summary, joined by dots.
+        reference: What it must be.
+        limit: Largest relative error: what the mesh, the steps or round-off allow.
+        unit: Of the result.
+        files: Name to text of what the case reads.
+        full: It belongs to `verify --full` only.
+    """
+
+    name: str
+    what: str
+    source: str
+    case: str
+    value: str
+    reference: float
+    limit: float
+    unit: str
+    files: Mapping[str, str] = field(default_factory=dict)
+    full: bool = False
+
+
+SUITE = tuple(
+    Verification(path.stem.partition("-")[2], **tomllib.loads(path.read_text(encoding="utf-8")))
+    for path in sorted(Path(__file__).with_name("cases").glob("*.toml"))
+)
+"""All of them, in the order in which they run."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +146,10 @@ def outcome(one: Verification, comm: MPI.Comm) -> Outcome:
 
 
 def _read(one: Verification, results: Path) -> float:
-    return one.value(json.loads((results / "summary.json").read_text(encoding="utf-8")))
+    found = json.loads((results / "summary.json").read_text(encoding="utf-8"))
+    for key in one.value.split("."):
+        found = found[int(key) if isinstance(found, list) else key]
+    return float(found)
 
 
 @contextmanager
