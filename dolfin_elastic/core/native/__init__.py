@@ -1,1 +1,0 @@
-"""Loops in C, in files of their own, and what reads them."""

@@ -1,1 +1,0 @@
-"""Shapes beside a body: planes, boxes, spheres and cylinders."""

@@ -1,0 +1,1 @@
+"""Pictures of a body before it is computed: faces, names, supports, loads and obstacles."""
