@@ -6,10 +6,11 @@ with a part in every mode cannot be solved for before: the residual polynomial i
 to be small at each eigenvalue, a negative one, too.
 
 The operator M is the tangent A itself; its symmetric part where A is not symmetric; and with
-pressures the tangent of a softer material, `SofterVolume`, which is nowhere stiffer than the body.
-So where M is positive definite the body is stable.  Where it is not, the directions D of negative
-curvature decide: the inertia of A is that of its restriction to their complement, on which M has
-become positive definite, and that of the small matrix D^T A^-1 D.
+pressures the tangent of a softer material, `SofterVolume`, which is nowhere stiffer than the body,
+and of a less soft one where that is not positive definite.  So where M is positive definite the
+body is stable.  Where it is not, the directions D of negative curvature decide: the inertia of A is
+that of its restriction to their complement, on which M has become positive definite, and that of
+the small matrix D^T A^-1 D.
 
 Sources: C. C. Paige and M. A. Saunders, SIAM J. Numer. Anal. 12 (1975) 617 (conjugate gradients
 and Lanczos); E. V. Haynsworth, Linear Algebra Appl. 1 (1968) 73 (inertia of Schur complements).
@@ -100,7 +101,9 @@ def count_negative(newton: Newton, *, exactly: bool = False) -> Found:
         tangent, kept = _Tangent(newton), newton.soft
         directions = _Directions(tangent)
         # Near a critical load the softer volume is too soft along the same motions again.
-        if any(tangent.dot(d, tangent.product(d)) < 0.0 for d in kept.directions):
+        if tangent.is_negative_along(kept) and (
+            not tangent.stiffen() or tangent.is_negative_along(kept)
+        ):
             directions.begin(kept)
         found = _count(tangent, directions, exactly=exactly)
         newton.soft = directions.kept()
@@ -119,6 +122,8 @@ def _count(tangent: _Tangent, directions: _Directions, *, exactly: bool) -> Foun
             return Found(None, reason=ended.reason)
         if enough and tangent.is_whole:
             return _proven(tangent, ended.direction)
+        if not directions.count and tangent.stiffen():
+            continue  # cheaper than a solve for a direction, which it may save
         if not directions.add(ended.direction):
             return Found(None, reason="the linear solver does not converge with its tangent")
         if enough and directions.verdict(at_least=True).negative:
@@ -163,6 +168,7 @@ class _Tangent:
         self._assembler, self._linear = assembler, newton.linear
         self.comm, self.symmetric = assembler.comm, bool(problem.symmetric)
         self._softer = SofterVolume(assembler) if problem.mixed else None
+        self._is_stiffened = False
         self._rows: IndexArray | slice = slice(None)
         if self._softer is not None:
             self._rows = self._softer.moves
@@ -182,6 +188,17 @@ class _Tangent:
         size = self._y.norm()
         self._z.axpy(-1.0, self._y)
         return float(self._z.norm() / size) if size > 0.0 else 0.0
+
+    def stiffen(self) -> bool:
+        """Makes M stiffer, as far as it may be; False where it is so already. Collective."""
+        if self._softer is None or self._is_stiffened:
+            return False
+        self._is_stiffened = self._softer.stiffen()
+        return self._is_stiffened
+
+    def is_negative_along(self, kept: Soft) -> bool:
+        """Whether M is along a direction that was found in another state. Collective."""
+        return any(self.dot(d, self.product(d)) < 0.0 for d in kept.directions)
 
     def product(self, x: FloatArray) -> FloatArray:
         """M x [N]. Collective."""
