@@ -15,7 +15,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from dolfin_elastic import read_case
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.pictures.colour_bar import make_colour_bar
+from dolfin_elastic.results.scene.colour_bar import make_colour_bar
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZE = 4.0

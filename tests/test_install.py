@@ -44,6 +44,13 @@ def test_virtual_environment(tmp_path: Path) -> None:
     assert wheel.stat().st_size < 2e6
     names = zipfile.ZipFile(wheel).namelist()
     assert "dolfin_elastic/cli/tools/templates/rubber.toml" in names
+    code = [
+        file
+        for file in (ROOT / "dolfin_elastic/core/native").iterdir()
+        if file.suffix in (".c", ".h")
+    ]
+    assert code
+    assert {str(file.relative_to(ROOT)) for file in code} <= set(names)
     assert not [name for name in names if name.startswith(("tests/", "docs/"))]
     done([sys.executable, "-m", "venv", "--system-site-packages", tmp_path / "env"], tmp_path)
     done([tmp_path / "env/bin/pip", "install", *offline, wheel], tmp_path)

@@ -33,7 +33,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import read_case, run
 from dolfin_elastic.case.material_report import write
-from dolfin_elastic.material_point.report import material_report
+from dolfin_elastic.model.point.report import material_report
 
 HERE = Path(__file__).parent
 AREA = 0.01**2

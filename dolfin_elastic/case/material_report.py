@@ -15,10 +15,10 @@ from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.schema import known_keys
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.units import stress_unit
-from dolfin_elastic.material_point.homogeneous_tests import ResponseCurve
-from dolfin_elastic.material_point.report import MaterialReport
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.model.point.homogeneous_tests import ResponseCurve
+from dolfin_elastic.model.point.report import MaterialReport
 from dolfin_elastic.results.files import make_folder, replace_text, writing
 
 if TYPE_CHECKING:

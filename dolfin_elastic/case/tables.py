@@ -27,6 +27,7 @@ from dolfin_elastic.core.schema import (
     quoted,
     within,
 )
+from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.units import MESH_UNITS, MeshLength, Time, metres, to_si
 from dolfin_elastic.mesh import (
     Body,
@@ -36,7 +37,7 @@ from dolfin_elastic.mesh import (
 from dolfin_elastic.mesh.distribute import is_cad
 from dolfin_elastic.mesh.generate import number_of_cells
 from dolfin_elastic.mesh.local_size import MOST_CELLS, CadSizes, LocalSize
-from dolfin_elastic.mesh.selectors import Place, Point, Selector
+from dolfin_elastic.mesh.selectors import Place, Selector
 from dolfin_elastic.model.dimension import Geometry
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS

@@ -21,7 +21,6 @@ import typer
 from click.exceptions import ClickException
 
 from dolfin_elastic.cli.converge import converge
-from dolfin_elastic.cli.early import import_early
 from dolfin_elastic.cli.look.command import look
 from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import guard_output, lost_output
@@ -41,6 +40,7 @@ from dolfin_elastic.core.signals import (
     interrupt_on_request,
     launched_rank,
 )
+from dolfin_elastic.core.startup.libraries import start
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -129,7 +129,7 @@ def check(
         json: Write the report as JSON.
         trust: Let the mesh's script do all that the user may.
     """
-    import_early()
+    start()
     from mpi4py import MPI
 
     from dolfin_elastic.case.case import read_case

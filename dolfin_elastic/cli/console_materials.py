@@ -15,8 +15,8 @@ from rich.table import Table
 from dolfin_elastic.cli.terminal import Screen
 
 if TYPE_CHECKING:
-    from dolfin_elastic.material_point.library import TypicalMaterial
-    from dolfin_elastic.material_point.report import MaterialReport
+    from dolfin_elastic.model.point.library import TypicalMaterial
+    from dolfin_elastic.model.point.report import MaterialReport
 
 _MARKS = {"pass": "ok", "fail": "FAILED", "note": "note"}
 

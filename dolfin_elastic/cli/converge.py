@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from click.exceptions import Exit
 
-from dolfin_elastic.cli.early import import_early
 from dolfin_elastic.cli.run import AUDIT_FAILED, Petsc, Quiet, Trust, begin
 from dolfin_elastic.core.errors import StoppedError, check_kept
 from dolfin_elastic.core.petsc_options import parse_arguments
 from dolfin_elastic.core.signals import INTERRUPTED, Stop
+from dolfin_elastic.core.startup.libraries import start
 
 if TYPE_CHECKING:
-    from dolfin_elastic.case.converge.progress import Level, Progress
+    from dolfin_elastic.study.converge.progress import Level, Progress
 
 NOT_REACHED = 6
 
@@ -70,15 +70,15 @@ def converge(
         quiet: Show warnings and errors only.
     """
     options, at_start = parse_arguments(petsc or [])
-    import_early(at_start)
+    start(at_start)
     from contextlib import closing
     from dataclasses import replace
 
     from dolfin_elastic.case.case import read_case
-    from dolfin_elastic.case.converge.converge import Goal, default_folder
-    from dolfin_elastic.case.converge.converge import converge as converge_case
-    from dolfin_elastic.case.converge.quantity import Quantity, tolerance
     from dolfin_elastic.results.writers.summary import mark_stopped
+    from dolfin_elastic.study.converge.converge import Goal, default_folder
+    from dolfin_elastic.study.converge.converge import converge as converge_case
+    from dolfin_elastic.study.converge.quantity import Quantity, tolerance
 
     goal = Goal(Quantity.read(until[0]), tolerance(until[1]), refinements, int(unknowns))
     comm = begin(quiet)
@@ -138,8 +138,8 @@ def show_table_of(progress: Progress, folder: Path) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from dolfin_elastic.case.converge.report import FILES
     from dolfin_elastic.cli.console import console, show_files, show_table
+    from dolfin_elastic.study.converge.report import FILES
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     heads = ("mesh", "cells", "unknowns", progress.head, "estimated error", "in energy")

@@ -67,7 +67,7 @@ def materials(
     from dolfin_elastic.case.material_report import law_table
     from dolfin_elastic.cli.console import console
     from dolfin_elastic.cli.console_materials import as_json, show_laws
-    from dolfin_elastic.material_point.library import TYPICAL_MATERIALS
+    from dolfin_elastic.model.point.library import TYPICAL_MATERIALS
 
     if json:
         print(
@@ -90,7 +90,7 @@ def _test_materials(
     from dolfin_elastic.case.material_report import read_laws, write
     from dolfin_elastic.cli.console import console
     from dolfin_elastic.cli.console_materials import as_json, report_table, show_report
-    from dolfin_elastic.material_point.report import material_report
+    from dolfin_elastic.model.point.report import material_report
 
     laws, tables, failed = read_laws(what, constants, only), {}, ""
     for name, law in laws.items():

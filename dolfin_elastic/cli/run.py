@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from click.exceptions import Exit
 
-from dolfin_elastic.cli.early import import_early
 from dolfin_elastic.core.errors import SolveError, StoppedError, check_kept
 from dolfin_elastic.core.petsc_options import parse_arguments
 from dolfin_elastic.core.signals import INTERRUPTED, Stop
+from dolfin_elastic.core.startup.libraries import start
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -81,7 +81,7 @@ def run(
         json: Print the summary at the end, for scripts.
     """
     options, at_start = parse_arguments(petsc or [])
-    import_early(at_start)
+    start(at_start)
     from dolfin_elastic.case.case import read_case
     from dolfin_elastic.case.run import run as run_case
     from dolfin_elastic.results.writers.summary import mark_stopped
@@ -128,7 +128,7 @@ def restart(
         json: Print the summary at the end, for scripts.
     """
     options, at_start = parse_arguments(petsc or [])
-    import_early(at_start)
+    start(at_start)
     from dolfin_elastic.case.restart import unfinished
     from dolfin_elastic.case.run import restart as restart_case
     from dolfin_elastic.results.writers.summary import mark_stopped

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import dolfin_elastic.core.startup.started  # noqa: F401  # before anything starts MPI
 
 if TYPE_CHECKING:
+    from dolfin_elastic.core.shapes.shapes import Cylinder as Cylinder
+    from dolfin_elastic.core.shapes.shapes import Sphere as Sphere
     from dolfin_elastic.mesh.body import Body as Body
     from dolfin_elastic.mesh.generate import box_body as box_body
     from dolfin_elastic.mesh.generate import rectangle_body as rectangle_body
@@ -19,11 +21,9 @@ if TYPE_CHECKING:
     from dolfin_elastic.mesh.geometry.quality import mesh_statistics as mesh_statistics
     from dolfin_elastic.mesh.read import read_body as read_body
     from dolfin_elastic.mesh.selection import name_parts as name_parts
-    from dolfin_elastic.mesh.selectors import Cylinder as Cylinder
     from dolfin_elastic.mesh.selectors import EdgeSelector as EdgeSelector
     from dolfin_elastic.mesh.selectors import PointSelector as PointSelector
     from dolfin_elastic.mesh.selectors import Selector as Selector
-    from dolfin_elastic.mesh.selectors import Sphere as Sphere
 
 _WHERE = {
     "Body": "body",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,21 +11,21 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import smallest, total
+from dolfin_elastic.core.shapes.box import Box, point_of
+from dolfin_elastic.core.shapes.shapes import Axis, Plane
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.core.units import MeshLength, metres
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.mesh.selectors import Cylinder, Place
+from dolfin_elastic.mesh.selectors import Place
 
 TOLERANCE = 1e-6
 """Share of the body's diagonal by which a corner may be off."""
 
 
 @dataclass(frozen=True)
-class BoundingBox:
+class BoundingBox(Box):
     """Bounding box of the body [m], and metres per unit of bare numbers in selectors."""
 
-    low: FloatArray
-    high: FloatArray
     scale: float
 
     @staticmethod
@@ -39,33 +39,32 @@ class BoundingBox:
         low, high = bounding_box(body.mesh)
         return BoundingBox(low, high, scale)
 
-    @property
-    def diagonal(self) -> float:
-        """Its length [m]."""
-        return float(np.linalg.norm(self.high - self.low))
+    def plane(self, axis: Axis, at: MeshLength) -> tuple[int, float]:
+        """Number of the axis across a plane, and the plane's coordinate [m].
+
+        Args:
+            axis: Its name.
+            at: The coordinate, or "min", "middle" or "max" of the body.
+
+        Raises:
+            MeshError: A plane body has no such axis.
+        """
+        number = "xyz".index(axis)
+        if number >= len(self.low):
+            raise MeshError(
+                f"the body is plane, it has no {axis}", where="plane", expected="x or y"
+            )
+        low, high = float(self.low[number]), float(self.high[number])
+        known = {"min": low, "middle": (low + high) / 2, "max": high}
+        return number, known[at] if at in known else self.metres(at)
 
     def metres(self, value: MeshLength) -> float:
         """A length of a selector in metres."""
         return metres(value, self.scale)
 
     def point(self, values: Sequence[MeshLength], key: str) -> FloatArray:
-        """A point of a selector [m], with as many coordinates as the body has.
-
-        Args:
-            values: Two or three coordinates.
-            key: Where they stand, for messages.
-
-        Raises:
-            MeshError: There are too few.
-        """
-        dim = len(self.low)
-        if len(values) < dim:
-            raise MeshError(
-                f"the body is three-dimensional, {list(values)} is not",
-                where=key,
-                expected="3 coordinates",
-            )
-        return np.array([self.metres(v) for v in values[:dim]])
+        """A point of a selector [m], of which `key` is the key. See `point_of`."""
+        return np.array(point_of(values, self.scale, len(self.low), key))
 
     def __str__(self) -> str:
         text = [
@@ -167,106 +166,41 @@ def allowed_distance(selector: Place, space: BoundingBox) -> float:
     return space.metres(selector.tolerance)
 
 
-def plane_position(selector: Place, space: BoundingBox) -> tuple[int, float]:
-    """Number of the axis across a selector's plane, and the plane's coordinate [m].
-
-    Args:
-        selector: Its plane.
-        space: Of the body.
-
-    Raises:
-        MeshError: A plane body has no such axis.
-    """
-    axis = "xyz".index(selector.plane or "x")
-    if axis >= len(space.low):
-        raise MeshError(
-            f"the body is plane, it has no {selector.plane}", where="plane", expected="x or y"
-        )
-    if selector.at == "min":
-        return axis, float(space.low[axis])
-    if selector.at == "max":
-        return axis, float(space.high[axis])
-    return axis, space.metres(selector.at or 0.0)
-
-
-def distance_from_box(selector: Place, space: BoundingBox) -> Callable[[FloatArray], FloatArray]:
-    """Function from points, shape (n, dim), to how far outside of a box each lies [m].
-
-    Args:
-        selector: Its box.
-        space: Of the body.
-    """
-    assert selector.box is not None
-    one, two = (space.point(corner, "box") for corner in selector.box)
-    low, high = np.minimum(one, two), np.maximum(one, two)
-    return lambda x: np.maximum(np.maximum(low - x, x - high).max(axis=1), 0)
-
-
-def curved_tests(
+def _shapes(
     selector: Place, space: BoundingBox
-) -> list[tuple[str, Callable[[FloatArray], FloatArray]]]:
-    """Signed distance [m] from the sphere and the cylinder of a selector, negative inside.
-
-    Args:
-        selector: Its sphere and cylinder.
-        space: Of the body.
-
-    Returns:
-        For each of them its name, and a function from points [m], shape (n, dim), to shape (n,).
-    """
-    found = []
-    if (sphere := selector.sphere) is not None and sphere.center is not None:
-        center, radius = space.point(sphere.center, "sphere.center"), space.metres(sphere.radius)
-        found.append(("sphere", lambda x: np.linalg.norm(x - center, axis=1) - radius))
-    if (cylinder := selector.cylinder) is not None and cylinder.point is not None:
-        point = space.point(cylinder.point, "cylinder.point")
-        found.append(("cylinder", _distance_from_cylinder(cylinder, point, space)))
-    return found
+) -> Iterator[tuple[str, Callable[[FloatArray], FloatArray]]]:
+    """Shapes of a selector in words, and how far points are: signed, of a box 0 inside."""
+    dim, scale = len(space.low), space.scale
+    if selector.plane is not None:
+        _, at = space.plane(selector.plane, selector.at or 0.0)
+        # Nobody has written it: of faces without samples "min" is infinite.
+        plane = Plane.model_construct(axis=selector.plane, at=at)
+        yield f"plane {selector.plane} = {at / scale:.6g}", plane.off
+    if selector.box is not None:
+        # The tolerance moves each face by itself.
+        box = Box.between(selector.box, scale, dim, "box")
+        yield "box", lambda x: np.asarray(box.beyond(x).max(axis=-1))
+    for key, shape in selector.shapes.items():
+        if shape.placed:
+            yield key, shape.selecting(scale, dim, key).off
 
 
-def _distance_from_cylinder(
-    cylinder: Cylinder, point: FloatArray, space: BoundingBox
-) -> Callable[[FloatArray], FloatArray]:
-    dim, radius = len(space.low), space.metres(cylinder.radius)
-    along = np.array(cylinder.direction)[:dim]
-    if dim == 2 and along.any():
-        raise MeshError(
-            "the body is plane: the axis of a cylinder must be z",
-            where="cylinder.axis",
-            expected='"z"',
-        )
-
-    def distance(x: FloatArray) -> FloatArray:
-        arm = x - point
-        arm = arm - (arm @ along)[:, None] * along
-        return np.asarray(np.linalg.norm(arm, axis=1) - radius)
-
-    return distance
-
-
-def place_criteria(selector: Place, space: BoundingBox, corners: FloatArray) -> list[Criterion]:
+def place_criteria(
+    selector: Place, space: BoundingBox, corners: FloatArray, *, filled: bool = False
+) -> list[Criterion]:
     """Whether all corners of facets, edges or nodes lie where a selector says.
 
     Args:
         selector: Its plane, box, sphere and cylinder.
         space: Of the body.
         corners: Shape (n, corners, dim) [m].
+        filled: They may lie inside of spheres and cylinders.
     """
-    limit = allowed_distance(selector, space)
-
-    def test(label: str, distance: Callable[[FloatArray], FloatArray]) -> Criterion:
-        flat = np.abs(distance(corners.reshape(-1, corners.shape[2])))
-        return Criterion(label, flat.reshape(corners.shape[:2]).max(axis=1), limit, space.scale)
-
-    tests = []
-    if selector.plane is not None:
-        axis, value = plane_position(selector, space)
-        label = f"on the plane {selector.plane} = {value / space.scale:.6g}"
-        tests.append(test(label, lambda x: x[:, axis] - value))
-    if selector.box is not None:
-        tests.append(test("in the box", distance_from_box(selector, space)))
-    for label, distance in curved_tests(selector, space):
-        tests.append(test(f"on the {label}", distance))
+    limit, tests = allowed_distance(selector, space), []
+    for label, off in _shapes(selector, space):
+        distance = np.maximum(off(corners), 0.0) if filled else np.abs(off(corners))
+        text = f"{'in' if filled or label == 'box' else 'on'} the {label}"
+        tests.append(Criterion(text, distance.max(axis=1), limit, space.scale))
     return tests
 
 

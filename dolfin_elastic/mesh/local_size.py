@@ -18,11 +18,13 @@ from pydantic import model_validator
 
 from dolfin_elastic.core.errors import InputError, MeshError, nearest
 from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.shapes.box import Box
+from dolfin_elastic.core.shapes.shapes import Point, Sphere
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import LengthUnit, Size, metres
 from dolfin_elastic.mesh.criteria import BoundingBox, fulfilled, place_criteria
 from dolfin_elastic.mesh.faces import CadFaces, chosen_faces
-from dolfin_elastic.mesh.selectors import Point, Selector, Sphere
+from dolfin_elastic.mesh.selectors import Selector
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.formats.cad.faces import CadFace
@@ -63,16 +65,21 @@ class LocalSize(Record):
                 f"{' and '.join(given)} given together" if given else "no place is given",
                 expected="expected exactly one of on, sphere, box",
             )
-        if self.sphere is not None and self.sphere.center is None:
-            raise InputError(
-                "this key is missing", where="sphere.center", expected="for example [0, 0, 0]"
-            )
+        if self.sphere is not None:
+            self.sphere.check_placed("sphere")
         return self
 
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of its surfaces and regions."""
         return () if self.on is None else (self.on,) if isinstance(self.on, str) else (*self.on,)
+
+    def shape(self, scale: float, dim: int, where: str) -> Sphere | Box:
+        """Its sphere or box, in metres, where `where` is the key of this size. See `point_of`."""
+        if self.sphere is not None:
+            return self.sphere.selecting(scale, dim, f"{where}.sphere")
+        assert self.box is not None
+        return Box.between(self.box, scale, dim, f"{where}.box")
 
     def place(self) -> str:
         """The place in words."""
@@ -241,10 +248,9 @@ def _count(place: LocalField, size: float, faces: CadFaces, model: float) -> flo
         areas = [faces.faces[number].area or 0.0 for number in place["faces"]]
         amount = (2.0 + _GRADED[d]) * size * sum(areas) / model ** (d - 1)  # two layers
     elif "sphere" in place:
-        amount = (4.2 if d == 3 else 3.2) * float(place["sphere"][3]) ** d
+        amount = Sphere(radius=place["sphere"][3]).volume(d)
     elif "box" in place:
-        low, high = np.split(np.array(place["box"]), 2)
-        amount = float(np.prod((high - low)[:d]))
+        amount = Box(*np.split(np.array(place["box"]), 2)).volume(d)
     else:
         return 0.0
     if len(every := _samples(faces) / model):

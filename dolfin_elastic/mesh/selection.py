@@ -14,9 +14,6 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.criteria import (
     BoundingBox,
     Criterion,
-    allowed_distance,
-    curved_tests,
-    distance_from_box,
     fulfilled,
     not_found,
     place_criteria,
@@ -186,25 +183,15 @@ def _region_criteria(
     mesh: Mesh, cells: IndexArray, selector: Selector, space: BoundingBox
 ) -> list[Criterion]:
     wrong = [key for key in ("plane", "normal") if getattr(selector, key) is not None]
-    wrong += [key for key in selector.by_face if key not in ("sphere", "cylinder")]
+    wrong += [key for key in selector.by_face if key not in selector.shapes]
     if wrong:
         raise MeshError(
             f"a {wrong[0]} picks surfaces, not regions",
             expected="regions are picked by box, sphere, cylinder, of, or all",
         )
     selector.check_placed()
-    middle = cell_corners(mesh, cells).mean(axis=1)
-    limit = allowed_distance(selector, space)
-    tests = []
-    if selector.box is not None:
-        tests.append(
-            Criterion("in the box", distance_from_box(selector, space)(middle), limit, space.scale)
-        )
-    for label, distance in curved_tests(selector, space):
-        tests.append(
-            Criterion(f"in the {label}", np.maximum(distance(middle), 0), limit, space.scale)
-        )
-    return tests
+    middle = cell_corners(mesh, cells).mean(axis=1, keepdims=True)
+    return place_criteria(selector, space, middle, filled=True)
 
 
 def _normal_test(

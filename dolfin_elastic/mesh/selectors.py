@@ -20,15 +20,22 @@ cylinders and spheres without a place, are those of the CAD file that the mesh i
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.schema import Record
-from dolfin_elastic.core.units import MeshLength, Size, finite_length, no_switch
+from dolfin_elastic.core.shapes.shapes import (
+    Axis,
+    Cylinder,
+    Direction,
+    Point,
+    Shape,
+    Sphere,
+    nonzero,
+)
+from dolfin_elastic.core.units import Size, finite_length, no_switch
 
 
 def _level(value: float | str) -> float | str:
@@ -44,53 +51,12 @@ def _middle(value: float | str) -> float | str:
 
 Level = Annotated[float | str, BeforeValidator(no_switch), AfterValidator(_level)]
 Middle = Annotated[float | str, BeforeValidator(no_switch), AfterValidator(_middle)]
-Point = Annotated[tuple[MeshLength, ...], Field(min_length=2, max_length=3)]
-Direction = Annotated[tuple[float, ...], Field(min_length=2, max_length=3)]
-Axis = Literal["x", "y", "z"]
 FaceNumber = Annotated[int, Field(gt=0)]
 FaceKind = Literal[
     "plane", "cylinder", "cone", "sphere", "torus", "surface", "hole", "shaft", "fillet", "round"
 ]
 _GEOMETRIC = ("plane", "box", "sphere", "cylinder", "normal", "line", "nearest")
 _OF_FACES = ("faces", "kind", "cone", "torus")
-
-
-def _nonzero(value: Axis | tuple[float, ...]) -> Axis | tuple[float, ...]:
-    if not isinstance(value, str) and not any(value):
-        raise ValueError("a direction cannot be zero")
-    return value
-
-
-class Sphere(Record):
-    """A sphere (in 2D a circle); without a centre all faces of a CAD file that are like it."""
-
-    center: Point | None = None
-    radius: Size
-
-
-class Cylinder(Record):
-    """An endless circular cylinder (in 2D, with axis z, a circle).
-
-    Without a point of its axis all faces of a CAD file that are like it.
-
-    Attributes:
-        axis: Its direction; z by default, any if there is no point.
-        point: Of the axis.
-        radius: Its radius.
-    """
-
-    axis: Annotated[Axis | Direction, AfterValidator(_nonzero)] | None = None
-    point: Point | None = None
-    radius: Size
-
-    @property
-    def direction(self) -> tuple[float, ...]:
-        """Unit vector along the axis, three components."""
-        axis = self.axis or "z"
-        if isinstance(axis, str):
-            return tuple(1.0 if one == axis else 0.0 for one in "xyz")
-        length = math.hypot(*axis)
-        return tuple(one / length for one in (*axis, 0.0)[:3])
 
 
 class Cone(Record):
@@ -147,22 +113,20 @@ class Place(Record):
             self.check_placed()
         return self
 
+    @property
+    def shapes(self) -> dict[str, Shape]:
+        """Key of each shape that was given, to the shape."""
+        values = {key: getattr(self, key) for key in type(self).model_fields}
+        return {key: value for key, value in values.items() if isinstance(value, Shape)}
+
     def check_placed(self) -> None:
         """Checks that spheres and cylinders have a place.
 
         Raises:
             MeshError: A key is missing.
         """
-        if self.sphere is not None and self.sphere.center is None:
-            raise MeshError(
-                "this key is missing", where="sphere.center", expected="for example [0, 0, 0]"
-            )
-        if self.cylinder is not None and self.cylinder.point is None:
-            raise MeshError(
-                "this key is missing",
-                where="cylinder.point",
-                expected="a point of the axis, for example [0, 0, 0]",
-            )
+        for key, shape in self.shapes.items():
+            shape.check_placed(key)
 
     def given(self) -> list[str]:
         """The geometric keys that were given."""
@@ -186,7 +150,7 @@ class Selector(Place):
         all: The whole boundary, or all cells.
     """
 
-    normal: Annotated[Direction, AfterValidator(_nonzero)] | None = None
+    normal: Annotated[Direction, AfterValidator(nonzero)] | None = None
     angle: Annotated[float, Field(gt=0, le=180)] | None = None
     faces: Annotated[tuple[FaceNumber, ...], Field(min_length=1)] | None = None
     kind: FaceKind | None = None
@@ -217,11 +181,7 @@ class Selector(Place):
     def by_face(self) -> list[str]:
         """The keys that pick faces of a CAD file by what they are."""
         found = [key for key in _OF_FACES if getattr(self, key) is not None]
-        if self.sphere is not None and self.sphere.center is None:
-            found.append("sphere")
-        if self.cylinder is not None and self.cylinder.point is None:
-            found.append("cylinder")
-        return found
+        return found + [key for key, shape in self.shapes.items() if not shape.placed]
 
 
 class Line(Record):

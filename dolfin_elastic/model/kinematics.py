@@ -146,127 +146,67 @@ def less_cofactor(F: Expr) -> Expr:
     return H + H.T - ufl.tr(H) * ufl.Identity(3) - cofactor(H)
 
 
-# Conversions between stress measures.  P first Piola-Kirchhoff (force over reference area),
-# S second Piola-Kirchhoff, tau Kirchhoff, sigma Cauchy (force over current area).
+# Conversions between stress measures, all [Pa] of shape (d, d) as F: P first Piola-Kirchhoff (force
+# over reference area), S second Piola-Kirchhoff, tau Kirchhoff, sigma Cauchy (over current area).
 
 
 def first_from_second(S: Expr, F: Expr) -> Expr:
-    """P = F S (5.45a).
-
-    Args:
-        S: Second Piola-Kirchhoff stress [Pa], shape (d, d).
-        F: Deformation gradient, shape (d, d).
-    """
+    """P = F S (5.45a)."""
     return F * S
 
 
 def second_from_first(P: Expr, F: Expr) -> Expr:
-    """S = F^-1 P (5.45a).
-
-    Args:
-        P: First Piola-Kirchhoff stress [Pa], shape (d, d).
-        F: Deformation gradient, shape (d, d).
-    """
+    """S = F^-1 P (5.45a)."""
     return ufl.inv(F) * P
 
 
 def kirchhoff_from_first(P: Expr, F: Expr) -> Expr:
-    """tau = P F^T (5.34).
-
-    Args:
-        P: First Piola-Kirchhoff stress [Pa], shape (d, d).
-        F: Deformation gradient, shape (d, d).
-    """
+    """tau = P F^T (5.34)."""
     return P * F.T
 
 
 def first_from_kirchhoff(tau: Expr, F: Expr) -> Expr:
-    """P = tau F^-T (5.34).
-
-    Args:
-        tau: Kirchhoff stress [Pa], shape (d, d).
-        F: Deformation gradient, shape (d, d).
-    """
+    """P = tau F^-T (5.34)."""
     return tau * ufl.inv(F).T
 
 
 def cauchy_from_first(P: Expr, F: Expr) -> Expr:
-    """sigma = P F^T / J (5.45a).
-
-    Args:
-        P: First Piola-Kirchhoff stress [Pa], shape (d, d).
-        F: Deformation gradient, shape (d, d).
-    """
+    """sigma = P F^T / J (5.45a)."""
     return P * F.T / ufl.det(F)
 
 
 def first_from_cauchy(sigma: Expr, F: Expr) -> Expr:
-    """P = J sigma F^-T (5.32).
-
-    Args:
-        sigma: Cauchy stress [Pa], shape (d, d).
-        F: Deformation gradient, shape (d, d).
-    """
+    """P = J sigma F^-T (5.32)."""
     return ufl.det(F) * sigma * ufl.inv(F).T
 
 
 def kirchhoff_from_cauchy(sigma: Expr, F: Expr) -> Expr:
-    """tau = J sigma (5.30).
-
-    Args:
-        sigma: Cauchy stress [Pa], shape (d, d).
-        F: Deformation gradient, shape (d, d).
-    """
+    """tau = J sigma (5.30)."""
     return ufl.det(F) * sigma
 
 
 def cauchy_from_kirchhoff(tau: Expr, F: Expr) -> Expr:
-    """sigma = tau / J (5.30).
-
-    Args:
-        tau: Kirchhoff stress [Pa], shape (d, d).
-        F: Deformation gradient, shape (d, d).
-    """
+    """sigma = tau / J (5.30)."""
     return tau / ufl.det(F)
 
 
 def kirchhoff_from_second(S: Expr, F: Expr) -> Expr:
-    """tau = F S F^T, the push-forward (5.47b).
-
-    Args:
-        S: Second Piola-Kirchhoff stress [Pa], shape (d, d).
-        F: Deformation gradient, shape (d, d).
-    """
+    """tau = F S F^T, the push-forward (5.47b)."""
     return F * S * F.T
 
 
 def second_from_kirchhoff(tau: Expr, F: Expr) -> Expr:
-    """S = F^-1 tau F^-T, the pull-back (5.47a).
-
-    Args:
-        tau: Kirchhoff stress [Pa], shape (d, d).
-        F: Deformation gradient, shape (d, d).
-    """
+    """S = F^-1 tau F^-T, the pull-back (5.47a)."""
     return ufl.inv(F) * tau * ufl.inv(F).T
 
 
 def cauchy_from_second(S: Expr, F: Expr) -> Expr:
-    """sigma = F S F^T / J (5.45b).
-
-    Args:
-        S: Second Piola-Kirchhoff stress [Pa], shape (d, d).
-        F: Deformation gradient, shape (d, d).
-    """
+    """sigma = F S F^T / J (5.45b)."""
     return F * S * F.T / ufl.det(F)
 
 
 def second_from_cauchy(sigma: Expr, F: Expr) -> Expr:
-    """S = J F^-1 sigma F^-T (5.43).
-
-    Args:
-        sigma: Cauchy stress [Pa], shape (d, d).
-        F: Deformation gradient, shape (d, d).
-    """
+    """S = J F^-1 sigma F^-T (5.43)."""
     return ufl.det(F) * ufl.inv(F) * sigma * ufl.inv(F).T
 
 

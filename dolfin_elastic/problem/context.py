@@ -28,15 +28,15 @@ from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.dimension import Geometry, WeightedMeasure, full_gradient
 from dolfin_elastic.model.values import Component, Parts, depends_on_time
 from dolfin_elastic.problem.coefficients import CoefficientBinder
-from dolfin_elastic.problem.loads.at_points import FormulaValues, IntegralPoints, facet_sets
-from dolfin_elastic.problem.loads.edges_points import (
+from dolfin_elastic.problem.material_regions import MaterialRegion
+from dolfin_elastic.problem.spaces import Unknowns
+from dolfin_elastic.problem.terms.at_points import FormulaValues, IntegralPoints, facet_sets
+from dolfin_elastic.problem.terms.edges_points import (
     HeldPart,
     PointIntegrals,
     SummedMeasure,
     extent,
 )
-from dolfin_elastic.problem.material_regions import MaterialRegion
-from dolfin_elastic.problem.spaces import Unknowns
 
 
 class Measures:

@@ -10,14 +10,17 @@ from typing import Literal
 
 import numpy as np
 from dolfinx.fem import Constant
+from mpi4py import MPI
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, MeshError, nearest
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import on_root, total
+from dolfin_elastic.core.schema import within
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.dimension import GEOMETRIES, Geometry
 from dolfin_elastic.model.materials.law import Law, SplitLaw
+from dolfin_elastic.model.materials.user import UserEnergy
 from dolfin_elastic.problem.coefficients import BoundLaw, CoefficientBinder
 from dolfin_elastic.problem.pressure.graded import stiffness_step
 from dolfin_elastic.problem.spaces import AuxiliaryField
@@ -182,8 +185,6 @@ def make_material_regions(
     typical = {name: b.typical for name, b in bound.items()}
     written = {f"materials.{n}": law for n, law in typical.items() if law.written}
     if written:
-        from dolfin_elastic.material_point.checks import check_user_energies
-
         check_user_energies(written, body.comm)
     fields = plan(typical, formulation, degree, plane_stress=geometry == "plane-stress")
     if fields.mixed:
@@ -389,7 +390,7 @@ def shear_modulus(law: Law) -> float:
     """Shear modulus at small strains, of anisotropic laws a mean [Pa]."""
     if (known := law.small_strain()) is not None:
         return known.mu
-    from dolfin_elastic.material_point.checks import LawUnderTest, voigt
+    from dolfin_elastic.model.point.checks import LawUnderTest, voigt
 
     with np.errstate(all="ignore"):
         stiffness = voigt(LawUnderTest(law).rest)
@@ -400,3 +401,28 @@ def shear_modulus(law: Law) -> float:
 def young(law: Law) -> float:
     """Young's modulus at small strains, of anisotropic laws about [Pa]."""
     return 2 * (1 + poisson(law)) * shear_modulus(law)
+
+
+def check_user_energies(laws: Mapping[str, Law], comm: MPI.Comm) -> None:
+    """Checks the energies that users wrote, each once, before a run starts.
+
+    Collective.
+
+    Args:
+        laws: Dotted key of a material to its law.
+        comm: All ranks of the run.
+
+    Raises:
+        InputError: On every rank, with the key and the first check that fails.
+    """
+    for key, law in laws.items():
+        # Constants that vary in space have no values yet: after binding their means are checked.
+        if not isinstance(law, UserEnergy) or law.checked or law.spatial_constants():
+            continue
+        from dolfin_elastic.model.point.checks import check_energy
+
+        try:
+            on_root(comm, lambda law=law: check_energy(law))  # type: ignore[misc]
+        except InputError as error:
+            raise within(key, error) from None
+        law.mark_checked()

@@ -32,12 +32,10 @@ from dolfin_elastic.problem.constraints.normals import (
     check_outside,
     spring_directions,
 )
+from dolfin_elastic.problem.constraints.periodic.fluctuation import Fluctuation
+from dolfin_elastic.problem.constraints.periodic.unit_cell import Cell, make_cell
 from dolfin_elastic.problem.context import FormContext, Measures
 from dolfin_elastic.problem.eigenstrain import eigenstrains
-from dolfin_elastic.problem.loads.cavities import BodyCavity, make_cavities
-from dolfin_elastic.problem.loads.contact import ContactPair, make_contacts, placed_contacts
-from dolfin_elastic.problem.loads.point_loads import NodalLoads
-from dolfin_elastic.problem.loads.pressure_symmetry import follower_pressure_has_potential
 from dolfin_elastic.problem.material_regions import (
     WHOLE,
     Formulation,
@@ -45,10 +43,12 @@ from dolfin_elastic.problem.material_regions import (
     make_material_regions,
     shear_modulus,
 )
-from dolfin_elastic.problem.periodic.fluctuation import Fluctuation
-from dolfin_elastic.problem.periodic.unit_cell import Cell, make_cell
 from dolfin_elastic.problem.pressure.groups import pressure_groups
 from dolfin_elastic.problem.spaces import Unknowns
+from dolfin_elastic.problem.terms.cavities import BodyCavity, make_cavities
+from dolfin_elastic.problem.terms.contact import ContactPair, make_contacts, placed_contacts
+from dolfin_elastic.problem.terms.point_loads import NodalLoads
+from dolfin_elastic.problem.terms.pressure_symmetry import follower_pressure_has_potential
 from dolfin_elastic.problem.weak_form import (
     StepStart,
     WeakForm,
@@ -57,7 +57,7 @@ from dolfin_elastic.problem.weak_form import (
 )
 
 if TYPE_CHECKING:
-    from dolfin_elastic.problem.ties.ties import Ties
+    from dolfin_elastic.problem.constraints.ties.ties import Ties
 
 
 class Problem:
@@ -133,10 +133,7 @@ class Problem:
         order = max(degree, int(body.mesh.geometry.cmap.degree))
         axisymmetric = self.geometry == "axisymmetric"
         contacts = placed_contacts(contacts, body, turned=axisymmetric) if contacts else ()
-        for where, names in _surfaces_with_normals(self.supports, self.loads, contacts):
-            for name in names:
-                if name in body.surfaces:  # unknown names are refused where they are used
-                    check_outside(body, name, where)
+        _check_normals(body, self.supports, self.loads, contacts)
         self.cell: Cell | None = None
         if periodic is not None:
             others = {"support": supports, "load": loads, "contact": contacts, "tie": ties}
@@ -174,10 +171,23 @@ class Problem:
         )
         self.ties: Ties | None = None
         if ties:
-            from dolfin_elastic.problem.ties.ties import Ties  # and all of scipy.sparse
+            from dolfin_elastic.problem.constraints.ties.ties import Ties  # and all of scipy.sparse
 
             self.ties = Ties(body, self.V, ties, self.dirichlet, axisymmetric=axisymmetric)
-        # Terms that few problems have are only made on demand, to keep the usual path short.
+        self._make_rare_terms(contacts)
+        self.weak_form = WeakForm(
+            self.context,
+            self.loads,
+            [s for s in self.supports if isinstance(s, ResistingSupport)],
+            self.contact_pairs,
+            eigenstrains=self.eigenstrains,
+            quadrature_degree=quadrature_degree,
+        )
+        # Forms are made lazily; evaluated here, an invalid load or spring fails on construction.
+        _ = self.weak_form.external, self.weak_form.restraint_works
+
+    def _make_rare_terms(self, contacts: Sequence[Contact]) -> None:
+        """Makes what few problems have where there is any, to keep the usual path short."""
         kinds = {type(load) for load in self.loads}
         self.cavities: list[BodyCavity] = []
         if any(issubclass(kind, Cavity) for kind in kinds):
@@ -190,17 +200,7 @@ class Problem:
             self.eigenstrains = eigenstrains(self.context, self.loads)
         self.nodal_loads: NodalLoads | None = None
         if any(issubclass(kind, ConcentratedLoad) for kind in kinds):
-            self.nodal_loads = NodalLoads(body, self.V, self.loads)
-        self.weak_form = WeakForm(
-            self.context,
-            self.loads,
-            [s for s in self.supports if isinstance(s, ResistingSupport)],
-            self.contact_pairs,
-            eigenstrains=self.eigenstrains,
-            quadrature_degree=quadrature_degree,
-        )
-        # Forms are made lazily; evaluated here, an invalid load or spring fails on construction.
-        _ = self.weak_form.external, self.weak_form.restraint_works
+            self.nodal_loads = NodalLoads(self.body, self.V, self.loads)
 
     def _scale_unknowns(self) -> None:
         """Scales the auxiliary fields to the magnitude of displacements, see `spaces.Unknowns`."""
@@ -403,10 +403,13 @@ def configuration_of_moments(problem: Problem) -> str:
     return "reference" if all(linear) else "current"
 
 
-def _surfaces_with_normals(
-    supports: Sequence[Restraint], loads: Sequence[Load], contacts: Sequence[Contact]
-) -> list[tuple[str, tuple[str, ...]]]:
-    """Key and names of surfaces whose outward normal a spring, load or contact needs."""
+def _check_normals(
+    body: Body,
+    supports: Sequence[Restraint],
+    loads: Sequence[Load],
+    contacts: Sequence[Contact],
+) -> None:
+    """Surfaces whose outward normal a spring, load or contact needs are outside. Collective."""
     found = [
         (f"support[{i}].on", s.surfaces)
         for i, s in enumerate(supports)
@@ -414,4 +417,7 @@ def _surfaces_with_normals(
     ]
     found += [(f"load[{i}].on", load.parts) for i, load in enumerate(loads) if load.along_normal]
     found += [(f"contact[{i}].on", contact.surfaces) for i, contact in enumerate(contacts)]
-    return found
+    for where, names in found:
+        for name in names:
+            if name in body.surfaces:  # unknown names are refused where they are used
+                check_outside(body, name, where)

@@ -26,8 +26,8 @@ from dolfin_elastic.model.materials.law import Law, ModifiedLaw, SplitLaw
 from dolfin_elastic.model.materials.mixed import Mixed, variance
 from dolfin_elastic.model.supports.springs import Dashpot, ResistingSupport, Spring
 from dolfin_elastic.problem.context import FormContext
-from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.material_regions import MaterialRegion
+from dolfin_elastic.problem.terms.contact import ContactPair
 
 UNUSED = 1e-6
 """Compliance, times the shear modulus, of the pressure field in regions that do not need it."""

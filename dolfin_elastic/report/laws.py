@@ -11,12 +11,12 @@ from markupsafe import Markup
 from dolfin_elastic.case.material_report import law_table
 from dolfin_elastic.case.model_tables import read_material_tables
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.material_point.homogeneous_tests import ResponseCurve
-from dolfin_elastic.material_point.report import material_report
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.spatial import units_of
 from dolfin_elastic.model.materials.user import SplitFormulaEnergy
+from dolfin_elastic.model.point.homogeneous_tests import ResponseCurve
+from dolfin_elastic.model.point.report import material_report
 from dolfin_elastic.report.charts import Axis, Line, line_chart
 from dolfin_elastic.report.quantity import scaled_unit
 from dolfin_elastic.report.words import Table, names, value_text

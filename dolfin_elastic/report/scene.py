@@ -18,7 +18,7 @@ from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.report.quantity import scaled_unit
 from dolfin_elastic.results.derived.spectral import von_mises
 from dolfin_elastic.results.fields import FIELDS, SAFEST
-from dolfin_elastic.results.pictures.scene import SMALL_MATTERS, label_of
+from dolfin_elastic.results.scene.scene import SMALL_MATTERS, label_of
 
 if TYPE_CHECKING:
     import pyvista

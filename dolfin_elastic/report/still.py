@@ -18,7 +18,7 @@ from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray
 from dolfin_elastic.report.depth import Window, look
 from dolfin_elastic.report.scene import Marks, Scene, Shown
-from dolfin_elastic.results.pictures.scene import SMALL_MATTERS
+from dolfin_elastic.results.scene.scene import SMALL_MATTERS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,7 +48,7 @@ def colour_table(*, warm_first: bool = False) -> AnyArray:
     Args:
         warm_first: Small values are red.
     """
-    from dolfin_elastic.results.pictures._draw import colour_map
+    from dolfin_elastic.results.scene._draw import colour_map
 
     shades = colour_map(warm_first=warm_first)(np.arange(256))
     return np.asarray(np.rint(255 * shades), dtype=np.uint8)

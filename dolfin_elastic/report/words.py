@@ -10,14 +10,13 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from dolfin_elastic.core.units import is_quantity
+from dolfin_elastic.model.contact import obstacle_shapes
 from dolfin_elastic.report.quantity import listed, number, quantity, scaled_unit, vector
 
 Table = Mapping[str, Any]
 _KNOWN = {"kind", "on", "name"}
-_PLACES = ("point", "at", "center", "radius")
-"""Keys of obstacles that are places and radii."""
 _REST = {
-    **dict.fromkeys(_PLACES, "m"),
+    **dict.fromkeys(("point", "at", "center", "radius"), "m"),
     **dict.fromkeys(("start", "end", "motion", "displacement"), "m"),
     **dict.fromkeys(("tolerance", "gap_tolerance"), "m"),
 }
@@ -206,12 +205,13 @@ def contact_words(table: Table, metres: float = 1.0) -> str:
         table: Of the contact.
         metres: Per unit of length of the mesh, in which its bare numbers are.
     """
-    shape = next((key for key in ("plane", "sphere", "cylinder") if key in table), "obstacle")
-    given = table.get(shape)
+    shapes = obstacle_shapes()
+    shape = next((key for key in shapes if key in table), "obstacle")
+    given, lengths = table.get(shape), getattr(shapes.get(shape), "lengths", ())
     what = ""
     if isinstance(given, Mapping):
         told = (
-            f"{key} {value_text(_in_metres(v, metres), 'm') if key in _PLACES else value_text(v)}"
+            f"{key} {value_text(_in_metres(v, metres), 'm') if key in lengths else value_text(v)}"
             for key, v in given.items()
         )
         what = f" ({', '.join(told)})"

@@ -14,11 +14,12 @@ from pydantic import Field, StrictBool, field_validator, model_validator
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.schema import Record, within
-from dolfin_elastic.core.units import COMMON_UNITS, metres
-from dolfin_elastic.mesh.criteria import bounding_box
-from dolfin_elastic.mesh.selectors import Axis, Middle
+from dolfin_elastic.core.shapes.shapes import Axis
+from dolfin_elastic.core.units import COMMON_UNITS
+from dolfin_elastic.mesh.criteria import BoundingBox
+from dolfin_elastic.mesh.selectors import Middle
 from dolfin_elastic.results.fields import check_field_names
-from dolfin_elastic.results.pictures.scene import Up, View
+from dolfin_elastic.results.scene.scene import Up, View
 from dolfin_elastic.results.writer import Numbers, Steps, Writer
 from dolfin_elastic.results.writers.history import HistoryWriter
 from dolfin_elastic.results.writers.modes import ModesWriter
@@ -34,9 +35,9 @@ from dolfin_elastic.results.writers.xdmf import XdmfWriter
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body
     from dolfin_elastic.problem.problem import Problem
-    from dolfin_elastic.results.pictures.clip import Clip
-    from dolfin_elastic.results.pictures.pictures import Appearance
-    from dolfin_elastic.results.pictures.series import Limits
+    from dolfin_elastic.results.scene.clip import Clip
+    from dolfin_elastic.results.scene.pictures import Appearance
+    from dolfin_elastic.results.scene.series import Limits
 
 
 _MOST_FIELDS = 4
@@ -76,7 +77,7 @@ class Output(Record):
 
 
 def _is_film(file: str) -> bool:
-    from dolfin_elastic.results.pictures.series import FILMS
+    from dolfin_elastic.results.scene.series import FILMS
 
     return Path(file).suffix in FILMS
 
@@ -87,7 +88,7 @@ def limits_of(ends: Sequence[float | str]) -> Limits:
     Raises:
         InputError: They are none, or no range.
     """
-    from dolfin_elastic.results.pictures.series import Limits
+    from dolfin_elastic.results.scene.series import Limits
 
     expected = 'for example [0, "200 MPa"], or percentiles ["2 %", "98 %"]'
     share = all(isinstance(end, str) and end.strip().endswith("%") for end in ends)
@@ -321,16 +322,12 @@ class ClipPlane(Record):
         Raises:
             InputError: The body has no such axis, or the plane misses it.
         """
-        from dolfin_elastic.results.pictures.clip import Clip
+        from dolfin_elastic.results.scene.clip import Clip
 
-        axis, (low, high) = "xyz".index(self.plane), bounding_box(body.mesh)
-        if axis >= body.dim:
-            raise InputError(
-                f"the body is plane, it has no {self.plane}", where="plane", expected="x or y"
-            )
         unit = body.unit
-        ends = float(low[axis]), float(high[axis])
-        at = sum(ends) / 2 if self.at == "middle" else metres(self.at, unit.metres)
+        space = BoundingBox.of(body, unit.metres)
+        axis, at = space.plane(self.plane, self.at)
+        ends = float(space.low[axis]), float(space.high[axis])
         if not ends[0] < at < ends[1]:
             raise InputError(
                 f"the plane {self.plane} = {at / unit.metres:.4g} {unit.name} misses the body",
@@ -383,14 +380,14 @@ class Picture(Output):
     @field_validator("file")
     @classmethod
     def _check_file(cls, file: str) -> str:
-        from dolfin_elastic.results.pictures.series import FILMS
+        from dolfin_elastic.results.scene.series import FILMS
 
         return _check_suffix(file, ".png", *FILMS)
 
     @field_validator("field")
     @classmethod
     def _check_field(cls, field: str | list[str]) -> str | list[str]:
-        from dolfin_elastic.results.pictures.pictures import check_drawable
+        from dolfin_elastic.results.scene.pictures import check_drawable
 
         names = [field] if isinstance(field, str) else field
         if not 1 <= len(names) <= _MOST_FIELDS:
@@ -438,7 +435,7 @@ class Picture(Output):
 
     def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> Writer:
         """See `Output.open`."""
-        from dolfin_elastic.results.pictures.pictures import Film, PictureWriter
+        from dolfin_elastic.results.scene.pictures import Film, PictureWriter
 
         return PictureWriter(
             problem,
@@ -468,8 +465,8 @@ class Picture(Output):
 
     def appearance(self, body: Body) -> Appearance:
         """How the pictures show the body. Collective."""
-        from dolfin_elastic.results.pictures.pictures import Appearance
-        from dolfin_elastic.results.pictures.series import Limits
+        from dolfin_elastic.results.scene.pictures import Appearance
+        from dolfin_elastic.results.scene.series import Limits
 
         return Appearance(
             self.scale,
@@ -485,7 +482,7 @@ class Picture(Output):
 
     def listing(self, folder: Path) -> list[str]:
         """See `Output.listing`; of many pictures the first, the last and their number."""
-        from dolfin_elastic.results.pictures.pictures import picture_files
+        from dolfin_elastic.results.scene.pictures import picture_files
 
         path = folder / self.file
         found = [str(p.relative_to(folder)) for p in picture_files(path)] if folder.is_dir() else []
@@ -505,7 +502,7 @@ class ModePicture(Picture):
 
     def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> Writer:
         """See `Output.open`."""
-        from dolfin_elastic.results.pictures.pictures import ModePictureWriter
+        from dolfin_elastic.results.scene.pictures import ModePictureWriter
 
         return ModePictureWriter(
             problem,

@@ -20,8 +20,8 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.core.units import MeshLength, metres
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
 from dolfin_elastic.mesh.geometry.locate import LocatedPoint, locate
-from dolfin_elastic.problem.loads.edges_points import points_of
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.terms.edges_points import points_of
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
 from dolfin_elastic.results.derived.part_numbers import PartNumbers, Statistic, columns_of
 from dolfin_elastic.results.derived.sections import Section, SectionForces

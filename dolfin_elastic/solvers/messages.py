@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.problem.loads.undefined import undefined_load
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.terms.undefined import undefined_load
 
 HOLD = (
     "a support on that piece; or, if it was meant to be joined to the rest, a mesh whose nodes "

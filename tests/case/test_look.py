@@ -17,8 +17,8 @@ from dolfin_elastic.cli import console
 from dolfin_elastic.cli.look.show import show_look
 from dolfin_elastic.core.errors import OutputError
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.results.body_picture import draw
-from dolfin_elastic.results.body_picture.scene import Scene
+from dolfin_elastic.results.scene import body_picture as draw
+from dolfin_elastic.results.scene.body import Scene
 
 COMM = MPI.COMM_WORLD
 MM = 1e-3

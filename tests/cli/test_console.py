@@ -17,8 +17,8 @@ from dolfin_elastic.cli.console import (
     extreme_lines,
 )
 from dolfin_elastic.cli.console_materials import report_table
-from dolfin_elastic.material_point.checks import Finding
-from dolfin_elastic.material_point.report import MaterialReport
+from dolfin_elastic.model.point.checks import Finding
+from dolfin_elastic.model.point.report import MaterialReport
 from dolfin_elastic.problem.state import State
 
 

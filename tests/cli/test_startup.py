@@ -21,7 +21,7 @@ OTHERS = [
     "dolfin_elastic.solvers.eigen.modal",
     "dolfin_elastic.solvers.statics.arc_length",
     "dolfin_elastic.solvers.diagnostics.diagnose",
-    "dolfin_elastic.results.pictures.pictures",
+    "dolfin_elastic.results.scene.pictures",
 ]
 """What no plain static case needs."""
 SLOW = [*OTHERS, "h5py"]

@@ -78,7 +78,7 @@ def test_completion(tmp_path: Path) -> None:
 FEW = """\
 import sys
 from dataclasses import replace
-import dolfin_elastic.case.verify.suite as suite, dolfin_elastic.cli.app
+import dolfin_elastic.study.verify.suite as suite, dolfin_elastic.cli.app
 suite.SUITE = [one for one in suite.SUITE if one.name == "lame"]
 suite.SUITE += [replace(one, reference={factor}*one.reference) for one in suite.SUITE]
 sys.argv = ["dolfin-elastic", "verify", "--json", "table.json"]

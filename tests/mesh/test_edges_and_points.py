@@ -29,7 +29,7 @@ from dolfin_elastic.mesh import (
 from dolfin_elastic.mesh.distribute import build_body
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile, RawMesh, assemble
 from dolfin_elastic.mesh.geometry.simplices import edge_nodes, prepare_facets, vertex_nodes
-from dolfin_elastic.problem.loads.edges_points import extent
+from dolfin_elastic.problem.terms.edges_points import extent
 
 COMM = MPI.COMM_WORLD
 

@@ -10,12 +10,12 @@ from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
 from dolfin_elastic import FixedCorotated, NeoHookean
-from dolfin_elastic.material_point.ufl_to_numpy import LawAtPoints, NumpyProgram, gradient_symbol
 from dolfin_elastic.model.discrete_gradient import StepLaw, triangular
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.mixed import Mixed
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.user import FormulaEnergy
+from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints, NumpyProgram, gradient_symbol
 from dolfin_elastic.problem.weak_form import derives_from_strain
 
 WRITTEN = FormulaEnergy(

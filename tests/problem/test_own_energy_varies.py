@@ -25,11 +25,11 @@ from dolfin_elastic import (
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check.report import report
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.material_point.report import material_report
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.user import read_energy
+from dolfin_elastic.model.point.report import material_report
 
 COMM = MPI.COMM_WORLD
 LMBDA = 2e6

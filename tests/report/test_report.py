@@ -40,7 +40,7 @@ from dolfin_elastic.report.scene import (
 from dolfin_elastic.report.still import Camera, _colours, colour_table
 from dolfin_elastic.report.words import contact_words, load_words, support_words
 from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.pictures._draw import colour_map
+from dolfin_elastic.results.scene._draw import colour_map
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror='alert(2)'>&amp;\"`"
 BOX = {"box": {"size": [4, 1, 1], "cells": [4, 1, 1]}}

@@ -44,14 +44,14 @@ from dolfin_elastic.results.outputs import (
     Summary,
     Xdmf,
 )
-from dolfin_elastic.results.pictures import colour_bar, pictures, renderer, scene
-from dolfin_elastic.results.pictures._draw import _lines, _silhouette, _without_jagged, colour_map
-from dolfin_elastic.results.pictures.clip import Clip
-from dolfin_elastic.results.pictures.colour_bar import make_colour_bar
-from dolfin_elastic.results.pictures.drawn_field import DrawnField
-from dolfin_elastic.results.pictures.pictures import Appearance, Painter, _round_off, picture
-from dolfin_elastic.results.pictures.scene import window
-from dolfin_elastic.results.pictures.surface import Surface, gather_surface
+from dolfin_elastic.results.scene import colour_bar, pictures, renderer, scene
+from dolfin_elastic.results.scene._draw import _lines, _silhouette, _without_jagged, colour_map
+from dolfin_elastic.results.scene.clip import Clip
+from dolfin_elastic.results.scene.colour_bar import make_colour_bar
+from dolfin_elastic.results.scene.drawn_field import DrawnField
+from dolfin_elastic.results.scene.pictures import Appearance, Painter, _round_off, picture
+from dolfin_elastic.results.scene.scene import window
+from dolfin_elastic.results.scene.surface import Surface, gather_surface
 
 
 def grids(path: Path) -> list[ET.Element]:

@@ -20,8 +20,8 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.model.loads import Cavity
-from dolfin_elastic.problem.loads.pressure_symmetry import boundary_edges
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.terms.pressure_symmetry import boundary_edges
 
 _ROUND_OFF = 1e-6
 """Volume per displacement that is none, over that of an edge across the cavity."""

@@ -320,7 +320,7 @@ def _check_energies(materials: Mapping[str, Material], body: Body) -> None:
     """Energies that users have written pass the checks. Collective."""
     written = {f"materials.{key_text(n)}": m.law for n, m in materials.items() if m.law.written}
     if written:
-        from dolfin_elastic.material_point.checks import check_user_energies
+        from dolfin_elastic.problem.material_regions import check_user_energies
 
         check_user_energies(written, body.comm)
 

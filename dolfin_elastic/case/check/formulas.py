@@ -33,8 +33,8 @@ from dolfin_elastic.model.materials.spatial import PLACE, SpatialFormula
 from dolfin_elastic.model.supports.displacement import Normal, Restraint
 from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.model.values import Component, number_at
-from dolfin_elastic.problem.loads.edges_points import owned
-from dolfin_elastic.problem.loads.undefined import least_place, no_value
+from dolfin_elastic.problem.terms.edges_points import owned
+from dolfin_elastic.problem.terms.undefined import least_place, no_value
 
 _HALVINGS = 60
 _ROUND_OFF = 2.0**-50

@@ -18,8 +18,8 @@ from dolfin_elastic.mesh.body import Body, span
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.connectivity import ConnectedBodies
-from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.terms.contact import ContactPair
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.nonlinear.contact import (
     check_initial_gaps,
@@ -146,7 +146,7 @@ def touching_notes(problem: Problem) -> Iterator[str]:
     Args:
         problem: Made of the case.
     """
-    from dolfin_elastic.problem.ties.touching import touching_surfaces
+    from dolfin_elastic.problem.constraints.ties.touching import touching_surfaces
 
     power = "m^2" if problem.body.dim == 3 else "m"
     remedy = "mesh.join = true joins the bodies, " if problem.body.cad is not None else ""

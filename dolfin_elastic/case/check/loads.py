@@ -21,9 +21,9 @@ from dolfin_elastic.model.loads import ConcentratedLoad, Load, LoadPoints
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.values import depends_on_time, vector_at
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
-from dolfin_elastic.problem.loads.undefined import undefined
 from dolfin_elastic.problem.material_regions import young
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.terms.undefined import undefined
 
 _ROUND_OFF = 1e-12
 """Sums of forces, over the sum of their lengths, below which they are round-off."""

@@ -43,8 +43,8 @@ def _stable_ranges(case: Case) -> Iterator[str]:
 def _limits(law: Law) -> tuple[str, str] | None:
     """A law in words, and for which stretches it is stable; None where it always is."""
     # Few cases need them, and they import all that tests a law at a point.
-    from dolfin_elastic.material_point.alternatives import law_in_words
-    from dolfin_elastic.material_point.stable_range import limits
+    from dolfin_elastic.model.point.alternatives import law_in_words
+    from dolfin_elastic.model.point.stable_range import limits
 
     found = limits(law)
     return (law_in_words(law), found) if found else None

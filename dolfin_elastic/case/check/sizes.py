@@ -13,7 +13,7 @@ from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, spelling
-from dolfin_elastic.problem.loads.edges_points import points_of
+from dolfin_elastic.problem.terms.edges_points import points_of
 
 WHOLE = "(whole body)"
 

@@ -12,7 +12,7 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, extent
 from dolfin_elastic.mesh.geometry.curved import QuadraturePoints, cell_quadrature, facet_quadrature
 from dolfin_elastic.mesh.geometry.simplices import prepare_facets
-from dolfin_elastic.problem.loads.edges_points import points_of
+from dolfin_elastic.problem.terms.edges_points import points_of
 
 WHOLE = "(whole body)"
 _CLOSED = 1e-3

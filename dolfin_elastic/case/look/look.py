@@ -15,8 +15,8 @@ from dolfin_elastic.core.errors import InputError, MeshError, OutputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh import Body, read_body
 from dolfin_elastic.model.loads.forces import Gravity
-from dolfin_elastic.results.body_picture.scene import Scene, gather_scene
-from dolfin_elastic.results.pictures.scene import Up, up_against
+from dolfin_elastic.results.scene.body import Scene, gather_scene
+from dolfin_elastic.results.scene.scene import Up, up_against
 
 
 def look_at(
@@ -93,7 +93,7 @@ def _body(
 
 def _why_not_drawn(scene: Scene | None, picture: Path) -> str:
     """Why the picture could not be drawn; empty: it was. On rank 0."""
-    from dolfin_elastic.results.body_picture.draw import draw_scene
+    from dolfin_elastic.results.scene.body_picture import draw_scene
 
     assert scene is not None
     try:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,12 +14,12 @@ from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.loads import LoadSum, load_sums
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.shapes.shapes import Shape
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.model.contact import Contact, CylinderObstacle, Plane
 from dolfin_elastic.model.loads import Load, LoadPoints
-from dolfin_elastic.problem.loads.edges_points import points_of
-from dolfin_elastic.results.body_picture.scene import Obstacle, Symbols, spread_facets
+from dolfin_elastic.problem.terms.edges_points import points_of
+from dolfin_elastic.results.scene.body import Symbols, spread_facets
 
 
 @dataclass(frozen=True)
@@ -27,12 +28,12 @@ class Drawn:
 
     Attributes:
         symbols: Of supports and loads.
-        obstacles: Of contacts.
+        obstacles: Of contacts, by their names.
         notes: Why some are missing.
     """
 
     symbols: tuple[Symbols, ...] = ()
-    obstacles: tuple[Obstacle, ...] = ()
+    obstacles: Mapping[str, Shape] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 
@@ -53,8 +54,7 @@ def drawn_of(case: Case, body: Body) -> Drawn:
     symbols: tuple[Symbols, ...] = ()
     if not notes:
         symbols = (*_supports(case, body), *_loads(case, body, sums))
-    obstacles = (_obstacle(contact, i, body) for i, contact in enumerate(case.contact))
-    return Drawn(symbols, tuple(one for one in obstacles if one is not None), notes)
+    return Drawn(symbols, dict(_obstacles(case, body)), notes)
 
 
 def _supports(case: Case, body: Body) -> Iterator[Symbols]:
@@ -146,23 +146,11 @@ def _middle(body: Body, load: Load) -> FloatArray:
     return np.asarray(sums[:3] / max(sums[3], 1.0))
 
 
-def _obstacle(contact: Contact, index: int, body: Body) -> Obstacle | None:
-    """An obstacle as it stands at the start."""
-    shape = contact.obstacle.in_metres(body.unit.metres)
-    named = f"'{contact.name}'" if contact.name else f"with {', '.join(contact.surfaces)}"
-    label = f"contact[{index}] {named}"
-    if isinstance(shape, Plane):
-        try:
-            shape.check(body.dim, axisymmetric=False)
-        except InputError:
-            return None
-        point, normal = shape.placed(body.dim)
-        return Obstacle(label, "plane", tuple(point), tuple(normal))
-    if isinstance(shape, CylinderObstacle):
-        axis = shape.axis
-        along = [float(one == axis) for one in "xyz"] if isinstance(axis, str) else axis
-        return Obstacle(label, "cylinder", tuple(shape.point), tuple(along), shape.radius)
-    center = getattr(shape, "center", None)
-    if center is None:
-        return None
-    return Obstacle(label, "sphere", tuple(center), (), float(getattr(shape, "radius", 0.0)))
+def _obstacles(case: Case, body: Body) -> Iterator[tuple[str, Shape]]:
+    """Obstacles as they stand at the start, those that fit the body."""
+    for index, contact in enumerate(case.contact):
+        shape = contact.obstacle.in_metres(body.unit.metres)
+        named = f"'{contact.name}'" if contact.name else f"with {', '.join(contact.surfaces)}"
+        with suppress(InputError):
+            shape.check(body.dim, axisymmetric=case.mesh.geometry == "axisymmetric")
+            yield f"contact[{index}] {named}", shape

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from dolfin_elastic.results.finished.curves import Curves
     from dolfin_elastic.results.finished.draw import Look
     from dolfin_elastic.results.finished.run import FinishedRun
-    from dolfin_elastic.results.pictures.clip import Clip
-    from dolfin_elastic.results.pictures.scene import Up
-    from dolfin_elastic.results.pictures.series import Limits
+    from dolfin_elastic.results.scene.clip import Clip
+    from dolfin_elastic.results.scene.scene import Up
+    from dolfin_elastic.results.scene.series import Limits
 
 _FILMS = (".mp4", ".gif")
 _VIEWS = ("isometric", "x", "y", "z", "-x", "-y", "-z")
@@ -187,7 +187,7 @@ def _look(
     step: int,
 ) -> Look:
     from dolfin_elastic.results.finished.draw import Look
-    from dolfin_elastic.results.pictures.series import Limits
+    from dolfin_elastic.results.scene.series import Limits
 
     return Look(
         _fields(run, field, step),
@@ -228,7 +228,7 @@ def _check_view(view: str) -> None:
 
 
 def _axis(name: str | None) -> Up | None:
-    from dolfin_elastic.results.pictures.scene import AXES
+    from dolfin_elastic.results.scene.scene import AXES
 
     for axis in AXES:
         if name == axis:
@@ -265,7 +265,7 @@ def _fields(run: FinishedRun, given: Sequence[str] | None, step: int) -> list[st
 
 def _clip(text: str) -> Clip:
     from dolfin_elastic.core.units import to_si
-    from dolfin_elastic.results.pictures.clip import Clip
+    from dolfin_elastic.results.scene.clip import Clip
 
     expected = "for example x=0.01 or x<0.01 [m], or 'x=10 mm'"
     for sign in ("=", ">", "<"):

@@ -22,7 +22,7 @@ from dolfin_elastic.core.signals import launched_rank
 from dolfin_elastic.core.startup.libraries import start
 
 if TYPE_CHECKING:
-    from dolfin_elastic.case.verify.compare import Difference
+    from dolfin_elastic.study.verify.compare import Difference
 
 FAILED = 1
 AGREEMENT = 1e-6
@@ -105,8 +105,8 @@ def _here(*, full: bool) -> Iterator[dict[str, Any]]:
     start()
     from mpi4py import MPI
 
-    from dolfin_elastic.case.verify.suite import verify as suite
     from dolfin_elastic.cli.run import collect_garbage
+    from dolfin_elastic.study.verify.suite import verify as suite
 
     collect_garbage()
     for outcome in suite(MPI.COMM_WORLD, full=full):
@@ -183,7 +183,7 @@ def _write(file: Path, table: object) -> None:
 
 def _compare(case: Path, counts: Sequence[int], tolerance: float, json: Path | None) -> int:
     """Runs a case on each number of ranks, and shows what differs most; the exit code."""
-    from dolfin_elastic.case.verify.compare import compare
+    from dolfin_elastic.study.verify.compare import compare
 
     if len(counts) < 2:
         raise UsageError("--case needs at least two numbers of ranks, for example --ranks 1,2")

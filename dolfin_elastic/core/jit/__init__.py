@@ -2,7 +2,7 @@
 
 import dolfin_elastic.core.startup.started  # noqa: F401  # before anything starts MPI
 
-from dolfin_elastic.core.jit.c_code import CFunctions, compile_c
+from dolfin_elastic.core.jit.c_code import compile_c
 from dolfin_elastic.core.jit.cache import cache_folder
 from dolfin_elastic.core.jit.compile import (
     FLAGS,
@@ -11,6 +11,7 @@ from dolfin_elastic.core.jit.compile import (
     compile_forms,
     options,
 )
+from dolfin_elastic.core.native.functions import CFunctions
 
 __all__ = [
     "FLAGS",

@@ -22,164 +22,11 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.compat import cells_of_integral
 from dolfin_elastic.core.jit import lanes
-from dolfin_elastic.core.jit.c_code import CFunctions, compile_c
-from dolfin_elastic.core.jit.compile import JitOptions, Library, expression_and_module
-from dolfin_elastic.core.jit.lanes import Kernel
+from dolfin_elastic.core.jit.c_code import compile_c
+from dolfin_elastic.core.jit.compile import JitOptions, expression_and_module
+from dolfin_elastic.core.jit.lanes import NO_KERNEL, Kernel
+from dolfin_elastic.core.native.functions import CFunctions, Library
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
-
-DECLARATIONS = """
-int64_t width(void);
-int64_t add_vector(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                   const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
-                   int64_t first, int64_t known, const double* constants, double* out);
-int64_t add_scalar(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                   const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
-                   int64_t first, int64_t known, const double* constants, double* out);
-int64_t evaluate(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                 const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
-                 int64_t first, int64_t known, const double* constants, int64_t size, double* out);
-"""
-
-TAKING = r"""
-#define LANE(values, entry, l) ((values)[(entry) * LANES + (l)])
-
-/* Constants, the same in all lanes. */
-static inline void spread(int64_t count, const double* values, double* out)
-{
-  for (int64_t i = 0; i < count; i++)
-    for (int l = 0; l < LANES; l++)
-      LANE(out, i, l) = values[i];
-}
-
-/* Of the next LANES cells, or of count and the last of them again.  Unknowns stand in rows of BS at
-   ND nodes of a cell, its geometry has NG nodes. */
-static inline void take_cells(int64_t count, const int32_t* cells, const int32_t* corners,
-                              const double* x, const int32_t* dofs, const double* unknowns,
-                              double* y, double* w)
-{
-  for (int l = 0; l < LANES; l++)
-  {
-    const int64_t c = cells[l < count ? l : count - 1];
-    for (int m = 0; m < NG; m++)
-      for (int i = 0; i < 3; i++)
-        LANE(y, 3 * m + i, l) = x[3 * (int64_t)corners[c * NG + m] + i];
-    for (int a = 0; a < ND; a++)
-      for (int i = 0; i < BS; i++)
-        LANE(w, BS * a + i, l) = unknowns[BS * (int64_t)dofs[c * ND + a] + i];
-  }
-}
-
-#if LANES == 8
-/* Entry l of in[k] becomes entry k of out[l]. */
-INLINE void transpose(const lanes* in, lanes* out)
-{
-  lanes t[8], u[8];
-  for (int k = 0; k < 8; k += 2)
-  {
-    t[k] = __builtin_shuffle(in[k], in[k + 1], (marks){0, 8, 2, 10, 4, 12, 6, 14});
-    t[k + 1] = __builtin_shuffle(in[k], in[k + 1], (marks){1, 9, 3, 11, 5, 13, 7, 15});
-  }
-  for (int k = 0; k < 8; k += k % 4 == 1 ? 3 : 1)
-  {
-    u[k] = __builtin_shuffle(t[k], t[k + 2], (marks){0, 1, 8, 9, 4, 5, 12, 13});
-    u[k + 2] = __builtin_shuffle(t[k], t[k + 2], (marks){2, 3, 10, 11, 6, 7, 14, 15});
-  }
-  for (int k = 0; k < 4; k++)
-  {
-    out[k] = __builtin_shuffle(u[k], u[k + 4], (marks){0, 1, 2, 3, 8, 9, 10, 11});
-    out[k + 4] = __builtin_shuffle(u[k], u[k + 4], (marks){4, 5, 6, 7, 12, 13, 14, 15});
-  }
-}
-
-/* The values of each cell in a row. */
-static inline void put_cells(int64_t some, int64_t size, const lanes* values, double* out)
-{
-  int64_t j = 0;
-  for (; j + 8 <= size; j += 8)
-  {
-    lanes rows[8];
-    transpose(values + j, rows);
-    for (int64_t l = 0; l < some; l++)
-      memcpy(out + l * size + j, rows + l, sizeof(lanes));
-  }
-  for (; j < size; j++)
-    for (int64_t l = 0; l < some; l++)
-      out[l * size + j] = LANE((const double*)values, j, l);
-}
-#else
-static inline void put_cells(int64_t some, int64_t size, const lanes* values, double* out) {}
-#endif
-"""
-"""After a kernel's code: what it needs to know of cells."""
-
-SOURCE = r"""
-int64_t width(void)
-{
-  return LANES;
-}
-
-int64_t add_vector(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                   const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
-                   int64_t first, int64_t known, const double* constants, double* out)
-{
-  lanes y[3 * NG], w[packed], c[known + 1], b[BS * ND];
-  memset(w, 0, sizeof(w));
-  spread(known, constants, (double*)c);
-  for (int64_t n = 0; n < count; n += LANES)
-  {
-    const int64_t some = count - n < LANES ? count - n : LANES;
-    take_cells(some, cells + n, corners, x, dofs, unknowns, (double*)y, (double*)(w + first));
-    memset(b, 0, sizeof(b));
-    TABULATE(b, w, c, y);
-    for (int l = 0; l < some; l++)
-      for (int a = 0; a < ND; a++)
-        for (int i = 0; i < BS; i++)
-          out[BS * (int64_t)dofs[(int64_t)cells[n + l] * ND + a] + i]
-              += LANE((const double*)b, BS * a + i, l);
-  }
-  return 0;
-}
-
-int64_t add_scalar(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                   const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
-                   int64_t first, int64_t known, const double* constants, double* out)
-{
-  lanes y[3 * NG], w[packed], c[known + 1], value[1];
-  memset(w, 0, sizeof(w));
-  spread(known, constants, (double*)c);
-  for (int64_t n = 0; n < count; n += LANES)
-  {
-    const int64_t some = count - n < LANES ? count - n : LANES;
-    take_cells(some, cells + n, corners, x, dofs, unknowns, (double*)y, (double*)(w + first));
-    memset(value, 0, sizeof(value));
-    TABULATE(value, w, c, y);
-    for (int l = 0; l < some; l++)
-      *out += LANE((const double*)value, 0, l);
-  }
-  return 0;
-}
-
-int64_t evaluate(int64_t kernel, int64_t count, const int32_t* cells, const int32_t* corners,
-                 const double* x, const int32_t* dofs, const double* unknowns, int64_t packed,
-                 int64_t first, int64_t known, const double* constants, int64_t size, double* out)
-{
-  lanes y[3 * NG], w[packed], c[known + 1], room[LANES == 1 ? 1 : size];
-  memset(w, 0, sizeof(w));
-  spread(known, constants, (double*)c);
-  for (int64_t n = 0; n < count; n += LANES)
-  {
-    const int64_t some = count - n < LANES ? count - n : LANES;
-    take_cells(some, cells + n, corners, x, dofs, unknowns, (double*)y, (double*)(w + first));
-    double* next = out + n * size;
-    lanes* values = LANES == 1 ? (lanes*)next : room;
-    memset(values, 0, size * sizeof(lanes));
-    TABULATE(values, w, c, y);
-    put_cells(some, size, values, next);
-  }
-  return 0;
-}
-"""
-
 
 _MOST = 4096
 """Numbers of a cell that are evaluated in lanes: 256 kB of the stack, of which most systems give
@@ -246,24 +93,22 @@ class CellIntegrals:
 
     def _call(self, loop: str, integrals: Sequence[_Integral], out: FloatArray) -> None:
         constants = pack_constants(self._form._cpp_object)
-        unknowns = (*self._elements, self._w.x.array, self._packed, self._first)
+        w = self._w.x.array
+        unknowns = (*self._elements, len(w), w, self._packed, self._first)
         for one in integrals:
             where = (one.kernel.address, len(one.cells), one.cells)
             one.loops.call(loop, *where, *unknowns, len(constants), constants, out)
 
 
-class LaneLoops(NamedTuple):
-    """Loops in C that use a kernel for several cells at once.
+class Loops(NamedTuple):
+    """Further loops in C that use a kernel.
 
     Attributes:
-        declarations: Of the functions, for cffi.
-        source: In C; it has the code of `TAKING`, and stands where LANES > 1 only.  Else the same
-            functions do nothing, and are not called.
+        file: In `core.native`; it includes cells.h.
         sizes: Macros, by name.
     """
 
-    declarations: str
-    source: str
+    file: str
     sizes: dict[str, int]
 
 
@@ -277,12 +122,13 @@ class CellExpression:
         points: Of the reference cell, shape (points, dim).
         w: The unknowns.
         jit_options: From `options`.
-        more: What else is to be done with it in lanes.
+        loops: What is to be done with it; by default it can only be evaluated, and else not,
+            where it has a kernel.
 
     Attributes:
         size: Numbers in a cell: points times components.
         kernel: FFCx's function, which has no coefficient but the unknowns; else None.
-        in_lanes: It has code for several cells at once, and so have the functions of `more`.
+        in_lanes: It has code for several cells at once.
     """
 
     def __init__(
@@ -291,36 +137,37 @@ class CellExpression:
         points: FloatArray,
         w: fem.Function,
         jit_options: JitOptions,
-        more: LaneLoops | None = None,
+        loops: Loops | None = None,
     ) -> None:
         comm = w.function_space.mesh.comm
         self._expression, library = expression_and_module(comm, expression, points, jit_options)
         self._w, self.kernel, self.in_lanes = w, _kernel(self._expression, library, w), False
         compiled = self._expression.ufcx_expression
         self.size = int(compiled.num_points) * int(self._expression.value_size)
-        if self.kernel is None:
+        if self.kernel is None and loops is None:
             return
-        self._elements = _elements(w)
-        many = pays(w) and self.size <= _MOST
-        self._loops = _loops_over_cells(
-            w, self.kernel, jit_options, many=many, more=more if many else None
-        )
+        self._elements, kernel = _elements(w), self.kernel or NO_KERNEL
+        many = self.kernel is not None and pays(w) and self.size <= _MOST
+        self.loops = _loops_over_cells(w, kernel, jit_options, many=many, loops=loops)
         self._packed = w.function_space.element.space_dimension
-        self.in_lanes = self._loops.call("width") > 1
+        self.in_lanes = self.loops.call("width") > 1
 
     @property
     def constants(self) -> FloatArray:
         """Values of the constants of the expression."""
         return pack_constants(self._expression._cpp_object)
 
-    def call(self, name: str, *arguments: int | AnyArray) -> int:
-        """Calls a function of `more`, where it is `in_lanes`. Not collective.
+    def call(self, name: str, cells: IndexArray, *arguments: int | AnyArray) -> int:
+        """Calls one of the loops that it was made with, over some cells. Not collective.
 
         Args:
-            name: Of the function.
-            arguments: Integers and arrays.
+            name: Of the function, which takes the kernel, or 0, the cells, and what cells.h says.
+            cells: Local cells.
+            arguments: What else it takes.
         """
-        return self._loops.call(name, *arguments)
+        w, constants, address = self._w.x.array, self.constants, (self.kernel or NO_KERNEL).address
+        where = (address, len(cells), cells, *self._elements, len(w), w)
+        return self.loops.call(name, *where, len(constants), constants, *arguments)
 
     def eval(self, cells: IndexArray, out: FloatArray | None = None) -> FloatArray:
         """Values in cells, shape (cells, size). Not collective.
@@ -336,17 +183,18 @@ class CellExpression:
             return out
         cells = np.ascontiguousarray(cells, dtype=np.int32)
         constants = self.constants
-        where = (self.kernel.address, len(cells), cells, *self._elements, self._w.x.array)
+        w = self._w.x.array
+        where = (self.kernel.address, len(cells), cells, *self._elements, len(w), w)
         sizes = (self._packed, 0, len(constants))
-        self._loops.call("evaluate", *where, *sizes, constants, self.size, out)
+        self.loops.call("evaluate", *where, *sizes, constants, self.size, out)
         return out
 
 
-def _elements(w: fem.Function) -> tuple[IndexArray, FloatArray, IndexArray]:
-    """Geometry nodes of cells, their places, nodes of unknowns."""
+def _elements(w: fem.Function) -> tuple[int, IndexArray, int, FloatArray, IndexArray]:
+    """Geometry nodes of cells, their places, with the number of both; nodes of unknowns."""
     mesh, dofmap = w.function_space.mesh, w.function_space.dofmap
     corners, dofs = (np.ascontiguousarray(m) for m in (mesh.geometry.dofmap, dofmap.list))
-    return corners, mesh.geometry.x, dofs
+    return len(corners), corners, len(mesh.geometry.x), mesh.geometry.x, dofs
 
 
 def pays(w: fem.Function) -> bool:
@@ -361,7 +209,7 @@ def _loops_over_cells(
     jit_options: JitOptions,
     *,
     many: bool,
-    more: LaneLoops | None = None,
+    loops: Loops | None = None,
 ) -> CFunctions:
     """The loops for a kernel. Collective.
 
@@ -370,18 +218,14 @@ def _loops_over_cells(
         kernel: FFCx's function.
         jit_options: From `options`.
         many: There are so many cells that lanes pay.
-        more: Further loops.
+        loops: Which; by default those of cells.c.
     """
-    corners, _, dofs = _elements(w)
-    sizes = {"NG": corners.shape[1], "ND": dofs.shape[1], "BS": w.function_space.dofmap.bs}
-    declarations, loops = DECLARATIONS, TAKING + SOURCE
-    if more is not None:
-        declarations += more.declarations
-        idle = more.declarations.replace(";", " { return -1; }")
-        loops += f"#if LANES > 1\n{more.source}\n#else\n{idle}\n#endif\n"
-        sizes |= more.sizes
-    code = kernel.code(loops, many=many)
-    return compile_c(w.function_space.mesh.comm, declarations, code, sizes, jit_options)
+    _, corners, _, _, dofs = _elements(w)
+    sizes = {"NG": corners.shape[1], "NW": dofs.shape[1], "BS": w.function_space.dofmap.bs}
+    file, further = loops or ("cells.c", {})
+    code = kernel.code(many=many)
+    comm = w.function_space.mesh.comm
+    return compile_c(comm, file, sizes | further, jit_options, kernel=code)
 
 
 def _kernel(expression: fem.Expression, library: Library, w: fem.Function) -> Kernel | None:

@@ -12,10 +12,9 @@ from functools import partial
 from pathlib import Path
 from threading import Timer
 from time import monotonic
-from typing import Protocol, TypeAlias, TypedDict, TypeVar, cast
+from typing import TypeAlias, TypedDict, TypeVar, cast
 from uuid import uuid4
 
-import cffi
 import dolfinx
 import ffcx
 import numpy as np
@@ -37,6 +36,7 @@ from dolfin_elastic.core.jit.cache import (
     private_folders,
 )
 from dolfin_elastic.core.jit.processes import NewProcesses
+from dolfin_elastic.core.native.functions import Library
 from dolfin_elastic.core.parallel import agree, on_root, smallest
 from dolfin_elastic.core.signals import interruptible
 from dolfin_elastic.core.startup.elsewhere import without_settings
@@ -88,14 +88,6 @@ class JitOptions(TypedDict):
     cffi_libraries: list[str] | None
     timeout: int
     cache_dir: Path
-
-
-class Library(Protocol):
-    """A module that cffi has compiled."""
-
-    lib: object
-    ffi: cffi.FFI
-    __file__: str
 
 
 Compilable: TypeAlias = ufl.Form | tuple[Expr, FloatArray]

@@ -10,9 +10,11 @@ lane.  Source: Sun, Mitchell, Kulkarni, Kloeckner, Ham & Kelly, Int. J. High Per
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 
 from dolfin_elastic.core.jit.c_code import Code
+from dolfin_elastic.core.native.source import written
 
 FROM = 10_000
 """Cells of a rank from which lanes pay: half a second of compiling, once, for each kernel saves 0.1
@@ -35,15 +37,14 @@ class Kernel:
     folder: Path
     number: int
 
-    def code(self, loops: str, *, many: bool) -> Code:
-        """The kernel as TABULATE(A, w, c, y), of LANES cells at once, and loops that call it.
+    def code(self, *, many: bool) -> Code:
+        """The kernel as TABULATE(A, w, c, y), of LANES cells at once: the header "kernel.h".
 
         Vectors A, w, c and y, of the type `lanes`, have a number of each cell.  LANES is 1 where
         there are few cells, or where `vectorise` does not know the kernel's code: then TABULATE
         calls the function at `kernel`, a variable.
 
         Args:
-            loops: Code in C.
             many: There are so many cells that lanes pay.
         """
 
@@ -52,8 +53,12 @@ class Kernel:
             from dolfin_elastic.core.jit.vectorise import kernel_in_lanes, kernel_of_one_cell
 
             found = kernel_in_lanes(self.folder, self.number) if many else None
-            return (found or kernel_of_one_cell(self.arguments)) + loops
+            return found or kernel_of_one_cell(self.arguments)
 
-        rules = Path(__file__).with_name("vectorise.py").read_text(encoding="utf-8")
+        rules = files(__package__).joinpath("vectorise.py").read_text(encoding="utf-8")
         which = [self.folder.name, self.number] if many else []
-        return Code("\n".join(map(str, [rules, self.arguments, *which, loops])), make)
+        return Code("\n".join(map(str, [rules, written("lanes.h"), self.arguments, *which])), make)
+
+
+NO_KERNEL = Kernel(0, 7, Path(), 0)
+"""Of loops that are given what else a kernel would write."""

@@ -9,49 +9,6 @@ from pathlib import Path
 LANES = 8
 """Cells at once: numbers in a register of 512 bits, or in two or four smaller ones."""
 
-HEADER = r"""
-#include <math.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
-
-#if LANES == 1
-typedef double lanes;
-/* FFCx 0.10 and newer hand on a pointer to the user's data, too. */
-#if ARGUMENTS == 7
-typedef void (*tabulate)(double*, const double*, const double*, const double*, const int*,
-                         const uint8_t*, void*);
-#define TABULATE(...) ((tabulate)(intptr_t)kernel)(__VA_ARGS__, NULL, NULL, NULL)
-#else
-typedef void (*tabulate)(double*, const double*, const double*, const double*, const int*,
-                         const uint8_t*);
-#define TABULATE(...) ((tabulate)(intptr_t)kernel)(__VA_ARGS__, NULL, NULL)
-#endif
-#else
-/* Its numbers are read and written one by one, too. */
-typedef double lanes __attribute__((vector_size(8 * LANES), may_alias));
-#define ZERO ((lanes){0})
-/* The same in all lanes, where it is a number; a vector as it is: x - 0 is x, also for x = -0. */
-#define SPREAD(x) ((x) - ZERO)
-#define INLINE static inline __attribute__((always_inline))
-typedef int64_t marks __attribute__((vector_size(8 * LANES)));
-#define CHOOSE(mark, x, y) ((lanes)(((mark) & (marks)(x)) | (~(mark) & (marks)(y))))
-#define OF_ONE(f)            \
-  INLINE lanes each_##f(lanes x) \
-  {                          \
-    for (int l = 0; l < LANES; l++) \
-      x[l] = f(x[l]);        \
-    return x;                \
-  }
-#define OF_TWO(f)            \
-  INLINE lanes each_##f(lanes x, lanes y) \
-  {                          \
-    for (int l = 0; l < LANES; l++) \
-      x[l] = f(x[l], y[l]);  \
-    return x;                \
-  }
-"""
-
 _OF_ANGLES = ["cos", "sin", "tan", "acos", "asin", "atan", "cosh", "sinh", "tanh"]
 _OF_ONE = ["sqrt", "fabs", "exp", "log", "erf", *_OF_ANGLES]
 _OF_TWO = ["pow", "atan2", "fmin", "fmax"]
@@ -80,7 +37,7 @@ def kernel_of_one_cell(arguments: int) -> str:
     Args:
         arguments: How many that has.
     """
-    return f"#define LANES 1\n#define ARGUMENTS {arguments}\n{HEADER}#endif\n"
+    return f'#define LANES 1\n#define ARGUMENTS {arguments}\n#include "lanes.h"\n'
 
 
 def kernel_in_lanes(folder: Path, number: int) -> str | None:
@@ -97,11 +54,11 @@ def kernel_in_lanes(folder: Path, number: int) -> str | None:
     two = "(x, y) each_{}(SPREAD(x), SPREAD(y))"
     functions += [f"OF_TWO({f})\n#define {f}_lanes{two.format(f)}\n" for f in _OF_TWO]
     return (
-        f"#define LANES {LANES}\n{HEADER}{''.join(functions)}"
+        f'#define LANES {LANES}\n#include "lanes.h"\n{"".join(functions)}'
         "static __attribute__((noinline)) void tabulate(lanes* restrict A,\n"
         "    const lanes* restrict w, const lanes* restrict c,\n"
         "    const lanes* restrict coordinate_dofs)\n"
-        f"{body}\n#define TABULATE tabulate\n#endif\n"
+        f"{body}\n#define TABULATE(...) ((void)kernel, tabulate(__VA_ARGS__))\n"
     )
 
 

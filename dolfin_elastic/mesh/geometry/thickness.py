@@ -18,7 +18,6 @@ from dolfin_elastic.mesh.geometry.simplices import (
     cells_beside_facets,
     facet_normals,
 )
-from dolfin_elastic.mesh.geometry.thickness_loops import DECLARATIONS, SOURCE
 
 _STEPS = 40
 """Steps of the random walk: it goes about 2.5 cells far, and sees walls of up to seven cells."""
@@ -87,7 +86,7 @@ class _Walk:
     def __init__(self, mesh: Mesh) -> None:
         self._dim, comm = mesh.topology.dim, mesh.comm
         mesh.topology.create_connectivity(self._dim, 0)
-        self._loops = compile_c(comm, DECLARATIONS, SOURCE, {"DIM": self._dim}, options(comm))
+        self._loops = compile_c(comm, "thickness.c", {"DIM": self._dim}, options(comm))
         places, width = mesh.topology.index_map(0), 8 if self._dim == 3 else 4
         self._shape = places.size_local + places.num_ghosts, width
         self._sums = {
@@ -103,8 +102,8 @@ class _Walk:
         self._length = mean ** (1 / self._dim)
         self._relative_volumes = volumes = self._volumes / mean
         nodes, sums = mesh.geometry.dofmap, self._rows(np.float64)
-        where = (nodes.shape[1], nodes, mesh.geometry.x, self._vertices, volumes)
-        self._loops.call("add_cells", len(volumes), *where, sums)
+        where = (nodes.shape[1], nodes, len(mesh.geometry.x), mesh.geometry.x, self._vertices)
+        self._loops.call("add_cells", len(volumes), *where, volumes, len(sums), sums)
         sums = self._gathered(sums)
         around = sums[:, len(self._upper)]
         # A vertex without cells on any rank has no volume, and no cell asks for its mean.
@@ -116,8 +115,8 @@ class _Walk:
         owned = mesh.topology.index_map(self._dim).size_local
         if mesh.geometry.cmap.degree > 1:
             return cell_volumes(mesh)[:owned]
-        found, nodes = np.empty(owned), mesh.geometry.dofmap
-        self._loops.call("take_volumes", owned, nodes.shape[1], nodes, mesh.geometry.x, found)
+        found, nodes, x = np.empty(owned), mesh.geometry.dofmap, mesh.geometry.x
+        self._loops.call("take_volumes", owned, nodes.shape[1], nodes, len(x), x, found)
         return found
 
     def _rows(self, kind: type[np.float64 | np.float32]) -> AnyArray:
@@ -156,7 +155,7 @@ class _Walk:
         """Rows of the vertices after a further step."""
         sums = self._rows(np.float64)
         where = (self._vertices, self._relative_volumes)
-        self._loops.call("step", len(self._volumes), *where, rows, sums)
+        self._loops.call("step", len(self._volumes), *where, len(rows), rows, sums)
         return np.asarray(self._gathered(sums) * self._inverse)
 
     def far(self, rows: FloatArray) -> SingleArray:
@@ -169,7 +168,7 @@ class _Walk:
 
         def stepped(rows: SingleArray) -> SingleArray:
             sums = self._rows(np.float32)
-            self._loops.call("rounded_step", len(self._volumes), *where, rows, sums)
+            self._loops.call("rounded_step", len(self._volumes), *where, len(rows), rows, sums)
             return np.asarray(self._gathered(sums))
 
         weights = _power(_STEPS - 1)
@@ -190,7 +189,8 @@ class _Walk:
             metric: Of the edges' e e [m^2].
         """
         found = [np.empty(len(self._volumes)) for _ in range(3)]
-        self._loops.call("at_cells", len(self._volumes), self._vertices, density, metric, *found)
+        means = (len(density), density, metric)
+        self._loops.call("at_cells", len(self._volumes), self._vertices, *means, *found)
         found[0] *= self._length
         return Thickness(self._volumes, *found)
 

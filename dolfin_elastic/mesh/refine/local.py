@@ -110,13 +110,9 @@ def _more(body: Body, one: LocalSize, size: float, where: str) -> float:
     along = any(spelling(body, name) not in body.regions for name in one.parts)
     ratio = np.maximum(_lengths(body)[inside].mean(axis=1) / size, 1.0) ** (d - 1 if along else d)
     more = total(body.comm, float(ratio.sum() - len(ratio)))
-    if one.sphere is not None:
-        volume = (4.2 if d == 3 else 3.2) * metres(one.sphere.radius, unit) ** d
-    elif one.box is not None:
-        low, high = (_point(body, corner, f"{where}.box") for corner in one.box)
-        volume = float(np.prod(np.abs(high - low)))
-    else:
+    if one.parts:
         return more
+    volume = one.shape(unit, d, where).volume(d)
     return min(more, volume / size**d * (8 if d == 3 else 2))
 
 
@@ -136,43 +132,12 @@ def _inside(body: Body, one: LocalSize, where: str) -> BoolArray:
     if one.parts:
         return found
     corners = cell_corners(body.mesh, cells)
-    found = _distance(body, one, corners, where).min(axis=1, initial=np.inf) <= 0.0
+    outside = one.shape(body.unit.metres, body.dim, where).outside
+    found = outside(corners).min(axis=1, initial=np.inf) <= 0.0
     if not total(body.comm, int(np.count_nonzero(found))):
         # The place may lie between the vertices of a cell: these are the cells that may hold it.
-        away = _distance(body, one, corners.mean(axis=1), where)
-        found = away <= _lengths(body).max(axis=1, initial=0.0)
+        found = outside(corners.mean(axis=1)) <= _lengths(body).max(axis=1, initial=0.0)
     return found
-
-
-def _distance(body: Body, one: LocalSize, x: FloatArray, where: str) -> FloatArray:
-    """Distances of points from a sphere or box, 0 within it [m].
-
-    Args:
-        body: The body.
-        one: With the sphere or box.
-        x: Points, shape (..., d).
-        where: Key, for messages.
-    """
-    if one.sphere is not None:
-        assert one.sphere.center is not None
-        center = _point(body, one.sphere.center, f"{where}.sphere.center")
-        radius = metres(one.sphere.radius, body.unit.metres)
-        return np.maximum(np.linalg.norm(x - center, axis=-1) - radius, 0.0)
-    assert one.box is not None
-    a, b = (_point(body, corner, f"{where}.box") for corner in one.box)
-    low, high = np.minimum(a, b), np.maximum(a, b)
-    outside = np.maximum(np.maximum(low - x, x - high), 0.0)
-    return np.asarray(np.linalg.norm(outside, axis=-1))
-
-
-def _point(body: Body, values: Sequence[float | str], where: str) -> FloatArray:
-    if len(values) < body.dim:
-        raise MeshError(
-            f"the body is three-dimensional, {list(values)} is not",
-            where=where,
-            expected="3 coordinates",
-        )
-    return np.array([metres(value, body.unit.metres) for value in values[: body.dim]])
 
 
 def _of_part(body: Body, name: str, where: str) -> BoolArray:

@@ -85,7 +85,7 @@ class Law(Record):
     directions: ClassVar[tuple[str, ...]] = ()
     """Fields that are vectors in the reference configuration; read them by `fibres.direction`."""
     written: ClassVar[bool] = False
-    """A user has written it, so that it is checked before a run, see `material_point.checks`."""
+    """A user has written it, so that it is checked before a run, see `model.point.checks`."""
     example: ClassVar[Mapping[str, object]] = {}
     """Constants as a case file gives them, for the law's page and for tests."""
 

@@ -72,7 +72,7 @@ class UserEnergy(Law):
 
     @property
     def checked(self) -> bool:
-        """The energy has passed `material_point.checks.check_energy`."""
+        """The energy has passed `model.point.checks.check_energy`."""
         return self._checked
 
     def mark_checked(self) -> None:

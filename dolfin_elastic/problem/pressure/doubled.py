@@ -2,7 +2,7 @@
 
 The field is continuous inside each group: its nodes where cells of several groups meet have an
 entry for each group.  Elements, kernels and forms know nothing of it, as of the periodic spaces in
-`problem/periodic/dofmap.py`.
+`problem/constraints/periodic/dofmap.py`.
 """
 
 from __future__ import annotations

@@ -27,11 +27,11 @@ from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.schema import Record, within
+from dolfin_elastic.core.shapes.shapes import Axis, Point
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 from dolfin_elastic.core.units import MeshLength, metres
 from dolfin_elastic.mesh.body import centre_of, span
-from dolfin_elastic.mesh.criteria import bounding_box
-from dolfin_elastic.mesh.selectors import Axis, Point
+from dolfin_elastic.mesh.criteria import BoundingBox
 from dolfin_elastic.model.dimension import moment_of
 from dolfin_elastic.problem.problem import configuration_of_moments
 from dolfin_elastic.problem.state import Moment, State
@@ -284,12 +284,8 @@ def _sides_of_plane(body: Body, section: Section) -> AnyArray:
     """1 of owned cells whose barycentre lies beyond the plane, else -1. Collective."""
     assert section.plane is not None
     assert section.at is not None
-    axis, at = "xyz".index(section.plane), metres(section.at, body.unit.metres)
-    if axis >= body.dim:
-        raise InputError(
-            f"the body is plane, it has no {section.plane}", where="plane", expected="x or y"
-        )
-    low, high = bounding_box(body.mesh)
+    space = BoundingBox.of(body, body.unit.metres)
+    (axis, at), low, high = space.plane(section.plane, section.at), space.low, space.high
     ahead = _corners(body).mean(axis=1)[:, axis] > at + 1e-9 * span(body)
     counts = total(body.comm, np.array([ahead.sum(), (~ahead).sum()]))
     if not low[axis] < at < high[axis] or not counts.all():

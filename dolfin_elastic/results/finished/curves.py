@@ -18,8 +18,8 @@ from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import replace_text, writing
 from dolfin_elastic.results.finished.draw import check_field, shown
 from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.pictures.colour_bar import prefixed
-from dolfin_elastic.results.pictures.scene import label_of
+from dolfin_elastic.results.scene.colour_bar import prefixed
+from dolfin_elastic.results.scene.scene import label_of
 
 POINTS = 201
 """Points of a line or circle."""

@@ -19,10 +19,10 @@ from dolfin_elastic.model.loads.forces import Gravity
 from dolfin_elastic.results.derived.spectral import von_mises
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.pictures.clip import Clip, sections, whole_scene
-from dolfin_elastic.results.pictures.obstacles import Reach, obstacle_scene
-from dolfin_elastic.results.pictures.scene import Scene, Up, label_of, up_against, window
-from dolfin_elastic.results.pictures.series import Limits, Series, film_times
+from dolfin_elastic.results.scene.clip import Clip, sections, whole_scene
+from dolfin_elastic.results.scene.obstacles import Reach, obstacle_scene
+from dolfin_elastic.results.scene.scene import Scene, Up, label_of, up_against, window
+from dolfin_elastic.results.scene.series import Limits, Series, film_times
 
 if TYPE_CHECKING:
     import pyvista

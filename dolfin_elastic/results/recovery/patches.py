@@ -37,7 +37,6 @@ from dolfin_elastic.core.jit import JitOptions, compile_c, options
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.curved import quadrature_rule, shape_functions
-from dolfin_elastic.results.recovery.loops import DECLARATIONS, SOURCE
 
 _CHUNK = 2048
 """Cells that are treated at once, which bounds the memory."""
@@ -94,8 +93,7 @@ class Patches:
         nodes = shape_functions(V.mesh, np.asarray(V.element.basix_element.points))
         self._loops = compile_c(
             V.mesh.comm,
-            DECLARATIONS,
-            SOURCE,
+            "patches.c",
             {
                 "DIM": self._dim,
                 "DEGREE": self._degree,
@@ -107,15 +105,17 @@ class Patches:
             },
             jit_options or options(V.mesh.comm),
         )
-        self._geometry = V.mesh.geometry.dofmap, V.mesh.geometry.x
+        geometry, x = V.mesh.geometry.dofmap, V.mesh.geometry.x
+        self._geometry = (len(geometry), geometry, len(x), x)
         self._samples, self._nodes = np.ascontiguousarray(samples), np.ascontiguousarray(nodes)
         self._map = V.mesh.topology.index_map(0)
         self._used, self._corners = self._numbered()
         self._centres = self._vertex_places()
-        where = (self._samples, self._corners, self._centres)
+        vertices = (len(self._used), self._centres)
+        where = (self._samples, self._corners, *vertices)
         count, squares = self._summed(2, "add_spread", where).T
         self._size = np.sqrt(np.where(squares > 0, squares / np.maximum(count, 1), 1.0))
-        self._frames = self._corners, self._centres, self._size
+        self._frames = self._corners, *vertices, self._size
         self._solve, self._regular = self._normal_equations()
         self._rounds = self._plan_extrapolation()
 
@@ -156,7 +156,7 @@ class Patches:
             if found.any():  # else as of a body at rest
                 cells, corners = self.cells[part], self._corners[part]
                 where = (len(cells), cells, *self._geometry, self._samples, corners)
-                others = (self._centres, self._size, width, found)
+                others = (len(self._used), self._centres, self._size, width, found)
                 self._loops.call("add_moments", *where, *others, sums.rows)
         right = sums.over_ranks().reshape(-1, size, width)
         if not total(self._mesh.comm, float(right.any())):
@@ -196,7 +196,8 @@ class Patches:
             sums: Shape (local nodes, columns + 1); in the last column are the numbers of summands.
         """
         chosen = self.cells[cells]
-        self._loops.call("add_nodal", len(chosen), chosen, nodes, values.shape[2], values, sums)
+        where = (len(chosen), chosen, len(nodes), nodes)
+        self._loops.call("add_nodal", *where, values.shape[2], values, len(sums), sums)
 
     def errors(
         self, cells: slice, rule: ErrorRule, recovered: FloatArray, raw: RawValues
@@ -362,7 +363,8 @@ class Patches:
         chosen, width = self.cells[cells], fitted.shape[2]
         found = np.empty((len(chosen), len(self._nodes), width))
         edges = self._edges.astype(np.int32)
-        where = (self._nodes, self._corners[cells], self._centres, self._size, edges)
+        vertices = (len(self._used), self._centres, self._size)
+        where = (self._nodes, self._corners[cells], *vertices, edges)
         self._loops.call(
             "take_nodal", len(chosen), chosen, *self._geometry, *where, width, fitted, found
         )

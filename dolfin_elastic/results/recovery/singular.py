@@ -45,8 +45,8 @@ from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets
 from dolfin_elastic.model.supports.displacement import PrescribingSupport, Restraint
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.supports.springs import Spring
-from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.material_regions import poisson, young
+from dolfin_elastic.problem.terms.contact import ContactPair
 from dolfin_elastic.results.recovery.interfaces import angles_at_interfaces, material_corners
 
 if TYPE_CHECKING:

@@ -19,10 +19,10 @@ from dolfin_elastic.core.parallel import (
     total,
 )
 from dolfin_elastic.core.types import BoolArray, FloatArray
-from dolfin_elastic.material_point.checks import with_finite_moduli
-from dolfin_elastic.material_point.domain import undefined_operation
 from dolfin_elastic.mesh.geometry.quality import SLIVER, quality_at
 from dolfin_elastic.mesh.geometry.simplices import cell_corners
+from dolfin_elastic.model.point.checks import with_finite_moduli
+from dolfin_elastic.model.point.domain import undefined_operation
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers import messages

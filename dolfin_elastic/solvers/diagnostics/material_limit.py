@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.material_point.alternatives import (
+from dolfin_elastic.model.point.alternatives import (
     elliptic_laws,
     law_in_words,
     least_eigenvalues,

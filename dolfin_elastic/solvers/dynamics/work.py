@@ -18,8 +18,8 @@ from dolfinx import fem, la
 
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.terms.contact import ContactPair
 from dolfin_elastic.solvers.assembly.assembler import Assembler, StrainEnergy, compiled, integral
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, LumpedMass
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces as NodalForces

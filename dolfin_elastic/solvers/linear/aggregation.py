@@ -52,7 +52,7 @@ def smoothed_interpolation(
             prescribed they may become zero.
         diagonal: That of A.
         threshold: |A_ij| / sqrt(|A_ii| |A_jj|) of a strong connection.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
 
     Returns:
         P, whose coarse matrix `galerkin` makes, and modes of shape (nodes, modes, modes).
@@ -74,7 +74,8 @@ def smoothed_interpolation(
     halo.fill(modes)
     member, coarse = _of_ghosts(halo, own, count)
     start, place = np.empty(n + 1, dtype=np.int64), np.full(coarse.size, -1, dtype=np.int32)
-    loops.call("count_smoothed", n, *pattern, strong, member, place, start)
+    members = (halo.size, member, coarse.size)
+    loops.call("count_smoothed", n, *pattern, strong, *members, place, start)
     place[:] = -1
     columns, blocks = np.empty(start[-1], dtype=np.int32), room_for(start[-1], R, C)
     room = np.empty((int(np.diff(start).max(initial=0)), R, LANES))
@@ -82,7 +83,8 @@ def smoothed_interpolation(
     for first, rows, part in A.parts():
         loops.call(
             *("fill_smoothed", R, C, first, rows, *pattern, part, strong, diagonal.inverse),
-            *(modes, turned, tentative, member, step, start, columns, blocks, place, room),
+            *(halo.size, modes, tentative, member, count, turned, step, start, columns, blocks),
+            *(coarse.size, place, len(room), room),
         )
     return Interpolation(start, columns, blocks, coarse), factors
 
@@ -149,7 +151,7 @@ def galerkin(A: BlockRows, P: Interpolation, loops: CFunctions) -> BlockRows:
     Args:
         A: Square.
         P: Interpolation to the owned nodes of A.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
     start, columns, P_blocks, numbers = _with_ghosts(A, P)
     side = P.halo.owners(numbers) if A.symmetric else np.arange(len(numbers))
@@ -158,11 +160,12 @@ def galerkin(A: BlockRows, P: Interpolation, loops: CFunctions) -> BlockRows:
     give_back()  # what this and making P needed: the blocks are about to take most memory
     blocks = np.zeros((len(pattern[1]), P.C, P.C))
     for_columns = np.full(len(numbers), -1, dtype=np.int32)
-    work = (for_columns, np.empty(most, dtype=np.int32), np.empty((most, P.R, LANES)))
-    interpolation = (start, columns, P_blocks)
+    work = (most, np.empty(most, dtype=np.int32), np.empty((most, P.R, LANES)))
+    interpolation = (len(start) - 1, start, columns, P_blocks)
+    coarse = (P.halo.size, *pattern, blocks, len(numbers), *sides, for_columns)
     for first, count, part in A.parts():
         rows = (first, count, *A.pattern(), part)
-        loops.call("galerkin", P.R, P.C, *rows, *interpolation, *pattern, blocks, *sides, *work)
+        loops.call("galerkin", P.R, P.C, *rows, *interpolation, *coarse, *work)
     found = _summed(P.halo, numbers, *pattern, blocks)
     return HalfRows(*found, loops) if A.symmetric else BlockRows(*found)
 
@@ -184,8 +187,8 @@ def _coarse_pattern(
         A: The matrix.
         P: Interpolation.
         every: Its rows of all nodes here.
-        sides: See `product_pattern` in `block_loops`, with a side and a number for each column.
-        loops: Those of `block_loops`.
+        sides: See `product_pattern` in multigrid.c, with a side and a number for each column.
+        loops: Those of multigrid.c.
     """
     size = len(sides[0])
     product = _product_pattern(A.pattern(), every, None, size, loops)
@@ -212,14 +215,16 @@ def _product_pattern(
         B: Of the second.
         halved: The sides, if only one half is wanted.
         size: Columns of the second.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
     rows, nothing = len(A[0]) - 1, np.empty(0, dtype=np.int32)
     half = (0, nothing, np.empty(0, dtype=np.int64)) if halved is None else (1, *halved)
     start, mark = np.empty(rows + 1, dtype=np.int64), np.full(size, -1, dtype=np.int32)
     # Most of this is never touched and takes no memory; to count columns first would take as long.
-    columns = np.empty(loops.call("most_of_product", rows, *A, B[0]), dtype=np.int32)
-    loops.call("product_pattern", rows, *A, *B, *half, mark, start, columns)
+    inner = len(B[0]) - 1
+    columns = np.empty(loops.call("most_of_product", rows, *A, inner, B[0]), dtype=np.int32)
+    found = (mark, start, len(columns), columns)
+    loops.call("product_pattern", rows, *A, inner, *B, size, *half, *found)
     return start, columns[: start[-1]]
 
 
@@ -259,7 +264,7 @@ def _transposed(pattern: Pattern, size: int, loops: CFunctions) -> Pattern:
     Args:
         pattern: Of the matrix.
         size: Its columns.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
     start, room = np.empty(size + 1, dtype=np.int64), np.empty(size, dtype=np.int64)
     rows = np.empty(len(pattern[1]), dtype=np.int32)

@@ -105,17 +105,18 @@ class BlockRows:
 
         Args:
             x: At owned nodes and ghosts.
-            loops: Those of `block_loops`.
+            loops: Those of multigrid.c.
         """
         y = np.empty((self.rows, self.R))
-        loops.call("product", self.R, self.rows, self.start, self.columns, self.blocks, x, y)
+        matrix = (*self.pattern(), self.blocks)
+        loops.call("product", self.R, self.rows, *matrix, self.halo.size, x, y)
         return y
 
     def diagonal(self, loops: CFunctions) -> FloatArray:
         """The diagonal blocks of a square matrix, shape (rows, R, R). Local.
 
         Args:
-            loops: Those of `block_loops`.
+            loops: Those of multigrid.c.
         """
         blocks = np.zeros((self.rows, self.R, self.R))
         for first, count, part in self.parts():
@@ -153,7 +154,7 @@ def in_single_precision(blocks: FloatArray, loops: CFunctions) -> SingleArray:
 
     Args:
         blocks: Shape (blocks, R, C).
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
     out = np.zeros(blocks.size + 2, dtype=np.float32)
     loops.call("in_single_precision", *blocks.shape, blocks, out)
@@ -167,7 +168,7 @@ def into_single_precision(blocks: FloatArray, loops: CFunctions) -> SingleArray:
 
     Args:
         blocks: Shape (blocks, R, C); lost.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
     if not blocks.flags.owndata:
         return in_single_precision(blocks, loops)
@@ -199,7 +200,7 @@ class PetscRows(BlockRows):
         matrix: Whose rows and columns of a node follow on each other; it must outlive this.
         R: Rows of a node.
         C: Columns of a node.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
 
     whole = False
@@ -211,14 +212,15 @@ class PetscRows(BlockRows):
         ghosts = np.unique(numbers // C).astype(np.int64)
         halo = Halo(comm, owned, ghosts)
         own = np.arange(last - first, dtype=np.int32)
-        node = (own // C, (owned + np.searchsorted(ghosts, numbers // C)).astype(np.int32))
+        others = (owned + np.searchsorted(ghosts, numbers // C)).astype(np.int32)
+        node = (len(own), own // C, len(others), others)
         component = ((own % C).astype(np.int8), (numbers % C).astype(np.int8))
         start = np.empty(rows + 1, dtype=np.int64)
         mark = np.full(halo.size, -1, dtype=np.int32)
         pattern = (near.start, near.columns, far.start, far.columns)
-        loops.call("count_blocks", rows, R, *pattern, *node, mark, start)
+        loops.call("count_blocks", rows, R, *pattern, *node, halo.size, mark, start)
         self._petsc, self._loops, self._near, self._far = matrix, loops, near, far
-        self._where = (*node, *component, np.full(halo.size, -1, dtype=np.int64))
+        self._where = (*node, *component, halo.size, np.full(halo.size, -1, dtype=np.int64))
         columns = np.empty(start[-1], dtype=np.int32)
         super().__init__(start, columns, np.empty((0, R, C)), halo)
         self.symmetric = all(matrix.isSymmetricKnown())
@@ -283,14 +285,14 @@ class _HalfPattern(BlockRows):
 
 
 class HalfRows(_HalfPattern):
-    """A symmetric matrix by the half of its blocks, as `symmetric.loops` says.
+    """A symmetric matrix by the half of its blocks, as halves.h says.
 
     Rows in full are made a part at a time.
     """
 
     def parts(self) -> Iterator[tuple[int, int, FloatArray]]:
         """See `BlockRows.parts`; the blocks are valid until the next ones."""
-        pattern = (*self._in_full(), self.blocks)
+        pattern = (*self._in_full(), len(self.blocks), self.blocks)
         for first, count, blocks in _rooms(self):
             self._loops.call("rows_of_half", self.R, first, count, *pattern, blocks)
             yield first, count, blocks
@@ -305,7 +307,8 @@ class HalfRows(_HalfPattern):
     def times(self, x: FloatArray, loops: CFunctions) -> FloatArray:
         """See `BlockRows.times`."""
         y = np.empty((self.rows, self.R))
-        loops.call("product_of_half", self.R, self.rows, *self._half, self.blocks, x, y)
+        matrix = (*self._half, self.blocks, self.halo.size)
+        loops.call("product_of_half", self.R, self.rows, *matrix, x, y)
         return y
 
     def rounded_times(self) -> Times:
@@ -313,7 +316,7 @@ class HalfRows(_HalfPattern):
         self._full = None
         loops, sizes = self._loops, (self.R, self.rows)
         matrix = (*self._half, into_single_precision(self.take_blocks(), loops))
-        return partial(loops.call, "rounded_product_of_half", *sizes, *matrix)
+        return partial(loops.call, "rounded_product_of_half", *sizes, *matrix, self.halo.size)
 
 
 class SymmetricRows(_HalfPattern):
@@ -330,9 +333,10 @@ class SymmetricRows(_HalfPattern):
 
     def parts(self) -> Iterator[tuple[int, int, FloatArray]]:
         """See `BlockRows.parts`; the blocks are valid until the next ones."""
-        pattern = (*self._in_full(), self.half.high, self.half.low)
+        half = self.half
+        pattern = (*self._in_full(), len(half.columns), half.high, half.low)
         for first, count, blocks in _rooms(self):
-            self.half.loops.call("rows_in_full", first, count, *pattern, blocks)
+            half.loops.call("rows_in_full", first, count, *pattern, blocks)
             yield first, count, blocks
 
     def diagonal(self, loops: CFunctions) -> FloatArray:
@@ -364,7 +368,7 @@ def interpolation_from_petsc(matrix: PETSc.Mat, R: int, C: int, loops: CFunction
         matrix: Whose rows and columns of a node follow on each other.
         R: Rows of a node.
         C: Columns of a node.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
     A = PetscRows(matrix, R, C, loops)
     blocks = room_for(A.start[-1], R, C)

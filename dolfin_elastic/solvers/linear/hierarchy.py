@@ -20,7 +20,6 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
 from dolfin_elastic.solvers.linear.aggregation import galerkin, smoothed_interpolation
-from dolfin_elastic.solvers.linear.block_loops import DECLARATIONS, SOURCE
 from dolfin_elastic.solvers.linear.block_rows import (
     BlockRows,
     Interpolation,
@@ -60,7 +59,7 @@ class Level:
     Args:
         smoother: Of its matrix.
         P: Interpolation from the next coarser level.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
 
     def __init__(self, smoother: Smoother, P: Interpolation, loops: CFunctions) -> None:
@@ -97,7 +96,8 @@ class Level:
         """
         self._c[: self._coarse.owned] = correction
         self._coarse.fill(self._c)
-        self._loops.call("prolong", *self._sizes, *self._P, self._c, self.smoother.x)
+        c = self._c
+        self._loops.call("prolong", *self._sizes, *self._P, len(c), c, self.smoother.x)
         return self.smoother.once_more(b)
 
     def __str__(self) -> str:
@@ -200,7 +200,7 @@ class Hierarchy:
         linear: Interpolation from linear to quadratic elements, where A is of these.
         modes: Makes the rigid-body modes of the linear elements' nodes, of shape (nodes, dim,
             modes), which are kept no longer than they are needed.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
 
     Attributes:
         sane: There is no entry that is not a number.
@@ -308,7 +308,7 @@ class Multigrid:
         self._linear: Interpolation | None = None
         dim = problem.body.dim
         sizes = {"DIM": dim, "MODES": 3 * dim - 3}
-        self._loops = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
+        self._loops = compile_c(problem.body.comm, "multigrid.c", sizes, problem.jit)
         if problem.degree > 1:
             self._space = problem.unknowns.linear_space()
             interpolation = constrained_interpolation(problem, self._space, order)

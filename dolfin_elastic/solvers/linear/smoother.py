@@ -57,7 +57,7 @@ def diagonal_of(A: BlockRows, loops: CFunctions, vector: FloatArray | None = Non
 
     Args:
         A: The matrix.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
         vector: That of a similar matrix, which is overwritten.
     """
     blocks = A.diagonal(loops)
@@ -79,7 +79,7 @@ def _largest(
     Args:
         A: The matrix.
         inverse: D^-1.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
         vector: Where to start; the last one is left there.
         steps: How many.
     """
@@ -97,7 +97,7 @@ class Smoother:
 
     Args:
         A: The matrix, whose blocks are taken over: it has none of its own any longer.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
         diagonal: That of A, where it is known.
 
     Attributes:
@@ -143,12 +143,14 @@ class Smoother:
             coarse: At all coarse nodes here, is added to.
         """
         (R, n), C = self.sizes, coarse.shape[1]
-        self._loops.call("restrict_residual", R, C, n, *self._matrix, self.x, b, *P, coarse)
+        matrix = (*self._matrix, len(self.x), self.x, b)
+        self._loops.call("restrict_residual", R, C, n, *matrix, *P, len(coarse), coarse)
 
     def once_more(self, b: FloatArray) -> FloatArray:
         """The next iterate, of owned nodes; valid until the next call. Collective."""
         self.halo.fill(self.x)
-        self._loops.call("smooth", *self.sizes, *self._matrix, self._scaled, self.x, b, self._y)
+        x = (len(self.x), self.x)
+        self._loops.call("smooth", *self.sizes, *self._matrix, self._scaled, *x, b, self._y)
         return self._y
 
     def renew(self) -> None:
@@ -171,7 +173,7 @@ class HalvedSmoother(Smoother):
         self._times(self.x, self._y)
         np.subtract(b, self._y, out=self._y)
         (R, n), C = self.sizes, coarse.shape[1]
-        self._loops.call("restrict_vector", R, C, n, *P, self._y, coarse)
+        self._loops.call("restrict_vector", R, C, n, *P, self._y, len(coarse), coarse)
 
     def once_more(self, b: FloatArray) -> FloatArray:
         """See `Smoother.once_more`."""
@@ -189,7 +191,7 @@ class TangentSmoother(HalvedSmoother):
 
     Args:
         A: The tangent.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
         diagonal: That of A, where it is known.
     """
 
@@ -215,7 +217,7 @@ def smoother_of(A: BlockRows, loops: CFunctions, diagonal: Diagonal | None = Non
 
     Args:
         A: The matrix, which the smoother takes over.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
         diagonal: That of A, where it is known.
     """
     kinds: dict[type[BlockRows], type[Smoother]]
@@ -230,7 +232,7 @@ def taken_in_single_precision(A: BlockRows, loops: CFunctions) -> SingleArray:
 
     Args:
         A: The matrix.
-        loops: Those of `block_loops`.
+        loops: Those of multigrid.c.
     """
     if not A.whole:
         out = np.zeros(A.start[-1] * A.R * A.C + 1, dtype=np.float32)

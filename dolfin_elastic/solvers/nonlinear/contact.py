@@ -16,9 +16,9 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
-from dolfin_elastic.problem.loads.contact import ContactPair
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
+from dolfin_elastic.problem.terms.contact import ContactPair
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult

@@ -23,7 +23,6 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.two_stage.form import tabulated
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered
-from dolfin_elastic.solvers.nonlinear.jacobian_loop import DECLARATIONS, SOURCE
 
 BLOCK = 8192
 """Cells that are evaluated at once: the values of their displacements stay in the cache of a core,
@@ -212,12 +211,12 @@ class _ByLoop:
     def __init__(self, problem: Problem, points: FloatArray, *, linear: bool) -> None:
         mesh = problem.body.mesh
         gradients, corners, sizes = tabulated(problem, points)
-        self._loop = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
+        self._loop = compile_c(problem.body.comm, "extremes.c", sizes, problem.jit)
         self._w = problem.w
         nodes = [
             np.ascontiguousarray(dofs) for dofs in (mesh.geometry.dofmap, problem.V.dofmap.list)
         ]
-        self._cells = (*nodes, mesh.geometry.x)
+        self._cells = (*nodes, len(mesh.geometry.x), mesh.geometry.x)
         self._tables, self._count = (gradients, corners), len(problem.body.owned_cells())
         self._linear = linear
 
@@ -227,7 +226,8 @@ class _ByLoop:
         found = CellExtremes(
             np.empty(count), np.empty(count), np.empty(count if self._linear else 0)
         )
-        arrays = (*self._cells, self._w.x.array, *self._tables)
+        w = self._w.x.array
+        arrays = (*self._cells, len(w), w, *self._tables)
         self._loop.call("extremes", count, *arrays, int(self._linear), *found)
         return found
 

@@ -17,8 +17,8 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.model.supports.displacement import Rotation
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
-from dolfin_elastic.problem.loads.cavities import BodyCavity
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.terms.cavities import BodyCavity
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.nonlinear.bordered import JoinedScalars, ScalarUnknowns
 from dolfin_elastic.solvers.nonlinear.cell_strains import free_strains

@@ -18,11 +18,11 @@ from helpers.laws import FREE, ROLLERS, SIZE, homogeneous, random_F, rotation
 from mpi4py import MPI
 from ufl.algorithms import expand_derivatives
 
-from dolfin_elastic.material_point.ufl_to_numpy import NumpyProgram
 from dolfin_elastic.model.kinematics import gradient_symbol
 from dolfin_elastic.model.materials.isochoric import VOLUME_STRAINS, Volumetric
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.model.point.ufl_to_numpy import NumpyProgram
 
 I = np.eye(3)
 ROUND = 1e-14 * 1e6

@@ -30,9 +30,9 @@ from dolfin_elastic.results.finished.curves import (
 from dolfin_elastic.results.finished.draw import Look, draw, film
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.outputs import History, Summary, Xdmf
-from dolfin_elastic.results.pictures import renderer
-from dolfin_elastic.results.pictures.clip import Clip
-from dolfin_elastic.results.pictures.colour_bar import prefixed
+from dolfin_elastic.results.scene import renderer
+from dolfin_elastic.results.scene.clip import Clip
+from dolfin_elastic.results.scene.colour_bar import prefixed
 
 
 @pytest.fixture

@@ -96,7 +96,7 @@ def test_products_and_diagonal_are_those_of_the_entries(dim: int, degree: int) -
         K, A = half.tangent.matrix, entries.tangent.matrix
         assert (K.getType(), A.getType()[-3:]) == ("python", "aij")
         assert isinstance(half.tangent.form, TwoStageForm)
-        in_lanes = [term.in_lanes for term in half.tangent.form._terms]
+        in_lanes = [term.moduli.in_lanes for term in half.tangent.form._terms]
         assert in_lanes == [lanes.FROM == 0]
         v = some(A)
         same(times(K, v), times(A, v), SPLIT, half.comm)

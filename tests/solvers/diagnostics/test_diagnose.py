@@ -41,11 +41,11 @@ from dolfin_elastic import (
 from dolfin_elastic.core.errors import ConvergenceError, Diagnosis
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.units import LengthUnit
-from dolfin_elastic.material_point.domain import undefined_operation
 from dolfin_elastic.mesh.distribute import build_body
 from dolfin_elastic.mesh.formats.raw import RawMesh
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.model.point.domain import undefined_operation
 from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator

@@ -28,7 +28,6 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear import block_rows, hierarchy
 from dolfin_elastic.solvers.linear.aggregation import galerkin, smoothed_interpolation
-from dolfin_elastic.solvers.linear.block_loops import DECLARATIONS, SOURCE
 from dolfin_elastic.solvers.linear.block_rows import (
     BlockRows,
     Interpolation,
@@ -72,7 +71,7 @@ def tangent(problem: Problem) -> Iterator[PETSc.Mat]:
 def loops(problem: Problem) -> CFunctions:
     dim = problem.body.dim
     sizes = {"DIM": dim, "MODES": 3 * dim - 3}
-    return compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
+    return compile_c(problem.body.comm, "multigrid.c", sizes, problem.jit)
 
 
 def coarsen(A: BlockRows, modes: FloatArray, threshold: float, kernels: CFunctions) -> Any:

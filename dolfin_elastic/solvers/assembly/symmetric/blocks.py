@@ -15,7 +15,6 @@ from dolfin_elastic.core.compat import column_map
 from dolfin_elastic.core.jit import CFunctions, compile_c
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray, SingleArray
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.assembly.symmetric.loops import DECLARATIONS, SOURCE
 from dolfin_elastic.solvers.petsc.halo import Halo, RowsOfOthers
 
 
@@ -30,7 +29,7 @@ class SymmetricBlocks:
         halo: Nodes of a rank's rows and columns.
         dim: Rows of a block.
         start: Where each owned node's row begins, and the last one ends.
-        columns: Local number of the node of each block; see `loops` for which are there.
+        columns: Local number of the node of each block; see halves.h for which are there.
         high: The blocks in single precision, column by column, and room for one entry more.
         low: What they lack.
         version: Grows with each change.
@@ -39,7 +38,7 @@ class SymmetricBlocks:
     def __init__(self, problem: Problem, form: fem.Form) -> None:
         self.dim, self.version = problem.body.dim, 0
         self.loops: CFunctions = compile_c(
-            problem.body.comm, DECLARATIONS, SOURCE, {"DIM": self.dim}, problem.jit
+            problem.body.comm, "symmetric.c", {"DIM": self.dim}, problem.jit
         )
         pattern = fem.create_sparsity_pattern(form)
         pattern.finalize()
@@ -73,11 +72,7 @@ class SymmetricBlocks:
             prescribed: Owned entries whose diagonal is one.
         """
         self.far.collect()
-        ones = np.ones(len(prescribed))
-        self.loops.call(
-            *("put_diagonal", len(prescribed), prescribed, ones, self.start, self.high, self.low)
-        )
-        self.version += 1
+        self._put_diagonal(prescribed, np.ones(len(prescribed)))
 
     def times(self, x: FloatArray, y: FloatArray, *, rounded: bool = False) -> None:
         """y = A x. Local.
@@ -89,9 +84,9 @@ class SymmetricBlocks:
         """
         rows = (self.halo.owned, self.start, self.columns, self.high)
         if rounded:
-            self.loops.call("rounded_product", *rows, x, y)
+            self.loops.call("rounded_product", *rows, self.halo.size, x, y)
         else:
-            self.loops.call("product", *rows, self.low, x, y)
+            self.loops.call("product", *rows, self.low, self.halo.size, x, y)
 
     def diagonal_blocks(self) -> FloatArray:
         """The first block of each row, shape (nodes, R, R). Local."""
@@ -104,7 +99,7 @@ class SymmetricBlocks:
         dim, n, halo = self.dim, self.halo.owned, self.halo
         start, columns, source = in_full(self.start, self.columns, self.loops)
         blocks = np.empty((start[-1], dim, dim))
-        arrays = (start, columns, source, self.high, self.low, blocks)
+        arrays = (start, columns, source, len(self.columns), self.high, self.low, blocks)
         self.loops.call("rows_in_full", 0, n, *arrays)
         row = np.repeat(np.arange(n), np.diff(start))
         order = np.lexsort((halo.globally(columns), row))
@@ -163,9 +158,11 @@ class SymmetricBlocks:
             diagonal: Its entries.
             mode: PETSc's, which always overwrites.
         """
-        entries = np.arange(self.dim * self.halo.owned, dtype=np.int32)
-        arrays = (entries, diagonal.array_r, self.start, self.high, self.low)
-        self.loops.call("put_diagonal", len(entries), *arrays)
+        self._put_diagonal(np.arange(self.dim * self.halo.owned, dtype=np.int32), diagonal.array_r)
+
+    def _put_diagonal(self, entries: IndexArray, values: FloatArray) -> None:
+        blocks = (self.halo.owned, self.start, self.high, self.low)
+        self.loops.call("put_diagonal", len(entries), entries, values, *blocks)
         self.version += 1
 
     def destroy(self, matrix: PETSc.Mat) -> None:
@@ -224,7 +221,8 @@ class FarRows:
     def collect(self) -> None:
         """Adds the blocks to the rows of their owners. Collective."""
         of, blocks = self._of, self._exchange.bring(self.blocks)
-        of.loops.call("add_blocks", len(blocks), self._places, blocks, of.high, of.low)
+        stored = (len(of.columns), of.high, of.low)
+        of.loops.call("add_blocks", len(blocks), self._places, blocks, *stored)
 
     def destroy(self) -> None:
         """Frees PETSc's object. Collective."""

@@ -2,14 +2,14 @@
 
 A form compiler writes the tangent of a law as one kernel, in which the derivative of the stress is
 contracted with each pair of shape functions.  In two stages FFCx compiles the `moduli` at the
-points of integration only, from the same UFL; `kernel` contracts them with shape functions and
+points of integration only, from the same UFL; tangent.c contracts them with shape functions and
 adds the result at places of the matrix that are found once.  Equal to round-off, and two to five
 times as fast.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import basix
 import numpy as np
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.jit import compile_c, compile_forms
-from dolfin_elastic.core.jit.cell_integrals import CellExpression, LaneLoops
+from dolfin_elastic.core.jit import compile_forms
+from dolfin_elastic.core.jit.cell_integrals import CellExpression, Loops
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.model.kinematics import variables
@@ -29,8 +29,6 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.weak_form import UNUSED
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, Conditions
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
-from dolfin_elastic.solvers.assembly.two_stage import lanes
-from dolfin_elastic.solvers.assembly.two_stage.kernel import DECLARATIONS, SOURCE
 
 BLOCK = 262144
 """Doubles of moduli that are evaluated at once: 2 MB stay in the cache of a core, and hide what a
@@ -74,7 +72,7 @@ def tangent_of_surroundings(problem: Problem) -> ufl.Form:
 
 
 def moduli(problem: Problem, region: MaterialRegion) -> Expr:
-    """What `kernel` contracts with shape functions, times the measure's weight.
+    """What tangent.c contracts with shape functions, times the measure's weight.
 
     For each pair of components i and k of the displacement, i <= k where the tangent is symmetric,
     dP_iJ/dF_kL of shape (dim, dim) [Pa]; where a pressure is unknown, too, these are followed in a
@@ -147,8 +145,6 @@ class TwoStageForm(BilinearForm):
         self.is_of_moduli = rest.empty() and W is problem.V
         self._terms = [_Term(problem, region) for region in problem.regions]
         self._nodes, self._stride = _nodes(problem), _stride(problem)
-        corners = np.ascontiguousarray(mesh.geometry.dofmap, dtype=np.int32)
-        self._elements = (corners, mesh.geometry.x, self._nodes)
         self._dim, self._displacements = problem.body.dim, problem.V.dofmap.list.shape[1]
         self._start: IntArray = np.empty(0, dtype=np.int64)
         self._places: IntArray = np.empty(0, dtype=np.uint16)  # of pairs of nodes, or of halves
@@ -164,11 +160,9 @@ class TwoStageForm(BilinearForm):
         if self._places.ndim != 3:
             self._find_places(matrix)
         fixed = _marked(bcs, len(self._start) - 1)
-        places = (fixed, self._start, self._places, matrix.data)
+        places = (self._nodes, fixed, self._start, self._places, matrix.data)
         for term in self._terms:
-            for cells, values in term.blocks(term.cells):
-                arrays = (*self._elements, values, *term.tables, *places)
-                term.code.call("add_tangent", len(cells), cells, *arrays)
+            term.call("add_tangent", term.cells, *places)
 
     def assemble_half(self, blocks: SymmetricBlocks, bcs: Conditions) -> None:
         """Assembles the tangent by the half of its blocks, where it `is_of_moduli`. Local.
@@ -185,15 +179,10 @@ class TwoStageForm(BilinearForm):
             self._find("find_upper_places", *pattern)
         blocks.clear()
         fixed = _marked(bcs, self._dim * blocks.halo.size)
-        places = (fixed, self._places, n, blocks.start, blocks.high, blocks.low)
-        others = (far.start, far.columns, far.blocks)
+        places = (self._nodes, fixed, self._places, n, blocks.start, blocks.high, blocks.low)
+        others = (len(far.start) - 1, far.start, far.columns, far.blocks)
         for term in self._terms:
-            if term.in_lanes:
-                term.add_half(self._elements, (*places, *others))
-                continue
-            for cells, values in term.blocks(term.cells):
-                arrays = (*self._elements, values, *term.tables, *places)
-                term.code.call("add_half", len(cells), cells, *arrays, *others)
+            term.call("add_half", term.cells, *places, *others)
 
     def lift(self, out: FloatArray, bcs: Conditions, values: FloatArray, w: FloatArray) -> None:
         """See `BilinearForm.lift`."""
@@ -202,9 +191,8 @@ class TwoStageForm(BilinearForm):
         direction = np.where(_marked(bcs, len(w)), values - w, 0.0)
         touched = self._touched(direction != 0.0)
         for term in self._terms:
-            for cells, A in term.blocks(term.cells[touched[term.cells]]):
-                arrays = (*self._elements, A, *term.tables, direction, out)
-                term.code.call("add_product", len(cells), cells, *arrays)
+            cells = term.cells[touched[term.cells]]
+            term.call("add_product", cells, self._nodes, direction, out)
 
     def _touched(self, moved: BoolArray) -> BoolArray:
         """Which cells have an unknown that moves."""
@@ -222,12 +210,13 @@ class TwoStageForm(BilinearForm):
         self._start = matrix.indptr.astype(np.int64)
         self._places = np.zeros((cells, nodes, nodes), dtype=np.uint16)
         columns = np.ascontiguousarray(matrix.indices, dtype=np.int32)
-        self._find("find_places", self._start, columns)
+        self._find("find_places", len(self._start) - 1, self._start, columns)
 
     def _find(self, loop: str, *pattern: int | AnyArray) -> None:
         for term in self._terms:
-            where = (self._nodes, *pattern, self._places)
-            missing = term.code.call(loop, len(term.cells), term.cells, *where)
+            cells, nodes = term.cells, self._nodes
+            where = (len(cells), cells, len(nodes), nodes, *pattern, self._places)
+            missing = term.moduli.loops.call(loop, *where)
             if missing >= 0:
                 raise RuntimeError(f"the matrix has no place for the tangent of cell {missing}")
 
@@ -246,44 +235,39 @@ class _Term:
         if mixed:
             tabulated_pressures = problem.W.sub(1).element.basix_element.tabulate(0, points)
             pressures = np.ascontiguousarray(tabulated_pressures[0, :, :, 0])
-        self.tables = (gradients, pressures, corners, np.ascontiguousarray(weights))
+        self._tables = (gradients, pressures, corners, np.ascontiguousarray(weights))
         sizes |= {"NP": pressures.shape[1], "SYMMETRIC": int(problem.symmetric)}
         sizes |= {"STRIDE": _stride(problem)}
-        self.code = compile_c(problem.body.comm, DECLARATIONS, SOURCE, sizes, problem.jit)
-        half = None
-        if problem.symmetric and not mixed:
-            half = LaneLoops(lanes.DECLARATIONS, lanes.SOURCE, sizes)
-        values = moduli(problem, region)
-        self._moduli = CellExpression(values, points, problem.w, problem.jit, half)
-        self.in_lanes = half is not None and self._moduli.in_lanes
-        self._block = max(1, BLOCK // self._moduli.size)
-        self._w = problem.w
+        values, loops = moduli(problem, region), Loops("tangent.c", sizes)
+        self.moduli = CellExpression(values, points, problem.w, problem.jit, loops)
+        self._block = max(1, BLOCK // self.moduli.size)
 
-    def add_half(self, elements: Sequence[AnyArray], places: Sequence[int | AnyArray]) -> None:
-        """Adds half of the tangent, where it is `in_lanes`.
+    def call(self, loop: str, cells: IndexArray, *arguments: int | AnyArray) -> None:
+        """Calls a loop of tangent.c.
 
         Args:
-            elements: Geometry nodes of cells, their places, nodes of the displacement.
-            places: Which entries are fixed, and where blocks stand; see `lanes`.
+            loop: Its name.
+            cells: Some of the region's.
+            arguments: What it takes after moduli and tables.
         """
-        constants = self._moduli.constants
-        gradients, _, corners, weights = self.tables
-        state = (self._w.x.array, len(constants), constants, gradients, corners, weights)
-        where = (len(self.cells), self.cells)
-        self._moduli.call("add_half", *where, *elements, *state, *places)
+        for some, given in self._moduli_of(cells):
+            self.moduli.call(loop, some, len(given), given, *self._tables, *arguments)
 
-    def blocks(self, cells: IndexArray) -> Iterator[tuple[IndexArray, FloatArray]]:
-        """Cells, some at a time, with their `moduli` at the points, until the next ones."""
-        room = np.empty((min(self._block, len(cells)), self._moduli.size))
+    def _moduli_of(self, cells: IndexArray) -> Iterator[tuple[IndexArray, FloatArray]]:
+        """Cells, with their `moduli` at the points if no kernel has them, until the next ones."""
+        if self.moduli.kernel is not None:
+            yield cells, np.empty((0, self.moduli.size))
+            return
+        room = np.empty((min(self._block, len(cells)), self.moduli.size))
         for first in range(0, len(cells), self._block):
             some = cells[first : first + self._block]
-            yield some, self._moduli.eval(some, room[: len(some)])
+            yield some, self.moduli.eval(some, room[: len(some)])
 
 
 def tabulated(
     problem: Problem, points: FloatArray
 ) -> tuple[FloatArray, FloatArray, dict[str, int]]:
-    """Derivatives of shape functions by reference coordinates, as `GRADIENTS` reads them.
+    """Derivatives of shape functions by reference coordinates, as gradients.h reads them.
 
     Args:
         problem: Whose displacement.

@@ -1,0 +1,1 @@
+"""Loops in C, in files of their own, and what reads them."""

@@ -1,0 +1,102 @@
+/* What any matrix by the half of its blocks needs.
+
+   Row i of n owned nodes has its block of the diagonal, those of owned nodes j > i, and those of
+   all nodes of other ranks, which are numbered from n on.  Blocks stand column by column. */
+
+#include <stdint.h>
+#include <string.h>
+
+#define INLINE static inline __attribute__((always_inline))
+
+typedef float float4 __attribute__((vector_size(16), aligned(4)));
+typedef double double2 __attribute__((vector_size(16), aligned(8)));
+typedef double double4 __attribute__((vector_size(32), aligned(8)));
+typedef int64_t long4 __attribute__((vector_size(32)));
+
+INLINE double4 column(const int both, const float* high, const float* low)
+{
+  const double4 a = __builtin_convertvector(*(const float4*)high, double4);
+  return both ? a + __builtin_convertvector(*(const float4*)low, double4) : a;
+}
+
+/* Sums of the entries of a, of b and of c. */
+INLINE double4 sums(double4 a, double4 b, double4 c)
+{
+  const double4 none = {0.0, 0.0, 0.0, 0.0};
+  const double4 u = __builtin_shuffle(a, b, (long4){0, 4, 2, 6})
+                    + __builtin_shuffle(a, b, (long4){1, 5, 3, 7});
+  const double4 v = __builtin_shuffle(c, none, (long4){0, 4, 2, 6})
+                    + __builtin_shuffle(c, none, (long4){1, 5, 3, 7});
+  return __builtin_shuffle(u, v, (long4){0, 1, 4, 5})
+         + __builtin_shuffle(u, v, (long4){2, 3, 6, 7});
+}
+
+/* y += A x with blocks of 3x3.  Columns are read as four: behind the last block one more is
+   there. */
+INLINE void multiply_three(const int both, int64_t n, const int64_t* start, const int32_t* columns,
+                           const float* high, const float* low, const double* x, double* y)
+{
+  for (int64_t i = 0; i < n; i++)
+  {
+    const double4 own = {x[3 * i], x[3 * i + 1], x[3 * i + 2], 0.0};
+    double4 s[3] = {{0.0}, {0.0}, {0.0}};
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+    {
+      const int64_t j = columns[k];
+      const float *h = high + k * 9, *l = both ? low + k * 9 : h;
+      const double4 a = column(both, h, l), b = column(both, h + 3, l + 3);
+      const double4 c = column(both, h + 6, l + 6);
+      s[0] += a * x[3 * j];
+      s[1] += b * x[3 * j + 1];
+      s[2] += c * x[3 * j + 2];
+      if (j > i && j < n)
+      {
+        const double4 t = sums(a * own, b * own, c * own);
+        *(double2*)(y + 3 * j) += __builtin_shufflevector(t, t, 0, 1);
+        y[3 * j + 2] += t[2];
+      }
+    }
+    s[0] += s[1] + s[2];
+    for (int r = 0; r < 3; r++)
+      y[3 * i + r] += s[0][r];
+  }
+}
+
+/* Where rows of all blocks begin. */
+int64_t count_in_full(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+                      int64_t full[n + 1])
+{
+  memset(full, 0, sizeof(int64_t) * (n + 1));
+  for (int64_t i = 0; i < n; i++)
+  {
+    full[i + 1] += start[i + 1] - start[i];
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+      if (columns[k] > i && columns[k] < n)
+        full[columns[k] + 1]++;
+  }
+  for (int64_t i = 0; i < n; i++)
+    full[i + 1] += full[i];
+  return 0;
+}
+
+/* Their columns, sorted, and where their blocks stand; `next` is room for n. */
+int64_t columns_in_full(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+                        const int64_t full[n + 1], int64_t next[n], int32_t full_columns[full[n]],
+                        int32_t source[full[n]])
+{
+  memcpy(next, full, sizeof(int64_t) * n);
+  for (int64_t i = 0; i < n; i++)
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+    {
+      const int32_t j = columns[k];
+      const int64_t own = full[i + 1] - (start[i + 1] - k);
+      full_columns[own] = j;
+      source[own] = (int32_t)k;
+      if (j > i && j < n)
+      {
+        full_columns[next[j]] = (int32_t)i;
+        source[next[j]++] = (int32_t)k;
+      }
+    }
+  return 0;
+}

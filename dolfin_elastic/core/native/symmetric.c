@@ -1,0 +1,123 @@
+/* Half of a symmetric tangent, see halves.h and split.h: product, diagonal, places, rows in full.
+
+   DIM: components of a node. */
+
+#include <stdint.h>
+#include <string.h>
+
+#include "halves.h"
+#include "split.h"
+
+#define SQUARE (DIM * DIM)
+
+INLINE void multiply(const int both, int64_t n, const int64_t* start, const int32_t* columns,
+                     const float* high, const float* low, const double* x, double* y)
+{
+  memset(y, 0, sizeof(double) * DIM * n);
+#if DIM == 3
+  multiply_three(both, n, start, columns, high, low, x, y);
+#else
+  for (int64_t i = 0; i < n; i++)
+  {
+    double s[DIM] = {0.0};
+    for (int64_t k = start[i]; k < start[i + 1]; k++)
+    {
+      const int64_t j = columns[k];
+      for (int c = 0; c < DIM; c++)
+      {
+        double t = 0.0;
+        for (int r = 0; r < DIM; r++)
+        {
+          const int64_t e = k * SQUARE + c * DIM + r;
+          const double a = both ? (double)high[e] + (double)low[e] : (double)high[e];
+          s[r] += a * x[DIM * j + c];
+          t += a * x[DIM * i + r];
+        }
+        if (j > i && j < n)
+          y[DIM * j + c] += t;
+      }
+    }
+    for (int r = 0; r < DIM; r++)
+      y[DIM * i + r] += s[r];
+  }
+#endif
+}
+
+int64_t product(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+                const float high[SQUARE * start[n] + 1], const float low[SQUARE * start[n] + 1],
+                int64_t nodes, const double x[DIM * nodes], double y[DIM * n])
+{
+  multiply(1, n, start, columns, high, low, x, y);
+  return 0;
+}
+
+int64_t rounded_product(int64_t n, const int64_t start[n + 1], const int32_t columns[start[n]],
+                        const float high[SQUARE * start[n] + 1], int64_t nodes,
+                        const double x[DIM * nodes], double y[DIM * n])
+{
+  multiply(0, n, start, columns, high, high, x, y);
+  return 0;
+}
+
+int64_t take_diagonal(int64_t n, const int64_t start[n + 1],
+                      const float high[SQUARE * start[n] + 1],
+                      const float low[SQUARE * start[n] + 1], double diagonal[DIM * n])
+{
+  for (int64_t i = 0; i < n; i++)
+    for (int r = 0; r < DIM; r++)
+    {
+      const int64_t e = start[i] * SQUARE + r * DIM + r;
+      diagonal[i * DIM + r] = (double)high[e] + (double)low[e];
+    }
+  return 0;
+}
+
+/* Overwrites some entries of the diagonal. */
+int64_t put_diagonal(int64_t count, const int32_t entries[count], const double values[count],
+                     int64_t n, const int64_t start[n + 1], float high[SQUARE * start[n] + 1],
+                     float low[SQUARE * start[n] + 1])
+{
+  for (int64_t m = 0; m < count; m++)
+  {
+    const int64_t i = entries[m] / DIM, r = entries[m] % DIM, e = start[i] * SQUARE + r * DIM + r;
+    high[e] = low[e] = 0.0f;
+    add_split(high + e, low + e, values[m]);
+  }
+  return 0;
+}
+
+/* Adds blocks, row by row, at their places; those without a place are left out. */
+int64_t add_blocks(int64_t count, const int64_t places[count], const double blocks[SQUARE * count],
+                   int64_t stored, float high[SQUARE * stored + 1], float low[SQUARE * stored + 1])
+{
+  for (int64_t m = 0; m < count; m++)
+    for (int r = 0; places[m] >= 0 && r < DIM; r++)
+      for (int c = 0; c < DIM; c++)
+      {
+        const int64_t e = places[m] * SQUARE + c * DIM + r;
+        add_split(high + e, low + e, blocks[m * SQUARE + r * DIM + c]);
+      }
+  return 0;
+}
+
+/* The blocks of some rows, row by row. */
+int64_t rows_in_full(int64_t first, int64_t count, const int64_t full[first + count + 1],
+                     const int32_t full_columns[full[first + count]],
+                     const int32_t source[full[first + count]], int64_t stored,
+                     const float high[SQUARE * stored + 1], const float low[SQUARE * stored + 1],
+                     double blocks[SQUARE * (full[first + count] - full[first])])
+{
+  for (int64_t i = first; i < first + count; i++)
+    for (int64_t p = full[i]; p < full[i + 1]; p++, blocks += SQUARE)
+    {
+      const float *h = high + (int64_t)source[p] * SQUARE, *l = low + (int64_t)source[p] * SQUARE;
+      const int turned = full_columns[p] < i;
+      for (int r = 0; r < DIM; r++)
+        for (int c = 0; c < DIM; c++)
+        {
+          const int e = turned ? r * DIM + c : c * DIM + r;
+          blocks[r * DIM + c] = (double)h[e] + (double)l[e];
+        }
+    }
+  return 0;
+}

@@ -1,0 +1,1 @@
+"""Shapes beside a body: planes, boxes, spheres and cylinders."""

@@ -1,0 +1,51 @@
+"""Triangles of shapes to be drawn, counter-clockwise seen from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from dolfin_elastic.core.types import FloatArray, IntArray
+
+ROUND = 48
+"""Corners of a circle."""
+WIDE = 0.5
+"""Half the side of a drawn plane, or length of a cylinder, over the diagonal of the body beside."""
+
+Triangles = tuple[FloatArray, IntArray]
+"""Points [m], shape (n, 3), and triangles."""
+
+
+def whole(vector: Iterable[float]) -> FloatArray:
+    """Three components."""
+    return np.array([*vector, 0.0, 0.0][:3], dtype=np.float64)
+
+
+def across(axis: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Two unit vectors at right angles to an axis and to each other."""
+    other = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    a = np.cross(axis, other)
+    a /= np.linalg.norm(a)
+    return np.asarray(a, dtype=np.float64), np.asarray(np.cross(axis, a), dtype=np.float64)
+
+
+def revolved(
+    middle: FloatArray, axis: FloatArray, along: FloatArray, radii: FloatArray
+) -> Triangles:
+    """A surface of revolution, of circles one after the other along its axis.
+
+    Args:
+        middle: A point of the axis.
+        axis: Unit vector along it.
+        along: Position of each circle from there [m], shape (m,).
+        radii: Their radii [m], shape (m,).
+    """
+    a, b = across(axis)
+    turn = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)[:, None]
+    circle, m, n = np.cos(turn) * a + np.sin(turn) * b, len(radii), ROUND
+    rings = middle + along[:, None, None] * axis + radii[:, None, None] * circle
+    i, j = (k.ravel() for k in np.meshgrid(np.arange(m - 1), np.arange(n), indexing="ij"))
+    here, beside = i * n + j, i * n + (j + 1) % n
+    lower = np.stack([here, beside, beside + n], axis=1)
+    return rings.reshape(-1, 3), np.vstack([lower, np.stack([here, beside + n, here + n], axis=1)])

@@ -1,0 +1,368 @@
+"""Conditions that every material law must satisfy, checked at a few deformation gradients.
+
+`check_energy` is the short list, which a user's energy must pass before every run; `checks` is the
+long one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from dolfin_elastic.core.errors import FormulaError, InputError
+from dolfin_elastic.core.schema import within
+from dolfin_elastic.core.types import AnyArray
+from dolfin_elastic.model.materials.law import Isotropic, Law, SplitLaw
+from dolfin_elastic.model.materials.user import UserEnergy
+from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
+
+I = np.eye(3)  # noqa: E741  of the textbooks
+ROUND_OFF = 1e-9
+"""Of the stiffness at rest; regularised principal stretches leave about 1e-12."""
+_DIFFERENCES = 1e-6
+_STEP = 1e-3
+_NEARLY_RIGID = 1e4
+"""Bulk over shear stiffness that stands for an infinite one."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one check found.
+
+    Attributes:
+        check: What was checked.
+        verdict: `fail` ends a run of a user's energy; a `note` is no fault.
+        text: The numbers, or the reason.
+        values: The numbers, for scripts.
+    """
+
+    check: str
+    verdict: Literal["pass", "fail", "note"]
+    text: str
+    values: Mapping[str, object]
+
+
+def _found(check: str, good: bool, text: str, **values: object) -> Finding:
+    return Finding(check, "pass" if good else "fail", text, values)
+
+
+def _note(check: str, text: str, **values: object) -> Finding:
+    return Finding(check, "note", text, values)
+
+
+def with_finite_moduli(law: Law) -> Law:
+    """The law itself, or with a large number in place of an infinite modulus."""
+    endless = [name for name, value in law.constants().items() if np.any(np.isinf(value))]
+    if not endless or not isinstance(law, SplitLaw):
+        return law
+    shape = law.model_copy(update=dict.fromkeys(endless, 0.0))
+    size = float(np.abs(LawAtPoints(shape).tangent(I[None])).max())
+    return law.model_copy(update=dict.fromkeys(endless, _NEARLY_RIGID * size))
+
+
+class LawUnderTest:
+    """A law with the deformation gradients at which it is checked.
+
+    Args:
+        law: Any law with numbers; an infinite modulus is replaced by a large one.
+    """
+
+    def __init__(self, law: Law) -> None:
+        self.given, self.law = law, with_finite_moduli(law)
+        self.point = LawAtPoints(self.law)
+        draw = np.random.default_rng(7).uniform(-1, 1, (12, 3, 3))
+        self.near = I + 0.03 * draw[:6]
+        self._far = I + 0.2 * draw[6:]
+        turned, _ = np.linalg.qr(np.random.default_rng(8).standard_normal((12, 3, 3)))
+        self.rotations = turned * np.linalg.det(turned)[:, None, None]
+
+    @cached_property
+    def samples(self) -> AnyArray:
+        """Deformation gradients, shape (n, 3, 3): small, and larger ones with finite stress."""
+        fine = np.isfinite(self.point.stress(self._far)).all(axis=(1, 2))
+        return np.concatenate([self.near, self._far[fine]])
+
+    @cached_property
+    def rest(self) -> AnyArray:
+        """Tangent at F = I [Pa], shape (3, 3, 3, 3)."""
+        return self.point.tangent(I[None])[0]
+
+    @cached_property
+    def scale(self) -> float:
+        """Stiffness by which errors are divided [Pa]."""
+        sizes = [float(np.abs(a).max()) for a in (self.rest, self.point.tangent(self.near))]
+        return next((s for s in sizes if np.isfinite(s) and s > 0), 1.0)
+
+    @property
+    def frame_indifferent(self) -> bool:
+        """The law claims to be frame-indifferent."""
+        return self.law.frame_indifferent
+
+
+# --- at rest ---
+
+
+def rest_energy(tested: LawUnderTest) -> Iterator[Finding]:
+    """psi(I) = 0."""
+    if not tested.law.has_energy:
+        yield _note("no energy at rest", "the law has no energy")
+        return
+    psi = float(tested.point.energy(I[None])[0])
+    good = abs(psi) <= ROUND_OFF * tested.scale
+    hint = "" if good else f"; subtract {psi:.10g} from the energy"
+    yield _found("no energy at rest", good, f"psi(I) = {psi:.3g} J/m^3{hint}", psi=psi)
+
+
+def rest_stress(tested: LawUnderTest) -> Iterator[Finding]:
+    """P(I) = 0."""
+    P = tested.point.stress(I[None])[0]
+    size = float(np.abs(P).max())
+    good = size <= ROUND_OFF * tested.scale
+    hint = "" if good else _balance(P)
+    yield _found("no stress at rest", good, f"largest of P(I) = {size:.3g} Pa{hint}", P=size)
+
+
+def _balance(P: AnyArray) -> str:
+    mean = np.trace(P) / 3
+    if not np.isfinite(P).all() or np.abs(P - mean * I).max() > 1e-6 * abs(mean):
+        return ""
+    return f"; it is the pressure {-mean:.6g} Pa: subtract {mean:.10g}*ln(J) from the energy"
+
+
+def finite(tested: LawUnderTest) -> Iterator[Finding]:
+    """No nan or inf near F = I."""
+    parts: dict[str, Callable[[AnyArray], AnyArray]] = {"stress": tested.point.stress}
+    parts["stiffness"] = tested.point.tangent
+    if tested.law.has_energy:
+        parts = {"energy": tested.point.energy, **parts}
+    F = np.concatenate([I[None], tested.near])
+    for name, program in parts.items():
+        bad: AnyArray = np.asarray(~np.isfinite(program(F).reshape(len(F), -1)).all(axis=1))
+        if bad.any():
+            place = "at rest" if bad[0] else "at strains of a few per cent"
+            yield _found("finite values", False, f"the {name} is not finite {place}")
+            return
+    yield _found("finite values", True, "energy, stress and stiffness near the rest")
+
+
+_HINT_VOLUME = "add a term that grows with |J - 1|, or volumetric and K beside the energy"
+_HINT_SHAPE = "has a term or a parameter the wrong sign?"
+
+
+def stable(tested: LawUnderTest) -> Iterator[Finding]:
+    """The stiffness at rest is positive."""
+    stiffness = voigt(tested.rest)
+    values, vectors = np.linalg.eigh(stiffness)
+    ratio = float(values[0] / values[-1])
+    good = ratio > ROUND_OFF
+    text = f"smallest over largest stiffness {ratio:.3g}"
+    if not good:
+        mode = vectors[:, 0]
+        volume = np.abs(mode[3:]).max() < 1e-3 and np.ptp(mode[:3]) < 1e-3
+        what = "a change of volume" if volume else "a small strain"
+        text += f"; {what} is not resisted"
+        if isinstance(tested.given, UserEnergy):
+            text += f": {_HINT_VOLUME if volume else _HINT_SHAPE}"
+    yield _found("stable at rest", good, text, ratio=ratio)
+
+
+# --- symmetries ---
+
+
+def objectivity(tested: LawUnderTest) -> Iterator[Finding]:
+    """psi(QF) = psi(F), P(QF) = Q P(F) and P F^T = F P^T."""
+    F, name = tested.samples, "frame indifference"
+    Q = tested.rotations[: len(F)]
+    P, far = tested.point.stress(F), tested.point.stress(Q @ F)
+    error = _relative(far, Q @ P, tested.scale)
+    if tested.law.has_energy:
+        first, second = tested.point.energy(F), tested.point.energy(Q @ F)
+        error = max(error, _relative(first, second, 1e-3 * tested.scale))
+    if not tested.frame_indifferent:
+        yield _note(name, f"none, as the law says (error {error:.2g})", error=error)
+        return
+    good = error <= 1e3 * ROUND_OFF
+    text = f"largest difference {error:.2g}"
+    if not good:
+        text += "; write the energy in C, E or invariants: turning the body must not change it"
+    yield _found(name, good, text, error=error)
+    tau = P @ F.transpose(0, 2, 1)
+    skew = _relative(tau, tau.transpose(0, 2, 1), tested.scale)
+    yield _found(
+        "symmetric Cauchy stress", skew <= 1e3 * ROUND_OFF, f"asymmetry {skew:.2g}", error=skew
+    )
+
+
+def symmetric_tangent(tested: LawUnderTest) -> Iterator[Finding]:
+    """A_ijkl = A_klij, if there is an energy."""
+    A = tested.point.tangent(tested.samples)
+    skew = _relative(A, A.transpose(0, 3, 4, 1, 2), tested.scale)
+    if not tested.law.has_energy:
+        yield _note("symmetric tangent", f"no energy: asymmetry {skew:.2g}", error=skew)
+        return
+    good = skew <= 1e3 * ROUND_OFF
+    yield _found("symmetric tangent", good, f"asymmetry {skew:.2g}", error=skew)
+
+
+def material_symmetry(tested: LawUnderTest) -> Iterator[Finding]:
+    """P(FQ) = P(F) Q for all rotations Q, or for those about the fibre."""
+    error = _material_error(tested, tested.rotations)
+    if error <= 1e3 * ROUND_OFF:
+        yield _found("isotropy", True, f"isotropic, to {error:.2g}", error=error)
+        return
+    fibre = getattr(tested.law, "fibre", None)
+    if isinstance(tested.law, Isotropic):
+        yield _found("isotropy", False, f"an isotropic law is not: {error:.2g}", error=error)
+    elif fibre is None or getattr(tested.law, "fibre2", None) is not None:
+        yield _note("isotropy", f"anisotropic ({error:.2g})", error=error)
+    else:
+        axis = np.zeros(3)
+        axis[: len(fibre)] = [float(part) for part in fibre]
+        axis /= np.linalg.norm(axis)
+        about = _material_error(tested, _about(axis / np.linalg.norm(axis)))
+        good = about <= 1e3 * ROUND_OFF
+        text = f"the same all round the fibre, to {about:.2g}"
+        other = f"anisotropic, also round its fibre ({about:.2g})"
+        yield Finding("isotropy", "pass" if good else "note", text if good else other, {})
+
+
+def _material_error(tested: LawUnderTest, turns: AnyArray) -> float:
+    if not tested.frame_indifferent:  # laws for small rotations: compare the stiffness at rest
+        A = tested.rest
+        turned = np.einsum("nai,nbj,nck,ndl,abcd->nijkl", *[turns] * 4, A, optimize=True)
+        return _relative(turned, np.broadcast_to(A, turned.shape), tested.scale)
+    F = tested.samples
+    Q = turns[: len(F)]
+    return _relative(tested.point.stress(F @ Q), tested.point.stress(F) @ Q, tested.scale)
+
+
+def _about(a: AnyArray) -> AnyArray:
+    """Rotations about a unit vector (Rodrigues)."""
+    W = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
+    angles = np.linspace(0.4, 5.9, 12)[:, None, None]
+    return np.asarray(I + np.sin(angles) * W + (1 - np.cos(angles)) * W @ W)
+
+
+def _relative(a: AnyArray, b: AnyArray, least: float) -> float:
+    """Largest difference over the largest entry of b, or over 1e-3 of `least` if that is more."""
+    size = max(float(np.abs(b).max()), 1e-3 * least)
+    return float(np.abs(a - b).max()) / size
+
+
+# --- derivatives ---
+
+
+Evaluation: TypeAlias = Callable[[AnyArray], AnyArray]
+"""Energy, stress or tangent of a law at deformation gradients, shape (n, 3, 3)."""
+
+
+def derivatives(tested: LawUnderTest) -> Iterator[Finding]:
+    """P = dpsi/dF and A = dP/dF, against central differences of fourth order."""
+    F = tested.samples[::2]
+    pairs: list[tuple[str, Evaluation, Evaluation]] = [
+        ("tangent is dP/dF", tested.point.stress, tested.point.tangent)
+    ]
+    if tested.law.has_energy:
+        pairs.insert(0, ("stress is dpsi/dF", tested.point.energy, tested.point.stress))
+    for name, function, derivative in pairs:
+        exact = derivative(F)
+        size = np.abs(exact).max()
+        near, far = (_differences(function, F, step) for step in (_STEP / 4, _STEP))
+        # Where fibres go slack there is no derivative: differences of two steps then disagree.
+        axes = tuple(range(1, exact.ndim))
+        smooth = np.abs(near - far).max(axis=axes) <= _DIFFERENCES * size
+        if not smooth.any():
+            smooth[:] = True
+        error = float(np.abs(exact - far)[smooth].max() / size)
+        good = error <= _DIFFERENCES
+        yield _found(name, good, f"largest difference {error:.2g}", error=error)
+
+
+def _differences(f: Evaluation, F: AnyArray, step: float) -> AnyArray:
+    D = step * np.eye(9).reshape(9, 1, 3, 3)
+    shifted = np.concatenate([F + k * D for k in (1, -1, 2, -2)]).reshape(-1, 3, 3)
+    values = f(shifted)
+    a, b, c, d = values.reshape(4, 9, len(F), *values.shape[1:])
+    slopes = (8 * (a - b) - (c - d)) / (12 * step)
+    rows = np.moveaxis(slopes, 0, -1)
+    return np.asarray(rows.reshape(*rows.shape[:-1], 3, 3))
+
+
+# --- small strains ---
+
+_VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+
+
+def voigt(A: AnyArray) -> AnyArray:
+    """A tangent at rest, shape (3, 3, 3, 3), as a 6x6 matrix in the order 11 22 33 23 13 12."""
+    minor = (A + A.transpose(1, 0, 2, 3)) / 2
+    minor = (minor + minor.transpose(0, 1, 3, 2)) / 2
+    matrix = np.array([[minor[(*p, *q)] for q in _VOIGT] for p in _VOIGT])
+    return np.asarray((matrix + matrix.T) / 2)
+
+
+def small_strain(tested: LawUnderTest) -> Iterator[Finding]:
+    """Young's modulus and Poisson's ratio along x, compared with the constants of the law."""
+    try:
+        soft = np.linalg.inv(voigt(tested.rest))
+    except np.linalg.LinAlgError:
+        return
+    E, nu = 1 / soft[0, 0], -soft[0, 1] / soft[0, 0]
+    text = f"E = {E:.6g} Pa, nu = {nu:.6g}"
+    values = {"E": float(E), "nu": float(nu), "mu": float(1 / soft[5, 5])}
+    sides = [1 / soft[k, k] for k in range(3)]
+    if np.ptp(sides) > 1e-6 * max(sides):
+        text = "E along x, y, z = " + ", ".join(f"{side:.4g}" for side in sides) + " Pa"
+    stated = [(name, getattr(tested.given, name, None)) for name in ("E", "nu")]
+    known = [(n, v) for n, v in stated if isinstance(v, float) and np.isfinite(v)]
+    if tested.given is not tested.law or len(known) < 2:
+        yield _note("small strains", text, **values)
+        return
+    good = all(abs(values[n] - v) <= 1e-6 * max(abs(v), 1e-3) for n, v in known)
+    text += ", as stated" if good else f"; stated {known[0][1]:.6g} Pa, {known[1][1]:.6g}"
+    yield _found("small strains", good, text, **values)
+
+
+# --- lists of checks ---
+
+
+@np.errstate(all="ignore")
+def checks(tested: LawUnderTest) -> list[Finding]:
+    """All checks at single deformation gradients; of a law that is not finite only the first."""
+    found: list[Finding] = []
+    for check in (finite, rest_energy, rest_stress):
+        found += check(tested)
+    if any(f.verdict == "fail" and f.check == "finite values" for f in found):
+        return found
+    for check in (stable, objectivity, material_symmetry, derivatives, symmetric_tangent):
+        found += check(tested)
+    return found + list(small_strain(tested))
+
+
+_SHORT = (finite, rest_energy, rest_stress, objectivity, symmetric_tangent, stable)
+
+
+def check_energy(law: Law) -> None:
+    """Checks an energy that a user wrote; other laws are checked by the tests of this package.
+
+    Not collective: the result is the same on every rank.
+
+    Raises:
+        InputError: The first check that it fails.
+    """
+    if not isinstance(law, UserEnergy) or law.checked:
+        return
+    tested = LawUnderTest(law)
+    try:
+        with np.errstate(all="ignore"):
+            failed = (f for check in _SHORT for f in check(tested) if f.verdict == "fail")
+            found = next(failed, None)  # the later ones want finite values
+    except FormulaError as error:
+        raise within("energy", error) from None
+    if found is not None:
+        raise InputError(f"{found.check}: {found.text}", where="energy")
+    law.mark_checked()

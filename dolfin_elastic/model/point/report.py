@@ -1,0 +1,94 @@
+"""All checks and homogeneous tests of one material."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfin_elastic.core.errors import FormulaError, InputError
+from dolfin_elastic.core.schema import within
+from dolfin_elastic.core.types import AnyArray
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.point.checks import Finding, LawUnderTest, checks
+from dolfin_elastic.model.point.ellipticity import ellipticity, energy_growth
+from dolfin_elastic.model.point.homogeneous_tests import (
+    DEFORMATION_MODES,
+    DeformationMode,
+    ResponseCurve,
+    response_curve,
+)
+
+LARGEST = 2.0
+_POINTS = 30
+
+
+@dataclass(frozen=True)
+class MaterialReport:
+    """Results of all checks and homogeneous tests of a material.
+
+    Attributes:
+        law: The material.
+        findings: One for each check.
+        curves: Name of a mode to its response; empty if the law is not finite near F = I.
+        notes: Remarks: warnings, replaced constants, ends of curves.
+    """
+
+    law: Law
+    findings: tuple[Finding, ...]
+    curves: dict[str, ResponseCurve]
+    notes: tuple[str, ...]
+
+    @property
+    def failed(self) -> tuple[Finding, ...]:
+        """Checks that the material does not pass."""
+        return tuple(f for f in self.findings if f.verdict == "fail")
+
+
+def material_report(law: Law, *, largest: float = LARGEST) -> MaterialReport:
+    """Checks a material at a point and computes its response curves and range of validity.
+
+    Not collective; takes about a second.
+
+    Args:
+        law: Any law whose constants are numbers.
+        largest: Stretches go from 1/`largest` to `largest`, shears to `largest` - 1 both ways.
+
+    Raises:
+        InputError: Constants vary in space, the energy cannot be evaluated, or `largest` is not
+            above 1.
+    """
+    if not largest > 1:
+        raise InputError(
+            f"{largest:g} is no largest stretch", where="--stretch", expected="above 1"
+        )
+    for name in law.spatial_constants():
+        raise InputError(
+            "this constant varies in space",
+            where=name,
+            expected="numbers: a material point has no coordinates",
+        )
+    tested = LawUnderTest(law)
+    try:
+        findings = checks(tested)
+    except FormulaError as error:
+        raise within("energy", error) from None
+    notes = [law.warning] if law.warning else []
+    if tested.law is not law:
+        notes.append("an infinite modulus was tried as 10000 times the others")
+    if any(f.verdict == "fail" and f.check == "finite values" for f in findings):
+        return MaterialReport(law, tuple(findings), {}, tuple(notes))
+    with np.errstate(all="ignore"):
+        curves = {
+            m.name: response_curve(tested.point, m, _targets(m, largest)) for m in DEFORMATION_MODES
+        }
+        findings += [*energy_growth(tested), *ellipticity(tested, curves)]
+    notes += [end for found in curves.values() for end in found.ends]
+    return MaterialReport(law, tuple(findings), curves, tuple(notes))
+
+
+def _targets(mode: DeformationMode, largest: float) -> AnyArray:
+    spread = np.linspace(-1.0, 1.0, 2 * _POINTS + 1)
+    if mode.rest == 0:
+        return spread * (largest - 1)
+    return np.asarray(largest**spread)

@@ -1,0 +1,99 @@
+"""The stretches up to which a material is stable in homogeneous tests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfin_elastic.core.types import AnyArray
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.point.checks import LawUnderTest
+from dolfin_elastic.model.point.ellipticity import PATHS, acoustic_eigenvalues
+from dolfin_elastic.model.point.homogeneous_tests import (
+    DEFORMATION_MODES,
+    DeformationMode,
+    ResponseCurve,
+    response_curve,
+)
+
+LARGEST = 2.0
+"""Stretches are looked at from 1/`LARGEST` to it, shears up to `LARGEST` - 1."""
+_POINTS = 24
+
+
+@dataclass(frozen=True)
+class StableRange:
+    """Where a law is strongly elliptic and its force rises, in one homogeneous test.
+
+    Attributes:
+        mode: Kind of deformation.
+        low: Smallest stable stretch (or shear) that was looked at.
+        high: The largest one.
+        whole: All that were looked at are stable.
+    """
+
+    mode: DeformationMode
+    low: float
+    high: float
+    whole: bool
+
+    def in_words(self) -> str:
+        """For example "stretch 0.53 to 1.7 (uniaxial)"."""
+        return f"{self.mode.symbol} {self.low:.2g} to {self.high:.2g} ({self.mode.name})"
+
+
+def stable_ranges(law: Law) -> tuple[StableRange, ...]:
+    """The stable range about the rest in each of `PATHS`.
+
+    Stable means strongly elliptic, and that the nominal stress rises with the stretch: beyond its
+    maximum a body under a dead load has no equilibrium, and one that is pulled necks.  Not
+    collective; takes up to a second.
+
+    Source: J. Marsden and T. Hughes, Mathematical Foundations of Elasticity (1983), section 4.3;
+    R. Hill, J. Mech. Phys. Solids 5 (1957) 229 (loads that rise).
+
+    Args:
+        law: The law, with numbers.
+    """
+    tested, spread = LawUnderTest(law), np.linspace(-1.0, 1.0, 2 * _POINTS + 1)
+    found = []
+    with np.errstate(all="ignore"):
+        for mode in DEFORMATION_MODES:
+            if mode.name in PATHS:
+                targets = LARGEST**spread if mode.rest else spread * (LARGEST - 1)
+                curve = response_curve(tested.point, mode, np.asarray(targets))
+                found.append(_range(tested, curve))
+    return tuple(found)
+
+
+def _range(tested: LawUnderTest, curve: ResponseCurve) -> StableRange:
+    rest = int(np.argmin(np.abs(curve.values - curve.mode.rest)))
+    good = (acoustic_eigenvalues(tested.point, curve.F) > 0) & _rising(curve, rest)
+    low = high = rest
+    while low > 0 and good[low - 1]:
+        low -= 1
+    while high < len(good) - 1 and good[high + 1]:
+        high += 1
+    whole = (low, high) == (0, len(good) - 1) and not curve.ends
+    return StableRange(curve.mode, float(curve.values[low]), float(curve.values[high]), whole)
+
+
+def _rising(curve: ResponseCurve, rest: int) -> AnyArray:
+    """Whether the nominal stress rises from the neighbour on the side of the rest."""
+    rises = np.diff(curve.P[(slice(None), *curve.mode.shown)]) > 0
+    good = np.ones(len(curve.values), dtype=bool)
+    good[:rest], good[rest + 1 :] = rises[:rest], rises[rest:]
+    return good
+
+
+def limits(law: Law) -> str:
+    """The stable ranges of a law in words, of the tests in which it does not stay stable.
+
+    Args:
+        law: The law, with numbers.
+
+    Returns:
+        Empty where it is stable throughout.
+    """
+    return ", ".join(found.in_words() for found in stable_ranges(law) if not found.whole)

@@ -1,0 +1,281 @@
+"""Where facets of two surfaces lie opposite each other: common pieces and their quadrature points.
+
+Facets are projected on the plane of the first one and cut by each other; the pieces are convex
+polygons (in a plane intervals), on which polynomials of both sides are integrated exactly.  Curved
+facets are cut into four flat ones (two in a plane) first.  Source: M. A. Puso, Int. J. Numer. Meth.
+Engng 59 (2004) 315, section 4; M. A. Puso, T. A. Laursen & J. Solberg, Comput. Methods Appl. Mech.
+Engrg. 197 (2008) 555.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import basix
+import numpy as np
+
+from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
+from dolfin_elastic.problem.constraints.ties.facets import Facets
+
+DEGREE = 5
+"""Of the quadrature: quadratic functions of both sides, times the radius of a ring."""
+
+PARALLEL = 0.5
+"""Cosine of the angle between two facets from which they may lie opposite."""
+
+THIN = 1e-12
+"""Part of a facet's area below which a piece is round-off."""
+
+GAP = 0.1
+"""Default of the largest distance that is tied, over the longer of the two facets."""
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Quadrature points of all pieces of a pair of surfaces.
+
+    Attributes:
+        near: Facet of the first surface, shape (pieces,).
+        far: Facet of the second surface, shape (pieces,).
+        near_coordinates: Barycentric coordinates in `near`, shape (pieces, points, d).
+        far_coordinates: The same in `far`.
+        weights: Areas [m^(d-1)], shape (pieces, points).
+        gaps: Largest distance between the two at each piece [m].
+        sizes: Of the longer facet of each piece [m].
+        places: A point of each piece [m], shape (pieces, d).
+    """
+
+    near: IntArray
+    far: IntArray
+    near_coordinates: FloatArray
+    far_coordinates: FloatArray
+    weights: FloatArray
+    gaps: FloatArray
+    sizes: FloatArray
+    places: FloatArray
+
+    def __getitem__(self, which: BoolArray | IntArray) -> Segments:
+        return Segments(**{name: values[which] for name, values in vars(self).items()})
+
+
+@dataclass(frozen=True)
+class _Flat:
+    """Flat facets: corners [m], the facet that each is a part of, and the corners' places in it."""
+
+    x: FloatArray
+    parent: IntArray
+    corners: FloatArray
+
+    @property
+    def size(self) -> FloatArray:
+        """Longest side [m]."""
+        sides = self.x - np.roll(self.x, 1, axis=1)
+        return np.asarray(np.linalg.norm(sides, axis=2).max(axis=1))
+
+    @property
+    def normals(self) -> FloatArray:
+        """Unit normals, of either sign."""
+        n: FloatArray
+        if self.x.shape[2] == 2:
+            t = self.x[:, 1] - self.x[:, 0]
+            n = np.stack([t[:, 1], -t[:, 0]], axis=1)
+        else:
+            n = np.asarray(
+                np.cross(self.x[:, 1] - self.x[:, 0], self.x[:, 2] - self.x[:, 0]), np.float64
+            )
+        return np.asarray(n / np.linalg.norm(n, axis=1, keepdims=True))
+
+
+def cut(near: Facets, far: Facets, tolerance: float | None) -> Segments:
+    """All pieces of facets that lie opposite each other. Local.
+
+    Args:
+        near: Facets of the first surface.
+        far: Facets of the second surface that may lie opposite.
+        tolerance: Largest distance [m]; infinity: any; None: `GAP` of the facets' size.
+    """
+    a, b = _flat(near), _flat(far)
+    i, j = _candidates(a, b, tolerance)
+    pieces = (_pieces_of_planes if near.x.shape[2] == 3 else _pieces_of_lines)(a, b, i, j)
+    most = GAP * pieces.sizes if tolerance is None else tolerance
+    return pieces[pieces.gaps <= most]
+
+
+def _flat(facets: Facets) -> _Flat:
+    """The facets themselves where they have no midside nodes, else the parts between all nodes."""
+    count, nodes, d = facets.x.shape
+    own = np.eye(d)
+    if nodes == d:
+        return _Flat(facets.x, np.arange(count), np.broadcast_to(own, (count, d, d)))
+    if d == 2:
+        middle = np.array([[0.5, 0.5]])
+        parts = np.array([[0, 2], [2, 1]])
+    else:
+        middle = np.array([[0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0]])
+        parts = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2], [3, 4, 5]])
+    places = np.concatenate([own, middle])[parts]
+    return _Flat(
+        facets.x[:, parts].reshape(-1, d, d),
+        np.repeat(np.arange(count), len(parts)),
+        np.tile(places, (count, 1, 1)),
+    )
+
+
+def _candidates(a: _Flat, b: _Flat, tolerance: float | None) -> tuple[IntArray, IntArray]:
+    """Pairs of flat facets that are near and nearly parallel."""
+    nothing = np.empty(0, dtype=np.int64)
+    if not len(a.x) or not len(b.x):
+        return nothing, nothing
+    middles = a.x.mean(axis=1), b.x.mean(axis=1)
+    sizes = a.size, b.size
+    longest = float(sizes[1].max())
+    reach = GAP * np.maximum(sizes[0], longest) if tolerance is None else tolerance
+    reach = np.minimum(sizes[0] + longest + reach, 1e300)
+    from scipy.spatial import cKDTree
+
+    found = cKDTree(middles[1]).query_ball_point(middles[0], reach)
+    i = np.repeat(np.arange(len(a.x)), [len(row) for row in found])
+    j = np.concatenate([nothing, *map(np.asarray, found)]).astype(np.int64)
+    cosines = np.abs(np.einsum("ni,ni->n", a.normals[i], b.normals[j]))
+    keep = cosines > PARALLEL
+    return i[keep], j[keep]
+
+
+def _made(
+    a: _Flat,
+    b: _Flat,
+    i: IntArray,
+    j: IntArray,
+    *,
+    s: FloatArray,
+    m: FloatArray,
+    weights: FloatArray,
+) -> Segments:
+    """Pieces from barycentric coordinates in flat facets.
+
+    Args:
+        a: Of the first surface.
+        b: Of the second.
+        i: Facet in `a` of each piece.
+        j: Facet in `b`.
+        s: Coordinates in `a`, shape (pieces, points, d).
+        m: Coordinates in `b`.
+        weights: Of the points.
+    """
+    x, y = (
+        np.einsum("npk,nkc->npc", where, flat.x[k]) for where, flat, k in ((s, a, i), (m, b, j))
+    )
+    return Segments(
+        near=a.parent[i],
+        far=b.parent[j],
+        near_coordinates=np.einsum("npk,nkc->npc", s, a.corners[i]),
+        far_coordinates=np.einsum("npk,nkc->npc", m, b.corners[j]),
+        weights=weights,
+        gaps=np.linalg.norm(y - x, axis=2).max(axis=1, initial=0.0),
+        sizes=np.maximum(a.size[i], b.size[j]),
+        places=x[:, 0],
+    )
+
+
+def _pieces_of_lines(a: _Flat, b: _Flat, i: IntArray, j: IntArray) -> Segments:
+    """Common intervals of edges of a plane body."""
+    t = a.x[i, 1] - a.x[i, 0]
+    length = np.linalg.norm(t, axis=1)
+    ends = np.einsum("nkc,nc->nk", b.x[j] - a.x[i, None, 0], t) / (length**2)[:, None]
+    low, high = np.maximum(ends.min(axis=1), 0.0), np.minimum(ends.max(axis=1), 1.0)
+    keep = high - low > THIN
+    i, j, low, high, ends, length = (v[keep] for v in (i, j, low, high, ends, length))
+    points, weights = basix.make_quadrature(basix.CellType.interval, DEGREE)
+    at = low[:, None] + (high - low)[:, None] * points[:, 0]
+    there = (at - ends[:, :1]) / (ends[:, 1:] - ends[:, :1])
+    return _made(
+        a,
+        b,
+        i,
+        j,
+        s=np.stack([1 - at, at], axis=2),
+        m=np.stack([1 - there, there], axis=2),
+        weights=((high - low) * length)[:, None] * weights,
+    )
+
+
+def _pieces_of_planes(a: _Flat, b: _Flat, i: IntArray, j: IntArray) -> Segments:
+    """Common polygons of triangles, cut into triangles from their first corner."""
+    n = a.normals[i]
+    e1 = a.x[i, 1] - a.x[i, 0]
+    e1 = e1 / np.linalg.norm(e1, axis=1, keepdims=True)
+    frame = np.stack([e1, np.cross(n, e1)], axis=1)
+    x, y = (
+        np.einsum("nkc,nec->nke", corners - a.x[i, None, 0], frame) for corners in (a.x[i], b.x[j])
+    )
+    polygon, count = _clipped(y, x)
+    piece, corner = np.nonzero(np.arange(1, polygon.shape[1] - 1) < count[:, None] - 1)
+    triangles = np.stack(
+        [polygon[piece, 0], polygon[piece, corner + 1], polygon[piece, corner + 2]], axis=1
+    )
+    area, whole = _area(triangles), _area(x)[piece]
+    keep = np.abs(area) > THIN * np.abs(whole)
+    piece, triangles, area = piece[keep], triangles[keep], np.abs(area[keep])
+    points, weights = basix.make_quadrature(basix.CellType.triangle, DEGREE)
+    inside = np.column_stack([1 - points.sum(axis=1), points])
+    at = np.einsum("pk,nkc->npc", inside, triangles)
+    return _made(
+        a,
+        b,
+        i[piece],
+        j[piece],
+        s=_barycentric(x[piece], at),
+        m=_barycentric(y[piece], at),
+        weights=2 * area[:, None] * weights,
+    )
+
+
+def _area(triangles: FloatArray) -> FloatArray:
+    """Signed areas."""
+    u, v = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2
+
+
+def _barycentric(triangles: FloatArray, at: FloatArray) -> FloatArray:
+    """Barycentric coordinates of points of the plane, shape (n, points, 3)."""
+    u, v = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    w = at - triangles[:, None, 0]
+    twice = (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])[:, None]
+    second = (w[..., 0] * v[:, None, 1] - w[..., 1] * v[:, None, 0]) / twice
+    third = (u[:, None, 0] * w[..., 1] - u[:, None, 1] * w[..., 0]) / twice
+    return np.stack([1 - second - third, second, third], axis=2)
+
+
+def _clipped(polygons: FloatArray, by: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Polygons cut by triangles, and their numbers of corners.
+
+    Source: I. E. Sutherland & G. W. Hodgman, Commun. ACM 17 (1974) 32, for all pairs at once.
+
+    Args:
+        polygons: Triangles, shape (n, 3, 2).
+        by: Triangles, counterclockwise.
+    """
+    rows = len(polygons)
+    points, count = polygons, np.full(rows, 3)
+    for k in range(3):
+        start, side = by[:, k], by[:, (k + 1) % 3] - by[:, k]
+        width = points.shape[1]
+        column = np.arange(width)
+        used = column < count[:, None]
+        after = np.where(column + 1 < count[:, None], column + 1, 0)
+        nextly = np.take_along_axis(points, after[..., None], axis=1)
+        here, there = (
+            side[:, None, 0] * (p[..., 1] - start[:, None, 1])
+            - side[:, None, 1] * (p[..., 0] - start[:, None, 0])
+            for p in (points, nextly)
+        )
+        crosses = used & ((here >= 0) != (there >= 0))
+        share = np.divide(here, here - there, out=np.zeros_like(here), where=crosses)
+        meets = points + share[..., None] * (nextly - points)
+        taken = np.stack([used & (here >= 0), crosses], axis=2).reshape(rows, 2 * width)
+        every = np.stack([points, meets], axis=2).reshape(rows, 2 * width, 2)
+        order = np.argsort(~taken, axis=1, kind="stable")
+        count = taken.sum(axis=1)
+        widest = max(int(count.max(initial=0)), 3)
+        points = np.take_along_axis(every, order[..., None], axis=1)[:, :widest]
+    return points, count

@@ -1,0 +1,363 @@
+"""Pictures of one body in several states: one range of colours, one camera, and films of them.
+
+What is drawn is kept in files in a hidden folder beside the pictures until the run ends, for the
+range of the colours and the room that the body takes are known only then.  Rank 0 alone.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dolfin_elastic.core.errors import OutputError
+from dolfin_elastic.core.files.regular import fresh
+from dolfin_elastic.core.types import AnyArray, FloatArray
+from dolfin_elastic.results.files import writing
+from dolfin_elastic.results.scene import scene as scenes
+from dolfin_elastic.results.scene.renderer import RENDERER
+from dolfin_elastic.results.scene.scene import Scene
+
+FILMS = (".mp4", ".gif")
+"""Suffixes of films."""
+_EVEN = 1e-6
+"""Difference of times that is round-off, over the time of a frame."""
+_TIMEOUT = 600
+"""Seconds that encoding a film may take."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Ends of the colour bar.
+
+    Attributes:
+        ends: Both of them [SI], or percentiles; None: those of all values.
+        share: They are percentiles.
+    """
+
+    ends: tuple[float, float] | None = None
+    share: bool = False
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """What a picture showed of the whole series: if it changes, the picture is drawn again."""
+
+    ends: tuple[tuple[float, float] | None, ...]
+    window: tuple[float, ...]
+
+
+class Series:
+    """Draws the pictures of one output.
+
+    Args:
+        limits: Of the colours.
+        marks: The largest value is marked.
+        folder: Where scenes are kept; None: of one picture none are.
+    """
+
+    def __init__(self, limits: Limits, *, marks: bool, folder: Path | None = None) -> None:
+        self._limits, self._marks, self._folder = limits, marks, folder
+        self._ends: list[tuple[float, float] | None] = []
+        self._windows: list[FloatArray] = []
+        self._drawn: dict[Path, tuple[int, _Drawn]] = {}
+        self._floor: AnyArray = np.zeros((0, 3))
+
+    def add(self, number: int, panels: Sequence[Scene]) -> None:
+        """Keeps what one picture shows; see `Painter.scene`.
+
+        Args:
+            number: Of the step.
+            panels: What is seen side by side.
+
+        Raises:
+            OutputError: Nothing of the body is seen, or it cannot be kept.
+        """
+        if not all(len(panel["triangles"]) for panel in panels):
+            raise OutputError("the clip planes leave nothing of the body")
+        self._take(panels)
+        if self._folder is not None:
+            with writing(self._folder):
+                self._folder.mkdir(parents=True, exist_ok=True)
+                for i, panel in enumerate(panels):
+                    np.savez(fresh(self._folder / f"{number:08d}_{i}.npz"), **_small(panel))
+
+    def numbers(self) -> list[int]:
+        """Steps whose scenes are kept, in their order."""
+        folder = self._folder
+        if folder is None or not folder.is_dir():
+            return []
+        return sorted({int(path.name[:8]) for path in folder.glob("????????_?.npz")})
+
+    def forget_after(self, step: int) -> None:
+        """Removes the scenes of later steps, and takes up those of earlier ones."""
+        for number in self.numbers():
+            files = self._files(number)
+            if number > step:
+                for file in files:
+                    file.unlink()
+            else:
+                self._take([_load(file) for file in files])
+
+    def _take(self, panels: Sequence[Scene]) -> None:
+        """Widens range, camera and floor to what a picture shows."""
+        self._windows.append(scenes.joined_windows([panel["window"] for panel in panels]))
+        found = [_ends(panel, self._limits) for panel in panels]
+        before = self._ends or [None] * len(found)
+        self._ends = [_wider(a, b) for a, b in zip(before, found, strict=True)]
+        floor = np.asarray(panels[0].get("obstacle_points", self._floor))
+        if _size(floor) >= _size(self._floor):
+            self._floor = floor
+
+    def _files(self, number: int) -> list[Path]:
+        assert self._folder is not None
+        return sorted(self._folder.glob(f"{number:08d}_?.npz"))
+
+    def draw(self, number: int, panels: Sequence[Scene], file: Path) -> None:
+        """Draws a picture with the range and the camera of all scenes so far.
+
+        Args:
+            number: Of the step.
+            panels: See `add`.
+            file: The PNG file.
+
+        Raises:
+            OutputError: It cannot be drawn or written.
+        """
+        draw_scenes(self, [self._finished(panel, i) for i, panel in enumerate(panels)], file)
+        self._drawn[file] = number, self._present()
+
+    def _present(self) -> _Drawn:
+        window = scenes.joined_windows(self._windows)
+        return _Drawn(tuple(self._ends), tuple(window.ravel().tolist()))
+
+    def _finished(self, panel: Scene, index: int) -> Scene:
+        window = scenes.joined_windows(self._windows)
+        if "obstacle_shift" in panel:
+            panel = {**panel, "obstacle_points": self._floor + panel["obstacle_shift"]}
+        return finished(panel, self._ends[index], self._limits, window, marks=self._marks)
+
+    def redraw(self) -> None:
+        """Draws again the pictures that later states have made too narrow."""
+        now = self._present() if self._windows else None
+        for file, (number, before) in self._drawn.items():
+            if before != now and (files := self._files(number)) and file.exists():
+                self.draw(number, [_load(one) for one in files], file)
+
+    def film(self, file: Path, times: Sequence[float], numbers: Sequence[int], fps: float) -> None:
+        """Draws all kept scenes and joins them to a film in even time.
+
+        Args:
+            file: The .mp4 or .gif file.
+            times: Time of each scene in the film [s], ascending.
+            numbers: Steps of the scenes.
+            fps: Frames a second.
+
+        Raises:
+            OutputError: It cannot be drawn or written.
+        """
+        if not len(times):
+            raise OutputError(f"cannot make {file}: no state of it is left to be drawn")
+        with writing(file), tempfile.TemporaryDirectory() as scratch:
+            chosen = frames_at(times, fps)
+            drawn: dict[int, Path] = {}
+            for frame, index in enumerate(chosen):
+                if index not in drawn:
+                    drawn[index] = Path(scratch) / f"drawn_{index:08d}.png"
+                    panels = [_load(one) for one in self._files(numbers[index])]
+                    self.draw(numbers[index], panels, drawn[index])
+                (Path(scratch) / f"frame_{frame:08d}.png").symlink_to(drawn[index])
+            encode(Path(scratch) / "frame_%08d.png", file, fps)
+
+    def close(self, *, keep: bool = False) -> None:
+        """Ends the drawing.
+
+        Args:
+            keep: The run may go on: its scenes stay.
+        """
+        RENDERER.release(self)
+        if not keep and self._folder is not None and self._folder.is_dir():
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def film_times(states: Sequence[float], speed: float) -> list[float]:
+    """Time of each state in a film [s], the first one 0.
+
+    Along a path whose load falls the film goes on, too.
+
+    Args:
+        states: Their times [s], in statics load parameters.
+        speed: What of these passes in a second of the film.
+    """
+    steps = np.abs(np.diff(np.array(states, dtype=float))) / speed
+    return [0.0, *(float(t) for t in np.cumsum(steps))]
+
+
+def frames_at(times: Sequence[float], fps: float) -> list[int]:
+    """Index of the scene that each frame of a film shows: the one whose time is nearest.
+
+    Args:
+        times: Of the scenes in the film [s], ascending, the first one 0.
+        fps: Frames a second.
+    """
+    known = np.array(times)
+    count = round(float(known[-1] - known[0]) * fps) + 1
+    wanted = known[0] + np.arange(count) / fps
+    after = np.clip(np.searchsorted(known, wanted), 1, max(len(known) - 1, 1))
+    if len(known) == 1:
+        return [0] * count
+    nearer = wanted - known[after - 1] <= known[after] - wanted + _EVEN / fps
+    return [int(i) for i in np.where(nearer, after - 1, after)]
+
+
+def encode(frames: Path, file: Path, fps: float) -> None:
+    """Joins pictures to a film by ffmpeg.
+
+    Args:
+        frames: Pattern of the names of PNG files.
+        file: The .mp4 or .gif file.
+        fps: Frames a second.
+
+    Raises:
+        OutputError: There is no ffmpeg, or it has failed.
+    """
+    program = shutil.which("ffmpeg")
+    if program is None:
+        raise OutputError("cannot make a film: ffmpeg is not installed (Debian: ffmpeg)")
+    draft = file.with_name(f".{file.stem}.part{file.suffix}")
+    kinds = {
+        ".mp4": ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-c:v", "libx264", "-pix_fmt", "yuv420p"],
+        ".gif": ["-vf", "scale=900:-1:flags=lanczos,split[a][b];[a]palettegen[p];[b][p]paletteuse"],
+    }
+    command = [program, "-v", "error", "-y", "-framerate", f"{fps:g}", "-i", str(frames)]
+    with writing(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        fresh(draft)
+        try:
+            done = subprocess.run(
+                [*command, *kinds[file.suffix], str(draft.absolute())],
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                timeout=_TIMEOUT,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            draft.unlink(missing_ok=True)
+            raise OutputError(
+                f"cannot make a film: ffmpeg has not ended within {_TIMEOUT} s"
+            ) from None
+        if done.returncode:
+            text = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+            raise OutputError(f"cannot make a film: ffmpeg: {text}")
+        draft.replace(file)
+
+
+def finished(
+    panel: Scene,
+    ends: tuple[float, float] | None,
+    limits: Limits,
+    window: FloatArray,
+    *,
+    marks: bool,
+) -> Scene:
+    """A scene as the drawing process reads it.
+
+    Args:
+        panel: See `Painter.scene`.
+        ends: Smallest and largest value that the bar has to show [SI].
+        limits: Of the colours.
+        window: What the camera has to show, see `scene.window`.
+        marks: The largest value is marked.
+    """
+    found = {**panel, **scenes.camera(str(panel["view"]), str(panel.get("up_axis", "z")), window)}
+    if "names" in panel:
+        return found
+    field, values = str(panel["field"]), np.asarray(panel["value"], dtype=float)
+    given = ends if limits.ends is not None else None
+    spread = np.array(ends if ends is not None else (np.nan, np.nan))
+    found |= scenes.colours(
+        values,
+        spread,
+        field,
+        str(panel["unit"]),
+        noise=float(panel["noise"]),
+        ends=given,
+        tensor=bool(panel["tensor"]),
+    )
+    if marks:
+        if "nodes" in panel:
+            found["nodes"] = panel["nodes"]
+        places = panel["points"] + float(panel["scale"]) * panel["u"]
+        found |= scenes.mark(places, found, small=field in scenes.SMALL_MATTERS)
+    return found
+
+
+def draw_scenes(user: object, panels: Sequence[Scene], file: Path) -> None:
+    """Draws a picture.
+
+    Args:
+        user: Who draws, see `SharedRenderer`.
+        panels: What is seen side by side, see `finished`.
+        file: The PNG file.
+
+    Raises:
+        OutputError: It cannot be drawn or written.
+    """
+    with writing(file), tempfile.TemporaryDirectory() as scratch:
+        data = [Path(scratch) / f"{i}.npz" for i in range(len(panels))]
+        drawn = Path(scratch) / "picture.png"
+        for path, panel in zip(data, panels, strict=True):
+            np.savez(path, **panel)
+        RENDERER.draw(user, data, drawn)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        draft = file.with_name(f".{file.name}.part")
+        fresh(draft).write_bytes(drawn.read_bytes())
+        draft.replace(file)
+
+
+def _ends(panel: Scene, limits: Limits) -> tuple[float, float] | None:
+    """Smallest and largest value that the colour bar has to show; None where there is none."""
+    if "names" in panel:
+        return None
+    values = np.asarray(panel["value"], dtype=float)
+    values = values[np.isfinite(values)]
+    if limits.ends is not None and not limits.share:
+        return limits.ends
+    if not len(values):
+        return None
+    low, high = np.percentile(values, limits.ends if limits.ends is not None else (0, 100))
+    return float(low), float(high)
+
+
+def _size(points: AnyArray) -> float:
+    return float(np.ptp(points, axis=0).sum()) if len(points) else 0.0
+
+
+def _wider(
+    a: tuple[float, float] | None, b: tuple[float, float] | None
+) -> tuple[float, float] | None:
+    if a is None or b is None:
+        return a or b
+    return min(a[0], b[0]), max(a[1], b[1])
+
+
+def _small(panel: Scene) -> Scene:
+    """A scene with numbers of half the length, which show no difference."""
+    return {key: _short(np.asarray(value)) for key, value in panel.items()}
+
+
+def _short(array: AnyArray) -> AnyArray:
+    if array.ndim and array.dtype == np.float64:
+        return array.astype(np.float32)
+    return array.astype(np.int32) if array.ndim and array.dtype == np.int64 else array
+
+
+def _load(file: Path) -> Scene:
+    with np.load(file) as found:
+        return dict(found)

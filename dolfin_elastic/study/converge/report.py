@@ -1,0 +1,103 @@
+"""The files of `converge`: `converge.csv`, `converge.json` and `converge.png`."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from dolfin_elastic.core.files.regular import fresh
+from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
+from dolfin_elastic.results.files import make_folder, replace_text, writing
+from dolfin_elastic.study.converge.progress import Level, Progress
+
+TABLE, SUMMARY, PLOT = FILES = ("converge.csv", "converge.json", "converge.png")
+_INK, _LIMIT, _ENERGY = "#1f5f8b", "#b0562f", "#228833"
+
+
+def write_report(progress: Progress, folder: Path, *, plot: bool = True) -> None:
+    """Writes all three files anew. Not collective.
+
+    Args:
+        progress: All meshes so far.
+        folder: Of the results; made if missing.
+        plot: Without, the plot stays as it is, for drawing takes time.
+
+    Raises:
+        OutputError: They cannot be written.
+    """
+    make_folder(folder)
+    replace_text(folder / TABLE, _table(progress))
+    replace_text(folder / SUMMARY, json.dumps(_summary(progress), indent=2, allow_nan=False) + "\n")
+    if plot:
+        _draw(progress, folder / PLOT)
+
+
+def _table(progress: Progress) -> str:
+    """One row a mesh, in SI units; nothing where a number is not known."""
+    rows = [_row(level) for level in progress.levels]
+    lines = [",".join(rows[0])]
+    lines += [",".join("" if v is None else f"{v:.12g}" for v in row.values()) for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _row(level: Level) -> dict[str, float | None]:
+    values = asdict(level)
+    place = values.pop("place")
+    values |= {f"place_{axis}": x for axis, x in zip("xyz", place, strict=False)}
+    return {name: v if math.isfinite(v) else None for name, v in values.items()}
+
+
+def _summary(progress: Progress) -> dict[str, object]:
+    last = _row(progress.last)
+    return {
+        "verdict": progress.verdict,
+        "reason": progress.reason,
+        "quantity": str(progress.quantity),
+        "unit": progress.quantity.unit,
+        "tolerance": progress.tolerance,
+        **{name: last[name] for name in ("value", "error", "limit", "rate", "energy_error")},
+        "place": list(progress.last.place),
+        "meshes": [_row(level) for level in progress.levels],
+    }
+
+
+@plain_matplotlib()
+def _draw(progress: Progress, path: Path) -> None:
+    """The quantity and the errors over the unknowns."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    N = [level.unknowns for level in progress.levels]
+    values = np.array([level.value for level in progress.levels])
+    left.plot(N, values, "o-", color=_INK, label="on the mesh")
+    limit = progress.last.limit
+    if math.isfinite(limit):
+        left.axhline(limit, ls="--", color=_LIMIT, label=f"extrapolated: {limit:.4g}")
+        band = progress.tolerance * abs(limit)
+        left.axhspan(limit - band, limit + band, color=_LIMIT, alpha=0.12, lw=0)
+    left.set(xscale="log", xlabel="unknowns", title=_plain(progress.head))
+    errors = [100 * level.error for level in progress.levels]
+    energy = [100 * level.energy_error for level in progress.levels]
+    right.loglog(N, errors, "o-", color=_INK, label=_plain(str(progress.quantity)))
+    right.loglog(N, energy, "s:", color=_ENERGY, label="in the energy norm")
+    right.axhline(100 * progress.tolerance, ls="--", color=_LIMIT, label="wanted")
+    right.set(xlabel="unknowns", title="estimated error [%]")
+    for axis in (left, right):
+        axis.grid(color="#dde1e5")
+        axis.legend(fontsize=8)
+    draft = path.with_name(f".{path.stem}.part{path.suffix}")
+    with writing(path):
+        figure.savefig(fresh(draft), dpi=130)
+        draft.replace(path)
+
+
+def _plain(text: str) -> str:
+    """A text in which matplotlib finds no formula."""
+    return text.replace("$", r"\$")

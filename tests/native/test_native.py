@@ -1,0 +1,129 @@
+"""C files of the package: no warning, and no array that is shorter than its prototype says."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from dolfin_elastic.core.jit import compile_c, options
+from dolfin_elastic.core.jit.vectorise import LANES, kernel_of_one_cell
+from dolfin_elastic.core.native import source
+from dolfin_elastic.core.native.lengths import length_of
+
+COMM = MPI.COMM_WORLD
+FOLDER = Path(source.__file__).parent
+
+ONE = kernel_of_one_cell(7)
+SEVERAL = f"""
+#define LANES {LANES}
+#include "lanes.h"
+OF_ONE(fabs)
+#define fabs_lanes(x) each_fabs(SPREAD(x))
+static void tabulate(lanes* A, const lanes* w, const lanes* c, const lanes* y)
+{{
+  A[0] = w[0] * c[0] * y[0];
+}}
+#define TABULATE(...) ((void)kernel, tabulate(__VA_ARGS__))
+"""
+
+ELEMENTS = [(2, 3, 3, 1), (2, 6, 3, 3), (2, 6, 6, 6), (3, 4, 4, 1), (3, 10, 4, 4), (3, 10, 10, 15)]
+"""Dimension, nodes of the displacement and of the geometry, and points."""
+
+
+def tangents():
+    """Linear and quadratic cells, straight and curved, with and without a pressure."""
+    for dim, nodes, corners, points in ELEMENTS:
+        sizes = {"DIM": dim, "ND": nodes, "NDP": -(-nodes // 4) * 4, "NG": corners, "NQ": points}
+        for symmetric in (0, 1):
+            plain = {"NP": 0, "STRIDE": dim, "NW": nodes, "BS": dim}
+            mixed = {"NP": dim + 1, "STRIDE": 1, "NW": dim * nodes + dim + 1, "BS": 1}
+            yield from (sizes | {"SYMMETRIC": symmetric} | one for one in (plain, mixed))
+
+
+def recoveries():
+    for dim, degree in [(2, 1), (2, 2), (3, 1), (3, 2)]:
+        nodes = {(2, 1): 3, (2, 2): 6, (3, 1): 4, (3, 2): 10}[dim, degree]
+        sizes = {"DIM": dim, "DEGREE": degree, "NG": dim + 1, "ND": nodes}
+        yield sizes | {"NS": nodes, "NM": nodes, "WIDEST": 40}
+
+
+SIZES = {
+    "cells.c": [{"NG": 3, "NW": 3, "BS": 2}, {"NG": 10, "NW": 10, "BS": 3}],
+    "extremes.c": list(tangents()),
+    "multigrid.c": [{"DIM": dim, "MODES": 3 * dim - 3} for dim in (2, 3)],
+    "patches.c": list(recoveries()),
+    "symmetric.c": [{"DIM": 2}, {"DIM": 3}],
+    "tangent.c": list(tangents()),
+    "thickness.c": [{"DIM": 2}, {"DIM": 3}],
+}
+
+
+def test_every_file_has_sizes():
+    assert sorted(SIZES) == sorted(file.name for file in FOLDER.glob("*.c"))
+
+
+@pytest.mark.skipif(COMM.size > 1, reason="compiles only")
+@pytest.mark.parametrize("kernel", [ONE, SEVERAL], ids=["one", "several"])
+@pytest.mark.parametrize("file", SIZES)
+def test_no_warnings(file, kernel):
+    if kernel is SEVERAL and file not in ("cells.c", "tangent.c"):
+        pytest.skip("has no kernel")
+    flags = ["-O2", "-march=native", "-Wno-psabi", "-Wall", "-Wextra", "-Werror"]
+    for sizes in SIZES[file]:
+        macros = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
+        text = macros + source.read(file, {"kernel.h": kernel})
+        command = ["gcc", *flags, "-c", "-x", "c", "-o", "/dev/null", "-"]
+        done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{sizes}: {done.stderr}"
+
+
+@pytest.mark.parametrize("file", SIZES)
+def test_each_array_names_its_length(file):
+    """And each of what it names is an earlier parameter or a macro."""
+    for parameters in source.prototypes(source.read(file, {"kernel.h": ONE})).values():
+        names = [one.name for one in parameters]
+        assert len(set(names)) == len(names)
+
+
+def test_lengths():
+    arguments = (4, np.array([0, 2, 7]), 3)
+    length = length_of("ROW * (start[k + 1 - k] + n / 2)", ["n", "start", "k"], {"ROW": 8})
+    with pytest.raises(IndexError):
+        length_of("start[k + 1]", ["n", "start", "k"], {})(arguments)
+    assert length(arguments) == 8 * (2 + 2)
+    for bad in ("other", "f(n)", "n if n else 1", "n ** 2", "1.5"):
+        with pytest.raises(ValueError, match="no length"):
+            length_of(bad, ["n"], {})
+
+
+def test_pointers_without_a_length_are_refused():
+    with pytest.raises(ValueError, match=r"const double\* x is neither"):
+        source.prototypes("int64_t f(int64_t n, const double* x)\n{\n")
+
+
+def test_short_arrays_are_refused():
+    """Of each array one entry less than what its prototype says, by the argument before it."""
+    functions = compile_c(COMM, "symmetric.c", {"DIM": 2}, options(COMM))
+    start, columns = np.array([0, 2, 3]), np.array([0, 1, 1], dtype=np.int32)
+    high, low = (np.ones(13, dtype=np.float32) for _ in range(2))
+    arrays = {"start": start, "columns": columns, "high": high, "low": low}
+    arrays |= {"x": np.ones(4), "y": np.empty(4)}
+
+    def product(**changed):
+        a = {**arrays, **changed}
+        matrix = (a["start"], a["columns"], a["high"], a["low"])
+        return functions.call("product", 2, *matrix, 2, a["x"], a["y"])
+
+    assert product() == 0
+    np.testing.assert_array_equal(arrays["y"], [8.0, 8.0, 8.0, 8.0])
+    for name, array in arrays.items():
+        with pytest.raises(ValueError, match=f"{name}: an array of {len(array) - 1} entries"):
+            product(**{name: array[:-1].copy()})
+    with pytest.raises(TypeError, match="x: an array of float32 is none of float64"):
+        product(x=np.ones(4, dtype=np.float32))
+    with pytest.raises(TypeError, match="x: the entries"):
+        product(x=np.ones(8)[::2])

@@ -1,0 +1,310 @@
+"""Series and films: one range, one camera, even time; obstacles; a display that fails."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.states import make_problem, make_state
+from PIL import Image
+
+from dolfin_elastic.core.errors import InputError, OutputError
+from dolfin_elastic.core.shapes.shapes import CylinderObstacle, Plane, Shape, SphereObstacle
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.results.outputs import Picture, limits_of
+from dolfin_elastic.results.scene import renderer, series
+from dolfin_elastic.results.scene.obstacles import Reach, obstacle_scene
+from dolfin_elastic.results.scene.scene import axes_of, up_against, window
+from dolfin_elastic.results.scene.series import Limits, Series, encode, film_times, frames_at
+
+
+def scene_of(values: Sequence[float], shift: float = 0.0) -> dict[str, Any]:
+    """One triangle with these stresses at its corners."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    u = np.full((3, 3), shift)
+    return {
+        "points": points,
+        "triangles": np.array([[0, 1, 2]]),
+        "u": u,
+        "scale": 1.0,
+        "view": "z",
+        "window": window(np.vstack([points, points + u]), "z"),
+        "title": "",
+        "plane": True,
+        "value": np.array(values),
+        "field": "von_mises",
+        "unit": "Pa",
+        "noise": 0.0,
+        "tensor": False,
+    }
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """What the drawing process would be told, in the order of the pictures."""
+    told: list[dict[str, Any]] = []
+
+    def draw(user: object, data: Sequence[Path], file: Path) -> None:
+        with np.load(data[0]) as found:
+            told.append(dict(found))
+        Image.new("RGB", (64, 48), (len(told), 0, 0)).save(file)
+
+    monkeypatch.setattr(renderer.RENDERER, "draw", draw)
+    return told
+
+
+def test_one_range_and_one_camera_over_a_series(folder: Path, drawn: list[dict[str, Any]]) -> None:
+    """The first picture is drawn again when a later one needs more; the last one is not."""
+    pictures = Series(Limits(), marks=True, folder=folder / ".frames")
+    for number, (values, shift) in enumerate((([0, 1e6, 2e6], 0.0), ([0, 1e6, 8e6], 0.5))):
+        panel = scene_of(values, shift)
+        pictures.add(number, [panel])
+        pictures.draw(number, [panel], folder / f"{number}.png")
+    pictures.redraw()
+    pictures.close()
+    assert [list(one["ticks"]) for one in drawn] == [[0, 0.5, 1, 1.5, 2], *[[0, 2, 4, 6, 8]] * 2]
+    assert np.array_equal(drawn[2]["window"], drawn[1]["window"])
+    assert not np.array_equal(drawn[0]["window"], drawn[1]["window"])
+    assert str(drawn[2]["mark_text"]) == "max 2 MPa"
+    np.testing.assert_allclose(drawn[1]["mark"], (0.5, 1.5, 0.5))
+    assert not (folder / ".frames").exists()
+
+
+def test_series_of_a_run_that_is_restarted(folder: Path, drawn: list[dict[str, Any]]) -> None:
+    """Scenes before the checkpoint count for range and film, later ones are gone."""
+    before = Series(Limits(), marks=False, folder=folder / ".frames")
+    for number in (1, 2, 3):
+        before.add(number, [scene_of([0, 1e6, number * 1e6])])
+    before.close(keep=True)
+    after = Series(Limits(), marks=False, folder=folder / ".frames")
+    after.forget_after(2)
+    assert after.numbers() == [1, 2]
+    after.draw(2, [scene_of([0, 0, 1e6])], folder / "a.png")
+    assert drawn[0]["ticks"][-1] == 2
+
+
+@pytest.mark.parametrize(
+    ("ends", "found", "share"),
+    [
+        ([0, "200 MPa"], (0.0, 2e8), False),
+        (["2 %", "98%"], (2.0, 98.0), True),
+        ([-1.5, 1], (-1.5, 1.0), False),
+    ],
+)
+def test_ranges(ends: list[float | str], found: tuple[float, float], share: bool) -> None:
+    limits = limits_of(ends)
+    assert (limits.ends, limits.share) == (found, share)
+
+
+@pytest.mark.parametrize("ends", [[1, 0], [1], ["2 %", "200 %"], ["a", "b"], ["1 XPa", "2 XPa"]])
+def test_what_is_no_range(ends: list[float | str]) -> None:
+    said = "this is no range of colours"
+    if ends == [1, 0]:
+        said = "the first end of a range of colours must be below the second"
+    with pytest.raises(InputError, match=f"range: {said}; for example"):
+        Picture(range=ends)
+
+
+def test_films_are_told_from_pictures() -> None:
+    """A suffix decides; what belongs to films only is refused elsewhere."""
+    assert Picture(file="fall.mp4", fps=60).fps == 60
+    with pytest.raises(InputError, match=r"fps: 'a.png' is no film; file = \"film.mp4\""):
+        Picture(file="a.png", fps=60)
+    with pytest.raises(InputError, match=r"at most 50 frames a second of a .gif"):
+        Picture(file="a.gif", fps=60)
+    with pytest.raises(InputError, match=r"'a.avi' does not end in .png, .mp4 or .gif; for"):
+        Picture(file="a.avi")
+
+
+def test_frames_at_uneven_states() -> None:
+    """Each frame shows the state that is nearest in time: steps of 0.1 s and of 0.4 s at 10 fps."""
+    assert frames_at([0.0, 0.1, 0.2, 0.6, 1.0], 10) == [0, 1, 2, 2, 2, 3, 3, 3, 3, 4, 4]
+    assert frames_at([3.0], 10) == [0]
+    assert film_times([0.1, 0.6, 0.4], 0.5) == pytest.approx([0.0, 1.0, 1.4])  # a load that falls
+
+
+def probe(file: Path) -> dict[str, Any]:
+    """Frames, frames a second and duration, as ffprobe counts them."""
+    entries = "stream=nb_read_frames,r_frame_rate,duration,width,height"
+    command = ["ffprobe", "-v", "error", "-count_frames", "-show_entries", entries, "-of", "json"]
+    done = subprocess.run([*command, str(file)], capture_output=True, text=True, check=True)
+    found: dict[str, Any] = json.loads(done.stdout)["streams"][0]
+    return found
+
+
+needs_ffmpeg = pytest.mark.skipif(shutil.which("ffprobe") is None, reason="needs ffmpeg")
+
+
+@pytest.mark.parametrize("up", ["x", "y", "z"])
+def test_what_is_up_is_up(up: str) -> None:
+    """In every view that does not look along it; right, up and camera are right-handed."""
+    for view in ("isometric", "x", "-x", "y", "-y", "z", "-z"):
+        back, right, top = axes_of(view, up)
+        np.testing.assert_allclose(np.cross(right, top), back, atol=1e-15)
+        if view[-1] != up:
+            assert top["xyz".index(up)] > 0.7
+    assert up_against([(0.0, "sin(t)"), (0.0, -9.81, 0.0)]) == "y"
+    assert up_against([(0.0, 0.0, 9.81), (1.0, -9.81, 0.0)]) == "z"
+
+
+@pytest.mark.parametrize(
+    ("clip", "message"),
+    [
+        ({"plane": "x", "at": 2}, r"clip.at: the plane x = 2 m misses the body; between 0 and 2 m"),
+        ([{"plane": "z"}], r"clip\[0\].plane: the body is plane, it has no z; x or y"),
+    ],
+)
+def test_planes_that_cut_nothing(clip: Any, message: str) -> None:
+    """Before the run: the picture would show nothing, or all."""
+    with pytest.raises(InputError, match=message):
+        Picture(clip=clip).clips(make_problem(2, cells=1).body)
+
+
+def test_the_floor_of_a_series_stays(folder: Path, drawn: list[dict[str, Any]]) -> None:
+    """As large as the whole way of the body needs, in every picture, and where its obstacle is."""
+    reach, pictures = Reach(), Series(Limits(), marks=False, folder=folder / ".frames")
+    for number, shift in enumerate((0.0, 3.0)):
+        panel = scene_of([0, 1, 2], shift)
+        reach.take(panel["points"] + panel["u"])
+        panel |= obstacle_scene([(Plane(axis="z", at=-1.0), np.array([0, 0, shift]))], reach, 3)
+        pictures.add(number, [panel])
+        pictures.draw(number, [panel], folder / f"{number}.png")
+    pictures.redraw()
+    first, last = drawn[2]["obstacle_points"], drawn[1]["obstacle_points"]
+    np.testing.assert_allclose(last - first, np.tile([0, 0, 3.0], (4, 1)))
+    np.testing.assert_allclose(first[:, 2], -1.0)
+
+
+def test_marks_stand_at_nodes(folder: Path, drawn: list[dict[str, Any]]) -> None:
+    """Between nodes a quadratic field overshoots what the run has found; films have no marks."""
+    pictures = Series(Limits(), marks=True)
+    panel = scene_of([1e6, 9e6, 2e6]) | {"nodes": np.array([True, False, True])}
+    pictures.add(0, [panel])
+    pictures.draw(0, [panel], folder / "a.png")
+    assert str(drawn[0]["mark_text"]) == "max 2 MPa"
+    body = make_problem(2, cells=1).body
+    assert [Picture(file=f).appearance(body).marks for f in ("a.png", "a.mp4")] == [True, False]
+
+
+@needs_ffmpeg
+@pytest.mark.parametrize(("name", "fps"), [("a.mp4", 60.0), ("a.gif", 20.0)])
+def test_a_film_is_read_back(folder: Path, name: str, fps: float) -> None:
+    """Frames, frames a second, duration, and sides that every player takes."""
+    for i in range(12):
+        Image.new("RGB", (65, 49), (20 * i, 0, 0)).save(folder / f"{i:03d}.png")
+    encode(folder / "%03d.png", folder / name, fps)
+    found = probe(folder / name)
+    assert int(found["nb_read_frames"]) == 12
+    assert found["r_frame_rate"] == f"{fps:g}/1"
+    assert float(found["duration"]) == pytest.approx(12 / fps, abs=0.02)
+    assert name.endswith("gif") or found["width"] % 2 == found["height"] % 2 == 0
+
+
+@needs_ffmpeg
+def test_a_film_of_a_run_in_even_time(folder: Path, drawn: list[dict[str, Any]]) -> None:
+    """Of uneven states; those that come faster than frames are not all drawn."""
+    problem = make_problem(2, cells=1)
+    writer = Picture(file="fall.mp4", field="displacement", fps=10, speed=0.5).open(problem, folder)
+    times = [0.0, 0.001, 0.002, 0.05, 0.1, 0.3, 0.5]
+    for step, t in enumerate(times):
+        writer.write(make_state(problem, step, t, v=problem.u))
+    writer.close()
+    found = probe(folder / "fall.mp4")
+    assert int(found["nb_read_frames"]) == 11  # 0.5 s at half the speed, both ends shown
+    assert [path.name for path in folder.iterdir()] == ["fall.mp4"]
+    shown = {str(one["title"]).split("   |   ")[0] for one in drawn}
+    assert shown == {f"t = {t:g} s" for t in (0.0, 0.05, 0.1, 0.3, 0.5)}
+
+
+def test_without_ffmpeg_or_with_a_fault(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One sentence that says what is missing."""
+    monkeypatch.setattr(series.shutil, "which", lambda name: None)
+    with pytest.raises(OutputError, match="cannot make a film: ffmpeg is not installed"):
+        encode(folder / "%03d.png", folder / "a.mp4", 30)
+
+
+def test_films_that_cannot_be_made_are_output_errors(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run warns of those, and of nothing else: its summary is closed all the same."""
+    monkeypatch.setattr(series.shutil, "which", lambda name: "sleep")
+
+    def late(command: Sequence[str], **settings: Any) -> None:
+        raise subprocess.TimeoutExpired(command, settings["timeout"])
+
+    monkeypatch.setattr(series.subprocess, "run", late)
+    with pytest.raises(OutputError, match="ffmpeg has not ended within 600 s"):
+        encode(folder / "%03d.png", folder / "a.mp4", 30)
+    film = Series(Limits(), marks=False, folder=folder / "frames").film
+    with pytest.raises(OutputError, match="no state of it is left"):
+        film(folder / "a.mp4", [], [], 30)
+
+    def full(**settings: Any) -> None:
+        raise OSError(errno.ENOSPC, "no room")
+
+    monkeypatch.setattr(series.tempfile, "TemporaryDirectory", full)
+    with pytest.raises(OutputError, match="make room"):
+        film(folder / "a.mp4", [0.0], [0], 30)
+
+
+@pytest.mark.parametrize(
+    ("script", "why"), [("exit 1", "Xvfb has ended"), ("exec sleep 60", "no display after")]
+)
+def test_a_display_that_does_not_come_up(
+    folder: Path, script: str, why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The run warns once and goes on; a server that hangs is not waited for without an end."""
+    (folder / "bin").mkdir()
+    (folder / "bin/Xvfb").write_text(f"#!/bin/sh\n{script}\n")
+    (folder / "bin/Xvfb").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{folder / 'bin'}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setattr(renderer, "_START", 0.3)
+    monkeypatch.setattr(renderer, "_window_in_memory", lambda: "")
+    messages: list[str] = []
+    monkeypatch.setattr(
+        "dolfin_elastic.results.scene.pictures.log.log",
+        lambda level, text, *args: messages.append(text % args),
+    )
+    problem = make_problem(2, cells=1)
+    writer = Picture(every=1, field="displacement").open(problem, folder / "out")
+    for step in range(2):
+        writer.write(make_state(problem, step))
+    writer.close()
+    assert why in messages[0]
+    assert messages[0].endswith("; the run goes on")
+    assert not list((folder / "out").glob("*.png"))
+
+
+@pytest.mark.parametrize(
+    "obstacle",
+    [
+        Plane(axis="-z", at=2.0),
+        SphereObstacle(center=[0, 0, 3], radius=0.5),
+        SphereObstacle(center=[0, 0, 0], radius=4, inside=True),
+        CylinderObstacle(axis="y", point=[0, 0, 3], radius=0.5),
+        CylinderObstacle(axis=[1, 1, 0], point=[0, 0, 0], radius=3, inside=True),
+    ],
+)
+def test_obstacles_are_drawn_where_the_gap_is_zero(obstacle: Shape) -> None:
+    """By the formula of the contact, and counter-clockwise seen from the free side."""
+    shift = np.array([0.1, -0.2, 0.3])
+    reach = Reach()
+    reach.take(np.array([-np.ones(3), np.ones(3)]))
+    scene: dict[str, Any] = {**obstacle_scene([(obstacle, shift)], reach, 3)}
+    x, triangles = scene["obstacle_points"] + scene["obstacle_shift"], scene["obstacle_triangles"]
+    gap, normal = obstacle.gap([*(x - shift).T], float, np.sqrt)
+    assert np.abs(gap).max() < 1e-12
+    corners = x[triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    large = np.linalg.norm(across, axis=1) > 1e-9
+    outward: FloatArray = np.broadcast_to(np.transpose(normal), x.shape)[triangles].mean(axis=1)
+    assert large.any()
+    assert (np.sum(across * outward, axis=1)[large] > 0).all()
