@@ -123,7 +123,6 @@ class AnalysisTables(ModelTables):
         """The solver of the analysis. Collective.
 
         Args:
-            problem: Made of these tables.
             petsc: PETSc options that win over those of [solver].
 
         Raises:

@@ -78,7 +78,6 @@ class Case(AnalysisTables):
         """A case from nested dictionaries, as TOML gives them.
 
         Args:
-            tables: The top-level tables.
             folder: Folder that paths are relative to.
             file: Name of the file, for messages.
             trust: A .geo script of its mesh may do all that its user may.
@@ -210,7 +209,6 @@ def locate_errors(file: str, key: str = "", *, exact: bool = True) -> Iterator[N
 
     Args:
         file: Name of the case file, or nothing.
-        key: Dotted key.
         exact: The error names a key inside the table `key`, and both are joined; otherwise `key`
             is only the origin of the error.
     """

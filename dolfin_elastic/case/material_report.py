@@ -142,7 +142,6 @@ def write(name: str, found: MaterialReport, folder: Path) -> list[Path]:
 
     Args:
         name: Of the material; begins the files' names.
-        found: Its tests.
         folder: Where the files go; made if missing.
 
     Returns:

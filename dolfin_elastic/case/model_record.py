@@ -36,10 +36,7 @@ def model_record(
     """JSON data about a model, a few kilobytes. Collective.
 
     Args:
-        case: What is computed.
-        body: Its body.
         sums: Resultants of its loads; none where a load has no value at some time.
-        notes: Warnings of its checks.
         petsc: PETSc options from outside the case.
     """
     names = {name for row in (*case.support, *case.contact) for name in row.surfaces}
@@ -111,10 +108,5 @@ def _samples(body: Body, rows: FloatArray) -> dict[str, object]:
 
 
 def _plain(value: float, size: float) -> float:
-    """A number without digits that round-off has made.
-
-    Args:
-        value: The number.
-        size: That of the numbers beside it.
-    """
+    """A number without digits that round-off has made."""
     return float(f"{value:.{_DIGITS}g}") if abs(value) > _SAME * size else 0.0

@@ -114,10 +114,6 @@ class ModelTables(Record):
     def problem_on(self, body: Body, degree: int) -> Problem:
         """The boundary value problem on a body. Collective.
 
-        Args:
-            body: The mesh and its names.
-            degree: Degree of the displacement.
-
         Raises:
             InputError: The tables do not fit the body.
         """

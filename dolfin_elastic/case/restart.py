@@ -121,7 +121,6 @@ def unfinished(
     """Finds the run in a folder of results. Collective.
 
     Args:
-        folder: The folder.
         case: What it computes; needed only of a case with Python functions, which is no text.
         comm: The ranks that continue it.
         trust: See `read_case`.
@@ -169,10 +168,6 @@ def _case_text(folder: Path, content: Mapping[str, Any]) -> str:
     """Text of the case of a run; that in the checkpoint, where the file is damaged. On rank 0.
 
     A file that can be read and is another case is the user's, and refused elsewhere.
-
-    Args:
-        folder: Of the results.
-        content: Of the checkpoint.
     """
     known = content.get("case_text")
     try:
@@ -248,8 +243,6 @@ def describe_run(
     """The description of a run that its checkpoints carry. Not collective.
 
     Args:
-        case: What it computes.
-        body: Its mesh.
         petsc: PETSc options from outside the case.
         before: The run that is continued. Its case is read from the copy in the folder of results,
             but the file to compare with at the next restart stays the user's.

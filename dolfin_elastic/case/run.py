@@ -368,10 +368,6 @@ class _RunCheckpoints:
 def log_notes(case: Case, body: Body) -> list[str]:
     """Logs how a body was made, and warns of what is doubtful in it and in its case. Collective.
 
-    Args:
-        case: The case.
-        body: Its body.
-
     Returns:
         The warnings.
     """
@@ -386,10 +382,6 @@ def log_notes(case: Case, body: Body) -> list[str]:
 @timing.stage("checks")
 def check_problem(case: Case, problem: Problem) -> tuple[list[str], tuple[LoadSum, ...]]:
     """Warns of what needs the problem: loads beyond the material, obstacles, elements. Collective.
-
-    Args:
-        case: The case.
-        problem: Made of the case.
 
     Returns:
         The warnings, and the resultants of the loads; none where one has no value at some time.
@@ -416,7 +408,6 @@ def outputs_of(case: Case, model: Mapping[str, object]) -> list[Output]:
     """The outputs of a case, its summary with copies of it and of its model. Not collective.
 
     Args:
-        case: The case.
         model: See `model_record`.
     """
     copies = {"case": written_tables(case), "model": model}
@@ -436,9 +427,6 @@ def open_outputs(
     """Opens the outputs, and closes them as completed, failed or stopped. Collective.
 
     Args:
-        files: What is written.
-        problem: The problem that is solved.
-        folder: Of the results.
         saved: Restart states of their writers, where the run continues from a checkpoint.
     """
     writers: list[Writer] = []
@@ -494,7 +482,6 @@ def _close(writers: Iterable[Writer], ending: tuple[str, object]) -> None:
     """Closes all writers, also after one could not be closed. Collective.
 
     Args:
-        writers: The open outputs.
         ending: Status and cause. An error of closing is raised only if the run itself had none.
     """
     fault: OutputError | None = None

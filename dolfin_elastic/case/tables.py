@@ -321,9 +321,6 @@ class Material(Record):
 def check_name_of_folder(folder: str) -> None:
     """Refuses what names no folder of results.
 
-    Args:
-        folder: What a user wrote.
-
     Raises:
         InputError: It is blank, or too long.
     """
@@ -483,8 +480,6 @@ class Output(Record):
         Args:
             frames: Number of states whose fields are written, if `every` is not given; None: all.
             title: Title of pictures without one of their own.
-            states: The analysis yields states.
-            modes: The analysis yields modes.
         """
         every = {"frames": frames} if self.every is None else {"every": self.every}
         pictures = [
@@ -530,8 +525,6 @@ def class_named(
     """The class that a table's `law` or `kind` names.
 
     Args:
-        kinds: Name to class.
-        table: The table.
         key: Which of its keys holds the name.
         meant: Words that are no names, and what to write for them; with it, all names are listed.
 
@@ -555,7 +548,6 @@ def read_named(tables: object, read: Callable[[object], T]) -> dict[str, T]:
     """Reads each entry of a table of tables.
 
     Args:
-        tables: Name to entry.
         read: Reads one entry; its errors get the name in front.
     """
     return {name: _at(key_text(name), read, table) for name, table in as_table(tables).items()}
@@ -565,7 +557,6 @@ def read_list(rows: Iterable[object], read: Callable[[object], T]) -> list[T]:
     """Reads each entry of a list of tables.
 
     Args:
-        rows: The entries.
         read: Reads one entry; its errors get the index in front.
     """
     return [_at(f"[{index}]", read, row) for index, row in enumerate(rows)]

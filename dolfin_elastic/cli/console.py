@@ -176,7 +176,6 @@ def step_text(state: State, *, motion: bool) -> str:
     """Step, time or load factor, iterations, largest displacement.
 
     Args:
-        state: A converged state.
         motion: It has a time; otherwise a load factor.
     """
     place = f"t {seconds_text(state.t, 5)} s" if motion else f"load {100 * state.load_factor:.4g} %"
@@ -195,7 +194,6 @@ def seconds_text(t: float, digits: int) -> str:
 
     Args:
         t: The time [s].
-        digits: Significant ones.
     """
     return number(t, digits).replace("\u2212", "-")
 
@@ -227,7 +225,6 @@ class LogHandler(logging.Handler):
     to the results goes where the rest of them is printed.
 
     Args:
-        rank: Of this process.
         screen: Makes what it prints on, once there is something to print.
     """
 
@@ -284,7 +281,6 @@ def show_table(screen: Screen, table: Table) -> None:
 
     Args:
         screen: Where to.
-        table: The table.
     """
     if screen.is_terminal:
         screen.print(table)
@@ -307,7 +303,6 @@ def show_end(
     """Prints a summary of a run.
 
     Args:
-        state: The last state.
         motion: It has a time; otherwise a load factor.
         seconds: Time per stage, see `core/timing.py`.
         newton: Newton iterations of all steps.
@@ -329,11 +324,7 @@ def show_end(
 
 
 def extreme_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Largest von Mises stress and smallest safety factor at the end of a motion, with places.
-
-    Args:
-        summary: Content of summary.json.
-    """
+    """Largest von Mises stress and smallest safety factor at the end of a motion, with places."""
     found, lines = summary.get("extremes", {}), []
     if (stress := found.get("von_mises")) and stress["value"]:
         factor, unit = stress_unit(stress["value"])
@@ -352,12 +343,7 @@ def _at(extreme: Mapping[str, Any]) -> str:
 
 
 def count(number: int, thing: str) -> str:
-    """A number with its noun in the singular or plural.
-
-    Args:
-        number: How many.
-        thing: The noun in the singular.
-    """
+    """A number with its noun in the singular or plural."""
     return f"{number} {thing}" + ("" if number == 1 else "s")
 
 
@@ -416,7 +402,6 @@ def vector_text(vector: Iterable[float], largest: float = 0.0) -> str:
     """Components with five digits; round-off of the others is shown as 0.
 
     Args:
-        vector: The components.
         largest: Of what they are compared to, beside the largest of them.
     """
     parts = [float(v) for v in vector]
@@ -459,12 +444,7 @@ def show_profile(rows: Sequence[tuple[str, float, float]], memory: Mapping[str, 
 
 
 def show_files(folder: Path, names: Iterable[str]) -> None:
-    """Prints what a run has written.
-
-    Args:
-        folder: Of the results.
-        names: Of the files in it.
-    """
+    """Prints what a run has written."""
     print(f"results in {folder}: {', '.join(names)}")
 
 

@@ -59,8 +59,6 @@ def show_report(screen: Screen, name: str, found: MaterialReport, files: Sequenc
 
     Args:
         screen: Where to.
-        name: Of the material.
-        found: Its tests.
         files: What was written, all in one folder.
     """
     screen.print(name, style="bold")
@@ -99,7 +97,6 @@ def show_laws(
     Args:
         screen: Where to.
         laws: See `case.material_report.law_table`.
-        typical: Typical constants.
     """
     for law in laws:
         screen.print(law["law"], style="bold")

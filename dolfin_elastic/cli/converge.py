@@ -63,7 +63,6 @@ def converge(
         case: The case file.
         petsc: PETSc options as they stand on the command line.
         until: The quantity, and its largest error as a share of its value.
-        refinements: Largest number of refinements.
         unknowns: Largest number of unknowns of a mesh.
         output: Folder of the results, in place of `CASE_converged`.
         trust: Let the mesh's script do all that the user may.
@@ -129,12 +128,7 @@ def _percent(share: float) -> str:
 
 
 def show_table_of(progress: Progress, folder: Path) -> None:
-    """Prints the table of all meshes, the verdict, and what was written.
-
-    Args:
-        progress: The last one.
-        folder: Of the results.
-    """
+    """Prints the table of all meshes, the verdict, and what was written."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 

@@ -44,8 +44,6 @@ def material(
         context: Typer's; its remaining arguments are the constants of a law.
         what: A case file, or the name of a law.
         only: Name of the one material of the file that is tested.
-        stretch: Largest stretch of the curves.
-        output: Folder that curves are written to.
         json: Write the report as JSON.
     """
     start()

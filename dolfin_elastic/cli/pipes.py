@@ -75,8 +75,6 @@ def _surviving(stream: TextIO | None, number: int, *, closed: bool) -> TextIO:
 
     Args:
         stream: Of Python; None where it was closed as Python started.
-        number: Its descriptor.
-        closed: What is written is lost.
     """
     if stream is None:
         raw = _FileOrNull(number, "wb", closefd=False)

@@ -119,7 +119,6 @@ def restart(
 
     \f
     Args:
-        folder: Folder of the results.
         petsc: PETSc options as they stand on the command line.
         profile: Show at the end where time and memory went.
         trust: Let the mesh's script do all that the user may.
@@ -149,7 +148,6 @@ def begin(quiet: bool, *, verbose: bool = False) -> MPI.Comm:
 
     Args:
         quiet: Warnings only.
-        verbose: What is tried, too.
     """
     from mpi4py import MPI
 
@@ -308,13 +306,7 @@ def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
 
 
 def _progress_display(motion: bool, visible: bool, *, verbose: bool) -> ProgressDisplay:
-    """A bar on a terminal, lines in a file or pipe, nothing if not visible.
-
-    Args:
-        motion: The run has a time.
-        visible: Anything is shown.
-        verbose: Trials have lines of their own.
-    """
+    """A bar on a terminal, lines in a file or pipe, nothing if not visible."""
     from dolfin_elastic.cli import console
 
     if not visible:
@@ -351,7 +343,6 @@ def log_to_screen(rank: int, level: int) -> None:
     """Prints what the package logs, on rank 0.
 
     Args:
-        rank: Of this process.
         level: Lowest level that is shown, of `logging`.
     """
     from dolfin_elastic.cli.console import LogHandler, console

@@ -17,7 +17,6 @@ class Screen(Console):
     It writes the colours and movements of its own past the filter of the stream.
 
     Args:
-        stream: Standard output or error.
         width: Columns; None: those of the terminal.
         terminal: Whether it is a terminal; None: as the stream says.
     """
@@ -37,23 +36,13 @@ class Screen(Console):
         return super().render_str(printable(text), **options)
 
     def tell(self, text: str, style: str | None = None) -> None:
-        """Prints a text: on a terminal broken between words, elsewhere its lines as they are.
-
-        Args:
-            text: One line or several.
-            style: Of rich.
-        """
+        """Prints a text: on a terminal broken between words, elsewhere its lines as they are."""
         shown = wrapped(printable(text), self.width) if self.is_terminal else text
         self.print(shown, style=style, soft_wrap=True)
 
 
 def wrapped(text: str, width: int) -> str:
-    """Breaks long lines, with indented continuation; words and paths stay whole.
-
-    Args:
-        text: One line or several.
-        width: Columns.
-    """
+    """Breaks long lines, with indented continuation; words and paths stay whole."""
     broken = (
         textwrap.wrap(
             line,

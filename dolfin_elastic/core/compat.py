@@ -42,7 +42,6 @@ def integration_entities(mesh: Mesh, facets: IndexArray) -> IndexArray:
     `compute_integration_domains` lost an argument in 0.10 and refuses interior facets.
 
     Args:
-        mesh: A mesh of simplices.
         facets: Local facets, shape (n,).
 
     Returns:
@@ -105,9 +104,6 @@ def column_map(pattern: cpp.la.SparsityPattern) -> cpp.common.IndexMap:
     """Columns of a finalised pattern, with ghosts that only its entries have.
 
     From 0.11 on there is one function for rows and columns.
-
-    Args:
-        pattern: Square.
     """
     if hasattr(pattern, "column_index_map"):
         return pattern.column_index_map()
@@ -135,7 +131,6 @@ def cells_of_integral(form: fem.Form, number: int) -> IndexArray:
     """Cells of an integral over cells: 0.9 asks for its identifier, 0.11 for its number.
 
     Args:
-        form: Compiled.
         number: Of the integral in the compiled form, where those over cells stand first.
     """
     inner = form._cpp_object
@@ -147,8 +142,6 @@ def space_like(V: fem.FunctionSpace, dofmap: cpp.fem.DofMap, mesh: Mesh | None =
     """The C++ space with the mesh and element of another; 0.10 takes no shape of values.
 
     Args:
-        V: The other space.
-        dofmap: Its own map.
         mesh: Its own mesh; None: the other's.
     """
     other = V._cpp_object
@@ -186,7 +179,6 @@ def surface_of(
     From 0.46 on PyVista warns where the filter is not named, before that it cannot be named.
 
     Args:
-        grid: The grid.
         nonlinear_subdivision: Into how many parts edges of quadratic cells are cut, see PyVista.
         pass_pointid: Whether its points know their numbers in the grid.
     """

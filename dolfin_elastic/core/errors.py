@@ -36,7 +36,6 @@ class InputError(ElasticError, ValueError):
     Args:
         what: What is wrong, in one sentence without a final stop.
         where: File and dotted key, for example ``beam.toml: materials.steel.nu``.
-        expected: What would be right.
     """
 
     exit_code = 2
@@ -88,8 +87,6 @@ class SolveError(ElasticError):
     """The input is right, but no solution was found.
 
     Args:
-        what: The cause in plain words.
-        advice: What to try.
         state: The `State` that was reached without being a solution, to be looked at.
         diagnosis: Why, where, and what to try, as data.
     """
@@ -241,7 +238,6 @@ def check_kept(folder: Path, where: str) -> None:
 
     Args:
         folder: Of the results, which need not exist.
-        where: What names it, for the message.
 
     Raises:
         CaseError: It is a folder inside, and the current folder is one of the machine.
@@ -280,10 +276,6 @@ def _alike(name: str, known: Sequence[str]) -> list[str]:
 def nearest(name: str, known: Iterable[str]) -> str:
     """Hint at an unknown name: the most similar known one, or else the list of all.
 
-    Args:
-        name: What the user wrote.
-        known: The names that exist.
-
     Returns:
         For example ``did you mean 'left'?`` or ``known: left, right``.
     """
@@ -298,7 +290,6 @@ def nearest_first(name: str, known: Iterable[str], meant: str = "") -> str:
     """Hint at an unknown name among few: which one may be meant, and all of them.
 
     Args:
-        name: What the user wrote.
         known: The names that exist, which are listed in their order.
         meant: What to write for this word, which is no name, with names in quotation marks.
 
@@ -326,7 +317,6 @@ def nearest_file(name: str | Path, known: Iterable[str | Path]) -> str:
     no more alike for it.
 
     Args:
-        name: What the user wrote.
         known: The files that are there, at least one.
 
     Returns:

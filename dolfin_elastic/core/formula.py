@@ -290,7 +290,6 @@ class _Reader:
         """Checks one token against what stands before it.
 
         Args:
-            token: The token.
             value_before: An operand is complete before it.
             call: A name stands before it, so that a parenthesis holds arguments.
             opened: Column of each open parenthesis and whether it holds arguments; updated.

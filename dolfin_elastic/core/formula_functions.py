@@ -127,7 +127,6 @@ def symbolic(operation: Operation, args: list[Scalar]) -> Scalar:
 
     Args:
         operation: One of `OPERATIONS`.
-        args: Scalar UFL expressions or floats.
 
     Raises:
         ArithmeticError: A number among the arguments is not finite.

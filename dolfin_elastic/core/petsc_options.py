@@ -132,7 +132,6 @@ def chooses_solvers(name: str, value: PetscValue) -> bool:
 
     Args:
         name: With or without a leading dash and `PREFIX`.
-        value: Its value.
     """
     bare = name.lstrip("-").removeprefix(PREFIX)
     text = "" if isinstance(value, bool) or value is None else str(value)
@@ -146,7 +145,6 @@ def refuse_beyond_solvers(options: PetscOptions, where: str) -> None:
 
     Args:
         options: Of a case; of those in `CASE_KEYS` is told where the options are used.
-        where: The key that holds them.
 
     Raises:
         CaseError: An option is not among those that case files may give, or its value names a file

@@ -177,7 +177,6 @@ def input_error(record: type[BaseModel], error: ValidationError, given: object) 
     """The first fault of a pydantic error as one message: dotted key, what, expected.
 
     Args:
-        record: What was to be made.
         error: Why it could not be.
         given: Of what, as the user wrote it.
     """
@@ -228,7 +227,6 @@ def within(path: str, error: InputError) -> InputError:
 
     Args:
         path: Dotted key of the table in which the error was found; may be empty.
-        error: The error.
     """
     joint = "" if not path or not error.where or error.where.startswith("[") else "."
     return type(error)(error.what, where=path + joint + error.where, expected=error.expected)
@@ -352,12 +350,7 @@ def known_keys(model: type[BaseModel]) -> list[str]:
 
 
 def field_keys(name: str, field: FieldInfo) -> list[str]:
-    """The key of a field, and its other spellings.
-
-    Args:
-        name: The attribute.
-        field: What pydantic knows of it.
-    """
+    """The key of a field, and its other spellings."""
     alias = field.validation_alias
     if isinstance(alias, str):  # the attribute has another name, which is no key
         return [alias]
@@ -384,12 +377,7 @@ class UnusedKeys:
 
 
 def is_given(record: Record, key: str) -> bool:
-    """Whether the user has written a key, and not an empty value.
-
-    Args:
-        record: The record.
-        key: Name of the field.
-    """
+    """Whether the user has written a key, and not an empty value."""
     value = getattr(record, key)
     empty = value is None or (isinstance(value, list | dict) and not value)
     return key in record.model_fields_set and not empty
@@ -399,7 +387,6 @@ def refuse_unused_keys(record: Record, rules: Iterable[UnusedKeys], table: str =
     """Refuses keys that were written but have no effect beside others.
 
     Args:
-        record: The record.
         rules: Keys without effect, with the reasons.
         table: Dotted key of the record, if the message must name it.
 
@@ -420,7 +407,6 @@ def settings_from(kind: type[R], record: R | None, fields: Mapping[str, Any]) ->
     """Settings given as a record or as keywords.
 
     Args:
-        kind: Type of the record.
         record: The settings, or None.
         fields: The settings as keywords: fields of `kind`.
 

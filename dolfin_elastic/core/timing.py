@@ -35,7 +35,6 @@ class Stopwatch:
 
         Args:
             name: The stage, one of `STAGES` or a new one.
-            seconds: Time spent in it.
             inner: Part of this time that stages inside it have counted already.
         """
         self.seconds[name] = self.seconds.get(name, 0.0) + seconds - inner

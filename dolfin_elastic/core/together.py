@@ -42,7 +42,6 @@ def loop_together(comm: MPI.Comm, states: Generator[T, None, None]) -> Generator
 
     Args:
         comm: The ranks of the loop.
-        states: What computes them.
 
     Raises:
         RuntimeError: A rank has left the loop alone.
@@ -73,8 +72,6 @@ def _computed(
 
     Args:
         comm: The ranks of the loop.
-        states: What computes them.
-        stop: Hears Ctrl-C.
     """
     nothing = object()
     while True:

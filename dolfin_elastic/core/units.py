@@ -371,7 +371,6 @@ class Quantity:
 
         Args:
             value: As a user wrote it.
-            bounded: Pydantic's validator of bounds.
 
         Raises:
             UnitError: See `to_si`.

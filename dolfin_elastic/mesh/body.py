@@ -34,7 +34,6 @@ class PartNames(Mapping[str, T]):
     file has them.
 
     Args:
-        parts: Name to part.
         others: Names of other parts of the same mesh: a name that is one of them is not taken for
             another one here that differs by case.
     """
@@ -197,7 +196,6 @@ class Body:
 
         Args:
             kind: "region", "surface", "edge" or "point".
-            name: Of the part.
 
         Raises:
             MeshError: There is none, or it is of another kind or not whole; or the area is needed
@@ -342,7 +340,6 @@ def spelling(body: Body, name: str) -> str:
     """A part's name as the mesh has it, see `PartNames`; of an unknown part the name itself.
 
     Args:
-        body: The body.
         name: In any case.
     """
     alike = _alike(body, name)
@@ -370,12 +367,7 @@ def span(body: Body) -> float:
 
 
 def centre_of(body: Body, surfaces: Sequence[str]) -> FloatArray:
-    """Centre of the facets of surfaces by their areas, of curved ones too [m]. Collective.
-
-    Args:
-        body: The mesh and its names.
-        surfaces: Names of the surfaces, taken together.
-    """
+    """Centre of the facets of surfaces by their areas, of curved ones too [m]. Collective."""
     mesh, dim = body.mesh, body.dim
     facets = np.unique(np.concatenate([body.owned_facets(name) for name in surfaces]))
     mesh.topology.create_connectivity(dim - 1, dim)
@@ -399,7 +391,6 @@ def middle_of(body: Body, names: Sequence[str]) -> FloatArray:
     A set of nodes that facets do not cover counts as points.
 
     Args:
-        body: The mesh and its names.
         names: Of surfaces, edges and points, each once.
 
     Raises:
@@ -443,7 +434,6 @@ def connected_components(size: int, sets: IntArray | IndexArray) -> tuple[int, I
     Source: Y. Zhang, A. Azad, Z. Hu, Proc. SIAM PP20 (2020) 46, doi:10.1137/1.9781611976137.5.
 
     Args:
-        size: Number of nodes.
         sets: Nodes of each set, such as the cells of a mesh or the edges of a graph, shape (n, m).
 
     Returns:

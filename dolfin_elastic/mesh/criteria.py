@@ -33,7 +33,6 @@ class BoundingBox(Box):
         """Of a body. Collective.
 
         Args:
-            body: The body.
             scale: Metres per unit of bare numbers.
         """
         low, high = bounding_box(body.mesh)
@@ -43,7 +42,6 @@ class BoundingBox(Box):
         """Number of the axis across a plane, and the plane's coordinate [m].
 
         Args:
-            axis: Its name.
             at: The coordinate, or "min", "middle" or "max" of the body.
 
         Raises:
@@ -117,7 +115,6 @@ def not_found(
 
     Args:
         comm: The ranks of the mesh.
-        space: Of the body.
         tests: The selector's criteria, each evaluated for all n facets, edges, nodes or cells.
         owned: Which of them this rank owns, shape (n,).
         searched_in: What was searched, in the plural: "facets of the surface".
@@ -155,12 +152,7 @@ def _rounded_up(value: float) -> float:
 
 
 def allowed_distance(selector: Place, space: BoundingBox) -> float:
-    """Tolerance for the distance of a corner from the selected place [m].
-
-    Args:
-        selector: Its tolerance.
-        space: Of the body.
-    """
+    """Tolerance for the distance of a corner from the selected place [m]."""
     if selector.tolerance is None:
         return TOLERANCE * space.diagonal
     return space.metres(selector.tolerance)
@@ -191,8 +183,6 @@ def place_criteria(
     """Whether all corners of facets, edges or nodes lie where a selector says.
 
     Args:
-        selector: Its plane, box, sphere and cylinder.
-        space: Of the body.
         corners: Shape (n, corners, dim) [m].
         filled: They may lie inside of spheres and cylinders.
     """

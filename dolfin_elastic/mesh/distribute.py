@@ -299,9 +299,7 @@ def _entities(
     Collective.
 
     Args:
-        mesh: The mesh.
         named: Name to the vertices of each, by their rows in the file; the same on all ranks.
-        dim: Dimension of the entities.
     """
     if not named:
         return {}, {}
@@ -330,9 +328,7 @@ def _candidates(mesh: Mesh, nodes: IntArray, dim: int) -> tuple[IndexArray, IntA
     Collective.
 
     Args:
-        mesh: The mesh.
         nodes: Points by their rows in the file.
-        dim: Dimension of the entities.
     """
     facets = dim == mesh.topology.dim - 1
     if not facets:
@@ -351,7 +347,6 @@ def _points(mesh: Mesh, named: Mapping[str, IntArray]) -> dict[str, IndexArray]:
     """Local geometry nodes of each name, also shared ones, sorted. Not collective.
 
     Args:
-        mesh: The mesh.
         named: Name to rows of the file's points; the same on all ranks.
     """
     rows = np.asarray(mesh.geometry.input_global_indices)

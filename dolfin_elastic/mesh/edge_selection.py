@@ -34,7 +34,6 @@ def pick_edges(body: Body, space: BoundingBox, selector: EdgeSelector) -> IndexA
     """Local mesh edges, owned and ghost, that a selector means. Collective.
 
     Args:
-        body: A three-dimensional body.
         space: Its bounding box and unit of length.
         selector: All its keys must hold.
 
@@ -147,12 +146,7 @@ class _FacetsBeside:
         return np.where(np.round(rows[:, 3]) == 2, 2 * np.degrees(np.arccos(half)), 180.0)
 
     def inside_area(self, selector: EdgeSelector, space: BoundingBox) -> BoolArray:
-        """Local edges whose adjacent boundary facets all lie on the plane, sphere or cylinder.
-
-        Args:
-            selector: Its plane, sphere and cylinder.
-            space: Of the body.
-        """
+        """Local edges whose adjacent boundary facets all lie on the plane, sphere or cylinder."""
         surface = selector.model_copy(update={"box": None})
         corners = facet_corners(self._mesh, self.boundary)
         inside = fulfilled(place_criteria(surface, space, corners), len(corners))

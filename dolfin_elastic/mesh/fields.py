@@ -56,7 +56,6 @@ class MeshField:
         """Values in cells; between points by the shape functions of the mesh. Local.
 
         Args:
-            mesh: The mesh they came with.
             cells: Local cells.
             points: Points of the reference cell, shape (k, dim).
 
@@ -71,11 +70,6 @@ class MeshField:
 
 def as_columns(data: npt.ArrayLike, rows: int, name: str) -> FloatArray:
     """Data of a file as an array with one row for each cell or point.
-
-    Args:
-        data: Anything numpy makes an array of.
-        rows: Number of cells or points.
-        name: Name of the field, for messages.
 
     Returns:
         Shape (rows, columns).
@@ -97,7 +91,6 @@ def distribute_fields(mesh: Mesh, raw: RawMesh | None) -> dict[str, MeshField]:
     """Distributes the fields that rank 0 has read. Collective.
 
     Args:
-        mesh: The distributed mesh.
         raw: The mesh as it was read, on rank 0; None on all others.
     """
     found: dict[str, MeshField] = {}
@@ -124,7 +117,6 @@ def distribute_rows(
 
     Args:
         mesh: The distributed mesh; it knows the rows of the file by their numbers.
-        centre: What the rows belong to.
         shape: Rows and columns of the whole field.
         read: Reads rows, on rank 0; None on all others.
 

@@ -95,7 +95,6 @@ def rectangle_body(
     Args:
         size: Lengths of both edges, in units of `scale` metres.
         cells: Number of squares along each edge, of two triangles each.
-        origin: The corner with the smallest coordinates.
         comm: The ranks that share the mesh.
         scale: Metres per unit of length.
 
@@ -248,7 +247,6 @@ def _bisected(cubes: IntArray, count: IntArray, parts: int) -> IndexArray:
     Args:
         cubes: Place of each along each edge, shape (n, dim).
         count: Number of cubes along each edge, shape (dim,).
-        parts: Number of parts.
     """
     found = np.zeros(len(cubes), dtype=np.int32)
     if parts == 1:

@@ -88,11 +88,7 @@ class LocalSize(Record):
         return "the sphere" if self.sphere is not None else "the box"
 
     def words(self, unit: LengthUnit) -> str:
-        """Size and place in words.
-
-        Args:
-            unit: Of bare numbers.
-        """
+        """Size and place in words."""
         return f"{metres(self.size, unit.metres) / unit.metres:.4g} {unit.name} at {self.place()}"
 
 
@@ -262,10 +258,8 @@ def _check_count(count: float, seconds: float, faces: CadFaces, where: str) -> N
     """Refuses sizes that give too many cells.
 
     Args:
-        count: Of cells, about.
         seconds: Time that Gmsh may take [s].
         faces: Of the file.
-        where: The key, for messages.
     """
     most = min(MOST_CELLS, CELLS_A_SECOND * seconds)
     if count <= most:

@@ -18,7 +18,6 @@ def pick_points(body: Body, space: BoundingBox, selector: PointSelector) -> Inde
     """Local geometry nodes, owned and ghost, that a selector means. Collective.
 
     Args:
-        body: The body.
         space: Its bounding box and unit of length.
         selector: All its keys must hold.
 
@@ -86,7 +85,6 @@ def vertices_of(body: Body, name: str) -> BoolArray:
     """Which local geometry nodes, owned and ghost, belong to parts of a name. Collective.
 
     Args:
-        body: The body.
         name: Of surface, edge or point, or several of them.
 
     Raises:

@@ -52,7 +52,6 @@ def name_parts(
     order surfaces, regions, edges, points.
 
     Args:
-        body: The body.
         surfaces: Name to a selector, or to several whose facets are joined.
         regions: Name to a selector, or to several whose cells are joined.
         edges: Name to a selector, or to several whose mesh edges are joined; in 3D only.

@@ -98,7 +98,6 @@ class Contact(OnSurfaces):
         Args:
             t: Time [s], or load parameter.
             default: Amplitude where the contact has no curve.
-            dim: Dimension of the body.
         """
         if not self.values:
             return [0.0] * dim
@@ -110,10 +109,6 @@ class Contact(OnSurfaces):
 
     def check(self, dim: int, *, axisymmetric: bool) -> None:
         """Raises where the obstacle, in metres, or its motion does not fit the body.
-
-        Args:
-            dim: Dimension of the body.
-            axisymmetric: The body is axisymmetric about y.
 
         Raises:
             InputError: With the key inside the contact's table.

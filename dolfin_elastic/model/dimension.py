@@ -45,7 +45,6 @@ def weight(geometry: Geometry, x: Expr, thickness: Expr | None) -> Expr | None:
     """Thickness or circumference by which integrals over a plane mesh are multiplied.
 
     Args:
-        geometry: Kind of body.
         x: Reference coordinates; x[0] is the radius of an axisymmetric body, x[1] its axis.
         thickness: Of a plane body; None: 1.
     """

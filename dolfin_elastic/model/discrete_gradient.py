@@ -87,7 +87,6 @@ class Segment:
 
         Args:
             value: psi(F).
-            derivative: dpsi/dF.
         """
         F, D = self.F, self.D
         dC = F.T * D + D.T * F

@@ -24,12 +24,7 @@ _LOGARITHM = [(-1) ** (n + 1) / n for n in range(1, TERMS + 1)]
 
 
 def polynomial(coefficients: Sequence[Scalar], x: Expr) -> Expr:
-    """Sum of c_n x^(n+1), n = 0, 1, ..., by Horner's rule.
-
-    Args:
-        coefficients: The c_n.
-        x: The variable, a UFL scalar.
-    """
+    """Sum of c_n x^(n+1), n = 0, 1, ..., by Horner's rule."""
     total: Scalar = 0.0
     for coefficient in reversed(coefficients):
         total = (total + coefficient) * x
@@ -40,7 +35,6 @@ def log1p(x: Expr, whole: Expr | None = None) -> Expr:
     """ln(1 + x); NaN where x < -1.
 
     Args:
-        x: The small number, a UFL scalar.
         whole: 1 + x, if it is known without rounding where it is small itself.
     """
     far = ufl.ln(1 + x if whole is None else whole)

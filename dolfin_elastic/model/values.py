@@ -80,9 +80,7 @@ def components(
     """Reads a vector of two or three components.
 
     Args:
-        written: The vector.
         unit: SI unit of the components.
-        key: Whose value it is, for messages.
         may_be_free: Whether components may be "free".
 
     Raises:
@@ -110,10 +108,6 @@ def depends_on_time(vector: tuple[Component, ...]) -> bool:
 
 def amplitude_of(value: Component, curve: Amplitude | None) -> Amplitude | None:
     """Amplitude of one component of a vector; other components may have another.
-
-    Args:
-        value: The component.
-        curve: What the user wrote.
 
     Returns:
         The curve; constant for a formula in t, which has its own time dependence; None: open.

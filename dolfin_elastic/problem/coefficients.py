@@ -64,7 +64,6 @@ class CoefficientSampler:
     """Values of what varies in space, at points of cells. All of it is collective.
 
     Args:
-        body: The mesh and its fields.
         degree: Of the functions that values are for, 0 or 1.
     """
 
@@ -90,7 +89,6 @@ class CoefficientSampler:
         """Values at the points of each cell: shape (cells, points), directions by 3.
 
         Args:
-            item: What varies.
             cells: Owned local cells.
             directed: It is a direction, made to have length 1.
 
@@ -226,7 +224,6 @@ class CoefficientBinder:
     """Binds laws to a body. All of it is collective.
 
     Args:
-        body: The mesh and its fields.
         order: Degree of the displacement or of the mesh, whichever is higher.
     """
 

@@ -43,7 +43,6 @@ class Measures:
     """Volume and surface measures of the reference configuration.
 
     Args:
-        body: The mesh and its names.
         fillings: The cells of each material, in the order of their numbers from 1.
         loaded: Names of the parts of each load, and of each spring and dashpot.
         weight: Factor of every integrand, see `model.dimension.weight`.
@@ -111,7 +110,6 @@ class Measures:
 
         Args:
             marker: The material region's number; None: the whole body.
-            degree: Quadrature degree.
         """
         rule = {"quadrature_degree": degree}
         if self._plain:
@@ -120,12 +118,7 @@ class Measures:
         return WeightedMeasure(self._weight, self._dx(number, metadata=rule))
 
     def regions(self, names: Sequence[str], degree: int) -> WeightedMeasure:
-        """Volume of loaded regions.
-
-        Args:
-            names: Of the regions of one load.
-            degree: Quadrature degree.
-        """
+        """Volume of loaded regions."""
         rule = {"quadrature_degree": degree}
         return WeightedMeasure(self._weight, self._dx(self._regions[tuple(names)], metadata=rule))
 
@@ -134,18 +127,12 @@ class Measures:
 
         Args:
             names: Of the surfaces of one load or spring.
-            degree: Quadrature degree.
         """
         rule = {"quadrature_degree": degree}
         return WeightedMeasure(self._weight, self._ds(self._surfaces[tuple(names)], metadata=rule))
 
     def lower(self, names: Sequence[str], degree: int) -> SummedMeasure:
-        """Length of edges, or the number of points, of a spring or dashpot.
-
-        Args:
-            names: Of its edges or points.
-            degree: Quadrature degree along straight edges.
-        """
+        """Length of edges, or the number of points, of a spring or dashpot."""
         return self._lower[tuple(names)].measure(self._dx, degree)
 
     def points(self, parts: Parts, degree: int) -> IntegralPoints:
@@ -153,7 +140,6 @@ class Measures:
 
         Args:
             parts: Regions, none for the whole body; or the surfaces, edges or points of one load.
-            degree: Quadrature degree.
         """
         body, names = self._body, parts.names
         if parts.kind in ("edge", "point"):
@@ -174,7 +160,6 @@ class Measures:
         """Area of surfaces in contact, with a quadrature rule as UFL's metadata.
 
         Args:
-            names: Of the surfaces of one contact.
             rule: Quadrature rule as UFL's metadata.
         """
         return WeightedMeasure(
@@ -186,11 +171,7 @@ class FormContext:
     """Fields, measures and constants for terms of virtual work; a `LoadContext`. Collective.
 
     Args:
-        body: The mesh and its names.
-        unknowns: What is solved for.
-        regions: The material regions of the body.
         measures: Where integrals are taken.
-        geometry: Kind of a two-dimensional body.
 
     Attributes:
         body: The mesh and its names.
@@ -334,7 +315,6 @@ class FormContext:
         """A constant for each component that follows its amplitude, one for all that are alike.
 
         Args:
-            values: The components.
             curve: Amplitude that the user gave, or None.
         """
         changing = curve is None and depends_on_time(values)
@@ -353,7 +333,6 @@ class FormContext:
         """A vector at a point of the body, each component times its amplitude, in UFL. Collective.
 
         Args:
-            values: The components.
             curve: What the user wrote: see `values.amplitude_of`.
             parts: See `value`.
         """
@@ -385,7 +364,6 @@ class FormContext:
         """A number or a formula in x, y, z and t at a point of the body. Collective.
 
         Args:
-            value: The number or formula.
             parts: Where it is integrated: there formulas are evaluated.  None: anywhere, and a
                 formula in x, y and z becomes a polynomial in each cell, see `CellwiseSpace`.
         """
@@ -418,7 +396,6 @@ def formula_places(context: FormContext, parts: Parts) -> FloatArray:
     """Points of this rank at which formulas are evaluated [m], shape (n, 3). Collective.
 
     Args:
-        context: Of the body.
         parts: Where the integral is taken that they stand in.
     """
     return _formulas(context).places(parts)

@@ -50,7 +50,6 @@ def check_damped(problem: Problem, stiffness: float) -> None:
     """Materials have a velocity to be damped by.
 
     Args:
-        problem: The body.
         stiffness: Rayleigh's factor of the stiffness [s].
 
     Raises:
@@ -70,7 +69,6 @@ class Damping:
     """Damping of a body by its materials.  Collective to make.
 
     Args:
-        problem: The body.
         mass: Rayleigh's factor of the mass [1/s].
         stiffness: Rayleigh's factor of the stiffness [s].
 

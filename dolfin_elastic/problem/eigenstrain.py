@@ -20,7 +20,6 @@ def eigenstrains(context: FormContext, loads: Sequence[Load]) -> dict[str, Expr]
     """Material's name to its growth Fg; those that do not grow are left out. Collective.
 
     Args:
-        context: The body and its material regions.
         loads: All loads; those that are no eigenstrains are passed over.
 
     Raises:

@@ -66,8 +66,6 @@ def plan(
     Args:
         laws: Material's name to its law with numbers.
         formulation: As the user chose.
-        degree: Degree of the displacement.
-        plane_stress: The body is in plane stress.
 
     Raises:
         InputError: A material cannot be computed so.
@@ -164,12 +162,9 @@ def make_material_regions(
     """Binds laws to their cells and chooses the auxiliary unknowns. Collective.
 
     Args:
-        body: The mesh and its names.
         laws: Region's name to law; `WHOLE` is the whole body unless a region is called so.
         formulation: As the user chose.
-        degree: Degree of the displacement.
         order: Degree of the displacement or of the mesh, whichever is higher.
-        geometry: Kind of a two-dimensional body.
 
     Raises:
         MeshError: A name does not exist, or the materials do not cover the body exactly once.
@@ -257,14 +252,7 @@ def _check_cover(body: Body, cells: Mapping[str, IndexArray]) -> None:
 def locking_notes(
     body: Body, regions: Sequence[MaterialRegion], degree: int, geometry: Geometry
 ) -> list[str]:
-    """What to expect of nearly incompressible materials. Collective.
-
-    Args:
-        body: The mesh and its names.
-        regions: Its material regions.
-        degree: Degree of the displacement.
-        geometry: Kind of a two-dimensional body.
-    """
+    """What to expect of nearly incompressible materials. Collective."""
     if geometry == "plane-stress":
         return []
     notes = []
@@ -297,9 +285,7 @@ def checked_geometry(geometry: Geometry, thickness: float, body: Body) -> Geomet
     """The kind of a two-dimensional body; a three-dimensional one is what it is. Collective.
 
     Args:
-        geometry: Kind of a two-dimensional body.
         thickness: Of a plane body [m].
-        body: The mesh and its names.
 
     Raises:
         InputError: There is no such kind, or the body cannot be of it.
@@ -346,7 +332,6 @@ def locking(nu: float, cells_across: float) -> tuple[float, float]:
     0.8 x, a cylinder twisted 2 x.
 
     Args:
-        nu: Poisson's ratio.
         cells_across: Size of the body over that of a cell.
     """
     x = 2 * nu / max(1 - 2 * nu, 1e-9) / cells_across**2
@@ -354,12 +339,7 @@ def locking(nu: float, cells_across: float) -> tuple[float, float]:
 
 
 def describe(plan: Plan, degree: int) -> str:
-    """The unknowns of a mixed problem in words, for the log.
-
-    Args:
-        plan: What is solved for.
-        degree: Degree of the displacement.
-    """
+    """The unknowns of a mixed problem in words, for the log."""
     pressure = next(extra for extra in plan.auxiliary_fields if extra.name == "pressure")
     kind = "P" if pressure.continuous else "DG"
     stabilised = ", stabilised" if pressure.continuous and degree == 1 else ""

@@ -66,12 +66,10 @@ class Problem:
     All of it is collective: make it on every rank with the same arguments.
 
     Args:
-        body: The mesh and its names.
         materials: A law for the whole body, or region's name to law; together the regions must
             cover every cell exactly once.
         supports: Prescribed displacements, springs and dashpots; where a displacement is
             prescribed twice, the later one counts.
-        loads: External forces.
         contacts: Contact of surfaces with rigid obstacles; bare numbers of these are in the mesh's
             unit.
         ties: Surfaces with different meshes that move together.
@@ -349,9 +347,6 @@ def over_step(problem: Problem) -> Problem:
     """The same problem with the internal forces of a time step, see `weak_form_over_step`.
 
     It shares the unknowns and all else.  Collective.
-
-    Args:
-        problem: Of states.
     """
     found = copy(problem)
     vars(found).pop("symmetric", None)
@@ -367,9 +362,6 @@ def conserves(problem: Problem) -> bool:
     In plane stress it would extrapolate the stretch out of the plane; growth changes volumes, which
     belong to the end of a step, where its forces belong to the middle; and a periodic cell is
     deformed from outside.
-
-    Args:
-        problem: What moves.
     """
     unknowns = problem.unknowns
     excluded = unknowns.has("stretch") or (problem.mixed and problem.eigenstrains) or problem.cell
@@ -377,11 +369,7 @@ def conserves(problem: Problem) -> bool:
 
 
 def parts_held(problem: Problem) -> dict[str, list[str]]:
-    """Label of supports, springs, contacts and ties to the parts that they act on.
-
-    Args:
-        problem: Of which.
-    """
+    """Label of supports, springs, contacts and ties to the parts that they act on."""
     contacts = [pair.contact for pair in problem.contact_pairs]
     ties = [] if problem.ties is None else problem.ties.given
     found: dict[str, list[str]] = defaultdict(list)

@@ -46,9 +46,6 @@ class Unknowns:
     """Function spaces and functions of all unknowns. Collective to make.
 
     Args:
-        mesh: The mesh.
-        degree: Degree of the displacement.
-        auxiliary_fields: Scalar fields beside it.
         groups: Group of each local cell, ghosts too: each has a continuous pressure of its own;
             None: all have one.
 
@@ -103,11 +100,7 @@ class Unknowns:
         return (V, V, plain, dofs) if split is None else (V, V, split.space, split.new[dofs])
 
     def _split_pressure(self, plain: fem.FunctionSpace) -> DoubledSpace | None:
-        """The space of all unknowns with a pressure for each group; None: one will do. Collective.
-
-        Args:
-            plain: With one continuous pressure.
-        """
+        """Space of all unknowns with a pressure of each group; None: one will do. Collective."""
         if self.groups is None:
             return None
         return doubled(plain, 1 + self._index("pressure"), self.groups)
@@ -139,7 +132,6 @@ class Unknowns:
         """A scalar field in physical units, in a function, test or trial function of W.
 
         Args:
-            name: Of the scalar field.
             w: Function, test or trial function of W.
         """
         return self.scale[name] * self._split(w)[1 + self._index(name)]
@@ -208,8 +200,6 @@ def part_nodes(body: Body, V: fem.FunctionSpace, name: str) -> IndexArray:
     nodes only those that are nodes of the mesh, too.
 
     Args:
-        body: The mesh and its names.
-        V: A space of Lagrange elements.
         name: Of surface, edge, point, or several of them.
 
     Raises:

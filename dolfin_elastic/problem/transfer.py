@@ -21,8 +21,6 @@ def refined_unknowns(
     Args:
         refinement: From the body of one to that of the other.
         coarse: The problem that was solved, without periodic faces.
-        w: Its unknowns.
-        fine: The problem on the finer body.
 
     Returns:
         The local array of `fine.w`, ghosts included.

@@ -52,8 +52,6 @@ class WeakForm:
     Args:
         context: The body, its unknowns, material regions and measures.
         loads: External forces; those at points and lines are no integrals and have no term here.
-        restraints: Springs and dashpots.
-        contacts: Contact pairs.
         eigenstrains: Material's name to its growth Fg (UFL), of those that grow.
         quadrature_degree: Of the internal forces, in place of the laws' own choice.
 
@@ -117,7 +115,6 @@ class WeakForm:
         """The law of a region, with its growth and its pressure, and with its time step.
 
         Args:
-            region: The material region.
             w: Function of all unknowns, from which the pressure is taken.
             pressure: In place of that [Pa], to derive with respect to it.
         """
@@ -281,7 +278,6 @@ class WeakForm:
 
         Args:
             a: Acceleration [m/s^2], or a trial function.
-            v: Virtual displacement.
         """
         return sum(
             self._context.density(region)
@@ -302,7 +298,6 @@ def weak_form_over_step(form: WeakForm, start: StepStart) -> WeakForm:
     Laws without an energy, and those that rotations change, keep the stress of the middle.
 
     Args:
-        form: That of a state.
         start: Where the step begins.
     """
     found = copy(form)

@@ -105,8 +105,6 @@ def line_chart(lines: Sequence[Line], x: Axis, y: Axis, title: str = "") -> Mark
 
     Args:
         lines: At most eight.
-        x: The horizontal axis.
-        y: The vertical axis.
         title: What is shown, for those who cannot see it.
     """
     top = _TOP + 20 * _legend_rows(lines)
@@ -122,8 +120,6 @@ def histogram(edges: FloatArray, counts: FloatArray, x: Axis, y: Axis, title: st
     Args:
         edges: Of the classes, shape (n + 1,).
         counts: Shape (n,).
-        x: The horizontal axis.
-        y: The vertical axis.
         title: What is shown, for those who cannot see it.
     """
     across = _Scale(edges, _LEFT, WIDTH - _RIGHT, x)

@@ -47,7 +47,6 @@ class Value:
         """None of what is no number.
 
         Args:
-            value: Of the summary.
             unit: Its SI unit.
         """
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -114,7 +113,6 @@ def extremes_of(summary: Table, size: float) -> list[Extreme]:
     """The largest values of the last state; none of a run that has reached no step.
 
     Args:
-        summary: Of the run.
         size: Of the body [m], for the unit of places.
     """
     found: list[Extreme] = []
@@ -176,7 +174,6 @@ def place_text(row: Table, size: float, surface: str = "") -> str:
     Args:
         row: With "place" [m] and "part".
         size: Of the body [m].
-        surface: That the place is on.
     """
     place = [x for x in row.get("place") or [] if isinstance(x, int | float)]
     if not place:
@@ -290,8 +287,6 @@ def _moment(run: FinishedRun, row: Table, force: float) -> str:
     """The moment of a support, with its point of reference; empty of older runs.
 
     Args:
-        run: The run.
-        row: Table of the support.
         force: The largest reaction [N]: its moment about the end of the body is not small.
     """
     moments = run.summary.get("moments") or {}

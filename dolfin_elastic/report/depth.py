@@ -125,7 +125,6 @@ def look(flat: FloatArray, depth: FloatArray, triangles: IntArray, window: Windo
         flat: Places of the nodes in the plane, shape (nodes, 2).
         depth: Towards the eye, shape (nodes,).
         triangles: Shape (triangles, 3).
-        window: What is drawn.
     """
     rows, columns = window.shape
     nearest = np.full(rows * columns, -np.inf)

@@ -63,7 +63,6 @@ def scene_of(run: FinishedRun, frames: Sequence[tuple[str, Frame]]) -> Scene | N
     """The scene; None where nothing can be drawn.
 
     Args:
-        run: The run.
         frames: From `drawn_frames`.
 
     Raises:
@@ -218,7 +217,6 @@ def mesh_quality(
     """Quality and volume (area in a plane) of the cells, shape (n,) each; see `qualities`.
 
     Args:
-        run: The run.
         frames: From `drawn_frames`; at least one.
 
     Raises:

@@ -59,11 +59,7 @@ class MaterialText:
 
 
 def materials_of(case: Table) -> list[MaterialText]:
-    """The materials of a case.
-
-    Args:
-        case: Its tables.
-    """
+    """The materials of a case."""
     known = {str(row["law"]): row for row in law_table()}
     tables = case.get("materials", {})
     tables = tables if isinstance(tables, Mapping) else {}

@@ -26,7 +26,6 @@ def scaled_unit(largest: float, unit: str) -> tuple[float, str]:
     """What to divide SI values by, and the unit that they then have.
 
     Args:
-        largest: Largest of the values.
         unit: Their SI unit.
     """
     steps = _PREFIXES.get(unit)
@@ -36,12 +35,7 @@ def scaled_unit(largest: float, unit: str) -> tuple[float, str]:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """A number without unit; "1.2e-05" only far from 1.
-
-    Args:
-        value: The number.
-        digits: Significant ones.
-    """
+    """A number without unit; "1.2e-05" only far from 1."""
     if not math.isfinite(value):
         return "not known" if math.isnan(value) else "unbounded"
     text = f"{value:.{digits}g}"
@@ -69,7 +63,6 @@ def vector(values: Iterable[float], unit: str = "", largest: float = 0.0, digits
         values: The components, in SI units.
         unit: The SI unit.
         largest: Of what they are compared to, beside the largest of them.
-        digits: Significant ones.
     """
     parts = [float(value) for value in values]
     most = max((abs(value) for value in parts), default=0.0)
@@ -107,7 +100,6 @@ def counted(count: int, thing: str) -> str:
     """A number with its noun in the singular or plural.
 
     Args:
-        count: How many.
         thing: The noun, whose first part takes the plural.
     """
     first, of, rest = thing.partition(" of ")
@@ -118,7 +110,6 @@ def listed(words: Sequence[str], word: str = "and") -> str:
     """Words as a list in a sentence.
 
     Args:
-        words: The words.
         word: Before the last one.
     """
     *others, last = words

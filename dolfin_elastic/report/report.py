@@ -70,9 +70,6 @@ def write_report(folder: Path, output: Path) -> Path:
 def report_contents(run: FinishedRun) -> dict[str, object]:
     """All that the template shows.
 
-    Args:
-        run: The run.
-
     Raises:
         InputError: A file of the results cannot be read.
     """
@@ -201,12 +198,7 @@ def _room(pictures: Mapping[str, object]) -> int:
 
 
 def _own_pictures(folder: Path, room: int) -> Iterator[OwnPicture]:
-    """PNG files of the folder that have room; of a series the last one.
-
-    Args:
-        folder: Of the run.
-        room: Bytes.
-    """
+    """PNG files of the folder that have room; of a series the last one."""
     import base64
 
     last: dict[str, Path] = {}

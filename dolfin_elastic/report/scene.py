@@ -221,9 +221,6 @@ def surface_of(grid: pyvista.UnstructuredGrid) -> tuple[IntArray, IntArray, IntA
 
     Quadratic cells give four triangles a face, so that they are drawn curved.
 
-    Args:
-        grid: Tetrahedra or triangles.
-
     Returns:
         Nodes of the grid that are used, triangles and edges between these, and the number of
         triangles before they were made fewer.
@@ -292,7 +289,6 @@ def node_values(
     where a run has not written it, and the safety factor from the von Mises stress.
 
     Args:
-        grid: A state.
         allowable: Stress [Pa] of all materials, if they have one and the same.
     """
     rows: dict[str, FloatArray] = {}
@@ -319,7 +315,6 @@ def chosen_frames(count: int, nodes: int) -> list[int]:
 
     Args:
         count: Of all frames.
-        nodes: Of the surface.
     """
     most = max(1, min(MOST_FRAMES, _ROOM // max(10 * nodes, 1)))
     if count <= most:
@@ -336,7 +331,6 @@ def packed(scene: Scene, colours: AnyArray, palette: Mapping[str, str]) -> dict[
     """JSON data of the viewer: numbers of 16 bit between the ends of their ranges.
 
     Args:
-        scene: What is drawn.
         colours: Shape (256, 4), uint8.
         palette: Name of each support and load to its colour.
     """

@@ -43,11 +43,7 @@ _FAINT = 0.25
 
 
 def colour_table(*, warm_first: bool = False) -> AnyArray:
-    """The colours of values as in the pictures of a run, shape (256, 4), uint8.
-
-    Args:
-        warm_first: Small values are red.
-    """
+    """The colours of values as in the pictures of a run, shape (256, 4), uint8."""
     from dolfin_elastic.results.scene._draw import colour_map
 
     shades = colour_map(warm_first=warm_first)(np.arange(256))
@@ -58,7 +54,6 @@ class Camera:
     """Looks at a scene once, for pictures of several fields.
 
     Args:
-        scene: What is drawn.
         palette: Name of each support and load to its colour.
         marks: Supports and loads are drawn, on the undeformed body.
 

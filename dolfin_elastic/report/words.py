@@ -66,7 +66,6 @@ def names(table: Table, whole: str = "the whole body") -> str:
     """The parts that a support or load acts on.
 
     Args:
-        table: Its table.
         whole: Words for all of the body.
     """
     parts = part_names(table)
@@ -100,7 +99,6 @@ def support_words(table: Table, part: str = "surface") -> str:
     """How a support holds the body, without its place.
 
     Args:
-        table: Of the support.
         part: What it acts on: "surface", "edge" or "point".
     """
     kind = str(table.get("kind", "displacement"))
@@ -202,7 +200,6 @@ def contact_words(table: Table, metres: float = 1.0) -> str:
     """What a surface may touch.
 
     Args:
-        table: Of the contact.
         metres: Per unit of length of the mesh, in which its bare numbers are.
     """
     shapes = obstacle_shapes()
@@ -249,8 +246,6 @@ def what_was_computed(case: Table, summary: Table, *, dim: int | None) -> list[s
     """Sentences for somebody who knows nothing of the program.
 
     Args:
-        case: The tables of the case.
-        summary: Of the run.
         dim: Dimension of the body; None where that is not known.
     """
     kind = analysis_of(case)
@@ -278,7 +273,6 @@ def part_kind(table: Table, summary: Table) -> str:
     """What a support acts on: "surface", "edge" or "point".
 
     Args:
-        table: Of the support.
         summary: Of the run, which has noted its parts.
     """
     parts = (summary.get("model") or {}).get("parts") or {}

@@ -30,9 +30,6 @@ def unknowns_of_outputs(problem: Problem) -> fem.Function:
     """The unknowns that the kernels of outputs read: one function for all outputs of a problem.
 
     Whoever evaluates a state writes it there before.  Collective.
-
-    Args:
-        problem: The problem that is solved.
     """
     if problem not in _UNKNOWNS:
         _UNKNOWNS[problem] = fem.Function(problem.W)
@@ -45,8 +42,6 @@ def cell_components(
     """Components of fields of cells for the law of one region.
 
     Args:
-        problem: The problem that is solved.
-        region: One of its material regions.
         w: All unknowns of the state.
         names: Fields of `FIELDS` that have a formula.
         where: Key of the case file that asks for the fields, for the message.
@@ -136,8 +131,6 @@ def cell_kernel(
     One kernel gives all fields, so that common subexpressions are computed once.
 
     Args:
-        problem: The problem that is solved.
-        region: One of its material regions.
         w: All unknowns of the states that are to be evaluated.
         names: Fields of `FIELDS` that have a formula.
         points: Shape (points, dim).

@@ -32,10 +32,6 @@ class Evaluator:
 
     The constructor compiles one kernel of all fields of cells per material.
 
-    Args:
-        problem: The problem that is solved.
-        names: Names of fields.
-
     Raises:
         InputError: An unknown field, or an energy density without an energy.
     """
@@ -78,7 +74,6 @@ class Evaluator:
         """Name to this rank's rows of each field. Collective.
 
         Args:
-            state: The state.
             more: Further fields, which have no formula.
 
         Returns:

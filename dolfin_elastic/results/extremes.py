@@ -40,11 +40,7 @@ class Extreme:
 
 
 class Extremes:
-    """Finds the extremes of states.  All of it is collective; the constructor compiles.
-
-    Args:
-        problem: The problem that is solved.
-    """
+    """Finds the extremes of states.  All of it is collective; the constructor compiles."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
@@ -115,10 +111,6 @@ def _barycentres(mesh: Mesh, cells: IntArray) -> FloatArray:
 
 def extremes(problem: Problem, state: State) -> dict[str, Extreme]:
     """Extremes of one state. Collective.
-
-    Args:
-        problem: The problem that is solved.
-        state: Its state.
 
     Returns:
         See `Extremes.of`.

@@ -129,7 +129,6 @@ class Field:
         """Value of `formula`, which the field has.
 
         Args:
-            law: Law of the cell's material.
             F: Deformation gradient, 3x3.
         """
         assert self.formula is not None
@@ -141,7 +140,6 @@ def cauchy_stress(law: Law, F: Expr) -> Expr:
     """Cauchy stress [Pa], 3x3; of a linear law its only stress.
 
     Args:
-        law: Law of the material.
         F: Deformation gradient, 3x3.
     """
     P = law.stress(F)
@@ -194,7 +192,6 @@ def has_fibre(law: Law, number: int) -> bool:
     """Whether a material has a direction.
 
     Args:
-        law: Law of the material.
         number: 0 or 1: the first or second of its directions.
     """
     return _written_fibre(law, number) is not None
@@ -204,7 +201,6 @@ def _fibre(law: Law, number: int) -> Expr | None:
     """Unit vector of a material direction in the reference configuration; None without one.
 
     Args:
-        law: Law of the material.
         number: 0 or 1: the first or second of its directions.
     """
     value = _written_fibre(law, number)
@@ -215,7 +211,6 @@ def _total_strain(law: Law, F: Expr) -> Expr:
     """Green strain; of a linear law its own measure sym H.
 
     Args:
-        law: Law of the material.
         F: Deformation gradient, 3x3.
     """
     return kinematics.infinitesimal_strain(F) if law.linear else kinematics.green_strain(F)
@@ -232,7 +227,6 @@ def _fibre_strain(number: int) -> Callable[[Law, Expr], Expr | None]:
         """See `Field.formula`.
 
         Args:
-            law: Law of the material.
             F: Deformation gradient, 3x3.
         """
         a = _fibre(law, number)
@@ -291,7 +285,6 @@ def _stretching(law: Law, F: Expr) -> Expr:
     """Displacement gradient H; of a linear law without the rotation, sym H.
 
     Args:
-        law: Law of the material.
         F: Deformation gradient, 3x3.
     """
     H = kinematics.displacement_gradient(F)
@@ -306,8 +299,6 @@ def _of_stretches(
     """A field of cells without a unit that follows from the displacement gradient in NumPy.
 
     Args:
-        shape: Of the field.
-        description: One line for listings.
         of_tensor: See `Field`.
     """
     return Field(shape, "cell", "", description, _stretching, of_tensor=of_tensor)
@@ -550,7 +541,6 @@ def component_names(stem: str, size: int) -> list[str]:
     """Names of the columns of a field in tables.
 
     Args:
-        stem: What they begin with.
         size: Number of components: 1, 2 or 3 of a vector, 9 of a tensor, row by row.
     """
     if size == 1:

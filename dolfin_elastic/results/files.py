@@ -79,9 +79,6 @@ def write_at(file: MPI.File, path: Path, place: int, values: AnyArray) -> Output
 
     Args:
         file: From `open_together`.
-        path: Its name, for the message.
-        place: Byte at which the array begins.
-        values: The array, C-contiguous.
     """
     status = MPI.Status()
     try:
@@ -124,7 +121,6 @@ def replace_text(path: Path, text: str, *, durable: bool = False) -> None:
 
     Args:
         path: The file.
-        text: Its new content.
         durable: Brings the text to the disk before the renaming (fsync), so that the same holds
             after a loss of power.
 
@@ -179,7 +175,6 @@ def need_space(folder: Path, size: int) -> None:
     """Checks that a disk has room. Not collective.
 
     Args:
-        folder: A folder on it.
         size: Bytes that are needed, beside a reserve of 1 MiB.
 
     Raises:

@@ -137,12 +137,7 @@ class Grid:
 
 
 def places_of(V: fem.FunctionSpace, nodes: IntArray) -> FloatArray:
-    """Places [m] of local nodes in the reference configuration, shape (n, 3). Not collective.
-
-    Args:
-        V: Lagrange space.
-        nodes: Their numbers.
-    """
+    """Places [m] of local nodes in the reference configuration, shape (n, 3). Not collective."""
     wanted = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=bool)
     wanted[nodes] = True
     cells, local = np.nonzero(wanted[V.dofmap.list])

@@ -142,9 +142,6 @@ def read(path: Path, name: str, first: int, count: int) -> AnyArray:
 
     Args:
         path: The file.
-        name: Of the array.
-        first: Number of the first row.
-        count: Number of rows.
 
     Returns:
         Shape (count, columns).

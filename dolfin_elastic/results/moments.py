@@ -98,10 +98,6 @@ class ColumnsOfMoment:
 def columns_of_moments(points: ReferencePoints, problem: Problem) -> list[ColumnsOfMoment]:
     """Finds the points, and checks that there are such supports. Collective.
 
-    Args:
-        points: Of the case.
-        problem: Of which supports and contacts.
-
     Raises:
         InputError: There is no such support or part, its moment is a column in any case, the point
             has other components than the body, two columns have one name, or nothing has a moment.
@@ -155,7 +151,6 @@ def place_of(point: Sequence[float] | str, where: str, problem: Problem) -> Floa
     Args:
         point: Coordinates [m], "middle", or the name of a surface, edge or point.
         where: Key of the case file, for the message.
-        problem: Of which body.
 
     Raises:
         InputError: There is no such part, or the point has other components than the body.

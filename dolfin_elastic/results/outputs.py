@@ -60,8 +60,6 @@ class Output(Record):
         """Opens the output in a folder, which is made if need be. Collective.
 
         Args:
-            problem: The problem that is solved.
-            folder: Of the results.
             saved: `Writer.restart_state` at the checkpoint from which the run continues: results
                 after it are cut off. An output that cannot be cut back begins anew.
 
@@ -110,7 +108,6 @@ def check_frames(fps: float, where: str) -> None:
     """Checks that viewers show so many frames a second of a .gif.
 
     Args:
-        fps: Frames a second.
         where: The key or option that says so.
 
     Raises:

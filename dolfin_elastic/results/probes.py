@@ -109,11 +109,7 @@ class ProbePoint(Record):
         return self
 
     def counted(self, kind: str) -> tuple[Statistic, ...]:
-        """What `PartNumbers` finds of the part; nothing where a plain mean is asked for.
-
-        Args:
-            kind: Of the part.
-        """
+        """What `PartNumbers` finds of the part; nothing where a plain mean is asked for."""
         if self.values:
             return cast("tuple[Statistic, ...]", tuple(dict.fromkeys(self.values)))
         derived = any(FIELDS[name].of_tensor is not None for name in self.fields)
@@ -142,8 +138,6 @@ def check_places(probes: Mapping[str, ProbePoint], body: Body, scale: float) -> 
     """Checks that a body has the points and surfaces of probes. Collective.
 
     Args:
-        probes: Name to point or surface.
-        body: The body.
         scale: Metres per unit of the mesh.
 
     Raises:
@@ -192,10 +186,7 @@ class _Samples:
         """Gauss points of all mesh edges, or all nodes, in the order of their places. Collective.
 
         Args:
-            name: Of the probe.
-            body: The mesh and its names.
             kind: "edge" or "point".
-            on: Name of the part.
             degree: Of polynomials whose means are exact on straight edges.
         """
         own = points_of(body, kind, [on], degree)
@@ -234,7 +225,6 @@ class Probe:
     interface it is the field of the material that comes first in the problem.
 
     Args:
-        problem: The problem that is solved.
         points: Name to coordinates [m] in the reference configuration.
         fields: Fields at all points, or name of the point to its fields.
         surfaces: Name to a surface and the fields whose means over it are evaluated.
@@ -299,8 +289,6 @@ class Probe:
         """Makes it from the settings of a case. Collective.
 
         Args:
-            probes: Name to point or surface.
-            problem: The problem that is solved.
             scale: Metres per unit of the mesh.
             moments: Label of a support to the points about which its moment is found.
             sections: Name to a section of which force and moment are found.
@@ -452,7 +440,6 @@ def _shape_functions(dim: int, degree: int, local: FloatArray) -> FloatArray:
 
     Args:
         dim: 2: triangle, 3: tetrahedron.
-        degree: Of the Lagrange element.
         local: Coordinates in the reference cell, shape (dim,).
 
     Returns:
@@ -484,9 +471,7 @@ class _CellFields:
     """Fields of cells at points, averaged over adjacent cells; see `Probe`.  Collective.
 
     Args:
-        problem: The problem that is solved.
         places: Name of the point to its cell and local coordinates.
-        names: Names of fields of cells.
     """
 
     def __init__(

@@ -37,8 +37,6 @@ def check_surface(body: Body, name: str, where: str = "") -> None:
     """Checks that a mean over a surface is defined. Collective.
 
     Args:
-        body: The body.
-        name: Of the surface.
         where: Key of the case file, for the message.
 
     Raises:
@@ -65,8 +63,6 @@ class SurfaceMean:
     recovered stress, which is fitted to it point by point.
 
     Args:
-        problem: The problem that is solved.
-        surface: Name of the surface.
         fields: Names from `FIELDS` that `check_readable` accepts.
 
     Raises:
@@ -158,7 +154,6 @@ class ReactionSums:
     """Sums of the supports' nodal forces over parts, or at one node.  All of it is collective.
 
     Args:
-        problem: The problem that is solved.
         parts: Name to the name of a surface, edge or point, or to the place of a node [m].
 
     Raises:
@@ -195,7 +190,6 @@ def node_at(problem: Problem, place: Sequence[float], where: str) -> IndexArray:
     """The node at a place, on the rank that owns it; the others have none. Collective.
 
     Args:
-        problem: Whose displacement has the nodes.
         place: In the reference configuration, shape (gdim,) [m].
         where: Key of the case file, for the message.
 

@@ -24,7 +24,6 @@ def refuse_times_beyond(times: Sequence[float], end: float, key: str, unit: str 
     Args:
         times: Times or load factors that are to be met exactly.
         end: Where the run ends.
-        key: Dotted key of the end.
         unit: Of all of them, for the message.
 
     Raises:

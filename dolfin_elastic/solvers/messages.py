@@ -61,7 +61,6 @@ def far_motion(what: str, far: float, longest: float) -> str:
     """The suspicion that the unit of a prescribed motion was forgotten.
 
     Args:
-        what: What moves.
         far: How far it goes [m].
         longest: The longest side of the body [m].
     """
@@ -179,7 +178,6 @@ def load_not_finite(problem: Problem, t: float) -> InputError:
     """The error where loads have no finite value: the formula and its place. Collective.
 
     Args:
-        problem: Whose loads are meant.
         t: Time [s], or load parameter.
     """
     found = undefined_load(problem, t)
@@ -189,12 +187,7 @@ def load_not_finite(problem: Problem, t: float) -> InputError:
 
 
 def count(number: int, thing: str) -> str:
-    """A number of things in words.
-
-    Args:
-        number: How many.
-        thing: In the singular.
-    """
+    """A number of things in words."""
     return f"{number} {thing}" + ("" if number == 1 else "s")
 
 
@@ -211,23 +204,14 @@ def sliver(quality: float) -> str:
 
 
 def material(problem: Problem, names: Sequence[str]) -> str:
-    """Materials in words, or the body where there is only one.
-
-    Args:
-        problem: Whose materials.
-        names: Of those that are meant.
-    """
+    """Materials in words, or the body where there is only one."""
     if len(problem.regions) == 1 or not names:
         return "the body"
     return f"material{'s' if len(names) > 1 else ''} '{', '.join(names)}'"
 
 
 def constants(named: Sequence[str]) -> str:
-    """Advice where constants of the wrong sign have made a material unstable.
-
-    Args:
-        named: The constants with their values.
-    """
+    """Advice where constants of the wrong sign have made a material unstable."""
     which = " and ".join(text.partition(" ")[0] for text in named)
     return (
         f"other constants than {which}, fitted to tests that reach these stretches and kept "

@@ -30,10 +30,6 @@ _ROUND_OFF = 1e-6
 def cavity_notes(case: Case, problem: Problem) -> Iterator[str]:
     """Open cavities whose pressure is prescribed: they have no volume to report. Collective.
 
-    Args:
-        case: Its loads.
-        problem: Made of the case.
-
     Raises:
         InputError: An open cavity whose volume is prescribed.
     """

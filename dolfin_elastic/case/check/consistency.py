@@ -30,7 +30,6 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
     """Checks a case against its mesh. Collective.
 
     Args:
-        case: The case.
         body: From `case.read_body`.
 
     Returns:
@@ -191,12 +190,6 @@ def _check_name(where: str, name: str, kinds: Sequence[str], rule: str, body: Bo
 
 def _check_area(where: str, name: str, body: Body, kind: str = "surface") -> None:
     """A part is more than a set of nodes.
-
-    Args:
-        where: Key that names it.
-        name: Of the part.
-        body: The mesh and its names.
-        kind: Of the part.
 
     Raises:
         MeshError: It is a set of nodes that is no surface.

@@ -82,7 +82,6 @@ def check_formulas(case: Case, integrals: Integrals) -> None:
 
     Args:
         case: Its loads, supports, materials and initial motion.
-        integrals: Of the case's problem.
 
     Raises:
         CaseError: A formula gives no finite number somewhere.
@@ -107,7 +106,6 @@ def check_poles(case: Case, integrals: Integrals) -> None:
 
     Args:
         case: Its loads, supports, materials and initial motion.
-        integrals: Of the case's problem.
 
     Raises:
         CaseError: There is a pole.
@@ -383,7 +381,6 @@ def _roots(function: Callable[[FloatArray], FloatArray], count: int) -> FloatArr
 
     Args:
         function: Values of the functions at a number each.
-        count: Number of functions.
     """
     low: FloatArray = np.zeros(count)
     high: FloatArray = np.ones(count)
@@ -401,7 +398,6 @@ def _grown(
 
     Args:
         size: Absolute values at a number for each zero.
-        roots: The zeros.
         growth: From which on there is a pole.
     """
 

@@ -73,7 +73,6 @@ def contact_gaps(case: Case, problem: Problem) -> tuple[ContactGap, ...]:
 
     Args:
         case: Its contacts, and whether there is motion.
-        problem: Made of the case.
     """
     gaps = initial_gaps(problem, moving=case.dynamics is not None)
     return tuple(
@@ -89,11 +88,7 @@ def contact_gaps(case: Case, problem: Problem) -> tuple[ContactGap, ...]:
 
 
 def tie_information(problem: Problem) -> tuple[str, ...]:
-    """How much of which surfaces is tied, and over which gap. Local.
-
-    Args:
-        problem: Its ties.
-    """
+    """How much of which surfaces is tied, and over which gap. Local."""
     power = "m^2" if problem.body.dim == 3 else "m"
     return tuple(
         f"tie '{tied.label}': {tied.covered:.4g} {power}, gap at most "
@@ -103,12 +98,7 @@ def tie_information(problem: Problem) -> tuple[str, ...]:
 
 
 def tie_notes(case: Case, problem: Problem) -> Iterator[str]:
-    """Ties of which a part lies opposite nothing. Local.
-
-    Args:
-        case: The case.
-        problem: Made of it.
-    """
+    """Ties of which a part lies opposite nothing. Local."""
     for i, tied in enumerate([] if problem.ties is None else problem.ties.surfaces):
         tie, free = case.tie[i], 1 - tied.covered / tied.area
         if free > _UNTIED:
@@ -120,32 +110,18 @@ def tie_notes(case: Case, problem: Problem) -> Iterator[str]:
 
 
 def mesh_notes(case: Case, body: Body) -> list[str]:
-    """What is doubtful in the mesh; with ties, not yet what they may join. Local.
-
-    Args:
-        case: The case.
-        body: Its body.
-    """
+    """What is doubtful in the mesh; with ties, not yet what they may join. Local."""
     return [note for note in body.notes if not (case.tie and _TIE in note)]
 
 
 def untied_notes(case: Case, problem: Problem) -> Iterator[str]:
-    """Bodies of the mesh that are not joined, where the ties of the case do not. Collective.
-
-    Args:
-        case: The case.
-        problem: Made of it.
-    """
+    """Bodies of the mesh that are not joined, where the ties of the case do not. Collective."""
     if case.tie and ConnectedBodies(problem).count > 1:
         yield from (note for note in problem.body.notes if _TIE in note)
 
 
 def touching_notes(problem: Problem) -> Iterator[str]:
-    """Named surfaces of bodies that touch there and move on their own. Collective.
-
-    Args:
-        problem: Made of the case.
-    """
+    """Named surfaces of bodies that touch there and move on their own. Collective."""
     from dolfin_elastic.problem.constraints.ties.touching import touching_surfaces
 
     power = "m^2" if problem.body.dim == 3 else "m"
@@ -166,7 +142,6 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
 
     Args:
         case: Its contacts, and what moves the body.
-        problem: Made of the case.
     """
     if not problem.contact_pairs:
         return
@@ -251,7 +226,6 @@ def check_supports(case: Case, problem: Problem) -> None:
 
     Args:
         case: Its end, or that of its load parameter.
-        problem: Made of the case.
 
     Raises:
         InputError: A formula gives no finite number somewhere.
@@ -280,7 +254,6 @@ def check_curves(case: Case, dim: int) -> None:
 
     Args:
         case: Its end, or that of its load parameter.
-        dim: Of the body.
 
     Raises:
         InputError: A formula gives no finite number at some time.
@@ -319,10 +292,6 @@ def start_notes(problem: Problem, settings: DynamicsSettings) -> tuple[str, ...]
     """Initial conditions that do not fit supports and obstacles. Collective.
 
     Leaves the body undeformed and at rest.
-
-    Args:
-        problem: Made of the case.
-        settings: Of its motion.
 
     Returns:
         Why the scheme is unstable with any step, if it is; incompatible velocities of supports,

@@ -53,10 +53,6 @@ class LoadSum:
 def load_sums(case: Case, integrals: Integrals) -> tuple[LoadSum, ...]:
     """Force and moment of each load, and of all if they are largest together. Collective.
 
-    Args:
-        case: Its loads, supports and times.
-        integrals: Of the case's problem.
-
     Raises:
         CaseError: A formula gives no finite number somewhere.
     """
@@ -78,8 +74,6 @@ def stress_notes(case: Case, integrals: Integrals, sums: tuple[LoadSum, ...]) ->
     """Whether a load's force over the supports' area exceeds half Young's modulus. Collective.
 
     Args:
-        case: Its supports.
-        integrals: Of the case's problem.
         sums: Of the loads, see `load_sums`.
     """
     body = integrals.body

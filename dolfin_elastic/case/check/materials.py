@@ -10,11 +10,7 @@ from dolfin_elastic.model.materials.law import Law
 
 
 def stability_notes(case: Case) -> Iterator[str]:
-    """Materials that constants of the wrong sign make unstable at moderate stretches. Local.
-
-    Args:
-        case: Its materials.
-    """
+    """Materials that constants of the wrong sign make unstable at moderate stretches. Local."""
     for where, law in _with_numbers(case):
         if (named := law.destabilising()) and (found := _limits(law)):
             words, span = found
@@ -26,11 +22,7 @@ def stability_notes(case: Case) -> Iterator[str]:
 
 
 def material_information(case: Case) -> tuple[str, ...]:
-    """Up to which stretches laws are stable whatever their constants, and digits lost. Local.
-
-    Args:
-        case: Its materials.
-    """
+    """Up to which stretches laws are stable whatever their constants, and digits lost. Local."""
     return (*_stable_ranges(case), *_rounded(case))
 
 

@@ -60,7 +60,6 @@ def check_elements(
         comm: The ranks that share the mesh.
         number: Of elements, on all ranks.
         dim: 2 or 3.
-        degree: Of the displacement.
         made: The mesh has been made, and its memory is no longer free.
 
     Raises:
@@ -88,7 +87,6 @@ def memory(problem: Problem, choice: Choice | None) -> Memory:
     """Estimates the memory of a solution. Not collective.
 
     Args:
-        problem: The problem.
         choice: The linear solver; None: an explicit scheme.
     """
     solver = "explicit" if choice is None else "direct" if choice.direct else "iterative"
@@ -108,8 +106,6 @@ def per_unknown(n: int, dim: int, degree: int, *, direct: bool, symmetric: bool 
     Args:
         n: Number of unknowns on all ranks.
         dim: 2 or 3.
-        degree: Of the displacement.
-        direct: The matrix is factorised.
         symmetric: It is symmetric, and so are its factors.
     """
     matrix = {(2, 1): 1.1e3, (2, 2): 1.5e3, (3, 1): 2.1e3, (3, 2): 3.3e3}[dim, degree]

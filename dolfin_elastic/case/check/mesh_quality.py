@@ -44,7 +44,6 @@ def part_notes(body: Body, inner: Collection[str | None] = ()) -> Iterator[str]:
     """Empty regions and surfaces, and surfaces with facets inside the body. Collective.
 
     Args:
-        body: The mesh and its names.
         inner: Surfaces that are meant to lie inside.
     """
     for name in sorted(body.regions):
@@ -93,7 +92,6 @@ def shape_notes(case: Case, problem: Problem) -> list[str]:
 
     Args:
         case: Where its mesh comes from.
-        problem: Made of the case.
     """
     mesh = problem.body.mesh
     curved = int(mesh.geometry.cmap.degree) > 1
@@ -124,7 +122,6 @@ def bending_notes(case: Case, problem: Problem) -> list[str]:
 
     Args:
         case: Its unit of length and its scheme.
-        problem: Made of the case.
     """
     if problem.degree > 1 or problem.cell is not None:
         return []
@@ -178,7 +175,6 @@ def bending_stiffness(found: Thickness, ratios: FloatArray) -> FloatArray:
     10 mm thick, in cells of 12 mm has 2.8 and gets 3.2.
 
     Args:
-        found: Of the mesh.
         ratios: Poisson's ratio of the cells, shape (n,).
     """
     modulus = (1 - ratios) / ((1 + ratios) * (1 - 2 * ratios))

@@ -99,7 +99,6 @@ def unit_information(case: Case, body: Body) -> tuple[str, ...]:
 
     Args:
         case: Its unit of length.
-        body: Its mesh.
     """
     if case.mesh.file is None or case.mesh.unit is not None or body.unit.stated:
         return ()
@@ -107,12 +106,7 @@ def unit_information(case: Case, body: Body) -> tuple[str, ...]:
 
 
 def size_notes(case: Case, body: Body) -> Iterator[str]:
-    """Bodies that are very large or very small, or displaced by more than their size. Collective.
-
-    Args:
-        case: What moves the body.
-        body: Its mesh.
-    """
+    """Bodies that are very large or very small, or displaced by more than their size. Collective."""
     longest = max(extent(body))
     if longest > _LONG or longest < _SHORT:
         what = f"{longest:.3g} m" + (" long" if longest > _LONG else " at most")
@@ -154,8 +148,6 @@ def _farthest(case: Case, value: Component, curve: Amplitude | None, corners: Fl
     What has no value somewhere is left out: other checks tell of it.
 
     Args:
-        case: How long it is.
-        value: The component.
         curve: Its amplitude, if it has one.
         corners: Of the bounding box [m], shape (n, dim).
     """
@@ -493,9 +485,6 @@ def _told_of_both(body: Body, i: int, j: int, nodes: IndexArray) -> Iterator[str
     """That two supports differ at some nodes, if they do on any rank. Collective.
 
     Args:
-        body: The body.
-        i: Number of a support.
-        j: Number of a later one.
         nodes: Local nodes of the geometry, ghosts too.
     """
     owned = nodes[nodes < body.mesh.geometry.index_map().size_local]

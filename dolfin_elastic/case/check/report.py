@@ -129,7 +129,6 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
     """Checks a case against its mesh, without compiling a form or solving. Collective.
 
     Args:
-        case: The case.
         comm: The ranks that share the mesh.
 
     Returns:
@@ -158,10 +157,6 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
 def check_probes(case: Case, problem: Problem) -> None:
     """Checks columns of probes in history.csv, and that reactions are read at nodes. Collective.
 
-    Args:
-        case: Its probes.
-        problem: Made of the case.
-
     Raises:
         InputError: A probe has the column of a reaction or momentum, or no node; there is no
             support of whose moment a column is asked for.
@@ -184,7 +179,6 @@ def check_folder(case: Case, comm: MPI.Comm) -> None:
     """Checks that the folder of the results can be made and written into. Collective.
 
     Args:
-        case: Whose folder.
         comm: The ranks that work together.
 
     Raises:

@@ -45,12 +45,7 @@ class PartSize:
 
 
 def surface_sizes(case: Case, integrals: Integrals) -> tuple[PartSize, ...]:
-    """All named surfaces. Collective.
-
-    Args:
-        case: What refers to them.
-        integrals: Of the case's problem.
-    """
+    """All named surfaces. Collective."""
     body, sizes = integrals.body, []
     for name in sorted(body.surfaces.keys() - body.uncovered.keys()):
         points = integrals.facets([name])
@@ -64,8 +59,6 @@ def lower_sizes(case: Case, integrals: Integrals, kind: str) -> tuple[PartSize, 
     """All named edges, or all points but those sets of nodes that are surfaces. Collective.
 
     Args:
-        case: What refers to them.
-        integrals: Of the case's problem.
         kind: "edge" or "point".
     """
     body, sizes = integrals.body, []
@@ -81,13 +74,7 @@ def lower_sizes(case: Case, integrals: Integrals, kind: str) -> tuple[PartSize, 
 
 
 def region_sizes(case: Case, body: Body, integrals: Integrals) -> tuple[PartSize, ...]:
-    """The whole body, then all regions that the mesh or the case names. Collective.
-
-    Args:
-        case: What refers to them.
-        body: The case's mesh.
-        integrals: Of the case's problem.
-    """
+    """The whole body, then all regions that the mesh or the case names. Collective."""
     cells = _CellMoments(integrals)
     return (
         cells.size(WHOLE, body.owned_cells(), ""),
@@ -110,8 +97,6 @@ def references(case: Case, body: Body, name: str, kind: str) -> str:
     """Kinds of supports, contacts and loads, and names of materials, that refer to a part.
 
     Args:
-        case: The case.
-        body: Its mesh.
         name: Of the part, as the mesh has it.
         kind: "region", "surface", "edge" or "point".
     """
@@ -152,9 +137,7 @@ class _CellMoments:
         """Size of a set of cells. Collective.
 
         Args:
-            name: Its name.
             cells: Local indices of the owned ones.
-            use: What refers to it.
         """
         volume = total(self._comm, self._volumes[cells].sum(axis=0))
         mass = total(self._comm, self._masses[cells].sum(axis=0))

@@ -121,10 +121,8 @@ def listing(
     """Lists a body. Collective.
 
     Args:
-        body: The body with its names.
         case: The case file.
         use: Name and kind of a part to what refers to it.
-        notes: Beside those of the body.
     """
     prepare_facets(body.mesh)
     surfaces = tuple(

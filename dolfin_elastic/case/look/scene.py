@@ -38,12 +38,7 @@ class Drawn:
 
 
 def drawn_of(case: Case, body: Body) -> Drawn:
-    """Supports, loads and obstacles of a case, and its first fault. Collective.
-
-    Args:
-        case: The case.
-        body: Its body.
-    """
+    """Supports, loads and obstacles of a case, and its first fault. Collective."""
     notes: tuple[str, ...] = ()
     sums: tuple[LoadSum, ...] = ()
     try:

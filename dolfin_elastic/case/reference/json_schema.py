@@ -113,7 +113,6 @@ class _Writer:
         """The schema of a record's table.
 
         Args:
-            kind: The record.
             plus: Further keys, or others in place of its own.
         """
         described, properties, needed = descriptions(kind), dict(plus or {}), []
@@ -142,7 +141,6 @@ class _Writer:
         """The schema of a value.
 
         Args:
-            kind: Its type.
             metadata: What pydantic knows beside the type: units and bounds.
             varies: A number may vary in space.
         """

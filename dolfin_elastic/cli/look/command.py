@@ -37,7 +37,6 @@ def look(
     \f
     Args:
         what: A mesh, a CAD file, or a case.
-        output: The picture.
         json: Write the list as JSON.
         trust: Let a script do all that the user may.
 

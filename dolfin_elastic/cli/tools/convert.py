@@ -28,7 +28,6 @@ def convert(
 
     \f
     Args:
-        mesh: A finished mesh.
         target: The .xdmf file.
         force: Overwrite it, and the .h5 file beside it.
 

@@ -43,7 +43,6 @@ def new(
     \f
     Args:
         file: The file to write.
-        kind: What it is about.
         force: Overwrite it if it exists.
 
     Raises:
@@ -74,7 +73,6 @@ def template(kind: Kind, name: str) -> str:
     """The text of a first case file.
 
     Args:
-        kind: What it is about.
         name: What the file will be called.
     """
     text = (TEMPLATES / f"{kind}.toml").read_text(encoding="utf-8")

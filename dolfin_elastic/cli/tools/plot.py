@@ -87,19 +87,10 @@ def plot(
 
     \f
     Args:
-        folder: Of the results.
-        field: Names of fields.
-        step: Which step is drawn.
         view: Direction from which the body is seen.
         up: Axis that is up.
-        scale: Magnification of the displacement.
-        ends: Ends of the colours.
-        clip: Planes that take away a part.
-        line: Both ends of a line.
         circle: Centre, radius and axis of a circle.
-        curve: Columns of the history.
         output: The file that is written.
-        fps: Frames a second of a film.
         speed: Time that passes in a second of a film.
         plain: The body alone: no mark, obstacles, title, colour bar and axes.
         listing: List fields, steps and columns, draw nothing.
@@ -206,9 +197,6 @@ def _check_positive(option: str, value: float, example: str, *, zero: bool = Fal
     """Refuses numbers that are no size of anything: below 0, without end, nan.
 
     Args:
-        option: Its name.
-        value: What was given.
-        example: What would be right.
         zero: 0 is right, too.
     """
     if value < 0 or (value == 0 and not zero) or not isfinite(value):

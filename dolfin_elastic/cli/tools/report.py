@@ -32,12 +32,6 @@ def report(
     One HTML file that every browser opens, without network: what was computed, pictures that can be
     turned, largest values, curves, audit, materials, and how to repeat it.
 
-    \f
-    Args:
-        folder: Of the results.
-        output: The page.
-        pdf: Print it, too.
-
     Raises:
         CaseError: The output is no HTML file.
         InputError: It is no folder of results.

@@ -14,10 +14,6 @@ class Verbs(TyperGroup):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """See `click.Group`; no argument of ours is empty, as an unset variable of a script is.
 
-        Args:
-            ctx: The context of the program.
-            args: What stands on the command line.
-
         Raises:
             UsageError: One is empty: a path would be the current folder.
         """
@@ -36,7 +32,6 @@ class Verbs(TyperGroup):
         """See `click.Group`.
 
         Args:
-            ctx: The context of the program.
             args: What stands on the command line behind it.
 
         Raises:

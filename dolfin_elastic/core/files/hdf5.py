@@ -129,7 +129,6 @@ def shape_in(file: h5py.File, name: str) -> tuple[int, ...]:
 
     Args:
         file: From `opened`.
-        name: Of the array.
 
     Raises:
         OSError: There is no such array.
@@ -144,8 +143,6 @@ def read_rows(
 
     Args:
         path: The file.
-        name: Of the array.
-        start: The first row.
         stop: The row after the last one; None: all of them.
         checked: `opened` has looked at this file before, perhaps on another rank.
 
@@ -164,8 +161,6 @@ def rows_of(file: h5py.File, name: str, start: int = 0, stop: int | None = None)
 
     Args:
         file: The open file.
-        name: Of the array.
-        start: The first row.
         stop: The row after the last one; None: all of them.
     """
     data = _array(file, name)
@@ -200,7 +195,6 @@ def _arrays(root: h5py.h5g.GroupID, size: int, *, virtual: bool) -> Iterator[_St
     Args:
         root: The open file.
         size: Its size [byte].
-        virtual: Virtual arrays are passed over.
 
     Raises:
         UnsafeHdf5Error: A link leads out of the file, or an array is stored outside.
@@ -260,7 +254,6 @@ def _item(kind: h5py.h5t.TypeID, size: int) -> tuple[int, bool]:
     """Bytes of one entry in memory, and whether they vary: then they are at most those of the file.
 
     Args:
-        kind: Type of the entries.
         size: Of the file [byte].
     """
     import h5py

@@ -72,8 +72,6 @@ def check_memory(
         comm: The ranks that share the mesh.
         elements: How many there are or would be, on all ranks.
         each: Memory that an element takes [byte].
-        where: The key, for messages.
-        expected: What to do.
 
     Raises:
         MeshError: They need more than is free, on every rank.

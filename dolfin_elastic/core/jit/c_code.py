@@ -49,7 +49,6 @@ def compile_c(
 
     Args:
         comm: The ranks.
-        file: Its name.
         sizes: Macros that it uses, by name.
         jit_options: From `options`.
         kernel: The header "kernel.h", where it includes one.

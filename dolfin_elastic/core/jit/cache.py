@@ -78,7 +78,6 @@ def find(roots: Sequence[Path], key: str) -> Path | None:
 
     Args:
         roots: The cache, and folders in its place.
-        key: Name of the form.
     """
     for number, root in enumerate(roots):
         if _is_whole(root / key) and not why_foreign(root.absolute(), own=number > 0):

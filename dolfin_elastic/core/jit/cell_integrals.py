@@ -56,7 +56,6 @@ class CellIntegrals:
 
     Args:
         form: Of one test function in the space of the unknowns, or of none.
-        w: The unknowns.
         jit_options: From `options`.
     """
 
@@ -118,9 +117,7 @@ class CellExpression:
     Where it has another coefficient than the unknowns, DOLFINx evaluates it.
 
     Args:
-        expression: In UFL.
         points: Of the reference cell, shape (points, dim).
-        w: The unknowns.
         jit_options: From `options`.
         loops: What is to be done with it; by default it can only be evaluated, and else not,
             where it has a kernel.
@@ -214,8 +211,6 @@ def _loops_over_cells(
     """The loops for a kernel. Collective.
 
     Args:
-        w: The unknowns.
-        kernel: FFCx's function.
         jit_options: From `options`.
         many: There are so many cells that lanes pay.
         loops: Which; by default those of cells.c.
@@ -248,10 +243,6 @@ def _kernels(form: fem.Form, w: fem.Function) -> list[tuple[Kernel, IndexArray]]
     """The functions of a form's integrals, with their cells.
 
     None where another coefficient than w is in one.
-
-    Args:
-        form: Of cells.
-        w: The unknowns.
     """
     inner, compiled = form._cpp_object, form.ufcx_form
     ours = [one is w._cpp_object for one in inner.coefficients]

@@ -126,11 +126,7 @@ class Claim:
 
 
 class _Watch:
-    """Watches the holder of a claim.
-
-    Args:
-        file: Of the claim.
-    """
+    """Watches the holder of a claim."""
 
     def __init__(self, file: Path) -> None:
         self._file, self._seen = file, ""

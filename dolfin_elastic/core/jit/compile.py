@@ -127,7 +127,6 @@ def compile_forms(
 
     Args:
         comm: The ranks of the forms' mesh.
-        forms: UFL forms.
         jit_options: From `options`.
 
     Returns:
@@ -344,7 +343,6 @@ def on_all_ranks(comm: MPI.Comm, make: Callable[[], T]) -> T:
 
     Args:
         comm: The ranks.
-        make: The function.
     """
     error: Exception | None = None
     made: T | None = None
@@ -360,7 +358,6 @@ def _made_of(folder: Path, make: Callable[[], T]) -> tuple[T, Library]:
     """A compiled object of DOLFINx, and the library that it is in. Not collective.
 
     Args:
-        folder: Of its code.
         make: Makes it of what `jit.ffcx_jit` returns.
     """
     library = load_library(folder)

@@ -32,11 +32,7 @@ _CALL = re.compile(r"\b([A-Za-z_]\w*)\(")
 
 
 def kernel_of_one_cell(arguments: int) -> str:
-    """LANES = 1, and TABULATE, which calls FFCx's function at `kernel`.
-
-    Args:
-        arguments: How many that has.
-    """
+    """LANES = 1, and TABULATE, which calls FFCx's function at `kernel`."""
     return f'#define LANES 1\n#define ARGUMENTS {arguments}\n#include "lanes.h"\n'
 
 
@@ -44,7 +40,6 @@ def kernel_in_lanes(folder: Path, number: int) -> str | None:
     """LANES > 1, and TABULATE for so many cells; None where FFCx's function has unknown code.
 
     Args:
-        folder: Of the compiled module.
         number: Which integral of its form; 0 for an expression.
     """
     body = _in_lanes(_body(folder, number))

@@ -25,8 +25,6 @@ def length_of(expression: str, names: Sequence[str], macros: Mapping[str, int]) 
 
     Args:
         expression: Of integers, their names, entries of arrays, + - * / and brackets.
-        names: Of the parameters.
-        macros: Values of other names.
 
     Raises:
         ValueError: There is something else in it.

@@ -64,7 +64,6 @@ def point_of(
         values: Two or three coordinates: bare numbers in the mesh's unit, or texts with a unit.
         scale: Metres per unit of length of the mesh.
         dim: Of the body; further coordinates are left out.
-        where: Their key, for messages.
 
     Raises:
         MeshError: There are too few.

@@ -119,10 +119,6 @@ class Shape(Record):
     def check(self, dim: int, *, axisymmetric: bool) -> None:
         """Raises where the shape, in metres, cannot be met by a body.
 
-        Args:
-            dim: Dimension of the body.
-            axisymmetric: The body is axisymmetric about y.
-
         Raises:
             InputError: A vector has the wrong length, or the shape is none in this plane.
         """
@@ -163,7 +159,6 @@ class Shape(Record):
         """Its surface, counter-clockwise seen from outside; what is endless beside a box.
 
         Args:
-            near: The box, in three dimensions.
             dim: Of the body; in a plane what the shape fills of it.
         """
 

@@ -36,7 +36,6 @@ def revolved(
     """A surface of revolution, of circles one after the other along its axis.
 
     Args:
-        middle: A point of the axis.
         axis: Unit vector along it.
         along: Position of each circle from there [m], shape (m,).
         radii: Their radii [m], shape (m,).

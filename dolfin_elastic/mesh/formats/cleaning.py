@@ -125,9 +125,7 @@ def _restricted(raw: RawMesh, used: BoolArray, why: str) -> RawMesh:
     """The mesh without some points; parts that lose members with them are not whole.
 
     Args:
-        raw: The mesh.
         used: Whether each point remains.
-        why: What the others are, in words.
     """
     new = np.cumsum(used) - 1
     kept: dict[str, dict[str, IntArray]] = {"surfaces": {}, "edges": {}, "nodes": {}}
@@ -219,9 +217,7 @@ def _hinged(raw: RawMesh, here: IntArray, there: IntArray) -> RawMesh:
     """Notes pieces that share nodes and no facet.
 
     Args:
-        raw: The mesh.
         here: A cell beside each facet inside.
-        there: The cell on its other side.
     """
     corners = _corners(raw)
     pieces, label = connected_components(len(corners), np.stack([here, there], axis=1))
@@ -269,7 +265,6 @@ def _same_places(raw: RawMesh, piece: IntArray) -> IntArray:
     """Vertices that are where one of another piece is, one of each place.
 
     Args:
-        raw: The mesh.
         piece: Number of the piece of each point, shape (N,).
     """
     nodes = np.unique(_corners(raw))
@@ -341,12 +336,7 @@ def without(numbers: IntArray, unused: IntArray) -> IntArray:
 
 
 def unused_text(count: int, points: int) -> str:
-    """What is said of points that are left out.
-
-    Args:
-        count: How many they are.
-        points: Of how many.
-    """
+    """What is said of points that are left out."""
     return f"{count} of {points} points belong to no cell (dropped)"
 
 

@@ -54,7 +54,6 @@ def convert_mesh(
         path: A finished mesh of any format of `read_body`.
         target: The .xdmf file; its arrays go into a .h5 file beside it.
         comm: The ranks.
-        force: Overwrite both files.
 
     Raises:
         MeshError: It is no finished mesh, cannot be read, or is not fit for use; or the target
@@ -101,7 +100,6 @@ def _check_target(path: Path, target: Path, *, force: bool) -> None:
     """Refuses what is no finished mesh, or need not be converted, and files that exist.
 
     Args:
-        path: The mesh.
         target: The new file.
         force: It may exist.
 

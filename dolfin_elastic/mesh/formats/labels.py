@@ -56,7 +56,6 @@ def missing(lost: IntArray, count: int, what: str) -> str:
     Args:
         lost: Members that do not exist.
         count: Number of all members.
-        what: Members in the plural.
     """
     if not len(lost):
         return ""

@@ -24,7 +24,6 @@ def check_warnings(text: str, path: Path) -> None:
     """Refuses a file of which meshio has left something out.
 
     Args:
-        text: What meshio has printed.
         path: The file.
 
     Raises:
@@ -55,7 +54,6 @@ def check_cells(path: Path, cells: int) -> None:
 
     Args:
         path: The file.
-        cells: How many meshio has found.
 
     Raises:
         MeshError: They differ.

@@ -174,7 +174,6 @@ def sets_by_value(
 
     Args:
         data: One number for each cell of a block.
-        key: Name of the data.
         names: Names of values, where the format has them; others are called "3" in data that the
             format uses as references, and else "key_3".
 

@@ -95,7 +95,6 @@ class _Numbers:
         """The next numbers, of shape (count,).
 
         Args:
-            count: How many.
             code: i4 (int), u8 (size_t) or f8 (double).
 
         Raises:
@@ -305,9 +304,7 @@ def _run(words: IntArray, width: int, alike: list[int], most: int, whole: bool) 
 
     Args:
         words: Numbers of the section from the first row on.
-        width: Numbers in a row.
         alike: Columns that must agree with the first row.
-        most: Largest number of rows.
         whole: All `most` rows must be there.
     """
     rows = words[: min(most, len(words) // width) * width].reshape(-1, width)
@@ -397,7 +394,6 @@ def _rows(tags: IntArray, order: IntArray, nodes: IntArray) -> IntArray:
     """Rows of `points` for tags of nodes.
 
     Args:
-        tags: Tags of the points.
         order: Permutation that sorts `tags`.
         nodes: Tags to look up, any shape.
     """

@@ -35,7 +35,6 @@ def data_rows(views: Mapping[str, View], tags: IntArray) -> dict[str, FloatArray
     """Values of elements or points, of the views that have some.
 
     Args:
-        views: Name to view.
         tags: Tags of elements or points, shape (n,).
 
     Returns:
@@ -49,10 +48,8 @@ def views(sections: Sequence[bytes], kind: str, *, binary: bool, swap: bool) -> 
     """Reads all sections of a kind; of several time steps of one name the last.
 
     Args:
-        sections: Texts of the sections.
         kind: "ElementData" or "NodeData".
         binary: The file is binary.
-        swap: Its bytes are big-endian.
 
     Raises:
         MeshError: A section is damaged.

@@ -208,7 +208,6 @@ def _of_faces(below: Sequence[Block], rows: Callable[[Block], Array]) -> dict[in
 
     Args:
         below: Elements one dimension lower than the cells.
-        rows: Those of a block.
     """
     found: dict[int, list[Array]] = {}
     for block in below:
@@ -322,8 +321,6 @@ def _midsides(solid: Sequence[Block], dim: int, facets: IntArray) -> IntArray:
     """Midside nodes of facets, shape (F, sides); of linear cells (F, 0).
 
     Args:
-        solid: The cells.
-        dim: Their dimension.
         facets: Vertices, sorted, shape (F, dim).
     """
     if solid[0].nodes.shape[1] == dim + 1:

@@ -83,7 +83,6 @@ class _Dataset:
         """An error that names file and line.
 
         Args:
-            what: What is wrong.
             row: Index of the line in the dataset.
         """
         return MeshError(f"dataset {self.number}: {what}", where=f"{self.file}:{self.start + row}")

@@ -246,7 +246,6 @@ class _File:
 
         Args:
             source: Where they are.
-            start: Of the sizes, in the source.
             need: Number of bytes that there must be; more are never made.
             encoded: The source is base64, in which `start` counts characters.
         """

@@ -512,9 +512,7 @@ def _parts(
     """Name to local entities, and to what is missing of it. Collective.
 
     Args:
-        mesh: The mesh.
         path: The `.xdmf` file.
-        tags: What it holds of them.
         points: How many the file has.
         unused: Those that the mesh is without.
     """
@@ -545,9 +543,7 @@ def _lost(comm: MPI.Comm, name: str, numbers: IndexArray, gone: BoolArray) -> di
 
     Args:
         comm: The ranks.
-        name: Of the tags.
         numbers: Of this rank's share of their cells.
-        gone: Which of these have such points.
     """
     values = np.unique(np.concatenate(comm.allgather(np.unique(numbers[gone]))))
     if len(values) > _MOST:

@@ -198,8 +198,6 @@ def hdf_rows(file: Path, array: Array, start: int = 0, stop: int | None = None) 
 
     Args:
         file: The `.xdmf` file.
-        array: The array.
-        start: The first row.
         stop: The row after the last one; None: all of them.
 
     Returns:
@@ -228,9 +226,7 @@ def distributed(
 
     Args:
         body: Read from the same file.
-        centre: What the rows belong to.
         file: The `.xdmf` file.
-        array: The rows.
         unused: Rows of the file that the mesh is without, sorted; None: it has all of them.
 
     Raises:
@@ -244,7 +240,6 @@ def distributed(
         """Some rows, of shape (stop - start, columns).
 
         Args:
-            start: The first row.
             stop: The row after the last one.
         """
         if kept is None:
@@ -314,7 +309,6 @@ def named(body: Body, path: Path, names: Names) -> Body:
     Args:
         body: Read from the file.
         path: The `.xdmf` file.
-        names: What it says of its parts.
     """
     if names == Names():
         return body
@@ -362,9 +356,6 @@ def _tables(
 
     Args:
         path: The `.xdmf` file.
-        parts: The named parts, among them regions.
-        points: Number of points.
-        dim: Of the body.
     """
     widths = {"surface": dim, "edge": 2, "point": 1}
     found: dict[str, dict[str, IntArray]] = {kind: {} for kind in widths}
@@ -412,7 +403,6 @@ def write_named(
     """Writes a mesh with its names. Local: one rank writes.
 
     Args:
-        raw: The mesh, cleaned.
         path: The `.xdmf` file; its arrays go into a file `.h5` beside it.
         unit: Unit of length that its own file states, or None.
         permutation: The node order of its quadratic cells: `cpp.io.perm_vtk` or `perm_gmsh`.
@@ -443,7 +433,6 @@ class _Writer:
     """Writes arrays into an HDF5 file, and makes the XML that refers to them.
 
     Args:
-        file: Open for writing.
         name: Of the file.
     """
 
@@ -497,10 +486,6 @@ class _Writer:
         """Adds a surface, edge or point.
 
         Args:
-            domain: The document.
-            kind: Of the part.
-            name: Of the part.
-            path: Of the array.
             rows: Vertices, or nodes, by their rows in `points`, shape (n, 1 to 3).
         """
         grid = _grid(domain, name)
@@ -558,12 +543,5 @@ def _grid(domain: ElementTree.Element, name: str) -> ElementTree.Element:
 
 
 def _say(element: ElementTree.Element, name: str, value: str, text: str = "") -> None:
-    """Adds what is said of a grid or an attribute.
-
-    Args:
-        element: The grid or attribute.
-        name: What it is about.
-        value: Its value.
-        text: More about it.
-    """
+    """Adds what is said of a grid or an attribute."""
     ElementTree.SubElement(element, "Information", Name=name, Value=value).text = text or None

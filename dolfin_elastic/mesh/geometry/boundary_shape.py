@@ -69,10 +69,6 @@ class KnownSurface:
 class BoundaryShape:
     """The shape of a body's boundary. Collective to make.
 
-    Args:
-        mesh: The mesh.
-        known: What is known of its surface.
-
     Attributes:
         facets: Local facets of the boundary, each on one rank, shape (facets,).
         cells: The cell of each.
@@ -282,7 +278,6 @@ def facet_ridges(dim: int, local: IndexArray) -> tuple[IntArray, IndexArray]:
     """Local vertices of facets, and local ridges of their cells opposite to each.
 
     Args:
-        dim: Of the cells.
         local: Number of each facet in its cell, shape (facets,).
 
     Returns:
@@ -299,9 +294,7 @@ def _frames(mesh: Mesh, cells: IndexArray, local: IndexArray) -> FloatArray:
     """Outward normal and direction into the facet at the middle of each edge of facets. Local.
 
     Args:
-        mesh: The mesh.
         cells: The cell of each facet.
-        local: The facet's number in it.
 
     Returns:
         Shape (facets, d, 6).
@@ -326,10 +319,8 @@ def _frame(
 
     Args:
         nodes: Geometry nodes of the cells, shape (cells, nodes, dim).
-        degree: Of the geometry.
         facet: Local facet.
         ridge: Corners of one of its edges; in the plane one corner.
-        other: Its other corner.
 
     Returns:
         Shape (cells, 6).

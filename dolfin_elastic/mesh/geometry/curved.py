@@ -51,7 +51,6 @@ def cell_gradients(nodes: FloatArray, degree: int, points: FloatArray) -> FloatA
 
     Args:
         nodes: Coordinates of their nodes [m], shape (n, k, gdim).
-        degree: Geometric degree.
         points: Points of the reference simplex, shape (points, tdim).
 
     Returns:
@@ -68,7 +67,6 @@ def shape_functions(mesh: Mesh, points: FloatArray) -> FloatArray:
     """Shape functions of the geometry of a mesh's cells. Local.
 
     Args:
-        mesh: The mesh.
         points: Points of the reference cell, shape (points, dim).
 
     Returns:
@@ -82,7 +80,6 @@ def shape_gradients(mesh: Mesh, points: FloatArray) -> FloatArray:
     """Gradients of the shape functions of the geometry, in the reference cell. Local.
 
     Args:
-        mesh: The mesh.
         points: Points of the reference cell, shape (points, dim).
 
     Returns:
@@ -101,7 +98,6 @@ def cell_jacobians(mesh: Mesh, points: FloatArray, cells: IndexArray | None = No
     """det(dx/dX) of local cells. Local.
 
     Args:
-        mesh: The mesh.
         points: Points of the reference cell, shape (points, dim).
         cells: Local cells; by default all.
 
@@ -143,7 +139,6 @@ def facet_areas(mesh: Mesh, facets: IndexArray) -> FloatArray:
     Exact for straight facets; by a rule of degree 8 for curved ones.
 
     Args:
-        mesh: The mesh.
         facets: Local facets, shape (n,).
     """
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
@@ -159,7 +154,6 @@ def facet_points(
     """Points and tangents dx/dX of local facets. Local, after `prepare_facets`.
 
     Args:
-        mesh: The mesh.
         facets: Local facets, shape (facets,).
         points: Points of the reference facet, shape (points, d - 1).
 
@@ -177,8 +171,6 @@ def facet_shape_functions(dim: int, degree: int, points: FloatArray) -> FloatArr
     """Values of Lagrange's shape functions on a facet, nodes in the order of its closure.
 
     Args:
-        dim: Of the cells.
-        degree: Of the functions.
         points: Points of the reference facet, shape (points, dim - 1).
 
     Returns:
@@ -219,7 +211,6 @@ def cell_quadrature(mesh: Mesh, cells: IndexArray, degree: int) -> QuadraturePoi
     """Points that integrate polynomials of a degree over local cells. Local.
 
     Args:
-        mesh: The mesh.
         cells: Local cells, shape (n,).
         degree: Degree in X of polynomials that straight cells integrate exactly; on curved ones
             the rule is raised by the degree of the determinant of the map.
@@ -238,7 +229,6 @@ def facet_quadrature(mesh: Mesh, facets: IndexArray, degree: int) -> QuadratureP
     Local, after `prepare_facets`.
 
     Args:
-        mesh: The mesh.
         facets: Local facets, shape (n,).
         degree: Degree of polynomials that straight facets integrate exactly; on curved ones, where
             the integrand is no polynomial, the rule is 8 degrees higher.
@@ -283,7 +273,6 @@ def node_points(mesh: Mesh, nodes: IndexArray) -> PointsInCells:
     """Geometry nodes in the first local cell of each. Local.
 
     Args:
-        mesh: The mesh.
         nodes: Local geometry nodes, shape (n,).
     """
     d, cells, local = mesh.topology.dim, *node_cells(mesh, nodes)
@@ -302,7 +291,6 @@ def edge_rule(mesh: Mesh, degree: int) -> tuple[FloatArray, FloatArray, FloatArr
     """Points on the edges of the reference tetrahedron.
 
     Args:
-        mesh: Tetrahedra.
         degree: Degree of polynomials that straight edges integrate exactly; on curved ones, where
             the length element is no polynomial, the rule is 8 degrees higher.
 
@@ -321,7 +309,6 @@ def edge_points(mesh: Mesh, edges: IndexArray, degree: int) -> PointsInCells:
     """Quadrature points along local edges of tetrahedra. Local, after `prepare_edges`.
 
     Args:
-        mesh: Tetrahedra.
         edges: Local edges, shape (n,).
         degree: See `edge_rule`.
     """

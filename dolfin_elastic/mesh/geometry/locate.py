@@ -48,7 +48,6 @@ def locate(
     midpoint comes first along x, then y, then z: the same on any ranks.
 
     Args:
-        body: The body.
         points: Name to coordinates [m] in the reference configuration.
         order: Rank of each owned cell, for example the number of its material; None: all equal.
 
@@ -126,7 +125,6 @@ def _reference_coordinates(mesh: Mesh, nodes: FloatArray, point: FloatArray) -> 
     One iteration where cells are straight.
 
     Args:
-        mesh: Their mesh.
         nodes: Shape (cells, nodes, d).
         point: Shape (d,).
 

@@ -75,7 +75,6 @@ def mesh_statistics(body: Body, *, worst: int = 5) -> MeshStatistics:
     """Sizes of a body and shapes of its cells. Collective.
 
     Args:
-        body: The body.
         worst: How many of the worst cells to name.
     """
     mesh, comm = body.mesh, body.comm
@@ -106,12 +105,7 @@ def mesh_statistics(body: Body, *, worst: int = 5) -> MeshStatistics:
 
 
 def worst_cells(body: Body, count: int) -> tuple[CellQuality, ...]:
-    """The cells of the lowest quality, the worst first. Collective.
-
-    Args:
-        body: The body.
-        count: How many cells.
-    """
+    """The cells of the lowest quality, the worst first. Collective."""
     owned = body.owned_cells()
     corners = cell_corners(body.mesh, owned)
     volumes = cell_volumes(body.mesh)[owned]
@@ -126,7 +120,6 @@ def quality_at(body: Body, place: Sequence[float]) -> float:
     """Quality of the cell whose midpoint is nearest to a place. Collective.
 
     Args:
-        body: The body.
         place: In the undeformed body [m], of as many components as the body has.
     """
     corners = cell_corners(body.mesh, body.owned_cells())

@@ -51,7 +51,6 @@ def sums_by_row(rows: IndexArray | IntArray, values: FloatArray, count: int) -> 
     Args:
         rows: Row of each value, any shape.
         values: The same shape and (columns,).
-        count: Number of rows.
     """
     flat, table = rows.reshape(-1), values.reshape(rows.size, values.shape[-1])
     # Not by a sparse matrix: importing scipy takes longer.
@@ -96,7 +95,6 @@ class Ridges:
         """Sums over some of the rows, of each ridge on all ranks. Collective.
 
         Args:
-            rows: Which of those that were given.
             values: Shape (these rows, columns).
 
         Returns:

@@ -58,7 +58,6 @@ def cell_corners(mesh: Mesh, cells: IndexArray | None = None) -> FloatArray:
     """Vertex coordinates of local cells [m], shape (n, d + 1, d). Local.
 
     Args:
-        mesh: The mesh.
         cells: Local cells; by default all.
     """
     d = mesh.topology.dim
@@ -86,7 +85,6 @@ def cells_beside_facets(mesh: Mesh, facets: IndexArray) -> tuple[IndexArray, Ind
     The index is that of the opposite vertex, too.  Local, after `prepare_facets`.
 
     Args:
-        mesh: The mesh.
         facets: Local facets, shape (n,).
 
     Returns:
@@ -106,7 +104,6 @@ def facet_nodes(mesh: Mesh, facets: IndexArray) -> IndexArray:
     Local, after `prepare_facets`.
 
     Args:
-        mesh: The mesh.
         facets: Local facets, shape (n,).
     """
     d = mesh.topology.dim
@@ -133,7 +130,6 @@ def cells_beside_edges(mesh: Mesh, edges: IndexArray) -> tuple[IndexArray, Index
     Local, after `prepare_edges`.
 
     Args:
-        mesh: Tetrahedra.
         edges: Local edges, shape (n,).
 
     Returns:
@@ -150,7 +146,6 @@ def edge_nodes(mesh: Mesh, edges: IndexArray) -> IndexArray:
     """Geometry nodes at both ends of local edges, shape (n, 2). Local, after `prepare_edges`.
 
     Args:
-        mesh: Tetrahedra.
         edges: Local edges, shape (n,).
     """
     cells, local = cells_beside_edges(mesh, edges)
@@ -176,7 +171,6 @@ def node_cells(mesh: Mesh, nodes: IndexArray) -> tuple[IndexArray, IndexArray]:
     """The first local cell with each geometry node, and the node's local index in it. Local.
 
     Args:
-        mesh: The mesh.
         nodes: Local geometry nodes, shape (n,).
 
     Returns:
@@ -194,7 +188,6 @@ def facet_corners(mesh: Mesh, facets: IndexArray) -> FloatArray:
     """Vertex coordinates of local facets [m], shape (n, d, d). Local, after `prepare_facets`.
 
     Args:
-        mesh: The mesh.
         facets: Local facets, shape (n,).
     """
     return np.asarray(mesh.geometry.x[facet_nodes(mesh, facets), : mesh.topology.dim])
@@ -206,7 +199,6 @@ def facet_normals(mesh: Mesh, facets: IndexArray) -> FloatArray:
     Local, after `prepare_facets`.
 
     Args:
-        mesh: The mesh.
         facets: Local facets, shape (n,).
 
     Returns:
@@ -227,7 +219,6 @@ def outward_normals(mesh: Mesh, facets: IndexArray) -> FloatArray:
     Local, after `prepare_facets`.
 
     Args:
-        mesh: The mesh.
         facets: Local facets, shape (n,).
     """
     normals = facet_normals(mesh, facets)

@@ -75,9 +75,6 @@ def _faces(mesh: Mesh, facets: IndexArray) -> FloatArray:
 class _Walk:
     """Means of tensors over the neighbourhood of cells. Steps are collective.
 
-    Args:
-        mesh: The mesh.
-
     Attributes:
         edges: Mean over the edges e of the cells around each vertex of e e [m^2]; arrays of
             vertices have a row for each local one, with the upper triangle of a tensor.

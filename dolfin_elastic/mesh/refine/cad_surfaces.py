@@ -76,7 +76,6 @@ class CadSurfaces:
 
         Args:
             body: The coarse body, whose corners lie on the surfaces.
-            division: Of its cells.
             space: Scalar Lagrange space whose nodes are those of the finer mesh.
             x: Their places [m] in the shape of the coarse body, ghosts included.
 
@@ -145,7 +144,6 @@ class _Model:
     """The model, as surfaces.
 
     Args:
-        model: In Gmsh.
         dim: 3, or 2: then its curves are the surfaces.
     """
 
@@ -157,7 +155,6 @@ class _Model:
         """Distances of places to a surface; infinite outside of its box by more than `near`.
 
         Args:
-            tag: Number of the surface.
             places: In the file's unit, shape (n, 3).
             near: In the file's unit.
         """
@@ -172,7 +169,6 @@ class _Model:
         """Nearest places on one surface, or on the curves in which two meet; None: they stay.
 
         Args:
-            surfaces: Their numbers.
             places: In the file's unit, shape (n, 3).
         """
         straight = [self._model.kind(self._dim, tag) in _STRAIGHT for tag in surfaces]
@@ -273,8 +269,6 @@ def _restore_folded(body: Body, space: fem.FunctionSpace, x: FloatArray, moved: 
     """Puts nodes of cells back that would be flat or fold; returns how many. Collective.
 
     Args:
-        body: The coarse body.
-        space: Of the nodes.
         x: Their places before [m].
         moved: Their places afterwards [m], which are changed.
     """

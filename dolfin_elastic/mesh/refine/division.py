@@ -32,7 +32,6 @@ def lagrange(dim: int, degree: int) -> basix.finite_element.FiniteElement:
 
     Args:
         dim: 2 or 3.
-        degree: Of its polynomials.
     """
     return basix.create_element(
         basix.ElementFamily.P, _SHAPES[dim], degree, basix.LagrangeVariant.equispaced
@@ -81,7 +80,6 @@ def divide(mesh: Mesh, cells: IndexArray) -> Division:
     Collective.
 
     Args:
-        mesh: The coarse mesh.
         cells: Local cells of this rank.
     """
     d = mesh.topology.dim
@@ -133,7 +131,6 @@ def interpolated(dim: int, degree: int, places: FloatArray, values: AnyArray) ->
 
     Args:
         dim: 2 or 3.
-        degree: Of the element.
         places: Barycentric coordinates, shape (cells, k, dim + 1).
         values: At the nodes of the cells, shape (cells, nodes, columns).
 

@@ -28,10 +28,6 @@ Measured as in `mesh/distribute.py`, of 3e5 elements after two refinements: 840 
 def refined_uniformly(body: Body, times: int) -> Body:
     """The body with every edge of its cells halved so many times. Collective.
 
-    Args:
-        body: The body.
-        times: How often.
-
     Raises:
         MeshError: There would be too many cells.
     """
@@ -50,7 +46,6 @@ def refined_locally(body: Body, sizes: Sequence[LocalSize]) -> Body:
     to leave no node hanging.
 
     Args:
-        body: The body with its names.
         sizes: Where, and how small; bare numbers are in the body's unit.
 
     Raises:

@@ -33,8 +33,6 @@ def carry_parts(
     """Named parts of the finer mesh: the fields of `Body` that hold such.  Collective.
 
     Args:
-        body: The coarse body.
-        mesh: The finer mesh, with its facets.
         corners: Barycentric coordinates of the corners of its local cells in their parents.
         of_parents: Rows of coarse cells to rows of the parents of finer cells.
     """
@@ -60,7 +58,6 @@ def _named(parts: Parts, marks: AnyArray, members: AnyArray) -> dict[str, IndexA
     """Name to its members.
 
     Args:
-        parts: The names.
         marks: Whether a cell, or one of its facets, edges or nodes, has each name, shape
             (..., parts).
         members: Local numbers of these, shape (...).
@@ -110,9 +107,6 @@ def carry_faces(
 
     Args:
         body: See `carry_parts`, as the others.
-        mesh: The finer mesh.
-        corners: In the parents.
-        of_parents: To finer cells.
     """
     if body.faces is None:
         return None
@@ -132,9 +126,6 @@ def carry_surface(
 
     Args:
         body: See `carry_parts`, as the others.
-        mesh: The finer mesh.
-        corners: In the parents.
-        of_parents: To finer cells.
     """
     shape, d, count = boundary_shape(body), body.dim, len(body.mesh.geometry.dofmap)
     known, vertices = shape.known(), facet_vertices(body.dim)
@@ -167,8 +158,6 @@ def _entities_within(d: int, dim: int, corners: FloatArray) -> AnyArray:
     """Which facet or edge of the parent each facet or edge of a finer cell lies in.
 
     Args:
-        d: Dimension of the cells.
-        dim: Of the entities.
         corners: Barycentric coordinates of the cells' corners, shape (cells, d + 1, d + 1).
 
     Returns:

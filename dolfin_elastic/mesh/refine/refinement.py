@@ -49,7 +49,6 @@ class Refinement:
         """A finite element function of the coarse body at the nodes of the finer one. Collective.
 
         Args:
-            degree: Of its Lagrange element.
             values: At the nodes of the local cells, shape (coarse cells, nodes, columns).
 
         Returns:
@@ -70,7 +69,6 @@ def refine_body(body: Body, cells: IndexArray) -> Refinement:
     boundary are moved to the surfaces of that file.
 
     Args:
-        body: The body.
         cells: Local cells of this rank that are divided.
 
     Raises:

@@ -88,7 +88,6 @@ class LoadContext(Protocol):
         """A scalar field: a number, or a formula in x, y, z and t.
 
         Args:
-            value: The number or formula.
             parts: Where it is integrated, by `volumes`, `densities` or `areas` as they are: there
                 formulas are evaluated.  None: anywhere, and a formula is a polynomial in each cell.
         """

@@ -157,9 +157,7 @@ class Cavity(Load):
         """Virtual work of a pressure on the surfaces of the cavity.
 
         Args:
-            context: The problem's side of the form.
             p: Pressure [Pa], a UFL scalar.
-            linear: On the undeformed surfaces.
         """
         return -p * ufl.inner(area_vector(context, linear), context.v) * context.areas(self.parts)
 
@@ -168,10 +166,6 @@ class Cavity(Load):
 
     def enclosed(self, context: LoadContext, linear: bool) -> ufl.Form:
         """Form of the enclosed volume in the current configuration [m^3].
-
-        Args:
-            context: The problem's side of the form.
-            linear: To first order in u.
 
         Raises:
             InputError: The origin does not fit the body.

@@ -35,7 +35,6 @@ class Eigenstrain(Load):
         """Growth part Fg of the deformation gradient, a UFL tensor of shape (3, 3).
 
         Args:
-            context: The problem's side of the form.
             expansion: The material's coefficient of thermal expansion [1/K], if it has one.
             share: Indicator function of the load's regions; None: the whole body.
         """

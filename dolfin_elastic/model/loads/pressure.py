@@ -80,7 +80,6 @@ def area_vector(context: LoadContext, linear: bool) -> Expr:
     """Current area vector over reference area, cof F N (Nanson); as many components as the body.
 
     Args:
-        context: The problem's side of the form.
         linear: The surface counts as undeformed: N.
     """
     if linear:

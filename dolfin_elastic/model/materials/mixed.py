@@ -65,8 +65,6 @@ def variance(p: Expr, q: Expr, J: Expr) -> Expr:
     reference simplex of d dimensions is (I - 1/(d + 1))/((d + 1)(d + 2)).
 
     Args:
-        p: One function, a UFL scalar.
-        q: The other, a UFL scalar.
         J: Jacobian dx/dX of the cell's map, shape (dim, dim).
     """
     d = J.ufl_shape[0]

@@ -204,7 +204,6 @@ def constants(kind: type[BaseModel], table: Mapping[str, object]) -> dict[str, o
     """A law's table with its spatially varying constants read.
 
     Args:
-        kind: Class of the law.
         table: Keys and values as a user wrote them.
 
     Raises:
@@ -221,11 +220,7 @@ def constants(kind: type[BaseModel], table: Mapping[str, object]) -> dict[str, o
 
 @lru_cache
 def units_of(kind: type[BaseModel]) -> dict[str, str]:
-    """Key, other spellings included, to SI unit, for the fields that are single quantities.
-
-    Args:
-        kind: Class of a law.
-    """
+    """Key, other spellings included, to SI unit, for the fields that are single quantities."""
     found = {}
     for name, info in kind.model_fields.items():
         if (unit := _unit(info)) is not None:

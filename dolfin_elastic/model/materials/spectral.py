@@ -55,7 +55,6 @@ class Shape(ABC):
         """f(d) - f(1), a UFL scalar.
 
         Args:
-            f: Function of d.
             series: As for `excess`.
         """
 
@@ -110,7 +109,6 @@ def _close(j2: Expr, j3: Expr, d: Expr, change: Expr) -> _Close:
 
     Args:
         j2: b:b/2.
-        j3: Determinant of b.
         d: Product of the squares, 1 - j2 + j3.
         change: d - 1.
     """
@@ -130,7 +128,6 @@ def _apart(j2: Expr, d: Expr, r: Expr) -> _Apart:
 
     Args:
         j2: b:b/2.
-        d: Product of the squares.
         r: See `_cosine`.
 
     Source: O. K. Smith, Commun. ACM 4 (1961) 168 (the eigenvalues).

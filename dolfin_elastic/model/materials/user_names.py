@@ -36,23 +36,13 @@ OF_STRAIN = frozenset(
 
 
 def known(*, fibre: bool = False, fibre2: bool = False) -> frozenset[str]:
-    """Names of the scalars that a formula may use.
-
-    Args:
-        fibre: The material has a first fibre.
-        fibre2: It has a second one.
-    """
+    """Names of the scalars that a formula may use."""
     more = (ALONG if fibre else ()) + (ACROSS if fibre and fibre2 else ())
     return COMPONENTS | {*PLAIN, *more}
 
 
 def summary(*, fibre: bool, fibre2: bool) -> str:
-    """The names of `known` in short, for messages.
-
-    Args:
-        fibre: The material has a first fibre.
-        fibre2: It has a second one.
-    """
+    """The names of `known` in short, for messages."""
     text = f"F11..F33, C11..C33, E11..E33, {', '.join(PLAIN)}"
     text += f", {', '.join(ALONG)}" if fibre else ""
     return text + (f", {', '.join(ACROSS)}" if fibre and fibre2 else "")
@@ -75,7 +65,6 @@ def values(
         F: Deformation gradient, shape (3, 3).
         wanted: Names, also `F`, `C`, `E` for the whole tensors.
         fibre: Direction a, of any length.
-        fibre2: Direction b.
     """
     C = right_cauchy_green(F)
     tensors: dict[str, Expr] = {"F": F, "C": C, "E": green_strain(F)}

@@ -58,7 +58,6 @@ def acoustic_eigenvalues(point: LawAtPoints, F: AnyArray, *, flat: bool = False)
     Source: J. Marsden and T. Hughes, Mathematical Foundations of Elasticity, 1983, section 4.3.
 
     Args:
-        point: The law.
         F: Deformation gradients, shape (n, 3, 3).
         flat: Directions and amplitudes in the plane of x and y only.
     """
@@ -80,7 +79,6 @@ def ellipticity(tested: LawUnderTest, curves: dict[str, ResponseCurve]) -> Itera
     """Interval about the rest in which the law is strongly elliptic, one finding a path.
 
     Args:
-        tested: The law.
         curves: Name of a deformation mode to its response, for all of `PATHS`.
     """
     for name in PATHS:

@@ -95,8 +95,6 @@ def response_curve(point: LawAtPoints, mode: DeformationMode, targets: AnyArray)
     """Follows a deformation mode from rest to both ends of `targets`.
 
     Args:
-        point: The law.
-        mode: Kind of deformation.
         targets: Ascending values of the prescribed quantity, shape (n,); rest is among them.
     """
     up = _branch(point, mode, targets[targets > mode.rest])

@@ -52,9 +52,6 @@ def stable_ranges(law: Law) -> tuple[StableRange, ...]:
 
     Source: J. Marsden and T. Hughes, Mathematical Foundations of Elasticity (1983), section 4.3;
     R. Hill, J. Mech. Phys. Solids 5 (1957) 229 (loads that rise).
-
-    Args:
-        law: The law, with numbers.
     """
     tested, spread = LawUnderTest(law), np.linspace(-1.0, 1.0, 2 * _POINTS + 1)
     found = []
@@ -89,9 +86,6 @@ def _rising(curve: ResponseCurve, rest: int) -> AnyArray:
 
 def limits(law: Law) -> str:
     """The stable ranges of a law in words, of the tests in which it does not stay stable.
-
-    Args:
-        law: The law, with numbers.
 
     Returns:
         Empty where it is stable throughout.

@@ -82,7 +82,6 @@ def _aligned(e: Expr, free: Sequence[int], rank: int) -> Callable[[AnyArray], An
     """Function that broadcasts an operand's array to the axes of the result.
 
     Args:
-        e: The operand.
         free: Free indices of the result, ascending.
         rank: Number of axes of the result's shape.
     """

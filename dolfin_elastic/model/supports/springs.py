@@ -84,7 +84,6 @@ class SupportContext(Protocol):
         """A scalar field: a number, or a formula in x, y, z.
 
         Args:
-            value: The number or formula.
             parts: What `held` is integrated over: there formulas are evaluated, not compiled.
         """
 
@@ -225,7 +224,6 @@ class ResistingSupport(Restraint):
         """Force against w per area [N/m^2], length or node, a UFL vector. Collective.
 
         Args:
-            context: The problem's side of the form.
             w: Displacement [m] or velocity [m/s] of the part.
         """
         values = self._values(context)
@@ -349,7 +347,6 @@ class Dashpot(ResistingSupport):
         """Virtual work of the force at a given velocity. Collective.
 
         Args:
-            context: The problem's side of the form.
             velocity: Velocity of the surface [m/s], a UFL vector.
         """
         force = self.resistance(context, velocity)

@@ -30,8 +30,6 @@ class DirichletConditions:
     constrained entry by entry; all others are `skew`.
 
     Args:
-        body: The mesh and its names.
-        V: Space of the displacement.
         supports: All supports; springs and dashpots are ignored.
         places: Of the space's local nodes [m], shape (nodes, 3).
         axis: The body is axisymmetric: the radial displacement of nodes on the axis is zero.

@@ -61,11 +61,6 @@ def surface_normals(body: Body, V: fem.FunctionSpace, name: str) -> SurfaceNorma
     facet's normal: its area times its normal, where the node is.  Source: Nanson's formula,
     Holzapfel, Nonlinear Solid Mechanics (2000), section 2.4.
 
-    Args:
-        body: The mesh and its names.
-        V: Space whose nodes are meant.
-        name: Name of the surface.
-
     Raises:
         MeshError: The surface lies inside the body, where it has two normals.
     """
@@ -113,8 +108,6 @@ def check_outside(body: Body, name: str, where: str) -> None:
     """A surface has an outward normal only where it is a part of the body's boundary. Collective.
 
     Args:
-        body: The mesh and its names.
-        name: Name of the surface.
         where: Key that names it, for the message.
 
     Raises:
@@ -133,13 +126,7 @@ def check_outside(body: Body, name: str, where: str) -> None:
 
 
 def spring_directions(spring: Spring, body: Body, V: fem.FunctionSpace) -> Iterator[Projections]:
-    """The nodes at which a spring resists, surface by surface. Collective.
-
-    Args:
-        spring: Whose surfaces.
-        body: The mesh and its names.
-        V: Space of the displacement.
-    """
+    """The nodes at which a spring resists, surface by surface. Collective."""
     dim, size = body.dim, V.dofmap.index_map.size_local
     stiff = np.array([isinstance(k, Formula) or k != 0.0 for k in spring.coefficients], float)
     kind = body.common_kind(spring.surfaces)

@@ -102,8 +102,6 @@ class PrescribedComponents:
     """All components that supports prescribe.  Collective to make.
 
     Args:
-        body: The mesh and its names.
-        V: Space of the displacement.
         supports: All supports; springs and dashpots are ignored.
         places: Of the space's local nodes [m], shape (nodes, 3).
         axisymmetric: The radial displacement of nodes on the axis is zero.

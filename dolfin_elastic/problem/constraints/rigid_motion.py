@@ -19,10 +19,6 @@ class RigidMotion:
 
     Degrees of freedom are d and theta, in a plane d and the angle about z.
 
-    Args:
-        support: What is prescribed.
-        body: The mesh and its names.
-
     Attributes:
         support: What is prescribed.
         label: What results call it.
@@ -74,7 +70,6 @@ class RigidMotion:
         """A component of the displacement at reference places of shape (n, 3) [m].
 
         Args:
-            which: Number of the component.
             x: Reference places, of shape (n, 3) [m].
             t: Time [s], or load parameter.
             default: Amplitude where the user gave none.

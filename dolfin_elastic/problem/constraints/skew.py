@@ -53,7 +53,6 @@ class SkewConstraints:
         components: At these nodes, in the order of the supports.
         size: Nodes that this rank owns.
         x: Reference places of all local nodes, of shape (n, 3) [m].
-        dim: Components of the displacement.
 
     Attributes:
         nodes: Local nodes, owned ones first, sorted.

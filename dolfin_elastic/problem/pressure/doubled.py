@@ -63,7 +63,6 @@ def doubled(W: fem.FunctionSpace, number: int, group: IntArray) -> DoubledSpace:
     the cells of a rank holds all that the rank owns.
 
     Args:
-        W: A mixed space.
         number: Of its scalar field, continuous Lagrange elements.
         group: Of each local cell, ghosts too, from 0.
     """
@@ -102,8 +101,6 @@ class _Pairs:
     """Entries of a field and the groups of the cells that have them. Collective to make.
 
     Args:
-        W: A mixed space.
-        number: Of its scalar field.
         group: Of each local cell.
 
     Attributes:
@@ -148,7 +145,6 @@ class _Pairs:
         Args:
             known: Keys of the pairs of this rank's cells.
             asking: Which rank has asked.
-            rank: This one.
         """
         pairs, place = np.unique(self._asked, return_inverse=True)
         lowest = np.full(len(pairs), np.iinfo(np.int64).max)

@@ -24,7 +24,6 @@ def stiffness_step(body: Body, law: Law, cells: IndexArray) -> float:
     0.1 and 0.05.
 
     Args:
-        body: The mesh.
         law: Of a material region, bound to it.
         cells: Of the region, owned.
     """

@@ -32,8 +32,6 @@ def pressure_groups(
     without a pressure are one more group: the field is zero there.
 
     Args:
-        body: The mesh and its names.
-        regions: Its material regions.
         laws: Material's name to its law, with what varies in space as it was written.
         loads: Those that change the natural state of parts of the body separate groups.
     """

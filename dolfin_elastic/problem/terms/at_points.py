@@ -60,7 +60,6 @@ def facet_sets(dim: int, points: FloatArray) -> FloatArray:
     """Points of the reference facet on each facet of the reference cell.
 
     Args:
-        dim: Of the cell.
         points: Shape (points, dim - 1).
 
     Returns:
@@ -119,7 +118,6 @@ class FormulaSpace(ABC):
     """Functions given by formulas at points.
 
     Args:
-        mesh: The mesh.
         points: Where formulas are evaluated.
         width: Components of a function; 0: it is a scalar.
     """
@@ -137,8 +135,6 @@ class FormulaSpace(ABC):
         """Gives a function its values. Not collective.
 
         Args:
-            function: Of this space.
-            values: Its components.
             t: Time [s], or load parameter.
         """
         rows = function.x.array.reshape(-1, max(self._width, 1))
@@ -152,7 +148,6 @@ class FormulaSpace(ABC):
 
         Args:
             rows: Entries, shape (entries, components).
-            start: First entity of a chunk.
             table: Values at the points of its entities, shape (entities, points, components).
         """
 
@@ -184,8 +179,6 @@ class CellwiseSpace(FormulaSpace):
     is.  Collective to make.
 
     Args:
-        mesh: The mesh.
-        degree: Of the polynomials.
         width: Components of a function; 0: it is a scalar.
     """
 
@@ -208,8 +201,6 @@ class PointsSpace(FormulaSpace):
     """Functions given at the points of an integral. Collective to make.
 
     Args:
-        mesh: The mesh.
-        points: Of the integral.
         width: Components of a function; 0: it is a scalar.
     """
 
@@ -253,7 +244,6 @@ class FormulaValues:
     """Values of formulas as constants and functions of forms.
 
     Args:
-        mesh: The mesh.
         points: Gives the points of an integral over parts; collective.
         degree: Of the displacement, and of what formulas are in a cell where they stand anywhere.
         t: Time [s], or load parameter.
@@ -276,7 +266,6 @@ class FormulaValues:
         """Components as one constant or function of its own.  Collective.
 
         Args:
-            values: Numbers and formulas.
             parts: Where the integral is taken that they stand in; None: anywhere.
             scalar: It is one number, else a vector.
 

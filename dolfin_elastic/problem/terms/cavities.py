@@ -75,7 +75,6 @@ def make_cavities(loads: Sequence[Load], context: FormContext) -> Iterator[BodyC
 
     Args:
         loads: All loads of the body.
-        context: The body.
 
     Raises:
         InputError: Two have the same name, or the body has none in three dimensions.

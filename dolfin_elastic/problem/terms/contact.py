@@ -56,8 +56,6 @@ class ContactPair:
     """One contact on one body. Collective to make.
 
     Args:
-        contact: What the user wrote.
-        context: The body.
         measure: Reference area of its surfaces, with the rule of `rule`.
 
     Attributes:
@@ -245,12 +243,7 @@ class ContactPair:
 
 
 def make_contacts(contacts: Sequence[Contact], context: FormContext) -> tuple[ContactPair, ...]:
-    """All contacts on a body. Collective.
-
-    Args:
-        contacts: What the user wrote.
-        context: The body.
-    """
+    """All contacts on a body. Collective."""
     points = rule(context.order, context.body.dim)
     return tuple(
         ContactPair(c, context, context.measures.contact_area(c.surfaces, points)) for c in contacts
@@ -267,7 +260,6 @@ def rule(degree: int, dim: int) -> dict[str, object]:
 
     Args:
         degree: Of the displacement or of the mesh's curved cells, whichever is higher.
-        dim: Of the body.
     """
     if degree > 1 and dim == 3:
         return {"quadrature_degree": 2 * degree}
@@ -278,11 +270,6 @@ def rule(degree: int, dim: int) -> dict[str, object]:
 
 def placed_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> list[Contact]:
     """Contacts with their obstacles in metres, all of which fit the body. Not collective.
-
-    Args:
-        contacts: What the user wrote.
-        body: The mesh and its names.
-        turned: The body is axisymmetric.
 
     Raises:
         InputError: With the key.

@@ -67,9 +67,7 @@ class PointIntegrals:
     """Edges or nodes of one spring as cells with quadrature points. Collective to make.
 
     Args:
-        body: The mesh and its names.
         kind: "edge" or "point".
-        names: Of the parts.
         first: Lowest number of a set of cells that is free.
 
     Attributes:
@@ -95,7 +93,6 @@ class PointIntegrals:
 
         Args:
             dx: Measure of the mesh's volume with the sets under their numbers.
-            degree: Quadrature degree along straight edges.
         """
         return SummedMeasure(
             tuple(
@@ -105,11 +102,7 @@ class PointIntegrals:
         )
 
     def points(self, degree: int) -> IntegralPoints:
-        """Where all these integrals take their integrand.
-
-        Args:
-            degree: Quadrature degree along straight edges.
-        """
+        """Where all these integrals take their integrand."""
         cells = list(self.cells.values())
         return IntegralPoints(
             np.array([self._points(k, degree)[0] for k in self._numbers.values()]),
@@ -152,9 +145,7 @@ def owned(body: Body, kind: str, names: Sequence[str]) -> IndexArray:
     """Owned mesh edges or nodes of parts, each once.
 
     Args:
-        body: The mesh and its names.
         kind: "edge" or "point".
-        names: Of the parts.
 
     Raises:
         MeshError: A name is none of such a part.
@@ -167,9 +158,7 @@ def extent(body: Body, kind: str, names: Sequence[str]) -> float:
     """Length of edges [m], or number of nodes. Collective.
 
     Args:
-        body: The mesh and its names.
         kind: "edge" or "point".
-        names: Of the parts.
     """
     return float(total(body.comm, float(points_of(body, kind, names, 0).weights.sum())))
 
@@ -178,10 +167,7 @@ def points_of(body: Body, kind: str, names: Sequence[str], degree: int) -> Point
     """Quadrature points on the owned edges, or the owned nodes, of parts. Local.
 
     Args:
-        body: The mesh and its names.
         kind: "edge" or "point".
-        names: Of the parts.
-        degree: Quadrature degree along straight edges.
 
     Raises:
         MeshError: A name is none of such a part.

@@ -56,8 +56,6 @@ class NodalLoads:
     """All loads at points and lines of a body. Collective to make.
 
     Args:
-        body: The mesh and its names.
-        V: Space of the displacement.
         loads: All loads; those that are not `nodal` are left to others.
 
     Raises:

@@ -33,8 +33,6 @@ def follower_pressure_has_potential(
     """Whether supports fix a surface's edge so that uniform pressure has a potential. Collective.
 
     Args:
-        body: The mesh and its names.
-        dirichlet: What supports prescribe.
         surfaces: Names of the surfaces that together are loaded.
     """
     edges = boundary_edges(body, surfaces)
@@ -44,12 +42,7 @@ def follower_pressure_has_potential(
 
 
 def boundary_edges(body: Body, surfaces: Sequence[str]) -> IndexArray:
-    """Owned edges (in a plane: points) that belong to one facet of a surface only. Collective.
-
-    Args:
-        body: The mesh and its names.
-        surfaces: Names of the surfaces, taken together.
-    """
+    """Owned edges (in a plane: points) that belong to one facet of a surface only. Collective."""
     topology, dim = body.mesh.topology, body.dim
     topology.create_entities(dim - 2)
     topology.create_connectivity(dim - 1, dim - 2)
@@ -65,12 +58,7 @@ def boundary_edges(body: Body, surfaces: Sequence[str]) -> IndexArray:
 
 @dataclass
 class _Supports:
-    """The constraints that supports put on edges. Collective to make.
-
-    Args:
-        body: The mesh and its names.
-        dirichlet: What supports prescribe.
-    """
+    """The constraints that supports put on edges. Collective to make."""
 
     body: Body
     dirichlet: DirichletConditions

@@ -52,9 +52,6 @@ def undefined(comm: MPI.Comm, index: int, load: Load, X: FloatArray, t: float) -
     """The error about a formula of one load without a finite value. Collective.
 
     Args:
-        comm: Of the body.
-        index: Of the load in the case.
-        load: The load.
         X: Points of this rank [m], shape (..., 2 or 3).
         t: Time [s], or load parameter.
 
@@ -102,8 +99,6 @@ def no_value(formula: Formula, where: str, place: tuple[float, ...], t: float) -
     """The error about a formula without a finite value.
 
     Args:
-        formula: The formula.
-        where: Its key.
         place: A point at which it has none [m].
         t: Time [s], or load parameter.
     """

@@ -151,9 +151,6 @@ class Checkpoints:
 
     Args:
         comm: The ranks that compute.
-        folder: Of the results.
-        settings: When checkpoints are written.
-        run: What is computed.
         step: Step of the checkpoint from which the run continues.
 
     Attributes:
@@ -199,8 +196,6 @@ class Checkpoints:
         """Writes a checkpoint, unless there is one of this step.
 
         Args:
-            state: The last converged step.
-            restart: Of the solver.
             outputs: Restart states of the writers, in their order.
 
         Raises:
@@ -345,7 +340,6 @@ def newest_checkpoint(comm: MPI.Comm, folder: Path) -> Checkpoint | None:
 
     Args:
         comm: The ranks that continue the run.
-        folder: Of the results.
 
     Raises:
         RestartError: Another version of the program has written them all.
@@ -392,7 +386,6 @@ def _content(manifest: Path, step: int) -> tuple[dict[str, Any], str]:
 
     Args:
         manifest: The file.
-        step: That of its name.
     """
     try:
         outer = json.loads(manifest.read_text(encoding="utf-8"))

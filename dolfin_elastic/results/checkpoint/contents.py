@@ -196,7 +196,6 @@ def fault_of(content: object, step: int) -> str:
 
     Args:
         content: Of its `.json`.
-        step: That of its name.
     """
     if not isinstance(content, dict):
         return "it is no table"

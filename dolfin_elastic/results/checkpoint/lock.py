@@ -42,7 +42,6 @@ class FolderLock:
 
     Args:
         comm: The ranks that compute.
-        folder: Of the results.
         files: Names in it that the case gives.
     """
 
@@ -53,9 +52,6 @@ class FolderLock:
 
     def acquire(self, *, create: bool = False) -> None:
         """Locks the folder, unless it is locked by this run or does not exist. Collective.
-
-        Args:
-            create: Make the folder first.
 
         Raises:
             RestartError: Another run writes into it.

@@ -56,7 +56,6 @@ class DofOrdering:
         """Sets the values of a function, ghosts too. Collective.
 
         Args:
-            function: In this space.
             rows: Values in this rank's run, shape (mine, block size).
         """
         arrived = np.empty_like(rows)
@@ -67,11 +66,7 @@ class DofOrdering:
 
 
 def node_numbers(V: fem.FunctionSpace) -> IntArray:
-    """Number of each local node in the ordering, ghosts too. Collective.
-
-    Args:
-        V: Space of continuous Lagrange elements.
-    """
+    """Number of each local node in the ordering, ghosts too. Collective."""
     ordering, numbers = DofOrdering(V), fem.Function(V)
     size = V.dofmap.index_map_bs
     run = np.arange(ordering.first, ordering.first + ordering.mine, dtype=np.float64)
@@ -85,7 +80,6 @@ def _dof_keys(V: fem.FunctionSpace, cells: AnyArray) -> IntArray:
     Collective.
 
     Args:
-        V: The space.
         cells: Local nodes of this rank's owned cells, shape (cells, width).
     """
     imap, original = V.dofmap.index_map, V.mesh.topology.original_cell_index

@@ -15,9 +15,6 @@ class NodalNormals:
 
     At a node it is the direction of the sum of the area vectors that its facets have there: on an
     edge of the body the mean of its faces' normals, by the areas of the facets beside it.
-
-    Args:
-        V: Space of the displacement.
     """
 
     def __init__(self, V: fem.FunctionSpace) -> None:

@@ -66,11 +66,8 @@ class PartNumbers:
     """Numbers of fields over one surface or region; see the module.  All of it is collective.
 
     Args:
-        problem: The problem that is solved.
         kind: "surface" or "region".
-        part: Its name.
         fields: Names from `FIELDS`.
-        statistics: What is asked for.
 
     Raises:
         InputError: A field that a material of the part does not have.
@@ -136,7 +133,6 @@ class PartNumbers:
         """The part in one material. Collective.
 
         Args:
-            region: The material's region.
             sides: Cell and number of its facet of the whole part, shape (n, 2).
         """
         here = sides[np.isin(sides[:, 0], region.cells)]
@@ -240,7 +236,6 @@ class PartNumbers:
         """All that is asked for of a field. Collective.
 
         Args:
-            name: Of the field.
             values: At the quadrature points of each piece.
             nodal: At the local nodes, of a field of nodes.
         """
@@ -287,7 +282,6 @@ def columns_of(stem: str, values: Mapping[str, FloatArray], *, plain: bool) -> d
     """Columns of the history.
 
     Args:
-        stem: Name of the probe.
         values: What `PartNumbers` gives.
         plain: Means have the name of the field alone.
     """

@@ -107,7 +107,6 @@ class SectionForces:
 
     Args:
         problem: The problem that is solved, of whose present state the loads are.
-        sections: Name to section.
 
     Raises:
         InputError: A section misses the body, or does not part it.
@@ -172,11 +171,7 @@ class SectionForces:
         return self._forms[moving]
 
     def __call__(self, state: State) -> dict[str, SectionForce]:
-        """Name to what crosses the section, the same on every rank.
-
-        Args:
-            state: The problem's present state.
-        """
+        """Name to what crosses the section, the same on every rank."""
         self._w.x.array[:] = (state.w or state.u).x.array
         if state.a is not None:
             self._a.x.array[:] = state.a.x.array

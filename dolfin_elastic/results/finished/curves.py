@@ -60,11 +60,6 @@ class Curves:
 def history_curves(run: FinishedRun, over: str, names: Sequence[str]) -> Curves:
     """Columns of history.csv.
 
-    Args:
-        run: The finished run.
-        over: Column on the axis.
-        names: Columns that are drawn over it.
-
     Raises:
         InputError: There is no such column.
     """
@@ -91,7 +86,6 @@ def line(start: Sequence[float], end: Sequence[float]) -> tuple[FloatArray, Floa
 
     Args:
         start: Its beginning [m].
-        end: Its end.
     """
     share = np.linspace(0, 1, POINTS, dtype=np.float64)
     a, b = np.array(start, dtype=float), np.array(end, dtype=float)
@@ -106,7 +100,6 @@ def circle(
     Args:
         centre: Its middle [m].
         radius: Its radius [m].
-        normal: Direction about which it turns counter-clockwise.
     """
     n = np.array(normal, dtype=float) / np.linalg.norm(normal)
     first = next(axis for axis in np.eye(3) if abs(axis @ n) < 0.9)
@@ -125,7 +118,6 @@ def along(
     """Fields at points of the undeformed body, nan outside.
 
     Args:
-        run: The finished run.
         names: Of fields; of vectors all components, of tensors the norm.
         points: Shape (n, 3) [m].
         over: Distance or angle of each.
@@ -175,7 +167,6 @@ def write_csv(curves: Curves, file: Path) -> None:
     """Writes curves as a table in SI units, the units in the names of the columns.
 
     Args:
-        curves: The curves.
         file: The CSV file.
 
     Raises:
@@ -192,10 +183,6 @@ def write_csv(curves: Curves, file: Path) -> None:
 @plain_matplotlib()
 def draw_curves(curves: Curves, file: Path) -> None:
     """Draws curves, each unit with an axis of its own where there are two.
-
-    Args:
-        curves: The curves.
-        file: A picture: .png, .svg or .pdf.
 
     Raises:
         OutputError: It cannot be written.

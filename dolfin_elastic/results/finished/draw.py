@@ -67,8 +67,6 @@ def check_field(run: FinishedRun, name: str, step: int = -1) -> str:
     """Checks that a step holds a field, and returns its name.
 
     Args:
-        run: The finished run.
-        name: Of the field.
         step: See `FinishedRun.frame`.
 
     Raises:
@@ -89,8 +87,6 @@ def draw(run: FinishedRun, look: Look, file: Path, step: int = -1) -> None:
     """Draws one step.
 
     Args:
-        run: The finished run.
-        look: How it is drawn.
         file: The PNG file.
         step: See `FinishedRun.frame`.
 
@@ -111,10 +107,7 @@ def film(run: FinishedRun, look: Look, file: Path, *, fps: float, speed: float) 
     """Joins all steps to a film in even time.
 
     Args:
-        run: The finished run.
-        look: How it is drawn.
         file: The .mp4 or .gif file.
-        fps: Frames a second.
         speed: Time [s], in statics load, that passes in a second of the film.
 
     Raises:
@@ -268,7 +261,6 @@ def shown(data: Mapping[str, FloatArray], name: str) -> FloatArray:
 
     Args:
         data: Name of a field to its values at the points.
-        name: Of the field.
     """
     if name == "von_mises" and "cauchy_stress" in data:
         return von_mises(np.asarray(data["cauchy_stress"], dtype=float))[:, 0]

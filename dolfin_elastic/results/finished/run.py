@@ -28,9 +28,6 @@ class FinishedRun:
 
     The run may also be going on or have failed: `summary["status"]` says so.
 
-    Args:
-        folder: The folder of the results.
-
     Attributes:
         folder: As given, as a path.
         summary: `summary.json`.

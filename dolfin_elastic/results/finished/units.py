@@ -51,7 +51,6 @@ def column_unit(column: str, *, moving: bool) -> str:
     a name and a field have the field's unit.
 
     Args:
-        column: Its name.
         moving: The run was a motion, so that t is a time.
     """
     exact = {**_EXACT, **dict.fromkeys(_WITHOUT_UNIT, ""), "t": "s" if moving else ""}

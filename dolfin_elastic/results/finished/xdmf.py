@@ -82,7 +82,6 @@ def damaged(what: str, where: str) -> InputError:
     """The error about a file of results that is not as the run has written it.
 
     Args:
-        what: What is wrong with it.
         where: The file, and what of it.
     """
     return InputError(what, where=where, expected="the files as the run has left them")
@@ -148,7 +147,6 @@ def read_array(folder: Path, stored: Stored) -> AnyArray:
     """The numbers of an array.
 
     Args:
-        folder: Of the results.
         stored: Where they are.
 
     Raises:
@@ -174,12 +172,7 @@ def read_array(folder: Path, stored: Stored) -> AnyArray:
 
 
 def read_grid(folder: Path, frame: Frame) -> pyvista.UnstructuredGrid:
-    """The undeformed body with the fields of a step, see `FinishedRun.grid`.
-
-    Args:
-        folder: Of the results.
-        frame: The step.
-    """
+    """The undeformed body with the fields of a step, see `FinishedRun.grid`."""
     with elsewhere():
         import pyvista as pv
 

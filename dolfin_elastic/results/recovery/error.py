@@ -123,9 +123,6 @@ class ErrorEstimator:
     The error of a state is estimated once for all outputs: it stays in `State.derived`, and so does
     the recovered stress.  The patches are made, and a kernel a material is compiled, for the first
     state whose error is not known.
-
-    Args:
-        problem: The problem that is solved.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -186,7 +183,6 @@ def _cut_off(problem: Problem, elastic: FloatArray) -> float:
     Source: J. Sokolowski and J.-P. Zolesio, Introduction to Shape Optimization (1992), section 3.2.
 
     Args:
-        problem: The problem that is solved.
         elastic: Strain energy in the owned cells [J].
     """
     mesh, shape = problem.body.mesh, boundary_shape(problem.body)
@@ -295,8 +291,6 @@ def _work_pairs(
     """Stresses and strains whose products are twice the strain energy of an error.
 
     Args:
-        problem: The problem that is solved.
-        region: One of its material regions.
         w: All unknowns.
 
     Returns:

@@ -41,11 +41,8 @@ def material_corners(
     """At which edges (vertices in the plane) materials make the stress singular. Local.
 
     Args:
-        problem: The problem that is solved.
         angles: That each region fills at each of them, shape (edges, regions) [rad].
         facets: Number of boundary facets at each of them.
-        whole: Which of these are held.
-        some: Which are held in some directions.
     """
     singular = np.zeros(len(facets), dtype=bool)
     if len(problem.regions) < 2:
@@ -80,9 +77,6 @@ def _wedge(problem: Problem, region: int, angle: float) -> Wedge:
 def angles_at_interfaces(problem: Problem) -> list[tuple[IndexArray, IndexArray, FloatArray]]:
     """Angles of cells at their edges (vertices in the plane) where materials may meet. Collective.
 
-    Args:
-        problem: The problem that is solved.
-
     Returns:
         Of each region a row for each cell and each edge whose ends touch several regions: cell;
         local edge of that cell; and its angle, shape (rows, 1) [rad].
@@ -109,7 +103,6 @@ def _touch_several(problem: Problem, vertices: IndexArray) -> BoolArray:
     """Which local vertices cells of several regions share, on any ranks. Collective.
 
     Args:
-        problem: The problem that is solved.
         vertices: Of the local cells, shape (cells, corners).
     """
     width = len(problem.regions)
@@ -127,7 +120,6 @@ def _angle(corners: FloatArray, ridge: IntArray) -> FloatArray:
 
     Args:
         corners: Shape (cells, corners, dim).
-        ridge: Corners of the edge.
     """
     a, b = (k for k in range(corners.shape[1]) if k not in ridge)
     foot = corners[:, ridge[0]]

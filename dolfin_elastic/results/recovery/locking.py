@@ -59,7 +59,6 @@ def unseen_locking(problem: Problem, relative: float) -> Locking | None:
     `material_regions.locking`, the largest that was found.
 
     Args:
-        problem: The problem that is solved.
         relative: Estimated relative error in the energy norm.
     """
     if problem.degree > 1 or problem.geometry == "plane-stress" or not np.isfinite(relative):

@@ -56,7 +56,6 @@ def sampling_points(dim: int, degree: int) -> FloatArray:
 
     Args:
         dim: 2: triangle, 3: tetrahedron.
-        degree: Of the displacement.
     """
     return quadrature_rule(dim, 1 if degree == 1 else 2)[0]
 
@@ -146,7 +145,6 @@ class Patches:
         """As `fit`, of values that are made for some cells at a time. Collective.
 
         Args:
-            width: Number of columns.
             values: Of one of `parts`, shape (cells, sampling points, columns). Not collective.
         """
         size = len(self._powers)
@@ -190,7 +188,6 @@ class Patches:
         """Adds values at the nodes of some cells to sums at nodes. Not collective.
 
         Args:
-            cells: Which of the region's.
             nodes: Of all local cells, shape (local cells, nodes of a cell).
             values: Shape (cells, nodes of a cell, columns).
             sums: Shape (local nodes, columns + 1); in the last column are the numbers of summands.
@@ -205,10 +202,7 @@ class Patches:
         """Integrals of the difference of recovered and raw values. Not collective.
 
         Args:
-            cells: Which of the region's.
-            rule: Points and products.
             recovered: At the nodes, shape (cells, nodes of a cell, columns).
-            raw: At the points.
 
         Returns:
             Strain energy of the error, elastic energy, integral of the square of the von Mises
@@ -271,7 +265,6 @@ class Patches:
         """Sums over the cells of each patch on all ranks, shape (vertices, columns).
 
         Args:
-            width: Number of columns.
             name: Of the loop that adds them up.
             arguments: What it needs but cells, geometry and the table of sums.
         """
@@ -337,7 +330,6 @@ class Patches:
 
         Args:
             polynomials: Coefficients, shape (n, monomials, columns).
-            of: Vertices about which they are.
             to: Vertices about which they are to be.
         """
         offset = (self._centres[to] - self._centres[of]) / self._size[of][:, None]
@@ -358,7 +350,6 @@ class Patches:
 
         Args:
             fitted: From `fit`.
-            cells: Which of the region's.
         """
         chosen, width = self.cells[cells], fitted.shape[2]
         found = np.empty((len(chosen), len(self._nodes), width))
@@ -376,11 +367,6 @@ class _Sums:
 
     Nothing collective may stand between that and `over_ranks`: which of the two makes the vector
     of DOLFINx differs between ranks.
-
-    Args:
-        mesh: Whose vertices.
-        used: Those that a row is for.
-        width: Columns of a row.
 
     Attributes:
         rows: To be added to; shape (used vertices, columns).

@@ -178,7 +178,6 @@ def _unbounded(peak: Peak, changes: str) -> Remark:
     """That a value has no limit.
 
     Args:
-        peak: It.
         changes: "grows" or "falls" with every refinement.
     """
     text = f"at {peak.singular} it {changes} with every refinement"
@@ -189,7 +188,6 @@ def _doubts(peak: Peak, rival: Peak | None) -> list[Remark]:
     """Where the largest regular stress is not known, or may be larger.
 
     Args:
-        peak: It.
         rival: See `Peaks`.
     """
     if rival is None:
@@ -226,7 +224,6 @@ def find_peaks(problem: Problem, estimate: ErrorEstimate) -> Peaks:
 
     Args:
         problem: The problem that is solved, in the state of the estimate.
-        estimate: The estimated error of the state.
     """
     found = _Finder(problem, estimate, singular_places(problem))
     stress = estimate.stress
@@ -248,8 +245,6 @@ def largest(
     """The largest von Mises stress on some nodes. Collective.
 
     Args:
-        problem: The problem that is solved.
-        estimate: The estimate for a state.
         chosen: Which of the owned nodes count.
         places: Where the stress is singular.
     """
@@ -267,8 +262,6 @@ class _Finder:
     """Finds largest values among the owned nodes of all ranks.  All of it is collective.
 
     Args:
-        problem: The problem that is solved.
-        estimate: The estimate for a state.
         places: Where the stress is singular.
     """
 
@@ -332,9 +325,7 @@ class _Finder:
         """A largest regular value with the error of the largest one anywhere, and its rival.
 
         Args:
-            peak: The value, with its own error.
             values: At the owned nodes.
-            regular: Which of these count.
             every: Which count where a face is not resolved.
             regions: See `pair`.
         """
@@ -438,7 +429,6 @@ def _local_maxima(V: fem.FunctionSpace, values: FloatArray) -> BoolArray:
     """Owned nodes whose value none in a cell with them exceeds. Collective.
 
     Args:
-        V: Space whose nodes they are.
         values: Of the owned nodes.
     """
     work = la.vector(V.dofmap.index_map, 1)

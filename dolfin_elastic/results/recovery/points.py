@@ -55,7 +55,6 @@ class StressAtPoints:
     displacement, so that it is that of the nodes in the fields.
 
     Args:
-        problem: The problem that is solved.
         places: Name of the point to its cell and local coordinates.
     """
 

@@ -97,7 +97,6 @@ def largest_at_nodes(V: fem.FunctionSpace, nodes: IndexArray, values: FloatArray
     """Largest values of the cells or facets around each owned node, on any ranks. Collective.
 
     Args:
-        V: Space whose nodes they are.
         nodes: Local nodes of each, shape (n, nodes of one).
         values: Not negative, shape (n, columns).
 

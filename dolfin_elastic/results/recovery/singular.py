@@ -269,8 +269,6 @@ def _pressed(
     """Which boundary facets may touch an obstacle, and which press it with all nodes. Collective.
 
     Args:
-        problem: The problem that is solved.
-        pair: A contact.
         facets: Local boundary facets.
     """
     body, V = problem.body, problem.V
@@ -300,8 +298,6 @@ def _classify(sums: FloatArray, problem: Problem, sources: tuple[int, int]) -> B
 
     Args:
         sums: Sums of the values of `_at_surface`.
-        problem: The problem that is solved.
-        sources: Number of supports, and of contacts.
 
     Returns:
         Shape (edges, 1 + supports + contacts).

@@ -71,7 +71,6 @@ def field_rows(name: str, stress: FloatArray, safety: FloatArray) -> FloatArray:
     """Rows of a field that follows from the recovered stress, shape (n, 1, 3 or 9).
 
     Args:
-        name: Of the field.
         stress: Cauchy stress [Pa], shape (n, 6).
         safety: Safety factor, shape (n,).
     """
@@ -112,7 +111,6 @@ class NodalStress:
         """Puts the stresses of all regions together. Collective.
 
         Args:
-            V: Space of the displacement.
             found: Each region with its recovered values at the owned nodes, the first six the
                 stress, see `RegionStress.at_owned_nodes`.
         """
@@ -157,8 +155,6 @@ class RegionStress:
     """Recovers the Cauchy stress in one material region.  All of it is collective.
 
     Args:
-        problem: The problem that is solved.
-        region: One of its material regions.
         w: All unknowns of the states that are looked at.
         cells: Owned cells of the region; by default all.
         more: Further quantities, scalars in UFL, that are recovered beside it.
@@ -304,9 +300,6 @@ class StressRecovery:
 
     The stress of a state is recovered once for all outputs: it stays in `State.derived`.  The
     patches are made, and kernels compiled, for the first state whose stress is not known.
-
-    Args:
-        problem: The problem that is solved.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -328,12 +321,7 @@ class StressRecovery:
 
 
 class NodalMeans:
-    """Means over cells of their values at nodes.
-
-    Args:
-        V: Space whose nodes they are.
-        width: Number of columns.
-    """
+    """Means over cells of their values at nodes."""
 
     def __init__(self, V: fem.FunctionSpace, width: int) -> None:
         self._map, self._nodes = V.dofmap.index_map, V.dofmap.list
@@ -344,8 +332,6 @@ class NodalMeans:
         """Takes in the values of some cells. Not collective.
 
         Args:
-            patches: Those of their region.
-            cells: Which of the region's.
             values: Shape (cells, nodes of a cell, columns).
         """
         patches.add_at_nodes(cells, self._nodes, values, self._table)

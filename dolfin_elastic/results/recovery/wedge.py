@@ -51,8 +51,6 @@ def stress_exponent(first: Wedge, second: Wedge, face: Face | None = "free") -> 
     """The smallest real part of lambda, to 2e-3; 1 where none is below 0.97. Not collective.
 
     Args:
-        first: A wedge.
-        second: The one beside it.
         face: Both outer faces: free, held, or held along their normal; None: they are bonded, too,
             and both wedges fill the plane.
     """
@@ -73,10 +71,7 @@ def _zeros(first: Wedge, second: Wedge, face: Face | None, most: float) -> int:
     """Zeros with a real part from `_LEAST` to `most`.
 
     Args:
-        first: A wedge.
-        second: The one beside it.
         face: See `stress_exponent`.
-        most: Largest real part.
     """
     corners = np.array([_LEAST - 1j * _HIGH, most - 1j * _HIGH, most + 1j * _HIGH])
     corners = np.append(corners, [_LEAST + 1j * _HIGH, corners[0]])
@@ -94,7 +89,6 @@ def _conditions(
 
     Args:
         first: A wedge, from the angle 0 on.
-        second: The one beside it.
         face: See `stress_exponent`.
         power: lambda, shape (n,).
     """
@@ -120,7 +114,6 @@ def _on_ray(wedge: Wedge, angle: float, power: ComplexArray, scale: float) -> Co
     lambda.
 
     Args:
-        wedge: The material.
         angle: Of the ray [rad].
         power: lambda, shape (n,).
         scale: Shear modulus that displacements are multiplied with [Pa].

@@ -225,7 +225,6 @@ def _silhouette(data: Arrays, least: float, *, deformed: bool) -> pv.PolyData:
     flat faces turn away by chance; the short lines around them are left out.
 
     Args:
-        data: What is drawn.
         least: Length of the shortest line, over the body's diagonal.
         deformed: Of the deformed body, not of the undeformed one.
     """
@@ -280,11 +279,7 @@ def _add_body(plot: pv.Plotter, data: Arrays) -> pv.DataSetMapper:
 
 
 def colour_map(*, warm_first: bool = False) -> ListedColormap:
-    """Blue, green, yellow, red, none of them dark, so that edges and shades are seen on all.
-
-    Args:
-        warm_first: Small values are red.
-    """
+    """Blue, green, yellow, red, none of them dark, so that edges and shades are seen on all."""
     shades = colormaps["turbo"](np.linspace(*_TURBO, 256))
     return ListedColormap(shades[::-1] if warm_first else shades)
 
@@ -460,7 +455,6 @@ def draw(plot: pv.Plotter, sources: Sequence[str], target: str) -> None:
     """Draws one picture.
 
     Args:
-        plot: The window.
         sources: Files of arrays, as `pictures.Painter` writes them, drawn side by side.
         target: The PNG file.
     """

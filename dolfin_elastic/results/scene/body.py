@@ -107,8 +107,6 @@ def gather_scene(body: Body, title: str, legend: Mapping[str, str]) -> Scene | N
     """The surface of a body, or all of a plane one, on rank 0; None on the others. Collective.
 
     Args:
-        body: The body.
-        title: Above the picture.
         legend: Name to what it is for; surfaces (regions of a plane body) that are coloured.
     """
     points, triangles, faces, marks = (
@@ -234,7 +232,6 @@ def spread_facets(body: Body, facets: IndexArray) -> tuple[FloatArray, FloatArra
     """Middles and outward normals of some facets that lie far from each other. Collective.
 
     Args:
-        body: The body.
         facets: Local facets.
 
     Returns:

@@ -22,7 +22,6 @@ def draw_scene(scene: Scene, file: Path) -> None:
     """Draws a body from two opposite sides, a plane one from the front. Not collective.
 
     Args:
-        scene: What is drawn.
         file: The PNG file.
 
     Raises:

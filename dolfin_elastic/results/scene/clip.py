@@ -62,9 +62,7 @@ def sections(
     """What planes leave of a surface, with the sections; of triangles, without any if all goes.
 
     Args:
-        surface: Of triangles.
         cells: Those that the planes cut, or all of them.
-        clips: The planes.
         view: See `scene.View`.
         up: Axis that is up.
     """
@@ -111,7 +109,6 @@ def whole_scene(
         points: Of the whole surface [m], shape (n, 3).
         triangles: Of it, shape (m, 3).
         u: Displacement of its points [m], shape (n, 3).
-        clips: The planes.
         view: See `scene.View`.
         up: Axis that is up.
     """
@@ -137,7 +134,6 @@ def _without_slivers(part: pyvista.PolyData, size: float) -> pyvista.PolyData:
     be outlined as if the surface turned there.
 
     Args:
-        part: Of triangles.
         size: Distance of points that are one, and least height of a triangle [m].
     """
     part = part.clean(tolerance=size, absolute=True, lines_to_points=False, polys_to_lines=False)
@@ -158,7 +154,6 @@ def clipped(
     Args:
         surface: From `gather_surface`.
         cells: From `gather_cells`; None of a plane body, which has no sections.
-        clips: The planes.
         view: See `scene.View`.
         up: Axis that is up.
     """

@@ -46,7 +46,6 @@ def make_colour_bar(
     Args:
         values: In SI units; those that are not finite are left out.
         unit: SI unit.
-        noise: Differences below this are round-off.
         exact: The bar ends at the smallest and the largest value, not at round numbers.
     """
     low, high = _range(values[np.isfinite(values)], noise)

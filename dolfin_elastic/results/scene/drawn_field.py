@@ -35,7 +35,6 @@ class DrawnField:
     """A field as a picture shows it.  All of it is collective but `shown`.
 
     Args:
-        problem: The problem that is solved.
         name: Name from `FIELDS`, one that a picture can show.
 
     Attributes:
@@ -57,9 +56,6 @@ class DrawnField:
 
     def at_nodes(self, state: State) -> AnyArray:
         """Components, or the value of a `linear` field, at the local nodes (ghosts included).
-
-        Args:
-            state: What is shown.
 
         Returns:
             Shape (nodes, columns).
@@ -95,7 +91,6 @@ def with_ghosts(index_map: IndexMap, values: AnyArray) -> AnyArray:
     """Values of owned points or cells, completed by those of ghosts. Collective.
 
     Args:
-        index_map: Of the points or cells.
         values: Shape (owned, columns).
 
     Returns:

@@ -36,8 +36,6 @@ def obstacle_scene(obstacles: Sequence[tuple[Shape, FloatArray]], reach: Reach, 
 
     Args:
         obstacles: Each with its displacement [m], `dim` components.
-        reach: Of the body.
-        dim: Of the body.
     """
     points: list[FloatArray] = [np.zeros((0, 3))]
     shifts: list[FloatArray] = [np.zeros((0, 3))]

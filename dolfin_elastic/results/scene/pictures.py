@@ -124,12 +124,9 @@ def picture(
     """Draws the deformed body, coloured by a field, over its undeformed edges. Collective.
 
     Args:
-        problem: The problem that was solved.
-        state: What is shown.
         file: The PNG file.
         field: Name from `FIELDS`; of vectors and tensors the norm is shown; values of cells are
             averaged at the nodes, but for materials and regions.
-        scale: Magnification of the displacement.
         view: Axis along which the body is seen; plane bodies are always seen from the front.
         title: Text above the body, before load or time.
 
@@ -151,7 +148,6 @@ class PictureWriter:
     drawn again at the end, where later states need a wider range of colours or more room.
 
     Args:
-        problem: The problem that is solved.
         path: The PNG file, or a film.
         every: Steps between drawn states, see `StepInterval`; the last state is always drawn.  The
             step's number is added to the file's name.  None: only the last state, without number;
@@ -159,7 +155,6 @@ class PictureWriter:
         fields: See `picture`; several are seen side by side.
         saved: Its restart state: pictures of later steps are removed.
         appearance: Of all pictures.
-        film: Of a film.
     """
 
     def __init__(
@@ -256,7 +251,6 @@ class ModePictureWriter:
     """Draws each mode, coloured by its displacement.  All of it is collective.
 
     Args:
-        problem: The problem that is solved.
         path: The PNG file; the mode's number goes into its name.
         amplitude: Largest displacement in the picture, over the body's longest side.
         appearance: Of all pictures; the mode's number follows the title.
@@ -332,7 +326,6 @@ class Painter:
     """Draws states coloured by fields; compiles once.  All of it is collective but `close`.
 
     Args:
-        problem: The problem that is solved.
         fields: Names from `FIELDS`, seen side by side.
 
     Raises:
@@ -383,9 +376,7 @@ class Painter:
         """Draws a state. Collective.
 
         Args:
-            state: What is shown.
             file: The PNG file.
-            appearance: How it is shown.
 
         Raises:
             OutputError: The picture cannot be drawn or written.
@@ -397,8 +388,6 @@ class Painter:
         """Keeps what a frame of a film shows, or warns once. Collective.
 
         Args:
-            state: What is shown.
-            appearance: How it is shown.
             series: Where it is kept.
         """
         panels = self.panels(state, appearance)
@@ -421,12 +410,7 @@ class Painter:
                 whole.close()
 
     def panels(self, state: State, appearance: Appearance) -> list[Scene]:
-        """What a picture shows of each field: arrays on rank 0, nothing on the others. Collective.
-
-        Args:
-            state: What is shown.
-            appearance: How it is shown.
-        """
+        """What a picture shows of each field: arrays on rank 0, nothing elsewhere. Collective."""
         every = [self._panel(drawn, state, appearance) for drawn in self._drawn]
         return [panel for panel in every if panel is not None]
 

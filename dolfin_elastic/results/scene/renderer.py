@@ -34,11 +34,7 @@ _TIMEOUT = 300
 
 
 class Renderer:
-    """The drawing process with its display.  Not collective: on rank 0.
-
-    Args:
-        script: The program that draws.
-    """
+    """The drawing process with its display.  Not collective: on rank 0."""
 
     def __init__(self, script: Path = _PROGRAM) -> None:
         self._display, environment = _display()

@@ -82,11 +82,8 @@ def colours(
     Args:
         values: Shown at the points [SI], shape (n,).
         spread: Values whose range the bar has, such as those of all pictures of a series.
-        field: Name of the field.
         unit: Its SI unit.
-        noise: Differences below this are round-off.
         ends: Ends of the bar [SI] in place of those of the values.
-        tensor: The values are norms of tensors.
     """
     small = field in SMALL_MATTERS
     if ends is None and small:
@@ -114,7 +111,6 @@ def mark(points: FloatArray, data: Scene, *, small: bool) -> Scene:
         points: Where the points are drawn, shape (n, 3).
         data: From `colours`; with `nodes`, shape (n,), only these points count: between them
             quadratic interpolation overshoots.
-        small: The smallest value is marked.
     """
     values = np.asarray(data["value"], dtype=float)
     if "nodes" in data:

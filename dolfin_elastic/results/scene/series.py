@@ -56,8 +56,6 @@ class Series:
     """Draws the pictures of one output.
 
     Args:
-        limits: Of the colours.
-        marks: The largest value is marked.
         folder: Where scenes are kept; None: of one picture none are.
     """
 
@@ -72,7 +70,6 @@ class Series:
         """Keeps what one picture shows; see `Painter.scene`.
 
         Args:
-            number: Of the step.
             panels: What is seen side by side.
 
         Raises:
@@ -122,7 +119,6 @@ class Series:
         """Draws a picture with the range and the camera of all scenes so far.
 
         Args:
-            number: Of the step.
             panels: See `add`.
             file: The PNG file.
 
@@ -155,8 +151,6 @@ class Series:
         Args:
             file: The .mp4 or .gif file.
             times: Time of each scene in the film [s], ascending.
-            numbers: Steps of the scenes.
-            fps: Frames a second.
 
         Raises:
             OutputError: It cannot be drawn or written.
@@ -203,7 +197,6 @@ def frames_at(times: Sequence[float], fps: float) -> list[int]:
 
     Args:
         times: Of the scenes in the film [s], ascending, the first one 0.
-        fps: Frames a second.
     """
     known = np.array(times)
     count = round(float(known[-1] - known[0]) * fps) + 1
@@ -221,7 +214,6 @@ def encode(frames: Path, file: Path, fps: float) -> None:
     Args:
         frames: Pattern of the names of PNG files.
         file: The .mp4 or .gif file.
-        fps: Frames a second.
 
     Raises:
         OutputError: There is no ffmpeg, or it has failed.
@@ -271,9 +263,7 @@ def finished(
     Args:
         panel: See `Painter.scene`.
         ends: Smallest and largest value that the bar has to show [SI].
-        limits: Of the colours.
         window: What the camera has to show, see `scene.window`.
-        marks: The largest value is marked.
     """
     found = {**panel, **scenes.camera(str(panel["view"]), str(panel.get("up_axis", "z")), window)}
     if "names" in panel:

@@ -63,7 +63,6 @@ def gather_surface(
     The surface of a plane body are all its cells.
 
     Args:
-        grid: The body's points and cells.
         values: Name to values at the local points (ghosts included), shape (points, columns);
             between them they follow the shape functions of the displacement.
         of_cells: Values of the local cells (ghosts included), shape (cells,), or None.
@@ -94,7 +93,6 @@ def gather_cells(
     """The tetrahedra that planes cut, on rank 0, None on the others. Collective.
 
     Args:
-        grid: The body's points and cells.
         values: See `gather_surface`.
         planes: Number of the axis across each plane, and its coordinate [m].
         of_cells: See `gather_surface`.
@@ -203,7 +201,6 @@ def _numbered(corners: AnyArray, lattice: AnyArray, n: int) -> AnyArray:
     Args:
         corners: Nodes at the corners of the faces, shape (faces, 3).
         lattice: See `_lattice`.
-        n: Divisions of a side.
     """
     count = int(corners.max(initial=-1)) + 1
     found = np.empty((len(corners), len(lattice)), dtype=np.int64)

@@ -51,7 +51,6 @@ class HistoryWriter:
     A row is on disk when `write` returns.
 
     Args:
-        problem: The problem that is solved.
         path: The file; an old one is overwritten.
         saved: Its restart state: rows after it are cut off.
 

@@ -46,9 +46,7 @@ class ModesWriter:
     """Writes each mode when it is found.  All of it is collective.
 
     Args:
-        problem: The problem that is solved.
         path: The CSV file; animations go beside it, those of an earlier run are removed.
-        frames: Number of frames of one period.
         amplitude: Largest displacement of an animation, over the body's longest side.
 
     Raises:

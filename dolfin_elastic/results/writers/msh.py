@@ -95,8 +95,6 @@ class MshWriter(SeriesWriter):
         """Adds a field of a state. Collective.
 
         Args:
-            name: Of the field.
-            state: The state.
             rows: This rank's values.
             numbers: Gmsh's numbers of their nodes or cells, perhaps with those of ghosts behind.
         """
@@ -110,8 +108,6 @@ class MshWriter(SeriesWriter):
         """Adds a section. Collective.
 
         Args:
-            name: Of the section.
-            head: Its first lines.
             lines: This rank's lines behind them.
         """
         rank, last = self.comm.rank, self.comm.size - 1

@@ -74,7 +74,6 @@ class SeriesWriter(ABC):
     """Writes the fields of selected states.  All of it is collective.
 
     Args:
-        problem: The problem that is solved.
         path: The file that users open.
         fields: Names from `FIELDS`; None: displacement and stresses, in motion also velocity.
         every: Steps between written states, see `StepInterval`; the last state is always written.
@@ -174,7 +173,6 @@ class SeriesWriter(ABC):
         """Writes the arrays of a frame, and returns its entry in the index. Collective.
 
         Args:
-            state: The state.
             rows: Name of a field to this rank's rows.
         """
 

@@ -68,7 +68,6 @@ class SummaryWriter:
     the last converged step; ``extremes`` are evaluated at the end of the run only.
 
     Args:
-        problem: The problem that is solved.
         path: The file; an old one is overwritten.
         saved: Its restart state: counts and seconds before the checkpoint are added.
         case: Tables of the case, of which the file holds a copy.
@@ -161,7 +160,6 @@ class SummaryWriter:
         it is compared to that of strains as large as the displacement over the body's size.
 
         Args:
-            state: The last one.
             extremes: Its extremes; without them nothing is known.
         """
         if not extremes or self._moved(state):
@@ -350,7 +348,6 @@ def _convergence(
 
     Args:
         before: The same of the steps before.
-        state: Of the step.
     """
     if len(state.residuals) < 2:
         return dict(before)
@@ -370,7 +367,6 @@ def _error(problem: Problem, estimate: ErrorEstimate, *, logs: bool) -> dict[str
 
     Args:
         problem: The problem that is solved, in the state of the estimate.
-        estimate: The estimated error.
         logs: They are also logged.
     """
     peaks = find_peaks(problem, estimate)
@@ -409,8 +405,6 @@ def mark_stopped(
     Not collective: called on any ranks, of which the first to come changes it.
 
     Args:
-        folder: Of the results.
-        reason: Why it was stopped.
         before: The status that is changed; another one stays.
     """
     path = folder / "summary.json"

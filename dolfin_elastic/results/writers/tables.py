@@ -72,8 +72,6 @@ class TableWriter(IndexedSeries):
         """Writes one table. Collective.
 
         Args:
-            file: Its name.
-            first: Name of the first column.
             numbers: This rank's part of it.
             columns: Name of a field to this rank's rows; of the places the name is empty.
         """

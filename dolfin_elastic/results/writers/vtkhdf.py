@@ -163,8 +163,6 @@ class VtkhdfWriter(Hdf5Series):
         """Writes the virtual array of a field. On rank 0.
 
         Args:
-            root: Receives it.
-            name: Of the field.
             frames: Those whose values are written: all, or of a fixed field one of each mesh.
             mesh: Number of the mesh of each state.
         """
@@ -215,8 +213,6 @@ def _virtual(group: h5py.Group, name: str, kind: str, parts: Sequence[_Source]) 
     """Creates an array that consists of parts in other files; of one column it is a plain one.
 
     Args:
-        group: Receives it.
-        name: Of the array.
         kind: Type of its numbers, as NumPy writes it.
         parts: With the same number of columns.
     """

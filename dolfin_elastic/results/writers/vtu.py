@@ -99,7 +99,6 @@ class VtuWriter(IndexedSeries):
         Args:
             name: Of the file.
             points: Name to values of the piece's points.
-            cells: Name to values of its cells.
         """
         import meshio
 
@@ -146,7 +145,6 @@ def _summary(
 
     Args:
         points: Fields of the points of a piece.
-        cells: Fields of its cells.
         pieces: Files of all pieces, relative to it.
     """
 

@@ -88,7 +88,6 @@ class Hdf5Series(IndexedSeries):
         """The entry of a state in the index.
 
         Args:
-            state: The state.
             file: HDF5 file with its fields.
             rows: Name of a field to this rank's rows.
         """
@@ -167,7 +166,6 @@ def mesh_xml(grid: Grid, file: str) -> str:
     """XML of a mesh.
 
     Args:
-        grid: Points and cells.
         file: HDF5 file with the arrays of `mesh_rows`, relative to the `.xdmf`.
     """
     # Only their shapes and types are needed.

@@ -94,11 +94,7 @@ class Reactions:
             forces[self._entries] += sign * loads.nodal()
 
     def restraints(self, without: Collection[str] = ()) -> FloatArray:
-        """Nodal forces of springs, dashpots and contact pairs, owned entries [N].
-
-        Args:
-            without: Labels that are left out.
-        """
+        """Nodal forces of springs, dashpots and contact pairs, owned entries [N]."""
         forces = np.zeros(self._dofs.size)
         for form in (form for label, form in self._restraints.items() if label not in without):
             forces += self.nodal(form)
@@ -130,7 +126,6 @@ class Tangent:
 
     Args:
         dofs: The unknowns and what is prescribed of them.
-        form: The compiled bilinear form.
         iterated: Only products and the diagonal are asked for, until `to_entries`: where it can
             be, it is then kept as `SymmetricBlocks`.
 
@@ -258,7 +253,6 @@ def _can_be_halved(dofs: ConstrainedDofs, form: TwoStageForm) -> bool:
 
     Args:
         dofs: The unknowns and what is prescribed of them.
-        form: The tangent.
     """
     problem = dofs.problem
     combined = (dofs.skew, dofs.ties, problem.cell)
@@ -276,8 +270,6 @@ class Residual:
 
     Args:
         dofs: The unknowns and what is prescribed of them.
-        work: Virtual work of the residual.
-        tangent: Whose columns are lifted.
         reactions: Loads at points, and the scale of restraints.
 
     Attributes:
@@ -326,7 +318,6 @@ class Residual:
 
         Args:
             x: The unknowns, from `ConstrainedDofs.origin`; the problem takes them over.
-            f: Receives the residual.
             target: Prescribed values as of `DirichletConditions.targets`; None: the problem's.
         """
         with stage("assemble"):
@@ -338,7 +329,6 @@ class Residual:
         """The residual with Dirichlet conditions, from `vector` as it was assembled.
 
         Args:
-            f: Receives the residual.
             target: Prescribed values as of `DirichletConditions.targets`; None: the problem's.
         """
         dofs = self._dofs
@@ -399,7 +389,6 @@ class Assembler(ConstrainedDofs):
     Args:
         problem: Whose residual and tangent; its unknowns are changed by every evaluation.
         extra: Terms added to the residual, for example inertia.
-        extra_tangent: Their contribution to the tangent.
         displacement_fixed: All displacements are prescribed: only the scalar fields are unknown.
         iterated: See `Tangent`.
 
@@ -460,7 +449,6 @@ def compiled(problem: Problem, forms: Sequence[ufl.Form]) -> list[fem.Form]:
 
     Args:
         problem: Its ranks and its options for the form compiler.
-        forms: What is compiled.
     """
     return compile_forms(problem.body.comm, list(forms), problem.jit)
 
@@ -469,7 +457,6 @@ def in_cells(problem: Problem, form: ufl.Form) -> tuple[CellIntegrals | None, fe
     """The integrals of a form over cells, and all others, compiled. Collective.
 
     Args:
-        problem: On whose unknowns it depends.
         form: Of at most one test function.
 
     Returns:
@@ -499,9 +486,6 @@ class StrainEnergy:
     """Stored energy of the body and of its springs; not a number for a law that has none.
 
     Collective to make.
-
-    Args:
-        problem: Whose energy.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -536,9 +520,6 @@ class SupportForces:
     its elements: the sum of their moments is that of the tractions, without error of its own.  The
     moments are taken where the stress is in balance, see `configuration_of_moments`, about the
     middle of the undeformed surface, fixed in space: then they change with the forces only.
-
-    Args:
-        assembler: Of the problem that is solved.
     """
 
     def __init__(self, assembler: Assembler) -> None:

@@ -18,11 +18,7 @@ from dolfin_elastic.problem.problem import Problem
 
 
 class CellStress:
-    """Mean stress of a periodic problem. Collective to make.
-
-    Args:
-        problem: With a cell.
-    """
+    """Mean stress of a periodic problem. Collective to make."""
 
     def __init__(self, problem: Problem) -> None:
         assert problem.cell is not None

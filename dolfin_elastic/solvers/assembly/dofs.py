@@ -182,7 +182,6 @@ class ConstrainedDofs:
         """Product of the tangent's prescribed columns and g - x, for the free rows. Collective.
 
         Args:
-            form: The compiled tangent K.
             differences: Of `differences`: x - g [m].
             out: Receives K (g - x) [N], owned entries.
         """

@@ -24,7 +24,6 @@ class ConsistentMass:
 
     Args:
         problem: The body; its displacement gives the current places.
-        v: Velocity.
     """
 
     def __init__(self, problem: Problem, v: fem.Function) -> None:
@@ -51,7 +50,6 @@ class LumpedMass:
 
     Args:
         problem: The body; its displacement gives the current places.
-        v: Velocity.
         mass: Mass at every owned entry, unrolled [kg].
     """
 
@@ -85,12 +83,7 @@ def _summed(problem: Problem, local: FloatArray) -> tuple[float, FloatArray, Flo
 
 
 def lumped(problem: Problem, assembler: Assembler) -> FloatArray:
-    """Row sums of the mass matrix at the owned displacements [kg]. Collective.
-
-    Args:
-        problem: Whose unknowns and forms.
-        assembler: Of the body.
-    """
+    """Row sums of the mass matrix at the owned displacements [kg]. Collective."""
     ones = ufl.as_vector([problem.constant(1.0)] * problem.body.dim)
     form = compiled(problem, [problem.weak_form.inertia(ones, problem.v)])[0]
     index_map, bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
@@ -104,7 +97,6 @@ def work(problem: Problem, forces: FloatArray, du: FloatArray) -> float:
     """Work of owned nodal forces over owned nodal displacements [J]. Collective.
 
     Args:
-        problem: Whose unknowns and forms.
         forces: Nodal forces, owned entries [N].
         du: Change of the displacement, owned entries [m].
     """

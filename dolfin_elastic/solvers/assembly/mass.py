@@ -111,7 +111,6 @@ def prescribed_rates(problem: Problem, t: float, h: float) -> tuple[FloatArray, 
     Changes the time of what is prescribed.  Not collective.
 
     Args:
-        problem: Whose supports.
         t: Time [s].
         h: The step [s].
     """
@@ -130,7 +129,6 @@ def free(problem: Problem, rows: FloatArray) -> FloatArray:
     """What supports leave of a vector at the owned displacements. Not collective.
 
     Args:
-        problem: Whose unknowns and forms.
         rows: Owned entries of the displacement.
     """
     dirichlet, out = problem.dirichlet, rows.copy()

@@ -51,7 +51,6 @@ class BilinearForm:
 
         Args:
             out: Local entries, before the ranks are summed [N].
-            bcs: Whose columns, with the values.
             values: The same values, local entries of all unknowns [m].
             w: The unknowns, local entries [m].
         """

@@ -23,7 +23,6 @@ class Forces:
 
     Args:
         problem: Whose displacement; linear elements, no unknowns beside it.
-        form: Compiled linear form.
         vector: Receives the forces [N], ghosts included.
         points: What the forces at points and lines are multiplied by.
 
@@ -94,10 +93,8 @@ class _Read:
     """The values of one field in the packed coefficients of one integral.
 
     Args:
-        field: A function of linear elements.
         packed: Coefficients of all cells, one row each.
         cells: Cell of each row.
-        first: Column of the field's first value.
     """
 
     def __init__(

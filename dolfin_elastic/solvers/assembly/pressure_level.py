@@ -85,9 +85,6 @@ class EnclosedBody:
 class PressureLevel:
     """The bodies of a problem whose pressure is known up to a constant. Collective to make.
 
-    Args:
-        problem: Whose unknowns.
-
     Attributes:
         bodies: The enclosed ones.
         pinned: Local entries of the pressures that are fixed, owned and ghost.

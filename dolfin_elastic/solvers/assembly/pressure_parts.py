@@ -30,10 +30,6 @@ round-off."""
 class PressureParts:
     """Connected parts with one continuous pressure each. Collective to make.
 
-    Args:
-        problem: Whose pressures.
-        regions: The material regions that count.
-
     Attributes:
         count: How many parts there are on all ranks.
         of_cell: Number of the part of each local cell; -1: of none.
@@ -202,7 +198,6 @@ def ring(problem: Problem, X: FloatArray) -> FloatArray | float:
     """Circumference at places of an axisymmetric body [m]; 1 of others.
 
     Args:
-        problem: Whose geometry.
         X: Places [m].
     """
     return 2 * np.pi * X[..., 0] if problem.geometry == "axisymmetric" else 1.0
@@ -212,7 +207,6 @@ def normal_integrals(problem: Problem, facets: IndexArray) -> tuple[IndexArray, 
     """Integrals of the normal times the shape functions of displacements. Local.
 
     Args:
-        problem: Whose displacement.
         facets: Local facets, after `prepare_facets`.
 
     Returns:

@@ -93,7 +93,6 @@ class SkewProjection:
         """Changes the values of the owned rows in place. Not collective.
 
         Args:
-            values: Of the whole matrix.
             unit: What P is multiplied by.
         """
         Q = np.eye(self._dim) - self._P

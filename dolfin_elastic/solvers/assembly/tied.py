@@ -21,7 +21,6 @@ class TiedMatrix:
     the rows of K, which are ones there.
 
     Args:
-        problem: Whose ties.
         K: The matrix, of whose pattern the product is made; its values may change.
         displacement: Owned entries of K's vectors that are displacements, in their order.
         soft: The diagonal at tied unknowns, over the mean of all.
@@ -72,7 +71,6 @@ def transformation(
     Tied rows have their diagonal, with the value zero, so that products have it, too.
 
     Args:
-        problem: Whose ties.
         like: Square, with the same rows.
         displacement: Owned entries of its vectors that are displacements, in their order.
     """

@@ -86,9 +86,7 @@ class EquilibriumAuditor:
     """Judges one converged step after another. Collective.
 
     Args:
-        problem: What is solved.
         assembler: Whose residual holds the nodal forces of the step.
-        watch: Of det F.
     """
 
     def __init__(self, problem: Problem, assembler: Assembler, watch: JacobianWatch) -> None:
@@ -107,7 +105,6 @@ class EquilibriumAuditor:
         """The audit of the step that the problem and the assembler are in. Collective.
 
         Args:
-            t: Load parameter, for messages.
             energy: Stored energy [J]; nan where a law has none.
             stability: Of the equilibrium; None where nobody asks for it.
         """
@@ -141,9 +138,7 @@ class EquilibriumAuditor:
         """The audit, with what det F has to say. Collective.
 
         Args:
-            t: Load parameter or time, for messages.
             reasons: Why it warns, by kind; det F adds its own.
-            found: What was measured.
             notes: What is not judged, and why.
         """
         low, high = self._watch.extremes()
@@ -392,9 +387,6 @@ class EquilibriumAuditor:
 
 class PathEnergyCheck:
     """Compares the energy of steps with the work of the internal forces over them.
-
-    Args:
-        assembler: Of a problem at rest.
 
     Attributes:
         strain: Measures the stored energy.

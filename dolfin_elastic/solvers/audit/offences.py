@@ -88,7 +88,6 @@ class WorstOffences:
 
         Args:
             found: By the name of the check.
-            when: Time or load factor, in words.
         """
         for check, offence in found.items():
             before = self.worst.get(check)
@@ -111,7 +110,6 @@ class WorstOffences:
         """An audit with its verdicts and reasons.
 
         Args:
-            audit: What was measured of a state.
             found: Offences of that state, which have been added.
         """
         return replace(

@@ -88,7 +88,6 @@ def diagnose(
 
     Args:
         assembler: Residual and tangent; the load is that of the step that failed.
-        result: How Newton's method ended.
         good: All unknowns at the last equilibrium, local array with ghosts.
         failed: The same at the last iterate; the problem holds it afterwards.
         judge_stability: An equilibrium of this kind has to be stable, and the tangent of the

@@ -54,11 +54,7 @@ class Fault:
 
 
 class Cells:
-    """Cells of a problem, evaluated at the quadrature points of the energy. Collective to make.
-
-    Args:
-        assembler: Of the problem.
-    """
+    """Cells of a problem, evaluated at the quadrature points of the energy. Collective to make."""
 
     def __init__(self, assembler: Assembler) -> None:
         self.assembler, self.problem = assembler, assembler.problem
@@ -124,11 +120,7 @@ class Cells:
 
 
 class TrialStates:
-    """Residual and tangent of a problem at given states.
-
-    Args:
-        assembler: Of the problem.
-    """
+    """Residual and tangent of a problem at given states."""
 
     def __init__(self, assembler: Assembler) -> None:
         self.assembler, self.problem = assembler, assembler.problem
@@ -180,7 +172,6 @@ def blind_to_inversion(problem: Problem, cells: Sequence[BadCell]) -> bool:
     """Whether the first of some cells has a law that does not see inversion. Not collective.
 
     Args:
-        problem: Its materials.
         cells: Inverted or nearly so, the worst first.
     """
     first = cells[0].material if cells else ""
@@ -193,7 +184,6 @@ def explained(problem: Problem, found: Diagnosis) -> Diagnosis:
     Collective.
 
     Args:
-        problem: Its body and laws.
         found: Any diagnosis; others than "inverted" are left as they are.
     """
     if found.cause != "inverted" or not found.place:

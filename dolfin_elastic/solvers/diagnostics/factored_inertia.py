@@ -84,11 +84,7 @@ def _found(space: _Krylov, symmetric_part: int | None) -> Found:
 
 
 class _Krylov:
-    """Forces F, orthonormal, and the displacements and pressures A^-1 F. Collective.
-
-    Args:
-        newton: With the factors of A.
-    """
+    """Forces F, orthonormal, and the displacements and pressures A^-1 F. Collective."""
 
     def __init__(self, newton: Newton) -> None:
         self._assembler = newton.assembler
@@ -105,11 +101,7 @@ class _Krylov:
         return len(self._F)
 
     def grow(self, number: int) -> None:
-        """Adds forces: the first displacements that are none yet. Collective.
-
-        Args:
-            number: How many.
-        """
+        """Adds forces: the first displacements that are none yet. Collective."""
         for _ in range(number):
             f = self._orthonormal(self._F, self._free(self._next.pop(0)))
             y = self._inverse(f)

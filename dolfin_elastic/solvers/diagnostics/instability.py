@@ -74,14 +74,7 @@ class Finding:
 def unstable(
     states: TrialStates, good: FloatArray, failed: FloatArray, *, settled: bool = False
 ) -> Finding:
-    """Looks for an instability. Collective.
-
-    Args:
-        states: Of the problem.
-        good: The last equilibrium.
-        failed: The last iterate.
-        settled: That is an equilibrium, too.
-    """
+    """Looks for an instability. Collective."""
     problem = states.problem
     if problem.num_dofs > LIMIT[problem.body.dim]:
         return _by_curvature(states, good, failed)
@@ -173,11 +166,7 @@ def _finding(
     """The finding in words, with advice. Collective.
 
     Args:
-        states: Of the problem.
-        good: The last equilibrium.
-        spectrum: Of its tangent.
         left: Share of its stiffness at rest that the weakest mode has left.
-        which: What the state is.
         by_curvature: The mode is only the difference from the last equilibrium to the last iterate.
     """
     states.put(good)

@@ -60,7 +60,6 @@ def _motions(assembler: Assembler, inside: BoolArray) -> tuple[list[str], tuple[
     """Rigid motions of a part against which the tangent has no stiffness. Collective.
 
     Args:
-        assembler: Its tangent is assembled.
         inside: Local nodes of the part, ghosts included.
 
     Returns:

@@ -49,11 +49,7 @@ class SoftSpot:
         return self.share < 0.0
 
     def in_words(self, problem: Problem) -> tuple[str, str]:
-        """What has happened there, and what to try.
-
-        Args:
-            problem: Whose materials.
-        """
+        """What has happened there, and what to try."""
         part = next(p for p in problem.regions if p.name == self.material)
         stretch, along = _principal_stretch(self.F[0], problem.body.dim)
         how = "squeezed" if stretch < 1.0 else "stretched"
@@ -81,9 +77,6 @@ def softest_spot(cells: Cells) -> SoftSpot | None:
 
     Source: for the pressure, det (F + s a x N) is affine in s: J. M. Ball, Arch. Ration. Mech.
     Anal. 63 (1977) 337, section 4.
-
-    Args:
-        cells: Of the problem.
     """
     F, problem = cells.gradients(), cells.problem
     mine = [spot for part in problem.regions if (spot := _of_region(cells, part, F)) is not None]

@@ -140,10 +140,6 @@ def _proven(tangent: _Tangent, d: FloatArray) -> Found:
     """A negative eigenvalue, where a symmetric tangent itself is negative along d. Collective.
 
     Conjugate gradients end with such a direction also where only the preconditioner is negative.
-
-    Args:
-        tangent: The tangent.
-        d: The direction, on its rows.
     """
     if tangent.dot(d, tangent.product(d)) > 0.0:
         return Found(None, reason="its preconditioner is not positive definite")
@@ -152,9 +148,6 @@ def _proven(tangent: _Tangent, d: FloatArray) -> Found:
 
 class _Tangent:
     """M, its preconditioner, and the inverse of A, on owned rows of the fields. Collective.
-
-    Args:
-        newton: The solver.
 
     Attributes:
         comm: The ranks.
@@ -225,7 +218,6 @@ class _Tangent:
         Roughly where it iterates.  GMRES, whatever Newton's solver: A may be indefinite.
 
         Args:
-            f: On the rows of M.
             guess: Of the solution, on all rows, of any length.
 
         Returns:
@@ -332,11 +324,7 @@ class _Tangent:
 
 
 class _Directions:
-    """Directions D of negative curvature, orthonormal, and A^-1 D.
-
-    Args:
-        tangent: Of which they are.
-    """
+    """Directions D of negative curvature, orthonormal, and A^-1 D."""
 
     def __init__(self, tangent: _Tangent) -> None:
         self._tangent = tangent
@@ -373,7 +361,6 @@ class _Directions:
         """Adds a direction and solves for it; False where that fails. Collective.
 
         Args:
-            d: The direction.
             guess: Of A^-1 d, of any length.
         """
         d = self.project(self.project(d))  # twice is enough for round-off
@@ -416,7 +403,6 @@ def by_directions(
         comm: The ranks.
         D: Orthonormal directions, one a row, owned entries.
         Y: A^-1 D.
-        symmetric: A is.
         at_least: The symmetric part of A need not be positive definite on their complement.
 
     Returns:
@@ -455,11 +441,6 @@ def _conjugate_gradients(tangent: _Tangent, directions: _Directions, begin: _Beg
     """Conjugate gradients on the complement of some directions. Collective.
 
     Without the solution, which nobody asks for.
-
-    Args:
-        tangent: The operator and its preconditioner.
-        directions: Which are left out.
-        begin: Right-hand sides.
     """
     if begin.negative is not None and not directions.count:
         return _Ended(definite=False, direction=begin.negative)
@@ -504,7 +485,6 @@ class _RitzValues:
         """Adds an iteration.
 
         Args:
-            step: Length of its step.
             ratio: Of its square of the residual to that before.
         """
         self._diagonal.append(1.0 / step + self._rest)

@@ -110,10 +110,6 @@ def check_no_rigid_motion(problem: Problem) -> None:
 def _check_obstacles_ahead(problem: Problem, free: list[FreeBody]) -> None:
     """Obstacles that would hold the body once they touched are named. Collective.
 
-    Args:
-        problem: Whose contacts.
-        free: Bodies that can move.
-
     Raises:
         InputError: Obstacles would hold them, with how far away they are.
     """
@@ -136,7 +132,6 @@ def free_motions(problem: Problem, *, reached: bool = False) -> list[str]:
     """Rigid motions of any body that no support prevents, in words. Collective.
 
     Args:
-        problem: Whose bodies.
         reached: Count every surface that may touch an obstacle as touching.
     """
     bodies = free_bodies(problem, reached=reached)
@@ -147,7 +142,6 @@ def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
     """All connected bodies, each with the rigid motions that no support prevents. Collective.
 
     Args:
-        problem: Whose bodies.
         reached: Count every surface that may touch an obstacle as touching.
     """
     bodies = ConnectedBodies(problem)
@@ -193,7 +187,6 @@ def constrained_directions(problem: Problem, *, reached: bool = False) -> Constr
     too; dashpots constrain nothing.
 
     Args:
-        problem: Whose supports, springs and obstacles.
         reached: Count every surface that may touch an obstacle as touching.
     """
     dim, prescribed = problem.body.dim, problem.dirichlet
@@ -228,7 +221,6 @@ def _constraint_products(
     """The sum of products of constraints on rigid motions, for each body. Collective.
 
     Args:
-        bodies: Connected bodies.
         constraints: Of this rank's nodes.
         centres: Of rotations, shape (bodies, dim) [m].
         sizes: Length by which places are divided, shape (bodies,) [m].
@@ -293,8 +285,6 @@ def _coupled_products(
     """The joint matrix of all bodies that have rigid surfaces with free motion. Collective.
 
     Args:
-        problem: Whose surfaces.
-        bodies: Its connected bodies.
         products: Matrix of each body, as if the surfaces were fixed, shape (bodies, n, n).
         motions_at: From nodes to their displacement under unit motions of their body, shape
             (nodes, dim, n).
@@ -340,9 +330,7 @@ def _restricted(null: FloatArray, k: int, n: int) -> FloatArray:
     """Orthonormal motions of one body in a null space of the joint matrix.
 
     Args:
-        null: The null space, in columns.
         k: Number of the body among those with rigid surfaces.
-        n: Rigid motions of a body.
     """
     left, sizes, _ = np.linalg.svd(null[k * n : (k + 1) * n], full_matrices=False)
     return np.asarray(left[:, sizes > _SAME])

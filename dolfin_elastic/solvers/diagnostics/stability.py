@@ -55,10 +55,6 @@ def negative_pivots(pc: PETSc.PC, assembler: Assembler) -> int | None:
     As many as negative pivots (Sylvester's law of inertia), less those of the pressures, which
     belong to a saddle point.
 
-    Args:
-        pc: Its factorisation.
-        assembler: Of the tangent.
-
     Returns:
         Their number; None where it is not MUMPS's of a symmetric matrix, or where there are fewer
         pivots than pressures, for then the tangent is singular.
@@ -234,12 +230,7 @@ class FactorisedTangent:
         return largest(self.comm, float(not good)) == 0.0
 
     def solve(self, f: PETSc.Vec, x: PETSc.Vec) -> None:
-        """x = K^-1 f. Collective.
-
-        Args:
-            f: Right-hand side.
-            x: Receives the solution.
-        """
+        """x = K^-1 f. Collective."""
         self._ksp.solve(f, x)
 
     def weakest(self) -> Mode | None:
@@ -329,7 +320,6 @@ def curvature(assembler: Assembler, direction: FloatArray) -> float:
     """d . K d / d . d of the tangent as it is assembled, free entries only [N/m]. Collective.
 
     Args:
-        assembler: Its tangent is assembled.
         direction: d, owned entries of all unknowns.
 
     A negative one proves that the tangent is not positive definite, without any factors.

@@ -45,9 +45,6 @@ class MotionAuditor(EquilibriumAuditor):
     """Audits the steps of an implicit motion. Collective.
 
     Args:
-        problem: What moves.
-        moving: Its forces.
-        watch: Of det F.
         parameters: Of the scheme: what it is meant to damp.
         end: When the motion ends [s].
     """
@@ -109,7 +106,6 @@ class MotionAuditor(EquilibriumAuditor):
 
         Args:
             t: Time [s].
-            balance: Work and dissipation so far.
             energies: Of the state [J].
         """
         reasons = dict(self._reasons)
@@ -139,7 +135,6 @@ class MotionAuditor(EquilibriumAuditor):
         imbalance is why it grows.
 
         Args:
-            reasons: Of this state.
             off: Energy out of balance over the largest energy.
             scale: The largest energy so far [J].
             t: Time [s].

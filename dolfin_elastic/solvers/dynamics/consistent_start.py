@@ -125,10 +125,6 @@ def settle_auxiliary_fields(problem: Problem, assembler: Assembler) -> None:
 
     Nothing is done where the body is undeformed, or where a material is exactly incompressible:
     its pressure does not follow from the displacement.
-
-    Args:
-        problem: Its scalar fields are changed.
-        assembler: Its residual is assembled anew.
     """
     if (
         not problem.unknowns.auxiliary_fields
@@ -304,7 +300,6 @@ class _IncompressibleStart:
 
         Args:
             rows: Residual of the rows of the pressure [N].
-            first: It is the first solve.
         """
         rows = np.where(self._no_compliance, 0.0, rows)
         if self._problem.unknowns.stabilised and wholly_incompressible(self._problem):
@@ -354,9 +349,6 @@ class AuxiliaryFields:
     """The scalar unknowns of a problem, each as a function of its own, for restarts.
 
     Collective to make.
-
-    Args:
-        problem: Whose unknowns.
 
     Attributes:
         fields: Name to function, up to date after `read`.

@@ -35,7 +35,6 @@ class Dynamics:
         problem: What moves; every material needs a density.
         settings: See `DynamicsSettings`; keyword arguments are its fields.
         linear: How linear systems are solved (implicit scheme).
-        petsc: PETSc options, which win over everything.
     """
 
     def __init__(

@@ -35,9 +35,7 @@ def nodal_values(V: fem.FunctionSpace, values: tuple[Component, ...], where: str
     """A vector given by components at every local node, unrolled. Not collective.
 
     Args:
-        V: Space of the vector.
         values: Components: numbers, or formulas in x, y, z.
-        where: Dotted key, for messages.
 
     Raises:
         InputError: The number of components is not the body's.
@@ -70,7 +68,6 @@ def set_initial(
 
     Args:
         problem: Its displacement is set, and its time to 0.
-        v: Velocity, set.
         displacement: Components or formulas in x, y, z; none: at rest where it is.
         velocity: The same for the velocity.
         span: Duration of the motion [s]: a part of it serves to differentiate supports.
@@ -122,7 +119,6 @@ def _speeds(problem: Problem, moment: float) -> tuple[FloatArray, float]:
     By a one-sided difference of second order.
 
     Args:
-        problem: Whose supports.
         moment: Duration of the difference [s].
     """
     start, half, whole = problem.dirichlet.targets_at((0.0, moment / 2, moment))
@@ -137,8 +133,6 @@ def _imposed(
     """Sets prescribed entries; yields the supports where they were different. Collective.
 
     Args:
-        problem: Whose supports.
-        field: Displacement or velocity, changed.
         what: "velocity" or "displacement".
         values: Prescribed, like `DirichletConditions.targets`.
         least: Differences up to this are none.
@@ -154,12 +148,6 @@ def _set_nodal(
     problem: Problem, field: fem.Function, values: tuple[Component, ...], where: str
 ) -> None:
     """Sets nodal values; a formula that fails on one rank fails on all. Collective.
-
-    Args:
-        problem: What moves.
-        field: Displacement or velocity, changed.
-        values: Components or formulas.
-        where: Dotted key, for messages.
 
     Raises:
         InputError: A value is not finite.
@@ -236,7 +224,6 @@ def support_jump(problem: Problem, t: float, step: float) -> str:
     """Message about the support that jumps furthest just after a time; empty: none. Collective.
 
     Args:
-        problem: Whose supports.
         t: Time [s]; it is the problem's afterwards.
         step: Usual step of the motion [s].
     """
@@ -262,7 +249,6 @@ def support_jumps(
     """Supports by which displacement or velocity of the body is changed. Collective.
 
     Args:
-        problem: What moves.
         what: "velocity" or "displacement".
         change: Change by the supports, owned entries.
         least: Differences up to this are none.
@@ -284,7 +270,6 @@ def _by_support(problem: Problem, change: FloatArray) -> Iterator[tuple[str, Flo
     """Each support's label, and its part of the change at the owned nodes, shape (nodes, dim).
 
     Args:
-        problem: Whose supports.
         change: By all supports, owned entries.
     """
     dirichlet, dim = problem.dirichlet, problem.body.dim

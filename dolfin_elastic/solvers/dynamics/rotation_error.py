@@ -42,7 +42,6 @@ class RotationError:
     """Compares the strain error of rotations with the strains.  Collective to make.
 
     Args:
-        problem: What moves.
         alpha_f: Share of the old displacement in that of the stage.
     """
 

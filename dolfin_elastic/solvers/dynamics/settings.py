@@ -226,7 +226,6 @@ def _refuse_tiny(key: str, step: float, end: float, share: float) -> None:
     """Refuses a step that never comes to the end.
 
     Args:
-        key: That gives the step.
         step: Its length [s].
         end: When the motion ends [s].
         share: Of the end, which a step may have at least.

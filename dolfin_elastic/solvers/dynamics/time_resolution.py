@@ -32,7 +32,6 @@ class TimeResolution:
     """Counts the steps within which the body turns round.
 
     Args:
-        problem: What moves.
         alpha_f: Share of the old displacement in that of a step's stage.
     """
 

@@ -54,9 +54,7 @@ class EnergyBook:
     """Energies and momenta of the states of a motion. Collective to make.
 
     Args:
-        problem: What moves.
         inertia: Kinetic energy and momenta of its velocity, with the mass of the scheme.
-        work: Done on the body so far.
         pressure: Where the pressure is not that of the states.
     """
 
@@ -125,10 +123,6 @@ class EnergyBalance:
 
     Collective to make.
 
-    Args:
-        moving: The body.
-        v: Its velocity.
-
     Attributes:
         scale: The largest energy so far [J].
     """
@@ -176,7 +170,6 @@ class EnergyBalance:
         """Work of supports against inertia that the reactions do not contain, on this rank [J].
 
         Args:
-            forces: In the middle of the step.
             du: Change of the displacement, owned entries [m].
         """
         a, moves = self._moving.assembler, self._moving.displacement_dofs
@@ -362,10 +355,7 @@ class ExternalWork:
     moving obstacles.
 
     Args:
-        problem: What moves.
-        assembler: Of this problem.
         mass: Lumped mass at every owned entry [kg].
-        v: Velocity.
 
     Attributes:
         sum: The work at the last state asked for [J].

@@ -155,7 +155,6 @@ class Buckling(PreloadedAnalysis):
         """Load factors about the present state, and the modes. Collective.
 
         Args:
-            share: Of the loads, in this state.
             signs: 1 for the loads as they are, -1 for the reversed ones.
         """
         log.info("%s", self.choice.why)
@@ -213,10 +212,6 @@ def _warn_of_strains(pairs: Sequence[Pair], straining: float, share: float) -> N
 
 class _Path:
     """Tangent of a state, and its derivative along the path of equilibria. Collective.
-
-    Args:
-        problem: In that state.
-        share: Of the loads.
 
     Attributes:
         stiffness: K(s0), ones on the diagonal where displacements are prescribed.

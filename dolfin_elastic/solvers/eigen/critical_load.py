@@ -39,12 +39,8 @@ class CriticalLoad:
     """Critical factors of a stiffness under loads. Collective.
 
     Args:
-        problem: Whose unknowns the matrices are of.
-        stiffness: K, of a stable state.
         rate: Change of K per load factor.
         sign: 1, or -1 for the loads reversed.
-        choice: How linear systems are solved.
-        users: PETSc options of the user.
         tolerance: Relative error.
 
     Attributes:
@@ -100,11 +96,7 @@ class CriticalLoad:
         """The smallest positive values, in their order; fewer where there are no more. Collective.
 
         Args:
-            shift: Always zero.
-            count: How many.
             room: How many there may be at all.
-            known: Vectors that are found already.
-            seed: Another number is another start.
 
         Raises:
             StoppedError: See `solve`.

@@ -82,8 +82,6 @@ class Frame:
     """Unit rigid motions of some nodes about their centre of mass, and their inertia. Collective.
 
     Args:
-        problem: Whose body.
-        mass: Of the whole body.
         inside: Which of the owned nodes move.
 
     Attributes:
@@ -169,7 +167,6 @@ def rigid_modes(assembler: Assembler, mass: Mass) -> list[RigidMode]:
 
     Args:
         assembler: With the tangent as it is assembled.
-        mass: Of the whole body.
     """
     problem = assembler.problem
     bodies = ConnectedBodies(problem)
@@ -203,7 +200,6 @@ def _orthogonal(null: FloatArray, gram: FloatArray) -> list[FloatArray]:
     """A basis of combinations, orthonormal in `gram`: pure unit motions first, where there are.
 
     Args:
-        null: Orthonormal columns.
         gram: Products of the motions that are combined.
     """
     candidates = (null @ null.T).T

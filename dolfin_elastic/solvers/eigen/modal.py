@@ -75,7 +75,6 @@ class Modal(PreloadedAnalysis):
         problem: What vibrates; every material needs a density.
         settings: See `ModalSettings`; keyword arguments are its fields.
         statics: How the loaded state is found, with `preload`.
-        linear: How linear systems are solved.
         petsc: PETSc and SLEPc options, which win over everything.
     """
 

@@ -48,10 +48,8 @@ class Pencil(Protocol):
 
         Args:
             shift: Where they are looked for: omega^2 [1/s^2], or a load factor.
-            count: How many are wanted.
             room: How many there are at all.
             known: Vectors that are found already, owned entries of each.
-            seed: Another number is another start.
         """
 
     def below(self, number: float) -> int | None:
@@ -62,9 +60,7 @@ def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
     """Refuses problems without modes. Collective.
 
     Args:
-        problem: What is to vibrate or buckle.
         table: Name of the case file's table.
-        loaded: The tangent is one with loads.
 
     Raises:
         InputError: Something of it has none.
@@ -130,7 +126,6 @@ def shape(problem: Problem, vector: FloatArray) -> tuple[fem.Function, float]:
     The sign is the same on any number of ranks. Collective.
 
     Args:
-        problem: Whose unknowns and forms.
         vector: Owned entries of all unknowns.
     """
     u = fem.Function(problem.V, name="mode")
@@ -166,7 +161,6 @@ def complete(
     nothing can be counted, a second search among these must find nothing new.
 
     Args:
-        spectrum: The pencil.
         shift: Below all eigenvalues.
         count: How many are wanted; a few more are given.
         room: How many there are beside the known ones.

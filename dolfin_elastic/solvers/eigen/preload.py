@@ -25,9 +25,6 @@ class PreloadedAnalysis(ABC):
     """Base of `Modal` and `Buckling`: static path to the preload, and its share of PETSc options.
 
     Args:
-        problem: What is analysed.
-        statics: How a loaded state is found.
-        linear: How linear systems are solved.
         petsc: PETSc and SLEPc options, which win over everything.
     """
 
@@ -46,7 +43,6 @@ class PreloadedAnalysis(ABC):
         """Refuses keys of [statics] that have no effect on the path to the preload.
 
         Args:
-            key: Dotted key of the preload.
             share: Load factor of the preload; 0: none.
 
         Raises:

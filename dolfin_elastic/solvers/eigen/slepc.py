@@ -67,7 +67,6 @@ def choose_eigen(problem: Problem, settings: LinearSettings) -> Choice:
     """Chooses how systems inside an eigenvalue solver are solved, and says why.
 
     Args:
-        problem: Whose unknowns and forms.
         settings: As the user chose.
     """
     dofs, limit = problem.num_dofs, DIRECT_LIMIT[problem.body.dim]
@@ -177,11 +176,7 @@ class Spectrum:
     """Eigenpairs of A x = value B x. Collective; `destroy` it.
 
     Args:
-        problem: Whose unknowns the matrices are of.
-        A: Symmetric.
         B: Symmetric and not negative.
-        choice: How linear systems are solved.
-        users: PETSc options of the user.
         tolerance: Relative error of eigenvalues.
 
     Attributes:
@@ -238,10 +233,8 @@ class Spectrum:
 
         Args:
             shift: Below all eigenvalues that are looked for.
-            count: How many.
             room: How many there are at all.
             known: Vectors that are found already, B-orthogonal to each other.
-            seed: Another number is another start.
 
         Raises:
             ConvergenceError: Fewer were found.
@@ -329,9 +322,6 @@ def solve(eps: SLEPc.EPS) -> None:
     PETSc itself raises an error where a linear solve inside does not converge, but not after any
     other error of the process within a solve: it counts solves within solves, and has lost count.
 
-    Args:
-        eps: The solver, ready.
-
     Raises:
         ConvergenceError: A linear solve inside has not converged.
         StoppedError: A signal has asked for the end of the run.
@@ -351,15 +341,7 @@ def solve(eps: SLEPc.EPS) -> None:
 
 
 def _stops(eps: SLEPc.EPS, iteration: int, most: int, found: int, wanted: int) -> int:
-    """SLEPc's own test after each restart, and whether the run shall stop. Collective.
-
-    Args:
-        eps: The solver.
-        iteration: Number of restarts.
-        most: Largest number of them.
-        found: Eigenpairs that have converged.
-        wanted: Eigenpairs that were asked for.
-    """
+    """SLEPc's own test after each restart, and whether the run shall stop. Collective."""
     reason = SLEPc.EPS.ConvergedReason
     if found >= wanted:
         return int(reason.CONVERGED_TOL)
@@ -375,12 +357,7 @@ def _reason(eps: SLEPc.EPS) -> str:
 
 
 def uneven(problem: Problem, seed: int) -> FloatArray:
-    """An initial vector with a component of every mode, the same on any number of ranks.
-
-    Args:
-        problem: Whose unknowns and forms.
-        seed: Another number gives another vector.
-    """
+    """An initial vector with a component of every mode, the same on any number of ranks."""
     dim, moves = problem.body.dim, problem.unknowns.displacement_dofs
     x = problem.unknowns.unknown_places[: len(moves) // dim, :dim]
     span = largest(problem.body.comm, float(np.max(np.abs(x), initial=0.0))) or 1.0

@@ -14,9 +14,6 @@ def constrained_motions(assembler: Assembler) -> int:
 
     Each pressure that stands in none of its own rows takes one away; one that is fixed, because
     the body is held all around, stands in its own. Collective.
-
-    Args:
-        assembler: With the tangent.
     """
     problem = assembler.problem
     if not partly_incompressible(problem):

@@ -35,9 +35,6 @@ where the displacement is the only unknown."""
 class Age:
     """Watches the tangents and iterations of one preconditioner.  Collective to make.
 
-    Args:
-        assembler: Of the tangents.
-
     Attributes:
         kept: The preconditioner is of an earlier tangent than the last one.
     """
@@ -75,7 +72,6 @@ class Age:
         """Whether a solve has taken no more iterations than a set-up saves. Not collective.
 
         Args:
-            iterations: Of the last solve.
             digits: By how many powers of ten the residual was to fall.
         """
         effort = iterations / digits

@@ -47,12 +47,9 @@ def smoothed_interpolation(
     unknowns.  Aggregates end at the boundaries of ranks; smoothing crosses them.
 
     Args:
-        A: The matrix.
         modes: Rigid-body modes of owned nodes, of shape (nodes, R, modes); where a component is
             prescribed they may become zero.
-        diagonal: That of A.
         threshold: |A_ij| / sqrt(|A_ii| |A_jj|) of a strong connection.
-        loops: Those of multigrid.c.
 
     Returns:
         P, whose coarse matrix `galerkin` makes, and modes of shape (nodes, modes, modes).
@@ -94,7 +91,6 @@ def _with_ghosts_behind(modes: FloatArray, halo: Halo) -> FloatArray:
 
     Args:
         modes: Of owned nodes.
-        halo: The nodes.
     """
     if halo.size == len(modes):
         return modes
@@ -128,7 +124,6 @@ def _of_ghosts(halo: Halo, member: IndexArray, count: int) -> tuple[IndexArray, 
     """Aggregates of all nodes here, and those of other ranks among them. Collective.
 
     Args:
-        halo: The nodes.
         member: Aggregate of each owned node; negative where it has none.
         count: Aggregates of this rank.
     """
@@ -149,9 +144,7 @@ def galerkin(A: BlockRows, P: Interpolation, loops: CFunctions) -> BlockRows:
     """The matrix P^T A P of a coarser level. Collective.
 
     Args:
-        A: Square.
         P: Interpolation to the owned nodes of A.
-        loops: Those of multigrid.c.
     """
     start, columns, P_blocks, numbers = _with_ghosts(A, P)
     side = P.halo.owners(numbers) if A.symmetric else np.arange(len(numbers))
@@ -184,11 +177,8 @@ def _coarse_pattern(
     """Rows and sorted columns of P^T A P, and the most blocks that a row of A P has. Local.
 
     Args:
-        A: The matrix.
-        P: Interpolation.
         every: Its rows of all nodes here.
         sides: See `product_pattern` in multigrid.c, with a side and a number for each column.
-        loops: Those of multigrid.c.
     """
     size = len(sides[0])
     product = _product_pattern(A.pattern(), every, None, size, loops)
@@ -211,11 +201,7 @@ def _product_pattern(
     """Rows of a product A B, and their columns, not sorted.
 
     Args:
-        A: Of the first factor.
-        B: Of the second.
         halved: The sides, if only one half is wanted.
-        size: Columns of the second.
-        loops: Those of multigrid.c.
     """
     rows, nothing = len(A[0]) - 1, np.empty(0, dtype=np.int32)
     half = (0, nothing, np.empty(0, dtype=np.int64)) if halved is None else (1, *halved)
@@ -259,13 +245,7 @@ def _with_ghosts(
 
 
 def _transposed(pattern: Pattern, size: int, loops: CFunctions) -> Pattern:
-    """Rows that each of so many columns has entries in, sorted. Local.
-
-    Args:
-        pattern: Of the matrix.
-        size: Its columns.
-        loops: Those of multigrid.c.
-    """
+    """Rows that each of so many columns has entries in, sorted. Local."""
     start, room = np.empty(size + 1, dtype=np.int64), np.empty(size, dtype=np.int64)
     rows = np.empty(len(pattern[1]), dtype=np.int32)
     loops.call("transpose", len(pattern[0]) - 1, size, *pattern, start, rows, room)
@@ -278,7 +258,6 @@ def _summed(
     """Adds the parts of rows that several ranks have. Collective.
 
     Args:
-        halo: Nodes of the rows.
         numbers: Global number of each node of the columns.
         start: Where their rows begin, and the last one ends.
         nodes: Column of each block.

@@ -34,7 +34,6 @@ class Interpolation:
         start: Where each node's row begins, and the last one ends [n + 1].
         columns: Local number of the node in `halo` of each block.
         blocks: Shape (blocks, R, C), in `room_for` as many.
-        halo: Nodes of its columns.
     """
 
     def __init__(
@@ -49,13 +48,7 @@ class Interpolation:
 
 
 def room_for(count: int, R: int, C: int) -> SingleArray:
-    """Blocks of an interpolation, behind which the loops may read. Local.
-
-    Args:
-        count: How many.
-        R: Rows of a block.
-        C: Columns of a block.
-    """
+    """Blocks of an interpolation, behind which the loops may read. Local."""
     return np.zeros(count * R * C + 2, dtype=np.float32)[:-2].reshape(count, R, C)
 
 
@@ -66,7 +59,6 @@ class BlockRows:
         start: Where each node's row begins, and the last one ends [n + 1].
         columns: Local number of the node in `halo` of each block.
         blocks: Shape (blocks, R, C).
-        halo: Nodes of its columns.
 
     Attributes:
         whole: It has all its blocks in `blocks`.
@@ -105,7 +97,6 @@ class BlockRows:
 
         Args:
             x: At owned nodes and ghosts.
-            loops: Those of multigrid.c.
         """
         y = np.empty((self.rows, self.R))
         matrix = (*self.pattern(), self.blocks)
@@ -113,11 +104,7 @@ class BlockRows:
         return y
 
     def diagonal(self, loops: CFunctions) -> FloatArray:
-        """The diagonal blocks of a square matrix, shape (rows, R, R). Local.
-
-        Args:
-            loops: Those of multigrid.c.
-        """
+        """The diagonal blocks of a square matrix, shape (rows, R, R). Local."""
         blocks = np.zeros((self.rows, self.R, self.R))
         for first, count, part in self.parts():
             loops.call(
@@ -154,7 +141,6 @@ def in_single_precision(blocks: FloatArray, loops: CFunctions) -> SingleArray:
 
     Args:
         blocks: Shape (blocks, R, C).
-        loops: Those of multigrid.c.
     """
     out = np.zeros(blocks.size + 2, dtype=np.float32)
     loops.call("in_single_precision", *blocks.shape, blocks, out)
@@ -168,7 +154,6 @@ def into_single_precision(blocks: FloatArray, loops: CFunctions) -> SingleArray:
 
     Args:
         blocks: Shape (blocks, R, C); lost.
-        loops: Those of multigrid.c.
     """
     if not blocks.flags.owndata:
         return in_single_precision(blocks, loops)
@@ -198,9 +183,6 @@ class PetscRows(BlockRows):
 
     Args:
         matrix: Whose rows and columns of a node follow on each other; it must outlive this.
-        R: Rows of a node.
-        C: Columns of a node.
-        loops: Those of multigrid.c.
     """
 
     whole = False
@@ -256,7 +238,6 @@ class _HalfPattern(BlockRows):
         start: Where each node's blocks begin, and the last one ends.
         columns: Local number of the node in `halo` of each block.
         blocks: Shape (blocks, R, R).
-        halo: Nodes of its columns.
         loops: With those of `in_full`.
     """
 
@@ -366,9 +347,6 @@ def interpolation_from_petsc(matrix: PETSc.Mat, R: int, C: int, loops: CFunction
 
     Args:
         matrix: Whose rows and columns of a node follow on each other.
-        R: Rows of a node.
-        C: Columns of a node.
-        loops: Those of multigrid.c.
     """
     A = PetscRows(matrix, R, C, loops)
     blocks = room_for(A.start[-1], R, C)

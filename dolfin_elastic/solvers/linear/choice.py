@@ -110,7 +110,6 @@ def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) 
 
     Args:
         problem: Its unknowns and the symmetry of its tangent decide.
-        settings: What the user asks for.
         moving: The system is that of a time step.
     """
     dofs, limit = problem.num_dofs, DIRECT_LIMIT[problem.body.dim]
@@ -183,7 +182,6 @@ def in_blocks(choice: Choice, users: PetscOptions) -> bool:
     """Whether the tangent is asked for products and its blocks alone. Not collective.
 
     Args:
-        choice: Of the linear solver.
         users: PETSc options of the user, without prefix.
     """
     by_cg = choice.options.get("ksp_type") == "cg"
@@ -197,7 +195,6 @@ def petsc_multigrid(options: PetscOptions, users: PetscOptions, degree: int) -> 
     Args:
         options: PETSc's, among which ours may be.
         users: Those of the user, without prefix.
-        degree: Of the displacement.
 
     Returns:
         Options to be changed; none where the user gives no options of levels.

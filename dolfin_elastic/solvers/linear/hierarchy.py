@@ -57,9 +57,7 @@ class Level:
     """One level of the cycle.
 
     Args:
-        smoother: Of its matrix.
         P: Interpolation from the next coarser level.
-        loops: Those of multigrid.c.
     """
 
     def __init__(self, smoother: Smoother, P: Interpolation, loops: CFunctions) -> None:
@@ -196,11 +194,9 @@ class Hierarchy:
     """All levels. Collective to make.
 
     Args:
-        A: Of the finest level.
         linear: Interpolation from linear to quadratic elements, where A is of these.
         modes: Makes the rigid-body modes of the linear elements' nodes, of shape (nodes, dim,
             modes), which are kept no longer than they are needed.
-        loops: Those of multigrid.c.
 
     Attributes:
         sane: There is no entry that is not a number.
@@ -250,7 +246,6 @@ class Hierarchy:
         Args:
             waiting: Gets it if A is PETSc's, of which a copy is made, and so is the finest: the
                 others are to become single before.
-            A: Its matrix.
             P: Interpolation from the next coarser level.
             diagonal: That of A, where it is known.
         """
@@ -296,8 +291,6 @@ class Multigrid:
     object, and neither would ever be freed.
 
     Args:
-        problem: Whose displacement is preconditioned.
-        pc: Becomes of this type.
         order: See `multigrid.PMultigrid`.
     """
 
@@ -349,13 +342,7 @@ class Multigrid:
         return mode_values(space, moved)
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """One cycle. Collective.
-
-        Args:
-            pc: PETSc's.
-            x: Right-hand side.
-            y: The solution, which is written.
-        """
+        """One cycle. Collective."""
         assert self._hierarchy is not None
         self._hierarchy.renew()
         b = x.array_r.reshape(-1, self._problem.body.dim)
@@ -365,7 +352,6 @@ class Multigrid:
         """Names the levels. Collective.
 
         Args:
-            pc: PETSc's.
             viewer: Where to.
         """
         if self._hierarchy is not None:

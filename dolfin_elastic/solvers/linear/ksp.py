@@ -29,10 +29,8 @@ class LinearSolver:
     -snes_lag_preconditioner, as long as SNES does.
 
     Args:
-        assembler: Of the tangent.
         options: PETSc's, in force while it is set up.
         ksp: The solver; owned elsewhere.
-        snes: Newton's method around it.
 
     Attributes:
         direct: It factorises.
@@ -74,13 +72,7 @@ class LinearSolver:
             leave_preconditioner(self._snes)
 
     def _extend(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Makes tied unknowns of a solution follow the others. Collective.
-
-        Args:
-            ksp: The solver.
-            b: Right-hand side.
-            x: The solution.
-        """
+        """Makes tied unknowns of a solution follow the others. Collective."""
         self._assembler.extend(x.array_w)
 
     @property
@@ -122,9 +114,6 @@ class LinearSolver:
         """Takes a tangent, and sets the preconditioner up where it is none or too old. Collective.
 
         With the options in force, before SNES hands the tangent on, if it does.
-
-        Args:
-            tangent: The assembler's matrix.
         """
         pc, age = self.ksp.getPC(), self._age
         if age is None:
@@ -191,9 +180,6 @@ class LinearSolver:
         From a preconditioner that is kept to one that is set up for each tangent; from conjugate
         gradients, which an indefinite tangent breaks, to GMRES, and from there to a factorisation
         where the problem is not too large for one.
-
-        Args:
-            reason: Why the present one failed.
 
         Returns:
             False if there is nothing left to fall back to.

@@ -126,7 +126,6 @@ def constrained_interpolation(
     Collective.  The caller destroys it.
 
     Args:
-        problem: With quadratic elements.
         coarse: Space of linear elements on the same mesh.
         order: See `PMultigrid`.
     """
@@ -158,7 +157,6 @@ def _vertices_follow(problem: Problem, plain: PETSc.Mat) -> PETSc.Mat:
     """What tied vertices follow, on the coarse level: V^T T I. Collective.
 
     Args:
-        problem: With ties.
         plain: The interpolation I from linear to quadratic elements.
     """
     P, V = _rows(plain, ZERO), _rows(plain, VERTEX)
@@ -241,7 +239,6 @@ def _from_entries(
         like: Has its communicator, its rows, its block sizes, and, unless `square`, its columns.
         rows: Owned rows, counted from this rank's first.
         columns: Global columns.
-        values: The entries.
         square: It has as many columns as rows.
     """
     (size, _), (width, _) = like.getSizes()

@@ -17,7 +17,6 @@ def null_combinations(assembler: Assembler, columns: FloatArray, small: float) -
     each rank's rows: the product's Gram matrix would lose half the digits.  Collective.
 
     Args:
-        assembler: With the tangent K.
         columns: The motions: owned entries of all unknowns, of norm 1, shape (entries, n).
         small: Singular value, over the largest entry of the free diagonal, that counts as zero.
 
@@ -45,7 +44,6 @@ def times(matrix: PETSc.Mat, columns: FloatArray) -> FloatArray:
     """A matrix times several vectors. Collective.
 
     Args:
-        matrix: Square.
         columns: Owned entries of the vectors, shape (entries, n).
 
     Returns:

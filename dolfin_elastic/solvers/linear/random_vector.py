@@ -22,7 +22,6 @@ def random_vector(first: int, count: int) -> FloatArray:
 
     Args:
         first: Place of the first one, as in a vector of which each rank has a part.
-        count: How many.
     """
     z = np.arange(first + 1, first + 1 + count, dtype=np.uint64) * np.uint64(STEP)
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):

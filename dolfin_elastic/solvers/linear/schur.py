@@ -189,7 +189,6 @@ def _compliances(problem: Problem, share: float) -> FloatArray:
     """Row sums of - (share/mu + 1/k) p q at all local unknowns; of S where it is 1. Collective.
 
     Args:
-        problem: With a pressure.
         share: Of the compliance 1/mu that counts.
     """
     scale = problem.unknowns.scale["pressure"]

@@ -56,8 +56,6 @@ def diagonal_of(A: BlockRows, loops: CFunctions, vector: FloatArray | None = Non
     """The diagonal of a matrix, which stays as it is. Collective.
 
     Args:
-        A: The matrix.
-        loops: Those of multigrid.c.
         vector: That of a similar matrix, which is overwritten.
     """
     blocks = A.diagonal(loops)
@@ -77,11 +75,8 @@ def _largest(
     """Eigenvalue of D^-1 A by the power method. Collective.
 
     Args:
-        A: The matrix.
         inverse: D^-1.
-        loops: Those of multigrid.c.
         vector: Where to start; the last one is left there.
-        steps: How many.
     """
     x, size = vector[: A.rows], 1.0
     for _ in range(steps):
@@ -97,7 +92,6 @@ class Smoother:
 
     Args:
         A: The matrix, whose blocks are taken over: it has none of its own any longer.
-        loops: Those of multigrid.c.
         diagonal: That of A, where it is known.
 
     Attributes:
@@ -139,7 +133,6 @@ class Smoother:
 
         Args:
             b: Right-hand side, of owned nodes.
-            P: Interpolation.
             coarse: At all coarse nodes here, is added to.
         """
         (R, n), C = self.sizes, coarse.shape[1]
@@ -190,8 +183,6 @@ class TangentSmoother(HalvedSmoother):
     positive definite as long as its smoother converges for the matrix of the finest level.
 
     Args:
-        A: The tangent.
-        loops: Those of multigrid.c.
         diagonal: That of A, where it is known.
     """
 
@@ -217,7 +208,6 @@ def smoother_of(A: BlockRows, loops: CFunctions, diagonal: Diagonal | None = Non
 
     Args:
         A: The matrix, which the smoother takes over.
-        loops: Those of multigrid.c.
         diagonal: That of A, where it is known.
     """
     kinds: dict[type[BlockRows], type[Smoother]]
@@ -229,10 +219,6 @@ def taken_in_single_precision(A: BlockRows, loops: CFunctions) -> SingleArray:
     """The same of the blocks of a matrix, which loses them. Not collective.
 
     In their memory, whose second half is freed, if all of them are there.
-
-    Args:
-        A: The matrix.
-        loops: Those of multigrid.c.
     """
     if not A.whole:
         out = np.zeros(A.start[-1] * A.R * A.C + 1, dtype=np.float32)

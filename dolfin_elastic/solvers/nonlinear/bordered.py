@@ -74,7 +74,6 @@ class ScalarUnknowns(Protocol):
         """Whether the equations hold well enough.
 
         Args:
-            residual: g.
             target: Norm of nodal forces out of balance that counts as none [N].
         """
 
@@ -128,7 +127,6 @@ class JoinedScalars:
         """Whether all equations hold well enough.
 
         Args:
-            residual: The equations.
             target: See `ScalarUnknowns`.
         """
         owns = np.split(residual, self._cuts)
@@ -139,11 +137,6 @@ class Bordered:
     """PETSc's view of fields and scalars together: vectors, operator and solver.
 
     Vectors have the fields' owned entries and, on rank 0, the scalars behind them.
-
-    Args:
-        assembler: Of the fields.
-        scalars: The scalars.
-        ksp: Solves with the fields' tangent.
 
     Attributes:
         columns: B, owned entries, one array a scalar.
@@ -183,7 +176,6 @@ class Bordered:
         """Writes fields and scalars into a vector.
 
         Args:
-            x: The vector.
             fields: Owned entries of the fields.
             scalars: The scalars, the same on all ranks.
         """
@@ -217,7 +209,6 @@ class Bordered:
         """Residual of fields and scalars. Collective.
 
         Args:
-            x: Fields and scalars.
             f: Receives it: nodal forces [N], and the scalars' equations.
         """
         self.put(x)
@@ -259,8 +250,6 @@ class Bordered:
 
         Args:
             values: All scalars, around which the difference is central.
-            j: Number of this one.
-            h: Half the difference.
             constrained_only: It changes prescribed displacements only.
         """
         sides = []
@@ -283,9 +272,7 @@ class Bordered:
         """The operator, as PETSc's MATPYTHON asks for it. Collective.
 
         Args:
-            mat: The matrix.
             x: What it is multiplied by.
-            y: Receives the product.
         """
         scalars = self.scalar_part(x)
         self._x.array_w[:] = x.array_r[: self._size]
@@ -306,8 +293,6 @@ class Bordered:
 
         Args:
             ksp: Receives the reason why it ended: the first failure of the fields' solver counts.
-            b: Right-hand side.
-            x: Receives the solution.
         """
         self._reason = 0
         plain = self.inverse(b.array_r[: self._size])
@@ -395,7 +380,6 @@ def python_solver(snes: PETSc.SNES, context: Bordered, prefix: str) -> None:
     """Makes a python context the linear solver of a SNES.
 
     Args:
-        snes: The solver.
         context: Has `solve`, as PETSc's KSPPYTHON asks for.
         prefix: Of the options of that linear solver.
     """
@@ -408,9 +392,6 @@ def python_solver(snes: PETSc.SNES, context: Bordered, prefix: str) -> None:
 
 class _Elimination:
     """K^-1 B, and the Schur complement D - C K^-1 B.
-
-    Args:
-        of: The system.
 
     Attributes:
         solved: K^-1 B, one array a scalar; None until it is asked for.
@@ -454,7 +435,6 @@ class _Elimination:
 
         Args:
             scalars: How much of each column the solution has.
-            size: Norm of the fields' right-hand side.
         """
         if self._of.ksp.getType() == "preonly" or not np.all(np.isfinite(scalars)):
             return False

@@ -18,9 +18,6 @@ class FreeStrains:
 
     As unknown each is multiplied by the length of the cell, and its equation V (P - P*) divided by
     it, so that they are a length and a force as those of the nodes are.
-
-    Args:
-        mean: Mean stress of the problem.
     """
 
     def __init__(self, mean: CellStress) -> None:

@@ -78,7 +78,6 @@ class ContactAugmentation:
         """Solves again with new multipliers until nothing penetrates, if that happens. Collective.
 
         Args:
-            result: Of the equilibrium at hand.
             solve: Finds the next one from there.
 
         Returns:
@@ -103,12 +102,7 @@ def contact_gap_error(pair: ContactPair) -> float:
 
 
 class ContactResults:
-    """Numbers of each contact for states. Collective to make.
-
-    Args:
-        problem: Whose contacts.
-        moving: Energies are needed, too.
-    """
+    """Numbers of each contact for states. Collective to make."""
 
     def __init__(self, problem: Problem, *, moving: bool = False) -> None:
         self._problem, self._pairs = problem, problem.contact_pairs
@@ -220,7 +214,6 @@ def penetration_message(pair: ContactPair, gap: float, place: tuple[float, ...])
     """The warning that a motion begins inside an obstacle.
 
     Args:
-        pair: The contact.
         gap: Smallest gap, below 0 [m].
         place: Reference place of that node [m].
     """
@@ -280,12 +273,7 @@ def initial_gaps(problem: Problem, *, moving: bool) -> list[Gap]:
 
 
 def warn_of_untouched(problem: Problem, states: States) -> States:
-    """Passes states on, and warns in the end of contacts that have never touched. Collective.
-
-    Args:
-        problem: Whose contacts.
-        states: Of its analysis.
-    """
+    """Passes states on, and warns in the end of contacts that have never touched. Collective."""
     never = {pair.label for pair in problem.contact_pairs}
     with closing(states):
         for state in states:
@@ -301,7 +289,6 @@ def near_nodes(pair: ContactPair, within: float) -> tuple[IndexArray, FloatArray
     """Owned nodes near the obstacle, shape (n,), and its normals there, shape (n, dim).
 
     Args:
-        pair: The contact.
         within: Largest gap that counts as near [m].
     """
     gaps, normals = pair.gaps()

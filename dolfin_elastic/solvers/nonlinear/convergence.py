@@ -121,7 +121,6 @@ class NewtonResult:
         """The same with one more refused state.
 
         Args:
-            jacobian: Its smallest det F.
             place: Reference place of that cell [m].
         """
         worst = jacobian, tuple(map(float, place))
@@ -157,7 +156,6 @@ class RoundOff:
     |error| <= n eps sum |K_ij| |x_j|.
 
     Args:
-        assembler: Whose residual.
         inertia: Of a motion, whose rounding errors are added to the norm.
 
     Attributes:
@@ -197,7 +195,6 @@ class RoundOff:
 
         Args:
             diagonal: Of stiffness and mass; the mass is taken from it.
-            inertia: Of the motion.
         """
         a, factor = self._assembler, inertia.factor
         diagonal.axpy(-factor, inertia.mass)
@@ -219,9 +216,7 @@ class ConvergenceTest:
     """The test that SNES asks after each iteration.
 
     Args:
-        assembler: Of the residual.
         tolerance: When equilibrium counts as found.
-        inertia: Of a motion.
         bordered: System with scalar unknowns, whose equations must hold, too.
         guard: Counts the steps that it has shortened.
 
@@ -267,7 +262,6 @@ class ConvergenceTest:
         Args:
             backtracks: Steps are shortened until the residual falls: then it may stall.
             patient: Steps that are shortened again and again are no reason to give up.
-            max_iterations: In place of the tolerance's.
             course: Watches iterates that must not stray; no step may then have to be shortened.
 
         Raises:
@@ -367,7 +361,6 @@ class ConvergenceTest:
         """What SNES is to do: PETSc's number of a reason to stop, or 0. Collective.
 
         Args:
-            snes: The solver.
             iteration: Number of the iterate, from 0.
             norms: Of the iterate, of the last step, and of the residual.
         """

@@ -76,9 +76,6 @@ class JacobianWatch:
     Where there are laws for small strains it sees the largest displacement gradient in their cells
     as well, for what they leave out are its squares.
 
-    Args:
-        problem: Whose displacement is watched.
-
     Attributes:
         survives: A law goes on in inverted cells.
     """
@@ -185,12 +182,7 @@ class JacobianWatch:
 
 
 def _marks(problem: Problem, of_regions: Sequence[bool]) -> BoolArray | None:
-    """Which owned cells lie in regions that are marked; None: no region is.
-
-    Args:
-        problem: Its material regions.
-        of_regions: Marks of them, in their order.
-    """
+    """Which owned cells lie in regions that are marked; None: no region is."""
     if not any(of_regions):
         return None
     found = np.zeros(len(problem.body.owned_cells()), dtype=bool)
@@ -205,7 +197,6 @@ class _ByLoop:
     Args:
         problem: Whose displacement is the only unknown.
         points: Of each cell.
-        linear: A law is.
     """
 
     def __init__(self, problem: Problem, points: FloatArray, *, linear: bool) -> None:
@@ -238,7 +229,6 @@ class _ByExpression:
     Args:
         problem: Of any unknowns.
         points: Of each cell.
-        linear: A law is.
     """
 
     def __init__(self, problem: Problem, points: FloatArray, *, linear: bool) -> None:
@@ -294,8 +284,6 @@ class InversionGuard:
     no part of a step avoids it.
 
     Args:
-        assembler: Of the problem that is solved.
-        watch: Of its det F.
         bordered: Scalar unknowns beside the fields, on which F may depend.
 
     Attributes:
@@ -320,10 +308,6 @@ class InversionGuard:
     def shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Halves the step y until x - y has no inverted cell. Collective.
 
-        Args:
-            x: The present iterate.
-            y: The Newton step, which PETSc subtracts.
-
         Returns:
             Whether y was changed.
         """
@@ -341,10 +325,6 @@ class InversionGuard:
 
     def _upright_share(self, x: PETSc.Vec, y: PETSc.Vec) -> float | None:
         """Share of the step y with which no cell is inverted that must not be. Collective.
-
-        Args:
-            x: The present iterate.
-            y: The Newton step.
 
         Returns:
             None: none has been found.
@@ -381,7 +361,6 @@ class SmallStrains:
     """Warns once that a law for small strains is used for large ones.  Collective to make.
 
     Args:
-        problem: Its laws.
         watch: Of its displacement gradient; made here if none is given and one is needed.
 
     Attributes:

@@ -57,16 +57,12 @@ class Newton:
     """A SNES for one assembler, with `ConvergenceTest` in place of PETSc's tests.
 
     Args:
-        assembler: Residual and tangent.
-        choice: Linear solver.
         tolerance: When equilibrium counts as found.
         defaults: More PETSc options, such as the line search; `users`, the user's, win.
-        users: PETSc options of the user.
         snes: A SNES made elsewhere (by TS); its functions are then set elsewhere too, and whoever
             sets them calls `begin`, `take_tangent`, then `linear.take`, and `finish`.
         inertia: In motion: it counts for what the residual is measured against, and for its
             round-off.
-        scalars: Scalar unknowns beside the fields.
         watch: Of det F: steps are shortened until no cell is inside out, but in linear problems,
             where only the solution is checked.
 
@@ -149,11 +145,7 @@ class Newton:
             self.snes.setLineSearchPreCheck(self.guard.shorten)
 
     def install_test(self, max_iterations: int | None = None) -> None:
-        """Makes the SNES use our test of convergence, and none of PETSc's tolerances.
-
-        Args:
-            max_iterations: In place of the tolerance's.
-        """
+        """Makes the SNES use our test of convergence, and none of PETSc's tolerances."""
         most = max_iterations or self.tolerance.max_iterations
         self.snes.setTolerances(rtol=0.0, atol=0.0, stol=0.0, max_it=most)
         self.snes.setConvergenceTest(self.test)
@@ -194,9 +186,7 @@ class Newton:
         The problem's displacement is the last iterate afterwards, converged or not.
 
         Args:
-            line_search: PETSc's name of it.
             shift: What is added to the diagonal of the tangent; None: Newton's method.
-            max_iterations: In place of the tolerance's.
             course: See `ConvergenceTest.begin`.
 
         Raises:
@@ -287,7 +277,6 @@ class Newton:
         """Marks the last result as one that leads to an inverted cell.
 
         Args:
-            jacobian: Smallest det F.
             place: Reference place of that cell [m].
         """
         self.result = self.result.inverted(jacobian, place)

@@ -39,9 +39,6 @@ TURN = 1e-5
 class Scalars:
     """All scalar unknowns of a problem, and results of them. Collective to make.
 
-    Args:
-        assembler: Of the fields.
-
     Attributes:
         parts: The groups: the order is that of `JoinedScalars`.
         joined: All of them as one; None without any.
@@ -107,10 +104,6 @@ class Scalars:
 
 class CavityScalars:
     """A cavity: its pressure, and volume = given volume as its equation. Collective to make.
-
-    Args:
-        assembler: Of the fields.
-        cavity: The cavity.
 
     Attributes:
         cavity: The cavity.
@@ -201,7 +194,6 @@ class CavityScalars:
         """The volume is the given one.
 
         Args:
-            residual: The equations.
             target: See `ScalarUnknowns`.
         """
         return bool(abs(residual[0]) <= VOLUME * max(self.initial, abs(self._prescribed_volume)))
@@ -216,10 +208,6 @@ class RigidSurface:
 
     The forces are virtual work, the sum over its nodes of (du/dq) . (force on the body).
     Collective to make.
-
-    Args:
-        assembler: Of the fields.
-        motion: The motion.
     """
 
     def __init__(self, assembler: Assembler, motion: RigidMotion) -> None:
@@ -276,7 +264,6 @@ class RigidSurface:
         """Forces out of balance are small, and moments over their levers, too.
 
         Args:
-            residual: The equations.
             target: See `ScalarUnknowns`.
         """
         return bool(np.all(np.abs(residual) <= target * self._levers))

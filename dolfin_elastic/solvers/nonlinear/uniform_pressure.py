@@ -25,10 +25,6 @@ class UniformPressure:
     """The uniform pressure of one body; as unknown it is scaled as the pressures in the fields.
 
     Collective to make.
-
-    Args:
-        assembler: Of the fields.
-        body: The body.
     """
 
     size = 1
@@ -71,7 +67,6 @@ class UniformPressure:
         """The volume is that of the body.
 
         Args:
-            residual: The equation.
             target: See `ScalarUnknowns`.
         """
         return bool(abs(residual[0]) <= max(target, self._floor))

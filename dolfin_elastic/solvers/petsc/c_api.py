@@ -51,11 +51,7 @@ def option_used(name: str) -> bool:
 
 
 def leave_preconditioner(snes: PETSc.SNES) -> None:
-    """Makes a SNES use its preconditioner as it is, for all tangents; no option can. Collective.
-
-    Args:
-        snes: The solver.
-    """
+    """Makes a SNES use its preconditioner as it is, for all tangents; no option can. Collective."""
     integer = ctypes.c_int if PETSc.IntType().itemsize == 4 else ctypes.c_int64
     _check(_library().SNESSetLagPreconditioner(ctypes.c_void_p(snes.handle), integer(-1)))
 
@@ -77,9 +73,6 @@ class Compressed:
 
 def parts_of_aij(matrix: PETSc.Mat) -> tuple[Compressed, Compressed, IntArray]:
     """The entries of an AIJ matrix in columns that this rank owns, and those in others. Collective.
-
-    Args:
-        matrix: Assembled.
 
     Returns:
         Both, by columns counted from the first of each, and the global columns of the others.

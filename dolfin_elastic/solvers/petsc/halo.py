@@ -202,7 +202,6 @@ class RowsOfOthers:
     """Brings what other ranks have in their rows for nodes of this rank. Collective to make.
 
     Args:
-        halo: The nodes.
         start: Where the rows here begin, of owned nodes and ghosts, and the last one ends.
 
     Attributes:
@@ -263,7 +262,6 @@ def _rows(
         ranks: Where each row is.
         bounds: First entry of each there, and the one behind the last.
         columns: Global column of each block that this rank has for others.
-        blocks: These.
     """
     start, forest = _entries(comm, len(columns), ranks, bounds)
     found = Rows(

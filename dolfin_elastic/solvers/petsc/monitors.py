@@ -24,8 +24,6 @@ class FileMonitors:
     """The monitors of one Newton's method that write into files.  Collective to make.
 
     Args:
-        snes: Of Newton's method.
-        ksp: Its linear solver.
         options: From which the options of these monitors are taken.
 
     Attributes:

@@ -59,11 +59,7 @@ SLOPE = 1e-8
 
 
 class ArcLengthConstraint:
-    """The load factor, and the length of the step as its equation.
-
-    Args:
-        assembler: Of the path's problem.
-    """
+    """The load factor, and the length of the step as its equation."""
 
     size = 1
 
@@ -135,7 +131,6 @@ class ArcLengthConstraint:
         """The step has its length.
 
         Args:
-            residual: The equations.
             target: See `ScalarUnknowns`.
         """
         return bool(abs(residual[0]) <= LENGTH_TOLERANCE * self._length)
@@ -282,7 +277,6 @@ class ArcLength:
         """The point of the path at a distance from a known one; None: not found. Collective.
 
         Args:
-            t: Load factor of the known point.
             here: `Newton.unknowns` of it.
             last: Owned displacements in whose direction to go [m].
             size: The distance [m].
@@ -316,11 +310,6 @@ class ArcLength:
         """Limit points inside the step. Collective.
 
         Afterwards the problem is at the end of the step, as before.
-
-        Args:
-            begin: Of the step.
-            end: Of the step.
-            inside: Finds points in it.
         """
         there, lam = self._bordered.unknowns(), self._multipliers()
         least = BALANCED * self._newton.tolerance.rtol
@@ -345,11 +334,6 @@ class ArcLength:
         At a limit point one eigenvalue of the tangent changes its sign; what else changes does so
         at a bifurcation, which no slope of the load shows.  Where the numbers differ, the tangent
         of the end itself counts: Newton's last one may belong to the other side of a limit point.
-
-        Args:
-            t: Load factor at its beginning.
-            verdict: On the stability of its end.
-            limits: Those in it.
 
         Returns:
             The verdict, by the tangent of the end itself where it was needed.
@@ -398,9 +382,7 @@ class ArcLength:
         """Sets what `restart_state` gave. Collective.
 
         Args:
-            t: Load factor of the present point.
             way: The last increment, at all unknowns [m].
-            saved: The numbers.
         """
         if way is None:
             return
@@ -421,7 +403,6 @@ class ArcLength:
         to an equilibrium beyond it at once.
 
         Args:
-            t: Load factor.
             smallest: Shortest step, as a share of t.
             longest: Largest nodal displacement [m].
         """
@@ -495,7 +476,6 @@ class _Inside:
     """Finds points of a path inside a step of it. Collective to call.
 
     Args:
-        path: The path.
         t: Load factor at the beginning of the step.
         here: `Newton.unknowns` there.
         last: Owned displacement increment of the step [m].

@@ -62,8 +62,6 @@ def limit_points(
     """All limit points in a step that its cubics show, in their order.
 
     Args:
-        begin: Of the step.
-        end: Of the step.
         find: The point of the path at a distance; None where it is not found.
         least: Error of the load of a point of the path, over the load.
     """
@@ -89,7 +87,6 @@ def first_reached(
     Args:
         samples: Known points of the step, in their order; the first has a smaller load factor, and
             one of the others has not.
-        t: The load factor.
         find: See `limit_points`; what it has found last is returned.
     """
     a, b = next(pair for pair in pairwise(samples) if pair[0].t < t <= pair[1].t)
@@ -116,7 +113,6 @@ def _further(left: Sample, end: Sample, last: float, apart: float) -> list[float
 
     Args:
         left: The last point of the path that was found, before that limit point or behind it.
-        end: Of the step.
         last: Distance of that limit point [m].
         apart: Least distance between two limit points [m].
     """
@@ -176,8 +172,6 @@ def _turns(a: Sample, b: Sample, *, inside: bool = True) -> list[float]:
     """Where the cubic of two points has a horizontal tangent, sorted [m].
 
     Args:
-        a: One point.
-        b: The other one.
         inside: Between them only.
     """
     if not np.isfinite([a.slope, b.slope]).all():

@@ -78,11 +78,8 @@ class LoadStepping:
     """Load steps of one run. Collective to make.
 
     Args:
-        settings: Of statics.
-        sizes: Which load factor is tried next.
         newton: The solver; its problem is at the starting point.
         scalars: Scalar unknowns; None without any.
-        watch: Of det F.
         whole: The whole load is tried in one step before it grows in several.
     """
 
@@ -124,7 +121,6 @@ class LoadStepping:
 
         Args:
             saved: A `restart_state` from which the run continues.
-            near: Unknowns near those of the end.
         """
         by_load = self._settings.method == "load"
         if near is not None and by_load and (state := self._straight(near)) is not None:
@@ -308,9 +304,6 @@ class LoadStepping:
         """Takes the present equilibrium as the next point of the path.
 
         Args:
-            step: What was tried.
-            goal: Load factor that was reached.
-            result: How.
             left_path: It lies on another path, of which no speed and no step size is known.
         """
         self._path_check.accept()
@@ -326,9 +319,6 @@ class LoadStepping:
 
         Newton's method may find an unstable equilibrium, one on another path, or one where a
         material's energy has no finite value.
-
-        Args:
-            last: It would be the last point.
         """
         if self._problem.linear:
             self._verdict = judge(self._newton)
@@ -361,7 +351,6 @@ class LoadStepping:
           is reported.
 
         Args:
-            step: The smallest step.
             result: How it ended; if it converged, the problem holds what was refused.
             refusal: Why it is not accepted.
 
@@ -401,7 +390,6 @@ class LoadStepping:
         """Goes where a larger step had jumped to, if that is still ahead. Collective.
 
         Args:
-            step: The smallest step.
             found: How the flow ended that did not find an equilibrium.
         """
         assert self._jumped_to is not None

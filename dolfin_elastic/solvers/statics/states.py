@@ -36,8 +36,6 @@ class StaticStates:
     Args:
         newton: The solver; its problem and its assembler are in the state to be measured.
         scalars: Scalar unknowns; None without any.
-        strain: Measures the stored energy.
-        watch: Of det F.
         end: Load factor at which the run ends.
 
     Attributes:
@@ -77,8 +75,6 @@ class StaticStates:
         """The present state, audited if it is an equilibrium. Collective.
 
         Args:
-            t: Load factor.
-            result: How it was found.
             verdict: Whether it is stable; None of the initial state and of what is no equilibrium.
             limits: Load factors of limit points passed so far.
             stored: Its strain energy [J], if it is known.
@@ -132,11 +128,8 @@ class StaticStates:
         """The error with its diagnosis; the problem is left with the last iterate. Collective.
 
         Args:
-            t: Load factor of the last equilibrium.
             goal: Load factor at which none was found.
-            result: How the search ended.
             good: The last equilibrium, as `Newton.unknowns`.
-            failed: The last iterate.
             judge_stability: An equilibrium would have to be stable, so a tangent that is not
                 positive definite explains the failure.
         """

@@ -36,8 +36,6 @@ class Statics:
     Args:
         problem: What is loaded; its displacement is the starting point.
         settings: See `StaticsSettings`; keyword arguments are its fields.
-        linear: How linear systems are solved.
-        petsc: PETSc options, which win over everything.
         preload: The equilibrium is the preload of another analysis, which itself warns of keys
             without effect.
         gradual: States on the way are wanted: the load grows step by step though it could be taken

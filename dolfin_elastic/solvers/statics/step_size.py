@@ -34,8 +34,6 @@ class StepSizes:
     """The sizes of load steps from 0 to the end.
 
     Args:
-        end: Last load factor.
-        first: Size of the first step.
         largest: Size that no step exceeds.
         smallest: Size below which no step is tried.
         stops: Load factors that are met exactly, beside the end.
@@ -74,7 +72,6 @@ class StepSizes:
         Args:
             t: Load factor where it began.
             goal: Load factor where it ended.
-            newton: Its Newton iterations.
         """
         self._steps_since_failure += 1
         if newton <= FEW_ITERATIONS and self._steps_since_failure >= STEPS_BEFORE_GROWTH:
@@ -138,7 +135,6 @@ class StepSpeed:
     """Speed of the displacement with the load factor.
 
     Args:
-        assembler: Of the problem that is solved.
         corners: Load factors at which curves have corners, and speeds may change.
 
     Attributes:

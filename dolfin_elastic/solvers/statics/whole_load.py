@@ -88,9 +88,7 @@ class Course:
         """Whether the trial is to be given up. Collective.
 
         Args:
-            snes: The solver.
             iteration: Number of the iterate, from 0.
-            residual: Norm of its residual.
         """
         before, self._last = self._last, residual
         if iteration < 2:
@@ -118,8 +116,6 @@ def try_whole_load(
 
     Args:
         retry: Of the solver, before its first step.
-        path_check: It has accepted the start.
-        end: Load factor of the whole load.
 
     Returns:
         How it was found, evaluated by `path_check`, and that it is stable; None, all unknowns put

@@ -86,7 +86,6 @@ def converge(
 
     Args:
         case: From `read_case`, or made in Python; of statics.
-        goal: The quantity, its tolerance, and limits.
         output: Folder of the results; by default that of `run` with "_converged" at its end.
         petsc: PETSc options that win over the case's own.
         comm: The ranks that work together.
@@ -377,12 +376,7 @@ def _doubt(peak: Peak | None) -> str:
 
 
 def _cut_off(solved: _Solved, tolerance: float) -> str:
-    """A warning where straight cells at curved faces keep the goal from being reached.
-
-    Args:
-        solved: The solution on the finest mesh.
-        tolerance: That is wanted.
-    """
+    """A warning where straight cells at curved faces keep the goal from being reached."""
     share = solved.estimate.cut_off
     if share < tolerance or solved.body.cad is not None:
         return ""

@@ -104,7 +104,6 @@ def grows(sizes: Sequence[float], values: Sequence[float], steps: int) -> float:
 
     Args:
         sizes: Of the cells at the place, on each mesh.
-        values: There.
         steps: Refinements that must show it.
     """
     if len(values) <= steps:

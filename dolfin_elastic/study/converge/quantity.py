@@ -104,20 +104,12 @@ class Quantity:
         where all cells are halved; adapted meshes leave many as they are.
 
         Source: G. Strang and G. J. Fix, An Analysis of the Finite Element Method (1973), chapter 3.
-
-        Args:
-            degree: Of the displacement.
         """
         whole = not self.is_field and ("energy" in self.name or "reaction" in self.name)
         return 2 * degree if whole else degree
 
     def check(self, body: Body, probes: Sequence[str], supports: Sequence[str]) -> None:
         """Checks the names before anything is computed. Not collective.
-
-        Args:
-            body: The body.
-            probes: Names of the case's probes.
-            supports: Names of the reactions.
 
         Raises:
             InputError: There is no such part, or no such field on it.
@@ -144,8 +136,6 @@ class Measurement:
     """Evaluates a quantity on one mesh. Collective to make.
 
     Args:
-        quantity: What is wanted.
-        problem: The problem that is solved.
         body: The body with all named parts.
     """
 

@@ -109,7 +109,6 @@ def verify(comm: MPI.Comm = MPI.COMM_WORLD, *, full: bool = False) -> Iterator[O
 
     Args:
         comm: The ranks that share each case.
-        full: Those that take longer, too.
     """
     for one in SUITE:
         if full or not one.full:
@@ -120,7 +119,6 @@ def outcome(one: Verification, comm: MPI.Comm) -> Outcome:
     """Runs one case in a folder of its own, which is removed. Collective.
 
     Args:
-        one: The case.
         comm: The ranks that share it.
     """
     begin, value, message = time.monotonic(), None, ""

@@ -43,9 +43,7 @@ class Card:
         """An error that names the file and the line.
 
         Args:
-            what: What is wrong.
             row: Index of the data line that is wrong; by default the keyword line is.
-            expected: What would be right.
         """
         line = self.line if row is None else self.at[row]
         return MeshError(f"*{self.word}: {what}", where=f"{self.file}:{line}", expected=expected)
@@ -135,7 +133,6 @@ def read_cards(path: Path, depth: int = 0) -> Iterator[Card]:
 
     Args:
         path: The file.
-        depth: How many files include this one.
 
     Raises:
         MeshError: A file that is included does not exist, or includes itself.

@@ -54,9 +54,7 @@ def faces(kind: str, side: str, dim: int) -> tuple[tuple[int, ...], ...] | None:
     """Vertices of the faces that a line of a *SURFACE means of one element.
 
     Args:
-        kind: Kind of the element.
         side: S1, S2 ... or SPOS, SNEG of a shell; empty: all of them.
-        dim: Dimension of the body.
 
     Returns:
         Local vertices of each face; None if elements of this kind have no such face.

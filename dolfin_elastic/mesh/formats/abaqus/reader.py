@@ -91,9 +91,7 @@ class _Deck:
         """Adds members to a set.
 
         Args:
-            sets: Of nodes or of elements.
             name: Of the set, as written.
-            numbers: Of its new members.
         """
         self.names.setdefault(name.upper(), name)
         sets.setdefault(name.upper(), []).append(numbers)
@@ -102,7 +100,6 @@ class _Deck:
         """Records why a set is incomplete.
 
         Args:
-            key: Its name in capitals.
             reason: Why; empty where it is complete.
         """
         if reason:

@@ -28,7 +28,6 @@ def follow_curves(
     "HighOrder", can end the process: it throws in a thread of OpenMP.)
 
     Args:
-        gmsh: Gmsh with a mesh.
         dim: 2 or 3.
         curved: None: only if a face of the body is curved.
         lengths: The user's unit.
@@ -61,10 +60,6 @@ def follow_curves(
 
 def exact_normals(gmsh: ModuleType, dim: int) -> list[tuple[int, FloatArray]]:
     """Normals of faces (curves of a plane body) at the vertices of their elements. Local.
-
-    Args:
-        gmsh: Gmsh with a mesh.
-        dim: Of the body.
 
     Returns:
         Of each face its number and the unit normals, to one side or the other, shape (elements,

@@ -68,7 +68,6 @@ class CadFace:
         """From an answer of `describe_faces`.
 
         Args:
-            data: The answer.
             scale: Metres per unit of the model.
             dim: Of the body: an area is one of dimension dim - 1.
         """
@@ -97,7 +96,6 @@ class CadFace:
         Args:
             unit: Unit of length.
             metres: Metres per unit.
-            dim: Of the body.
         """
         text = self.kind if dim == 3 else _ON_CURVES.get(self.kind, self.kind)
         if self.major is not None and self.radius is not None:
@@ -113,7 +111,6 @@ def describe_faces(gmsh: ModuleType, dim: int) -> list[dict[str, object]]:
     """All faces of the current model, or the curves of a plane one, in its unit of length. Local.
 
     Args:
-        gmsh: Gmsh with a model.
         dim: Of the body, 2 or 3.
 
     Returns:
@@ -161,23 +158,13 @@ def describe_faces(gmsh: ModuleType, dim: int) -> list[dict[str, object]]:
 
 
 def face_curvature(gmsh: ModuleType, tag: int) -> float:
-    """Largest curvature of a face in the middle of its samples; 0 where it is not known. Local.
-
-    Args:
-        gmsh: Gmsh with a model.
-        tag: Number of the face.
-    """
+    """Largest curvature of a face in the middle of its samples; 0 where it is not known. Local."""
     _, _, curvatures, _, _ = _sampled(gmsh, 2, tag)
     return float(np.median(np.abs(curvatures).max(axis=1))) if len(curvatures) else 0.0
 
 
 def named_bodies(gmsh: ModuleType, dim: int) -> dict[str, list[int]]:
-    """Names of the model's bodies, to their numbers. Local.
-
-    Args:
-        gmsh: Gmsh with a model.
-        dim: Of the bodies.
-    """
+    """Names of the model's bodies, to their numbers. Local."""
     model = gmsh.model
     groups = [(model.getPhysicalName(*group), group) for group in model.getPhysicalGroups(dim)]
     return {
@@ -224,8 +211,6 @@ class _Shape:
         """Of a face or curve of the model.
 
         Args:
-            gmsh: Gmsh with it.
-            entity: The face or curve.
             exact: Points and curvatures are asked for: not of surfaces of Gmsh's own kernel.
         """
         dim, tag = entity

@@ -45,7 +45,6 @@ def load_file(
 
     Args:
         gmsh: Gmsh with an empty model.
-        path: .geo, .step, .brep or .iges.
         dim: 2 or 3; None: 3 where there are volumes.
         join: Bodies that touch share the nodes there.
         lengths: The user's unit.
@@ -86,12 +85,10 @@ def mesh_model(
     """Meshes the current model. Local.
 
     Args:
-        gmsh: Gmsh with the model.
         name: Of its file.
         size: Size of the elements, see `read.mesh_cad`.
         local: Smaller sizes in places, see `sizes.set_sizes`.
         curved: Whether cells follow curved surfaces.
-        dim: Of the body.
         lengths: The user's unit.
 
     Raises:
@@ -111,7 +108,6 @@ def load(gmsh: ModuleType, path: Path) -> None:
 
     Args:
         gmsh: Gmsh with an empty model.
-        path: .geo, .step, .brep or .iges.
     """
     if path.suffix.lower() in SCRIPTS:
         gmsh.open(str(path))
@@ -123,7 +119,6 @@ def save(gmsh: ModuleType, folder: Path) -> None:
     """Saves the mesh as `msh.read_msh` reads it.
 
     Args:
-        gmsh: Gmsh with a mesh.
         folder: In which it becomes the file `RESULT`.
     """
     for name, value in _SAVE_OPTIONS.items():
@@ -135,8 +130,6 @@ def save_normals(gmsh: ModuleType, dim: int, folder: Path) -> list[tuple[int, in
     """Saves the normals of faces at the vertices of their elements; see `exact_normals`.
 
     Args:
-        gmsh: Gmsh with a mesh.
-        dim: Of the body.
         folder: In which they become the file `NORMALS`, numbers of 8 byte one after the other.
 
     Returns:
@@ -155,7 +148,6 @@ def read_normals(
     Args:
         folder: In which the file is.
         counts: Faces, with the number of their elements.
-        dim: Of the body.
 
     Raises:
         MeshError: The file has another size.
@@ -288,7 +280,6 @@ def logged_errors(gmsh: ModuleType, start: int = 0) -> str:
     """The first three error messages of Gmsh.
 
     Args:
-        gmsh: Gmsh, whose logger runs.
         start: Line of its log to begin with.
     """
     lines = [

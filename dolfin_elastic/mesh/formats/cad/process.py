@@ -79,7 +79,6 @@ class GmshProcess:
     """A running Gmsh; see `gmsh_process`.
 
     Args:
-        process: It.
         path: Where it finds the file.
         seconds: Time that each task may take [s].
         limits: Memory that it may take, and size of its largest file.
@@ -101,7 +100,6 @@ class GmshProcess:
         """Lets Gmsh do something.
 
         Args:
-            task: A task of the worker.
             arguments: Its arguments, as JSON has them.
 
         Returns:

@@ -43,7 +43,6 @@ def mesh_cad(
     """Meshes a CAD file. Local: one rank meshes.
 
     Args:
-        path: .geo, .step, .brep or .iges.
         size: Size of the elements, in the file's unit; where the file asks for finer ones, that
             holds.  None: as the file says, or a tenth of its diagonal, or what Gmsh can mesh.
         curved: Quadratic cells that follow curved surfaces; None: where there are any, and the
@@ -52,7 +51,6 @@ def mesh_cad(
         join: Bodies that touch share the nodes there; a .geo file joins its bodies itself.
         stated: Unit that the file states.
         unit: Unit that is taken for it, for messages; by default the same, or m.
-        local: Smaller sizes in places.
         permission: What Gmsh may do.
 
     Raises:
@@ -90,7 +88,6 @@ def _with_normals(block: Block, dim: int, normals: Mapping[int, FloatArray]) -> 
 
     Args:
         block: Elements of any dimension.
-        dim: Of the body.
         normals: Number of a face to its normals.
     """
     found = normals.get(block.entity) if block.dim == dim - 1 else None
@@ -118,11 +115,7 @@ def convert_msh(path: Path, permission: Permission) -> MeshFile:
 
 
 class CadModel:
-    """Gmsh's model of a CAD file: what it knows of points, curves and surfaces.
-
-    Args:
-        gmsh: That has loaded it.
-    """
+    """Gmsh's model of a CAD file: what it knows of points, curves and surfaces."""
 
     def __init__(self, gmsh: GmshProcess) -> None:
         self._gmsh = gmsh
@@ -136,7 +129,6 @@ class CadModel:
 
         Args:
             dim: 1 or 2.
-            tag: Its number.
         """
         return np.array(self._ask("getBoundingBox", dim, tag), dtype=np.float64)
 
@@ -145,7 +137,6 @@ class CadModel:
 
         Args:
             dim: 1 or 2.
-            tag: Its number.
         """
         return str(self._ask("getType", dim, tag))
 
@@ -154,7 +145,6 @@ class CadModel:
 
         Args:
             dim: 1 or 2.
-            tag: Its number.
         """
         return {abs(int(t)) for t in self._ask("getAdjacencies", dim, tag)[1]}
 
@@ -163,7 +153,6 @@ class CadModel:
 
         Args:
             dim: 1 or 2.
-            tag: Its number.
             places: In the model's unit, shape (n, 3).
 
         Raises:
@@ -183,7 +172,6 @@ def open_model(path: Path, permission: Permission) -> Iterator[CadModel]:
     """The model of a CAD file, which is not meshed. Local.
 
     Args:
-        path: .geo, .step, .brep or .iges.
         permission: What Gmsh may do.
 
     Raises:

@@ -66,9 +66,6 @@ class _Token:
 def files_of_script(path: Path) -> dict[Path, bytes]:
     """A script and the files that it reads, by their paths relative to its folder. Local.
 
-    Args:
-        path: The script.
-
     Raises:
         MeshError: One of them would run commands, write files or read others from elsewhere, or
             whether it would cannot be seen without running it.
@@ -82,9 +79,7 @@ def _collect(folder: Path, script: Path, found: dict[Path, bytes], depth: int = 
     """Checks a script and adds it and what it reads.
 
     Args:
-        folder: Of the first script.
         script: Relative to it.
-        found: To be added to.
         depth: Number of scripts that include one another to reach it.
     """
     if depth > 10:
@@ -112,12 +107,7 @@ def _collect(folder: Path, script: Path, found: dict[Path, bytes], depth: int = 
 
 
 def _checked(path: Path, content: bytes) -> list[str]:
-    """Names of the files that a script reads, which may do nothing but describe a body.
-
-    Args:
-        path: The script, for messages.
-        content: Of it.
-    """
+    """Names of the files that a script reads, which may do nothing but describe a body."""
     data = content.replace(b"\r\n", b"\n")
     if b"\0" in data or b"\r" in data:
         raise MeshError(

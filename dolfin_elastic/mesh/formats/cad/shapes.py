@@ -82,7 +82,6 @@ def import_shapes(gmsh: ModuleType, path: Path, *, join: bool, lengths: Lengths)
 
     Args:
         gmsh: Gmsh with an empty model.
-        path: .step, .iges or .brep.
         join: Bodies that touch share their faces afterwards.
         lengths: The user's unit.
 
@@ -120,7 +119,6 @@ def load_shapes(gmsh: ModuleType, path: Path) -> None:
 
     Args:
         gmsh: Gmsh with an empty model.
-        path: .step, .iges or .brep.
     """
     gmsh.model.occ.importShapes(
         str(path), highestDimOnly=False, format=_FORMATS[path.suffix.lower()]
@@ -246,10 +244,6 @@ def _join(
     """Makes the bodies share the faces where they touch (BooleanFragments).
 
     Args:
-        gmsh: Gmsh with the bodies.
-        names: Bodies with their names.
-        faces: Faces with names.
-        remarks: What bodies share is added.
         lengths: The user's unit.
 
     Returns:
@@ -315,7 +309,6 @@ def _gaps(gmsh: ModuleType, names: Mapping[Entity, Sequence[str]], lengths: Leng
 
     Args:
         gmsh: Gmsh with the bodies, those that touch joined.
-        names: Bodies with their names.
         lengths: The user's unit.
     """
     dim, most = next(iter(names))[0], _ALMOST * diagonal(gmsh)
@@ -368,9 +361,7 @@ def touching(gmsh: ModuleType, lengths: Lengths, advice: str) -> list[str]:
     A copy of the bodies is joined: what they share then and not before is where they touch.
 
     Args:
-        gmsh: Gmsh with the model.
         lengths: The user's unit.
-        advice: What joins them.
     """
     bodies = gmsh.model.getEntities(3) or gmsh.model.getEntities(2)
     if len(bodies) < 2 or any(b not in gmsh.model.occ.getEntities(b[0]) for b in bodies):

@@ -48,8 +48,6 @@ def set_sizes(
     Source: Gmsh's reference manual, "Specifying mesh element sizes" and "Mesh size fields".
 
     Args:
-        gmsh: Gmsh with a model.
-        dim: Of the body.
         local: For each place its `size`, and `faces` or `bodies` (numbers), `sphere` (centre and
             radius) or `box` (smallest, then largest coordinates), in units of the model.
         whole: Size of all other cells, in units of the model.
@@ -155,7 +153,6 @@ def set_default_size(gmsh: ModuleType, dim: int) -> DefaultSize:
 
     Args:
         gmsh: Gmsh with a model for which nobody gives sizes.
-        dim: Of the body.
     """
     faces = gmsh.model.getEntities(dim - 1)
     largest, smallest = _LARGEST * diagonal(gmsh), _SMALLEST * diagonal(gmsh)

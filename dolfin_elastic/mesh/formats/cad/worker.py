@@ -193,7 +193,6 @@ class _Worker:
 
         Args:
             name: One of `ASKED_OF_MODEL`.
-            arguments: Its arguments.
         """
         assert name in ASKED_OF_MODEL
         converted = [np.array(a) if isinstance(a, list) else a for a in arguments]

@@ -26,12 +26,7 @@ class _Line:
     number: int
 
     def error(self, what: str, expected: str = "") -> MeshError:
-        """An error that names file and line.
-
-        Args:
-            what: What is wrong.
-            expected: What would be right.
-        """
+        """An error that names file and line."""
         return MeshError(what, where=f"{self.file}:{self.number}", expected=expected)
 
 
@@ -51,12 +46,7 @@ class Entry:
     line: _Line
 
     def error(self, what: str, expected: str = "") -> MeshError:
-        """An error that names file and line.
-
-        Args:
-            what: What is wrong.
-            expected: What would be right.
-        """
+        """An error that names file and line."""
         return self.line.error(f"{self.name}: {what}", expected)
 
     def text(self, index: int) -> str:
@@ -124,9 +114,6 @@ def _continue(entry: Entry | None, line: _Line, name: str, fields: list[str], ma
 
     Args:
         entry: The entry before.
-        line: The line.
-        name: Its first field.
-        fields: Its others.
         mark: Last field of the line before.
     """
     if entry is None:
@@ -188,7 +175,6 @@ def _lines(path: Path, depth: int = 0) -> Iterator[_Line]:
 
     Args:
         path: The file.
-        depth: How many files include this one.
     """
     if depth > _DEEPEST:
         raise MeshError(

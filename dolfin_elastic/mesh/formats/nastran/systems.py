@@ -109,7 +109,6 @@ class Systems:
         Args:
             number: Of the system; 0: they are basic ones.
             x: Their coordinates in it, shape (n, 3).
-            entry: Which refers to the system.
 
         Returns:
             Shape (n, 3).

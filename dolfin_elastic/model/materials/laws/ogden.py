@@ -73,12 +73,7 @@ class Ogden(Isochoric):
             half = self.alpha[p] / 2
 
             def power(square: Expr, half: Scalar = half) -> Expr:
-                """A principal stretch to the power of this term's exponent.
-
-                Args:
-                    square: The squared stretch.
-                    half: Half the exponent.
-                """
+                """A principal stretch to the power of this term's exponent."""
                 return square**half
 
             def volume(d: Expr, half: Scalar = half) -> Expr:
@@ -86,7 +81,6 @@ class Ogden(Isochoric):
 
                 Args:
                     d: See `Shape`.
-                    half: Half the exponent.
                 """
                 return d ** (-half / 3)
 

@@ -67,7 +67,6 @@ class _Points:
         """Pairs of global indices that are one, shape (pairs, 2).
 
         Args:
-            other: The other surface.
             match: Which of its nodes each of these is one with.
         """
         index, group = other.index[match], other.group[match]
@@ -80,7 +79,6 @@ class PeriodicPairing:
     """Pairs of surfaces that are one another's images. Collective.
 
     Args:
-        body: The mesh and its names.
         pairs: Two surfaces each: from the first to the second is a lattice vector.
 
     Attributes:
@@ -224,7 +222,6 @@ class PeriodicPairing:
         first along x, then y, then z: the same on any number of ranks.
 
         Args:
-            V: The plain space.
             merged: The same with merged nodes.
         """
         imap, x = merged.space.dofmap.index_map, V.tabulate_dof_coordinates()
@@ -263,7 +260,6 @@ class PeriodicPairing:
         """Local nodes that are the fixed vertex or its images. Collective.
 
         Args:
-            V: The plain space.
             merged: The same with merged nodes.
         """
         x = V.tabulate_dof_coordinates()
@@ -315,7 +311,6 @@ def _renumbered(
 
     Args:
         comm: The ranks that share the space.
-        imap: Of the plain space.
         ids: Global indices that are in pairs, sorted.
         root: What each of them becomes one with.
     """

@@ -25,8 +25,6 @@ class Fluctuation(Unknowns):
     `w_to_u` adds.
 
     Args:
-        mesh: The mesh.
-        degree: Degree of the displacement.
         auxiliary_fields: Scalar fields beside it; they are periodic, too.
         cell: The macroscopic displacement, and which faces are one.
         groups: See `Unknowns`; on paired faces the pressures of the same group are one.

@@ -25,7 +25,6 @@ class Cell:
     the fixed vertex X0, and the periodic fluctuation w.
 
     Args:
-        body: The mesh and its names.
         periodic: Pairs of faces and what is prescribed.
         thickness: Of a plane body [m].
 
@@ -102,10 +101,8 @@ def make_cell(
     """The cell of a body. Collective.
 
     Args:
-        body: The mesh and its names.
         periodic: Pairs of faces and what is prescribed.
         others: Key to what else is to act on the body.
-        geometry: What a plane body is.
         depth: Thickness of a plane body [m].
 
     Raises:

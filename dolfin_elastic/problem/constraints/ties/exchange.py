@@ -20,7 +20,6 @@ class Owners:
     Args:
         comm: The ranks.
         first: First number that this rank owns.
-        count: How many it owns.
     """
 
     def __init__(self, comm: MPI.Comm, first: int, count: int) -> None:
@@ -47,7 +46,6 @@ class Owners:
         Args:
             rows: Global row of each entry.
             columns: Global column.
-            values: The entry.
         """
         from scipy.sparse import csr_array
 
@@ -71,7 +69,6 @@ class Product:
     """Products of sparse rows with vectors of which each rank owns a part. Collective to make.
 
     Args:
-        owners: Of the vectors' entries.
         rows: This rank's rows, columns global.
     """
 

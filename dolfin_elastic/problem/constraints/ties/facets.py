@@ -35,11 +35,6 @@ class Facets:
 def owned(body: Body, V: fem.FunctionSpace, names: Iterable[str]) -> Facets:
     """The facets of surfaces that this rank owns. Collective.
 
-    Args:
-        body: The mesh and its names.
-        V: Space of the displacement.
-        names: Of the surfaces.
-
     Raises:
         MeshError: There is no such surface.
     """
@@ -66,7 +61,6 @@ def opposite(comm: MPI.Comm, near: Facets, far: Facets, margin: float) -> Facets
     Args:
         comm: The ranks.
         near: This rank's facets of one surface.
-        far: Its facets of the other.
         margin: By which the boxes are widened [m].
     """
     d = near.x.shape[2]
@@ -96,7 +90,6 @@ def longest_edge(comm: MPI.Comm, *surfaces: Facets) -> float:
 
     Args:
         comm: The ranks.
-        surfaces: Their facets.
     """
     longest = 0.0
     for facets in surfaces:

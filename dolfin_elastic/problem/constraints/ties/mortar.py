@@ -57,10 +57,8 @@ def integrate(
     """The integrals over all pieces of a pair of surfaces. Collective.
 
     Args:
-        owners: Of the nodes.
         near: This rank's facets of the tied side.
         far: Facets that may lie opposite.
-        pieces: Of both.
         axisymmetric: Areas are those of rings about the axis.
     """
     d = near.x.shape[2]

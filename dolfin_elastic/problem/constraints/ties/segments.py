@@ -90,7 +90,6 @@ def cut(near: Facets, far: Facets, tolerance: float | None) -> Segments:
     """All pieces of facets that lie opposite each other. Local.
 
     Args:
-        near: Facets of the first surface.
         far: Facets of the second surface that may lie opposite.
         tolerance: Largest distance [m]; infinity: any; None: `GAP` of the facets' size.
     """
@@ -154,13 +153,10 @@ def _made(
     """Pieces from barycentric coordinates in flat facets.
 
     Args:
-        a: Of the first surface.
-        b: Of the second.
         i: Facet in `a` of each piece.
         j: Facet in `b`.
         s: Coordinates in `a`, shape (pieces, points, d).
         m: Coordinates in `b`.
-        weights: Of the points.
     """
     x, y = (
         np.einsum("npk,nkc->npc", where, flat.x[k]) for where, flat, k in ((s, a, i), (m, b, j))
@@ -253,7 +249,6 @@ def _clipped(polygons: FloatArray, by: FloatArray) -> tuple[FloatArray, IntArray
 
     Args:
         polygons: Triangles, shape (n, 3, 2).
-        by: Triangles, counterclockwise.
     """
     rows = len(polygons)
     points, count = polygons, np.full(rows, 3)

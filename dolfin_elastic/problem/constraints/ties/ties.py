@@ -65,10 +65,7 @@ class Ties:
     """All ties of a body. Collective to make.
 
     Args:
-        body: The mesh and its names.
-        V: Space of the displacement.
         ties: What is tied; where a node is tied twice the first one holds.
-        dirichlet: What supports prescribe.
         axisymmetric: The body is one of revolution about y.
 
     Attributes:
@@ -155,12 +152,9 @@ class Ties:
         """Says how far apart surfaces are that nothing ties. Collective.
 
         Args:
-            tie: The tie.
             near: This rank's facets of one surface.
-            far: Its facets of the other.
             reach: Distance up to which none lie opposite each other [m]; others are looked at step
                 by step, for all pairs of large surfaces would be too many.
-            where: Key of the tie.
 
         Raises:
             InputError: Always.
@@ -216,11 +210,9 @@ class Ties:
         """Gives the multipliers of nodes that are held to tied nodes beside them. Collective.
 
         Args:
-            mortar: The integrals.
             kept: Owned nodes whose component is tied.
             dropped: Owned nodes whose component is held, though it lies opposite something.
             factor: Of each owned node's row.
-            c: The component.
         """
         nodes = self._nodes
         rows = np.flatnonzero(dropped)

@@ -21,9 +21,6 @@ def touching_surfaces(problem: Problem) -> Iterator[tuple[str, str, float]]:
     """Names of two surfaces of different bodies, and the area on which they touch. Collective.
 
     Bodies that a tie connects are one here.
-
-    Args:
-        problem: Whose surfaces.
     """
     body, bodies = problem.body, ConnectedBodies(problem)
     if bodies.count == 1:

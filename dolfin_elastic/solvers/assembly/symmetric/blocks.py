@@ -23,7 +23,6 @@ class SymmetricBlocks:
 
     Args:
         problem: Whose displacement is the only unknown.
-        form: Compiled bilinear form, for its sparsity.
 
     Attributes:
         halo: Nodes of a rank's rows and columns.
@@ -80,7 +79,6 @@ class SymmetricBlocks:
         Args:
             x: At owned nodes and ghosts.
             y: At owned nodes.
-            rounded: Of the blocks in single precision.
         """
         rows = (self.halo.owned, self.start, self.columns, self.high)
         if rounded:
@@ -122,13 +120,7 @@ class SymmetricBlocks:
     # --- what PETSc calls ---
 
     def mult(self, matrix: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """y = A x. Collective.
-
-        Args:
-            matrix: PETSc's.
-            x: A vector.
-            y: The product, which is written.
-        """
+        """y = A x. Collective."""
         values = x.array_r
         if self._x is not None:
             self._x[: self.halo.owned] = values.reshape(-1, self.dim)
@@ -141,23 +133,12 @@ class SymmetricBlocks:
         self.mult(matrix, x, y)
 
     def getDiagonal(self, matrix: PETSc.Mat, diagonal: PETSc.Vec) -> None:
-        """Entries of the diagonal. Not collective.
-
-        Args:
-            matrix: PETSc's.
-            diagonal: Is written.
-        """
+        """Entries of the diagonal. Not collective."""
         arrays = (self.start, self.high, self.low, diagonal.array_w)
         self.loops.call("take_diagonal", self.halo.owned, *arrays)
 
     def setDiagonal(self, matrix: PETSc.Mat, diagonal: PETSc.Vec, mode: object = None) -> None:
-        """Overwrites the diagonal. Not collective.
-
-        Args:
-            matrix: PETSc's.
-            diagonal: Its entries.
-            mode: PETSc's, which always overwrites.
-        """
+        """Overwrites the diagonal. Not collective."""
         self._put_diagonal(np.arange(self.dim * self.halo.owned, dtype=np.int32), diagonal.array_r)
 
     def _put_diagonal(self, entries: IndexArray, values: FloatArray) -> None:
@@ -176,7 +157,6 @@ class FarRows:
     """What this rank has for rows of other ranks. Collective to make.
 
     Args:
-        of: The matrix.
         start: Where the row of each ghost begins, and the last one ends.
         columns: Local number of the node of each block.
 
@@ -236,7 +216,6 @@ def in_full(
 
     Args:
         start: Where rows of half of them begin, and the last one ends.
-        columns: Their columns.
         loops: With those of `HALVES`.
     """
     n = len(start) - 1

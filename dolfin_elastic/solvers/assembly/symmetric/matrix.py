@@ -16,7 +16,6 @@ class SymmetricMatrix:
 
     Args:
         problem: Whose displacement is the only unknown.
-        form: Its tangent, of moduli alone.
 
     Attributes:
         petsc: The PETSc matrix, of type "python", owned here.

@@ -62,9 +62,6 @@ def tangent_of_surroundings(problem: Problem) -> ufl.Form:
     """The tangent without that of the internal forces: of loads, springs and contact.
 
     It may be empty.
-
-    Args:
-        problem: Whose surroundings.
     """
     weak_form = problem.weak_form
     work = sum(weak_form.restraint_works.values(), weak_form.external or ufl.Form([]))
@@ -81,7 +78,6 @@ def moduli(problem: Problem, region: MaterialRegion) -> Expr:
 
     Args:
         problem: That is `in_two_stages`.
-        region: One of its material regions.
     """
     found = _of_displacement(problem, region) if problem.W is problem.V else _mixed(problem, region)
     weight = problem.weak_form.volume(region, problem.weak_form.rule(region)).weight
@@ -127,7 +123,6 @@ class TwoStageForm(BilinearForm):
     """The tangent of a problem that is `in_two_stages`. Collective to make.
 
     Args:
-        problem: Whose tangent.
         rest: What it has beside that of the internal forces; may be empty.
 
     Attributes:
@@ -246,8 +241,6 @@ class _Term:
         """Calls a loop of tangent.c.
 
         Args:
-            loop: Its name.
-            cells: Some of the region's.
             arguments: What it takes after moduli and tables.
         """
         for some, given in self._moduli_of(cells):
@@ -270,7 +263,6 @@ def tabulated(
     """Derivatives of shape functions by reference coordinates, as gradients.h reads them.
 
     Args:
-        problem: Whose displacement.
         points: In the reference cell, shape (points, dim).
 
     Returns:

@@ -43,7 +43,6 @@ def _due_between(comm: MPI.Comm, shown: float) -> bool:
 
     Args:
         comm: The ranks of the run.
-        shown: When the last state was yielded.
     """
     if not watched():
         return False
@@ -58,11 +57,8 @@ class Explicit:
 
     Args:
         problem: What moves, in its initial state; linear elements, all densities given.
-        v: Velocity, in its initial state.
-        scheme: Its class.
         end: When the motion ends [s].
         dt: Time step [s]; None for the stable step times `safety`.
-        safety: Share of the stable step.
         every: Steps from one yielded state to the next, or time [s]: the first state at or after
             each multiple; 0: about `STATES` in all.
 
@@ -165,9 +161,6 @@ class Explicit:
         """Yields a state, and takes over loads that a program has changed meanwhile. Collective.
 
         The motion goes on from there with the new forces, and so does the work.
-
-        Args:
-            state: The present one.
         """
         before = self.scheme.fingerprint()
         yield state

@@ -43,7 +43,6 @@ class FrequencyBound:
 
     Args:
         problem: Whose cells; see `applies`.
-        assembler: Of this problem.
         mass: Lumped mass at every owned entry [kg].
     """
 
@@ -65,9 +64,6 @@ class FrequencyBound:
         """Whether the tangent is constant in each cell, and no follower load adds to it.
 
         In bodies of revolution and in curved cells it is not constant.
-
-        Args:
-            problem: What moves.
         """
         follows = any(
             load.follower and not (load.linearises and problem.context.linear)
@@ -119,7 +115,6 @@ def rows_over_mass(
     """Bounds of the row sums of a matrix over the mass, at owned entries [1/s^2]. Collective.
 
     Args:
-        assembler: Of the problem.
         bounds: Forms whose nodal values are these bounds.
         mass: Lumped mass at every owned entry [kg].
     """

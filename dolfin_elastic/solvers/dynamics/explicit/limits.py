@@ -13,10 +13,6 @@ from dolfin_elastic.problem.problem import Problem
 def check_explicit(problem: Problem, scheme: str) -> None:
     """Refuses problems without a positive lumped mass, or with unknowns beside the displacement.
 
-    Args:
-        problem: What is to move.
-        scheme: Name of the scheme.
-
     Raises:
         InputError: Explicit schemes cannot compute this problem.
     """
@@ -61,7 +57,6 @@ def mean_acceleration(
     steps.
 
     Args:
-        problem: Whose supports, at the present time.
         v: Velocity [m/s].
         t: Time [s].
         dt: The last step [s].

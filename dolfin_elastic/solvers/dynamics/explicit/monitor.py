@@ -36,10 +36,6 @@ RESISTS = "smaller loads, or a law that resists, such as neo-hookean"
 class StabilityMonitor:
     """Checks the states of an explicit motion, and warns once of each fault. Collective to make.
 
-    Args:
-        problem: What moves.
-        assembler: Of this problem.
-
     Attributes:
         watch: Of det F.
         nonlinear: Some law is nonlinear, so that det F means something.

@@ -65,11 +65,6 @@ class Replay:
     It is made when needed: a motion that owned its replay would form a reference cycle with it,
     which the garbage collector frees at different times on different ranks, but destroying PETSc
     objects is collective.
-
-    Args:
-        march: The motion.
-        monitor: Its checks so far.
-        last: Its last finite state.
     """
 
     def __init__(self, march: ExplicitMarch, monitor: StabilityMonitor, last: StateCopy) -> None:

@@ -41,7 +41,6 @@ class ExplicitScheme(ABC):
     """Displacement and velocity of a body, a step at a time. Collective.
 
     Args:
-        assembler: Of the problem that moves.
         mass: Lumped mass at every owned entry [kg].
         v: Velocity, in its initial state; changed by steps.
         work: Sums up the work of loads and supports that change.
@@ -100,10 +99,6 @@ class ExplicitScheme(ABC):
     @classmethod
     def check(cls, problem: Problem, name: str) -> None:
         """Refuses what the scheme cannot compute. Not collective.
-
-        Args:
-            problem: What is to move.
-            name: Of the scheme, for the message.
 
         Raises:
             InputError: It cannot compute this problem.
@@ -238,7 +233,6 @@ class ExplicitScheme(ABC):
 
         Args:
             t: Time [s].
-            steps: Number of steps done.
             remaining: See the attribute.
         """
         self.t, self.steps, self.remaining = t, steps, remaining

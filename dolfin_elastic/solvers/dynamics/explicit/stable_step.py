@@ -70,8 +70,6 @@ class StepSize:
     nodes whose bound is above it.
 
     Args:
-        problem: What moves.
-        assembler: Of this problem.
         mass: Lumped mass at every owned entry [kg].
         chosen: The user's step [s]; None: the stable step times `safety`.
         safety: Share of the stable step that is taken.
@@ -219,18 +217,13 @@ class StepSize:
         return () if self.bound is None else self.bound.location(self.bound.evaluate())
 
     def check_before(self, step: int) -> None:
-        """Demands an eigenvalue problem before the next step, because energy has drifted.
-
-        Args:
-            step: Number of steps done.
-        """
+        """Demands an eigenvalue problem before the next step, because energy has drifted."""
         self.next_check, self._bound_in_doubt = step, True
 
     def update(self, step: int, t: float) -> None:
         """Finds the stable step of the present state, and the step from here on. Collective.
 
         Args:
-            step: Number of steps done.
             t: Time [s].
 
         Raises:

@@ -20,7 +20,6 @@ class ImpactError:
     """Contact forces at the ends of a step and at its stage.  Collective.
 
     Args:
-        moving: The body.
         alpha_f: Share of the old displacement in the stage's.
     """
 
@@ -45,11 +44,7 @@ class ImpactError:
         self._first = self._contact_forces()
 
     def at_stage(self, forces: Forces) -> None:
-        """Stores the contact forces at its stage.
-
-        Args:
-            forces: Of the stage.
-        """
+        """Stores the contact forces at its stage."""
         self._stage = forces.contact[self._moving.displacement_dofs]
 
     def error(self, h: float) -> FloatArray:

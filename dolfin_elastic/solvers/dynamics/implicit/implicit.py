@@ -76,10 +76,6 @@ supports: the first try of an adaptive step may be as long as the motion."""
 def suited(problem: Problem, parameters: GeneralizedAlphaParameters) -> GeneralizedAlphaParameters:
     """The coefficients with which a scheme can move a problem. Not collective.
 
-    Args:
-        problem: What moves.
-        parameters: Of the scheme.
-
     Raises:
         InputError: There are none.
     """
@@ -91,10 +87,6 @@ def conserved(problem: Problem, settings: DynamicsSettings) -> Problem:
     """The problem with the forces of steps where the scheme conserves the energy. Collective.
 
     What it does not conserve is logged.
-
-    Args:
-        problem: Of states.
-        settings: Of the motion.
     """
     row, parameters = settings.row, settings.parameters
     assert isinstance(row, ImplicitRow)
@@ -113,10 +105,6 @@ def tolerance(settings: DynamicsSettings, problem: Problem) -> Tolerance:
 
     Where energy and momenta are conserved, as well as round-off lets them be, unless a larger
     `rtol` asks for less: what is out of balance in a step does work that no later one takes back.
-
-    Args:
-        settings: Of the motion.
-        problem: Of states or of steps.
     """
     rtol, usual = settings.rtol, Tolerance.rtol
     exhaust = problem.weak_form.start is not None and rtol <= usual
@@ -130,13 +118,6 @@ def tolerance(settings: DynamicsSettings, problem: Problem) -> Tolerance:
 
 class Implicit:
     """An implicit motion of one problem. Collective.
-
-    Args:
-        problem: What moves, in its initial state.
-        velocity: Its velocity, in its initial state.
-        settings: Of the motion.
-        linear: How linear systems are solved.
-        petsc: PETSc options of the user.
 
     Attributes:
         ts: PETSc's TS; its solutions are all unknowns, and the velocity.

@@ -81,18 +81,13 @@ class OutputTimes:
         return found if found <= multiple * (1 + SAME / number) else multiple
 
     def steps_left(self, step: int) -> int:
-        """Steps to the next state that is yielded, at most.
-
-        Args:
-            step: Number of steps done.
-        """
+        """Steps to the next state that is yielded, at most."""
         return 10**9 if self.steps is None else self.steps - step % self.steps
 
     def is_output(self, step: int, t: float) -> bool:
         """Whether the state after a step is yielded.
 
         Args:
-            step: Number of the step.
             t: Its time [s].
         """
         if self.ended(t) or t in self._times:

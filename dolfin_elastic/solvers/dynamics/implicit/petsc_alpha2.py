@@ -32,9 +32,6 @@ class PetscAlpha2(ImplicitScheme):
     means of those at both times, so that the end of the step is prescribed exactly.
 
     TSALPHA2 does not give its acceleration away: that of the states is the mean one of the step.
-
-    Args:
-        context: What it works on.
     """
 
     not_adaptive: ClassVar[str] = (
@@ -61,10 +58,6 @@ class PetscAlpha2(ImplicitScheme):
     @classmethod
     def check(cls, problem: Problem, name: str) -> None:
         """See `ImplicitScheme.check`.
-
-        Args:
-            problem: What is to move.
-            name: Of the scheme, for the message.
 
         Raises:
             InputError: A material is incompressible.

@@ -72,9 +72,6 @@ class SchemeContext:
 class ImplicitScheme(ABC):
     """A time scheme of an implicit motion.  All of it is collective.
 
-    Args:
-        context: What it works on.
-
     Attributes:
         not_adaptive: Why the scheme cannot choose its steps by their errors; empty if it can.
         not_restartable: Why a restarted motion differs from one never stopped; empty if it does
@@ -97,10 +94,6 @@ class ImplicitScheme(ABC):
     @classmethod  # noqa: B027  a hook, as are the others below
     def check(cls, problem: Problem, name: str) -> None:
         """Refuses what the scheme cannot compute. Not collective.
-
-        Args:
-            problem: What is to move.
-            name: Of the scheme, for the message.
 
         Raises:
             InputError: It cannot compute this problem.

@@ -112,9 +112,6 @@ class Stage:
 class StageSolver:
     """Finds the displacement of a stage by Newton's method.  Collective.
 
-    Args:
-        context: What the scheme works on.
-
     Attributes:
         keeps_volumes: There is a pressure, and the volumes are those of the ends of steps.
         newton_iterations: Of all solves so far.
@@ -143,9 +140,7 @@ class StageSolver:
         """Forces out of balance at the stage, with inertia.
 
         Args:
-            snes: Whose callback it is.
             x: Offset of the stage from the predictor.
-            f: Receives the residual.
         """
         assert self._stage is not None
         self._moving.set_stage_rates(*self._stage.rates(x.array_r[self._moving.displacement_dofs]))
@@ -164,9 +159,7 @@ class StageSolver:
         """Derivative of the residual by the displacement of the stage.
 
         Args:
-            snes: Whose callback it is.
             x: Offset of the stage from the predictor.
-            A: The assembler's matrix.
             P: The same.
         """
         self._assembler.tangent.assemble(x, self._moving.factor)

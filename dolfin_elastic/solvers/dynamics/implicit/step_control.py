@@ -51,7 +51,6 @@ class StepControl:
 
     Args:
         ts: Its step is set before each one.
-        moving: The body.
         times: Times that are met exactly, and the end.
         dt: The user's step [s].
         tolerance: Error of a step over the largest displacement, if steps are adaptive; else None.

@@ -36,9 +36,6 @@ CHANGED = 1e-9
 class GeneralizedAlphaScheme(ImplicitScheme):
     """The Python context of a TS of type "python", for any `GeneralizedAlphaParameters`.
 
-    Args:
-        context: What it works on.
-
     Attributes:
         impact_error: Error estimate of contacts, where steps are adaptive.
     """
@@ -180,7 +177,6 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         """The displacement of one order more, with which TSAdapt compares the step.
 
         Args:
-            ts: Holds the new solution.
             order: Asked for; there is one only.
             x: Receives all unknowns.
         """
@@ -246,7 +242,6 @@ class GeneralizedAlphaScheme(ImplicitScheme):
             stage: Which was found; the problem holds it.
             offset: Displacement of the end less that of the predictor [m].
             U: Receives all unknowns.
-            V: Receives the velocity.
         """
         self._stage, old, p = stage, stage.start, self._parameters
         self._stage_forces = self.moving.forces()
@@ -316,7 +311,6 @@ def _of_the_middle(stage: Stage, a: FloatArray) -> tuple[FloatArray, FloatArray]
     extrapolated from those of two steps, to second order but in the very first step.
 
     Args:
-        stage: Which was found.
         a: The acceleration of the formulas at the end [m/s^2].
     """
     old = stage.start.a

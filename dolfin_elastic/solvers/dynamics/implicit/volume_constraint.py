@@ -41,7 +41,6 @@ class VolumeConstraint:
     Collective to make.
 
     Args:
-        assembler: Its residual is completed.
         alpha_f: Share of the old displacement in the stage's.
     """
 
@@ -68,7 +67,6 @@ class VolumeConstraint:
         In plane stress the stretch out of the plane takes up the volume.
 
         Args:
-            problem: What moves.
             alpha_f: Share of the old displacement in the stage's.
         """
         return alpha_f > 0.0 and problem.mixed and not problem.unknowns.has("stretch")
