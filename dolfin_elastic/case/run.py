@@ -60,7 +60,7 @@ from dolfin_elastic.results.writer import ModeWriter, Writer
 from dolfin_elastic.results.writers.modes import clear as clear_modes
 from dolfin_elastic.results.writers.summary import SummaryWriter, mark_stopped
 from dolfin_elastic.solvers.nonlinear.contact import warn_of_untouched
-from dolfin_elastic.solvers.petsc.heap import give_back
+from dolfin_elastic.solvers.petsc.c_api import give_back
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.analysis import Solver

@@ -17,23 +17,22 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import click
 import typer
 from click.exceptions import ClickException
+from typer.core import TyperGroup
 
 from dolfin_elastic.cli.converge import converge
 from dolfin_elastic.cli.look.command import look
 from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import guard_output, lost_output
 from dolfin_elastic.cli.run import Trust, collect_garbage, log_to_screen, restart, run
-from dolfin_elastic.cli.tools.convert import convert
-from dolfin_elastic.cli.tools.new import new
+from dolfin_elastic.cli.tools.files import convert, new, schema
 from dolfin_elastic.cli.tools.plot import plot
 from dolfin_elastic.cli.tools.report import report
-from dolfin_elastic.cli.tools.schema import schema
-from dolfin_elastic.cli.tools.verbs import Verbs
 from dolfin_elastic.cli.tools.verify import verify
 from dolfin_elastic.core import __version__
-from dolfin_elastic.core.errors import ElasticError, OutputError
+from dolfin_elastic.core.errors import ElasticError, OutputError, nearest
 from dolfin_elastic.core.signals import (
     INTERRUPTED,
     ignore_more,
@@ -44,6 +43,42 @@ from dolfin_elastic.core.startup.libraries import start
 
 if TYPE_CHECKING:
     from mpi4py import MPI
+
+
+class Verbs(TyperGroup):
+    """The commands; an unknown one is answered with the nearest name."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """See `click.Group`; no argument of ours is empty, as an unset variable of a script is.
+
+        Raises:
+            UsageError: One is empty: a path would be the current folder.
+        """
+        ours = args[: args.index("--")] if "--" in args else args
+        for before, argument in zip(["dolfin-elastic", *ours], ours, strict=False):
+            if argument == "" or (argument.startswith("--") and argument.endswith("=")):
+                name = argument.rstrip("=") or before
+                raise click.UsageError(
+                    f"There is an empty argument behind {name}; the current folder is a dot", ctx
+                )
+        return super().parse_args(ctx, args)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """See `click.Group`.
+
+        Args:
+            args: What stands on the command line behind it.
+
+        Raises:
+            UsageError: There is no such command; with the nearest one.
+        """
+        name = args[0]
+        if not ctx.resilient_parsing and self.get_command(ctx, name) is None and name[:1] != "-":
+            known = nearest(name, self.list_commands(ctx))
+            raise click.UsageError(f"There is no command '{name}': {known}", ctx)
+        return super().resolve_command(ctx, args)
 
 
 CRASHED = 1

@@ -18,7 +18,7 @@ from dolfin_elastic.core.signals import INTERRUPTED, Stop
 from dolfin_elastic.core.startup.libraries import start
 
 if TYPE_CHECKING:
-    from dolfin_elastic.study.converge.progress import Level, Progress
+    from dolfin_elastic.study.converge.report import Level, Progress
 
 NOT_REACHED = 6
 

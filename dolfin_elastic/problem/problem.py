@@ -32,8 +32,7 @@ from dolfin_elastic.problem.constraints.normals import (
     check_outside,
     spring_directions,
 )
-from dolfin_elastic.problem.constraints.periodic.fluctuation import Fluctuation
-from dolfin_elastic.problem.constraints.periodic.unit_cell import Cell, make_cell
+from dolfin_elastic.problem.constraints.periodic.unit_cell import Cell, Fluctuation, make_cell
 from dolfin_elastic.problem.context import FormContext, Measures
 from dolfin_elastic.problem.eigenstrain import eigenstrains
 from dolfin_elastic.problem.material_regions import (

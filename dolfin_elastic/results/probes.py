@@ -27,7 +27,7 @@ from dolfin_elastic.results.derived.part_numbers import PartNumbers, Statistic, 
 from dolfin_elastic.results.derived.sections import Section, SectionForces
 from dolfin_elastic.results.fields import FIELDS, component_names
 from dolfin_elastic.results.moments import ReferencePoints, columns_of_moments
-from dolfin_elastic.results.recovery.points import StressAtPoints, is_recovered
+from dolfin_elastic.results.recovery.stress import StressAtPoints, is_recovered
 from dolfin_elastic.results.surface_means import (
     NODAL,
     REACTION,

@@ -16,7 +16,7 @@ from dolfin_elastic.case.case import Case, read_case
 from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.case.check.report import report
 from dolfin_elastic.case.run import run
-from dolfin_elastic.cli.tools.new import Kind, template
+from dolfin_elastic.cli.tools.files import Kind, template
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.model.materials.registry import MATERIALS

@@ -15,7 +15,7 @@ from helpers.processes import PROGRAM, clean_environment, cli, started
 from jsonschema import Draft7Validator
 from mpi4py import MPI
 
-from dolfin_elastic.cli.tools.new import TEMPLATES, Kind
+from dolfin_elastic.cli.tools.files import TEMPLATES, Kind
 from dolfin_elastic.cli.tools.verify import _write, verify
 from dolfin_elastic.core.errors import CaseError, OutputError
 

@@ -33,9 +33,9 @@ from dolfin_elastic.mesh.refine.refinement import refine_body
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.problem import problem as problems
 from dolfin_elastic.problem.pressure.groups import pressure_groups
-from dolfin_elastic.problem.transfer import refined_unknowns
 from dolfin_elastic.results.checkpoint.mesh_order import DofOrdering
 from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.study.converge.converge import refined_unknowns
 
 COMM = MPI.COMM_WORLD
 FREE = "free"

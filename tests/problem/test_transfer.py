@@ -23,8 +23,8 @@ from dolfin_elastic import (
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.refine.refinement import Refinement, refine_body
-from dolfin_elastic.problem.transfer import refined_unknowns
 from dolfin_elastic.solvers.statics.load_stepping import NearEnd
+from dolfin_elastic.study.converge.converge import refined_unknowns
 
 WORLD = MPI.COMM_WORLD
 

@@ -106,7 +106,7 @@ def unit_information(case: Case, body: Body) -> tuple[str, ...]:
 
 
 def size_notes(case: Case, body: Body) -> Iterator[str]:
-    """Bodies that are very large or very small, or displaced by more than their size. Collective."""
+    """Bodies that are very large, very small, or displaced by more than their size. Collective."""
     longest = max(extent(body))
     if longest > _LONG or longest < _SHORT:
         what = f"{longest:.3g} m" + (" long" if longest > _LONG else " at most")

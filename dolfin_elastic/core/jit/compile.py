@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib.util
 import logging
 import os
+import signal
 import sysconfig
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from threading import Timer
@@ -35,7 +36,6 @@ from dolfin_elastic.core.jit.cache import (
     find_or_compile,
     private_folders,
 )
-from dolfin_elastic.core.jit.processes import NewProcesses
 from dolfin_elastic.core.native.functions import Library
 from dolfin_elastic.core.parallel import agree, on_root, smallest
 from dolfin_elastic.core.signals import interruptible
@@ -44,6 +44,41 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 
 log = logging.getLogger("dolfin_elastic")
+
+
+class NewProcesses:
+    """Processes that this one starts from now on, and what they start.
+
+    Python ends the C compiler, a driver, when an exception interrupts the waiting for it; the
+    compiler proper, a process of the driver's, would go on for minutes.
+    """
+
+    def __init__(self) -> None:
+        self._before = set(_children(os.getpid()))
+
+    def end(self) -> None:
+        """Kills them."""
+        new = set(_children(os.getpid())) - self._before
+        for process in [*new, *(one for parent in new for one in _descendants(parent))]:
+            with suppress(OSError):  # it has ended meanwhile
+                os.kill(process, signal.SIGKILL)
+
+
+def _children(process: int) -> list[int]:
+    """Those that a process has started; none where the system does not say."""
+    found: list[int] = []
+    with suppress(OSError):
+        for thread in Path(f"/proc/{process}/task").iterdir():
+            found += map(int, (thread / "children").read_text(encoding="ascii").split())
+    return found
+
+
+def _descendants(process: int) -> Iterator[int]:
+    for child in _children(process):
+        yield child
+        yield from _descendants(child)
+
+
 T = TypeVar("T")
 SLOW = 3.0
 """Seconds of compiling, of one form or of several, after which a line says so."""

@@ -17,8 +17,7 @@ import numpy as np
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.core.units import LENGTHS, LengthUnit
-from dolfin_elastic.mesh.formats.labels import find, find_all, joined, missing
-from dolfin_elastic.mesh.formats.raw import Block, MeshFile
+from dolfin_elastic.mesh.formats.raw import Block, MeshFile, find, find_all, joined, missing
 
 _NODES = (15, 781, 2411)
 _ELEMENTS = {780: (8, 5), 2412: (6, 3)}  # numbers in the first record, and in that of beams

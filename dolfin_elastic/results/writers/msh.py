@@ -29,8 +29,7 @@ from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import missing_results, sync, writing
 from dolfin_elastic.results.hdf5 import Rows
 from dolfin_elastic.results.writer import Numbers
-from dolfin_elastic.results.writers.series import SeriesWriter
-from dolfin_elastic.results.writers.shared_text import add_text, lines_of
+from dolfin_elastic.results.writers.series import SeriesWriter, add_text, lines_of
 
 _TYPES = {"Triangle": 2, "Triangle_6": 9, "Tetrahedron": 4, "Tetrahedron_10": 11}
 """XDMF's name of a cell to Gmsh's number of it."""

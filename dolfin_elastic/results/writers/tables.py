@@ -26,8 +26,7 @@ from dolfin_elastic.results.checkpoint.mesh_order import node_numbers
 from dolfin_elastic.results.fields import FIELDS, component_names
 from dolfin_elastic.results.files import replace_text
 from dolfin_elastic.results.hdf5 import Rows
-from dolfin_elastic.results.writers.series import IndexedSeries
-from dolfin_elastic.results.writers.shared_text import add_text, lines_of
+from dolfin_elastic.results.writers.series import IndexedSeries, add_text, lines_of
 
 _PLACE = ("x", "y", "z")
 _HEAD = "step,t,nodes,cells"

@@ -35,8 +35,8 @@ from dolfin_elastic.solvers.diagnostics.evidence import (
     explained,
     not_finite,
 )
-from dolfin_elastic.solvers.diagnostics.loose_parts import find_loose_part
 from dolfin_elastic.solvers.diagnostics.material_limit import NEARLY, softest_spot
+from dolfin_elastic.solvers.diagnostics.rigid_body import find_loose_part
 from dolfin_elastic.solvers.diagnostics.stability import LIMIT
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.contact import pulled_off_obstacles, without_contact

@@ -18,7 +18,7 @@ from dolfin_elastic.solvers.assembly.matrix import BilinearForm, TangentMatrix
 from dolfin_elastic.solvers.assembly.tied import TiedMatrix
 from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_motions
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
-from dolfin_elastic.solvers.linear.nullspace import null_combinations, times
+from dolfin_elastic.solvers.linear.ksp import null_combinations, times
 
 FREE = 1e-12
 """Force against a rigid motion, over the largest stiffness of a node, that is round-off."""

@@ -23,6 +23,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.together import failing_together
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import RAMP
+from dolfin_elastic.problem.incompressible import partly_incompressible
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -48,12 +49,32 @@ from dolfin_elastic.solvers.eigen.slepc import (
     choose_eigen,
     uneven,
 )
-from dolfin_elastic.solvers.eigen.volume_constraints import constrained_motions
 from dolfin_elastic.solvers.linear.choice import LinearSettings
-from dolfin_elastic.solvers.linear.nullspace import times
+from dolfin_elastic.solvers.linear.ksp import times
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
 log = logging.getLogger("dolfin_elastic")
+
+
+def constrained_motions(assembler: Assembler) -> int:
+    """How many motions of its displacements a body does not have, for it is incompressible.
+
+    Each pressure that stands in none of its own rows takes one away; one that is fixed, because
+    the body is held all around, stands in its own. Collective.
+    """
+    problem = assembler.problem
+    if not partly_incompressible(problem):
+        return 0
+    if problem.unknowns.stabilised:  # their own rows know all but the mean
+        whole = all(region.incompressible for region in problem.regions)
+        known = 0 if assembler.level is None else len(assembler.level.bodies)
+        return 1 - known if whole else 0
+    pressures = np.setdiff1d(np.arange(assembler.size), assembler.displacement_dofs)
+    diagonal = assembler.tangent.matrix.getDiagonal()
+    count = total(problem.body.comm, int(np.sum(diagonal.array_r[pressures] == 0.0)))
+    diagonal.destroy()
+    return count
+
 
 MOST = 500
 """Modes that are looked for by frequency, at most."""

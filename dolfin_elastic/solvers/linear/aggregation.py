@@ -19,8 +19,8 @@ from dolfin_elastic.solvers.linear.block_rows import (
     room_for,
 )
 from dolfin_elastic.solvers.linear.smoother import Diagonal
+from dolfin_elastic.solvers.petsc.c_api import give_back
 from dolfin_elastic.solvers.petsc.halo import Halo
-from dolfin_elastic.solvers.petsc.heap import give_back
 
 LANES = 8
 """Most entries of a row of a block, as loops in C need it for their work."""

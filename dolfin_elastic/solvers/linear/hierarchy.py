@@ -40,7 +40,7 @@ from dolfin_elastic.solvers.linear.smoother import (
     diagonal_of,
     smoother_of,
 )
-from dolfin_elastic.solvers.petsc.heap import give_back
+from dolfin_elastic.solvers.petsc.c_api import give_back
 
 THRESHOLD = 0.08
 """Of a strong connection on the finest level; half of it on each coarser one (Vanek, Mandel &

@@ -9,17 +9,146 @@ from contextlib import contextmanager, suppress
 import numpy as np
 from petsc4py import PETSc
 
+from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.linear.age import Age
 from dolfin_elastic.solvers.linear.choice import GMRES, LAST_DIRECT, factorising, petsc_multigrid
 from dolfin_elastic.solvers.linear.hierarchy import Multigrid
 from dolfin_elastic.solvers.linear.multigrid import PMultigrid, rigid_body_modes
 from dolfin_elastic.solvers.linear.schur import PressureSplit
+from dolfin_elastic.solvers.linear.smoother import random_vector
 from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.petsc.c_api import leave_preconditioner
 from dolfin_elastic.solvers.petsc.options import Options
 
 log = logging.getLogger("dolfin_elastic")
+
+
+def null_combinations(assembler: Assembler, columns: FloatArray, small: float) -> FloatArray:
+    """Combinations of given motions that lie in the null space of the assembled tangent.
+
+    By a singular value decomposition of K times the motions, reduced to the triangular factor of
+    each rank's rows: the product's Gram matrix would lose half the digits.  Collective.
+
+    Args:
+        columns: The motions: owned entries of all unknowns, of norm 1, shape (entries, n).
+        small: Singular value, over the largest entry of the free diagonal, that counts as zero.
+
+    Returns:
+        Orthonormal coefficients of the motions, shape (n, found).
+    """
+    matrix, comm = assembler.tangent.matrix, assembler.comm
+    diagonal = matrix.getDiagonal()
+    free = np.ones(assembler.size, dtype=bool)
+    free[assembler.prescribed_dofs] = False
+    scale = largest(comm, float(np.max(np.abs(diagonal.array_r[free]), initial=0.0))) or 1.0
+    diagonal.destroy()
+    images = times(matrix, columns) / scale
+    fixed = assembler.prescribed_dofs  # whose rows of K are the identity's
+    images[fixed] = columns[fixed]
+    if assembler.ties is not None:  # whose rows only keep the matrix regular
+        images[assembler.displacement_dofs[assembler.ties.tied]] = 0.0
+    rows = np.vstack([images, np.zeros((images.shape[1],) * 2)])
+    triangles = np.vstack(comm.allgather(np.linalg.qr(rows, mode="r")))
+    _, sizes, mixes = np.linalg.svd(triangles, full_matrices=False)
+    return np.asarray(mixes[sizes <= small].T)
+
+
+def times(matrix: PETSc.Mat, columns: FloatArray) -> FloatArray:
+    """A matrix times several vectors. Collective.
+
+    Args:
+        columns: Owned entries of the vectors, shape (entries, n).
+
+    Returns:
+        Owned entries of the products, of the same shape.
+    """
+    x, y = matrix.createVecs()
+    images = np.zeros_like(columns)
+    for k in range(columns.shape[1]):
+        x.array_w[:] = columns[:, k]
+        matrix.mult(x, y)
+        images[:, k] = y.array_r
+    x.destroy()
+    y.destroy()
+    return images
+
+
+CHANGE = {"displacement": 0.5, "mixed": 0.05}
+"""Relative change of the tangent from which its preconditioner is set up anew: with pressures a
+changed tangent costs many more iterations."""
+
+GROWTH = 1.2
+"""Iterations a digit over those of the first solve from which it is, too."""
+
+SPARE = {"displacement": 8.0, "mixed": 3.0}
+"""Further iterations a digit that cost less than a set-up, which takes the time of 25 iterations
+where the displacement is the only unknown."""
+
+
+class Age:
+    """Watches the tangents and iterations of one preconditioner.  Collective to make.
+
+    Setting multigrid up costs as much as 10 to 50 iterations, so a preconditioner serves for
+    several tangents; but one of an unloaded bracket took 483 iterations for a bracket bent by 50
+    degrees, and 77 after it was set up anew. Two signs tell:
+
+    - before a solve, how much the tangent has changed, |(K - K0) v| / |K0 v| for one random v: an
+      estimate of the same quotient of Frobenius norms by one product (M. Hutchinson, Commun. Stat.
+      Simul. Comput. 19 (1990) 433), whatever it is that has changed, shape, stress or time step;
+    - after it, how many iterations a digit of the residual has taken.
+
+    Attributes:
+        kept: The preconditioner is of an earlier tangent than the last one.
+    """
+
+    def __init__(self, assembler: Assembler) -> None:
+        self._assembler, self.kept = assembler, False
+        self._v, self._product = assembler.create_vector(), assembler.create_vector()
+        rows = assembler.displacement_dofs
+        first = self._v.getOwnershipRange()[0]
+        self._v.array_w[rows] = random_vector(first, len(rows))
+        self._v.array_w[assembler.prescribed_dofs] = 0.0
+        self._then: FloatArray | None = None
+        kind = "mixed" if assembler.problem.unknowns.auxiliary_fields else "displacement"
+        self._change, self._spare, self._first = CHANGE[kind], SPARE[kind], 0.0
+
+    def forget(self) -> None:
+        """There is no preconditioner any more. Not collective."""
+        self._then, self.kept = None, False
+
+    def begin(self, tangent: PETSc.Mat) -> None:
+        """A preconditioner of this tangent is set up. Collective."""
+        self._then, self._first, self.kept = self._times(tangent), 0.0, False
+
+    def take(self, tangent: PETSc.Mat) -> bool:
+        """Whether the preconditioner is too old for this tangent, or is none. Collective."""
+        if self._then is None:
+            return True
+        self.kept = True
+        now = self._times(tangent)
+        squares = np.array([np.sum((now - self._then) ** 2), np.sum(self._then**2)])
+        off, size = total(self._assembler.comm, squares)
+        return not off <= self._change**2 * size  # no numbers count as a change
+
+    def served(self, iterations: int, digits: float) -> bool:
+        """Whether a solve has taken no more iterations than a set-up saves. Not collective.
+
+        Args:
+            digits: By how many powers of ten the residual was to fall.
+        """
+        effort = iterations / digits
+        self._first = self._first or effort
+        return effort <= GROWTH * self._first + self._spare
+
+    def _times(self, tangent: PETSc.Mat) -> FloatArray:
+        tangent.mult(self._v, self._product)
+        return np.asarray(self._product.array_r[self._assembler.displacement_dofs].copy())
+
+    def destroy(self) -> None:
+        """Frees its vectors. Collective."""
+        self._v.destroy()
+        self._product.destroy()
 
 
 class LinearSolver:

@@ -29,8 +29,7 @@ from dolfin_elastic.solvers.nonlinear.convergence import (
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
-from dolfin_elastic.solvers.statics.pseudo_transient import flow_to_equilibrium
-from dolfin_elastic.solvers.statics.retry import RetryStrategy
+from dolfin_elastic.solvers.statics.retry import RetryStrategy, flow_to_equilibrium
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 from dolfin_elastic.solvers.statics.states import StaticStates
 from dolfin_elastic.solvers.statics.step_size import StepSizes, StepSpeed

@@ -13,23 +13,25 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from dolfinx import fem
 from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case, locate_errors
 from dolfin_elastic.case.model_record import model_record
 from dolfin_elastic.case.run import check_problem, log_notes, open_outputs, outputs_of
 from dolfin_elastic.core import timing
+from dolfin_elastic.core.compat import collapsed
 from dolfin_elastic.core.errors import InputError, StoppedError
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
 from dolfin_elastic.core.signals import acknowledge, raise_if_agreed, remove_stop_file
 from dolfin_elastic.core.together import loop_together
+from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.refine.marking import bulk
 from dolfin_elastic.mesh.refine.refinement import Refinement, refine_body
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, State
-from dolfin_elastic.problem.transfer import refined_unknowns
 from dolfin_elastic.results.checkpoint.lock import FolderLock
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.peaks import Peak, find_peaks, largest, percent
@@ -39,11 +41,56 @@ from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.statics.load_stepping import NearEnd
 from dolfin_elastic.solvers.statics.statics import Statics
 from dolfin_elastic.study.converge.extrapolation import extrapolate, grows
-from dolfin_elastic.study.converge.progress import Level, Progress, Verdict
 from dolfin_elastic.study.converge.quantity import Measured, Measurement, Quantity
-from dolfin_elastic.study.converge.report import write_report
+from dolfin_elastic.study.converge.report import Level, Progress, Verdict, write_report
 
 log = logging.getLogger("dolfin_elastic")
+
+
+def refined_unknowns(
+    refinement: Refinement, coarse: Problem, w: fem.Function, fine: Problem
+) -> FloatArray:
+    """All unknowns of a problem, interpolated to the same problem on a finer mesh. Collective.
+
+    The functions are the same on cells whose nodes were not moved to a CAD surface.
+
+    Args:
+        refinement: From the body of one to that of the other.
+        coarse: The problem that was solved, without periodic faces.
+
+    Returns:
+        The local array of `fine.w`, ghosts included.
+    """
+    guess = fem.Function(fine.W)
+    fields = coarse.unknowns.auxiliary_fields
+    if not fields:
+        guess.x.array[:] = _carried(refinement, coarse.V, w.x.array, fine.V)
+    for i, scale in enumerate((1.0, *(_rescaled(coarse, fine, f.name) for f in fields))):
+        if fields:
+            (before, here), (after, there) = (collapsed(p.W.sub(i)) for p in (coarse, fine))
+            guess.x.array[there] = scale * _carried(refinement, before, w.x.array[here], after)
+    guess.x.scatter_forward()
+    return np.asarray(guess.x.array)
+
+
+def _rescaled(coarse: Problem, fine: Problem, name: str) -> float:
+    """An unknown is its field over a scale, which depends on the cells' size."""
+    return float(coarse.unknowns.scale[name].value) / float(fine.unknowns.scale[name].value)
+
+
+def _carried(
+    refinement: Refinement, before: fem.FunctionSpace, values: AnyArray, after: fem.FunctionSpace
+) -> FloatArray:
+    """The local array of a function of a Lagrange space, continuous or not. Collective."""
+    width = before.dofmap.index_map_bs
+    rows = values.reshape(-1, width)[before.dofmap.list]
+    found = refinement.interpolated(int(before.ufl_element().degree), rows)
+    index = after.dofmap.index_map
+    table = np.zeros((index.size_local + index.num_ghosts, width))
+    table[after.dofmap.list] = found
+    return table.reshape(-1)
+
+
 States = Generator[State, None, None]
 
 REFINEMENTS, UNKNOWNS = 8, 500_000

@@ -11,7 +11,7 @@ from conftest import ROOT
 from jsonschema import Draft7Validator
 
 from dolfin_elastic.case.reference.json_schema import case_schema
-from dolfin_elastic.cli.tools.new import Kind, template
+from dolfin_elastic.cli.tools.files import Kind, template
 from dolfin_elastic.model.loads import LOADS
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.supports.springs import SUPPORTS

@@ -16,7 +16,7 @@ from dolfin_elastic.core.errors import ElasticError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.derived.part_numbers import PartNumbers
-from dolfin_elastic.results.finished.units import column_unit
+from dolfin_elastic.results.finished.run import column_unit
 
 COMM = MPI.COMM_WORLD
 ALL = ("max", "min", "mean", "integral")

@@ -32,7 +32,7 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.dimension import moment_of
 from dolfin_elastic.model.loads import BodyForce
 from dolfin_elastic.model.supports.springs import Spring
-from dolfin_elastic.results.finished.units import column_unit
+from dolfin_elastic.results.finished.run import column_unit
 
 ROUND_OFF = 1e-10
 """Of the load, what a direct solver leaves; nothing else is between a section and the loads."""

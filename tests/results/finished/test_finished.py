@@ -16,8 +16,7 @@ from helpers.states import COMM, displacement, make_problem, make_state
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.finished.units import column_unit
+from dolfin_elastic.results.finished.run import FinishedRun, column_unit
 from dolfin_elastic.results.outputs import History, Summary, Xdmf
 
 CASE = {"title": "A beam", "statics": {"steps": 2}}

@@ -52,7 +52,7 @@ from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics import instability
 from dolfin_elastic.solvers.diagnostics.evidence import TrialStates
-from dolfin_elastic.solvers.diagnostics.loose_parts import find_loose_part
+from dolfin_elastic.solvers.diagnostics.rigid_body import find_loose_part
 from dolfin_elastic.solvers.diagnostics.stability import FactorisedTangent, Mode, curvature
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.messages import coordinates

@@ -11,8 +11,8 @@ import pytest
 
 from dolfin_elastic import Dynamics, NeoHookean, Problem, Statics, Support, Traction, box_body
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.solvers.linear.age import Age
 from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.linear.ksp import Age
 
 ITERATIVE = LinearSettings(method="iterative")
 MOST = 60

@@ -17,8 +17,8 @@ from dolfin_elastic import Case
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.study.converge.converge import Goal, converge
-from dolfin_elastic.study.converge.progress import Progress
 from dolfin_elastic.study.converge.quantity import Quantity, tolerance
+from dolfin_elastic.study.converge.report import Progress
 
 WORLD = MPI.COMM_WORLD
 HOLE = """\

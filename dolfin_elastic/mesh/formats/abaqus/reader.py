@@ -17,10 +17,8 @@ import numpy as np
 from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.mesh.formats.abaqus.cards import Card, read_cards
-from dolfin_elastic.mesh.formats.abaqus.elements import element_kind
-from dolfin_elastic.mesh.formats.abaqus.surfaces import Elements, Facets
-from dolfin_elastic.mesh.formats.labels import find, find_all, joined, missing
-from dolfin_elastic.mesh.formats.raw import Block, MeshFile
+from dolfin_elastic.mesh.formats.abaqus.elements import Elements, Facets, element_kind
+from dolfin_elastic.mesh.formats.raw import Block, MeshFile, find, find_all, joined, missing
 
 _NO_NODES = np.empty((0, 0), dtype=np.int64)
 _ASSEMBLY = 1 << 40

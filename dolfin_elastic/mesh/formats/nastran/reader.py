@@ -16,11 +16,10 @@ import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IntArray
-from dolfin_elastic.mesh.formats.labels import find
 from dolfin_elastic.mesh.formats.nastran.elements import KINDS, OTHERS, Kind, misunderstood
 from dolfin_elastic.mesh.formats.nastran.entries import Entry, read_entries
 from dolfin_elastic.mesh.formats.nastran.systems import System, Systems, systems_of
-from dolfin_elastic.mesh.formats.raw import Block, MeshFile
+from dolfin_elastic.mesh.formats.raw import Block, MeshFile, find
 
 _NO_NODES = np.empty((0, 0), dtype=np.int64)
 

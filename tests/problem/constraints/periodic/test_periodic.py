@@ -36,9 +36,9 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.rigid_body import free_bodies
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered
-from dolfin_elastic.solvers.nonlinear.cell_strains import free_strains
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.newton import Newton
+from dolfin_elastic.solvers.nonlinear.scalars import free_strains
 
 PAIRS = [["left", "right"], ["bottom", "top"]]
 PAIRS3 = [["left", "right"], ["front", "back"], ["bottom", "top"]]

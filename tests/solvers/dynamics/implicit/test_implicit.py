@@ -41,9 +41,8 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.results.writers.summary import peak_memory
-from dolfin_elastic.solvers.dynamics.implicit.impact_error import ImpactError
 from dolfin_elastic.solvers.dynamics.implicit.implicit import Implicit
-from dolfin_elastic.solvers.dynamics.implicit.ts_scheme import GeneralizedAlphaScheme
+from dolfin_elastic.solvers.dynamics.implicit.ts_scheme import GeneralizedAlphaScheme, ImpactError
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 # --- waves ---

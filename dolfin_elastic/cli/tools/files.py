@@ -1,8 +1,10 @@
-"""The command `new`: first cases that run as they are; comments say what to change."""
+"""Commands that make and read files: `convert`, `schema`, `new`."""
 # ruff: noqa: D301
 
 from __future__ import annotations
 
+import json
+import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +14,7 @@ import typer
 from dolfin_elastic.core.errors import CaseError, check_kept
 from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.signals import launched_rank
+from dolfin_elastic.core.startup.libraries import start
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -77,3 +80,62 @@ def template(kind: Kind, name: str) -> str:
     """
     text = (TEMPLATES / f"{kind}.toml").read_text(encoding="utf-8")
     return text.replace("{name}", name)
+
+
+def schema() -> None:
+    """Print the JSON schema of case files, by which editors complete and check.
+
+    \b
+      dolfin-elastic schema > dolfin-elastic.schema.json
+
+    Then write `#:schema ./dolfin-elastic.schema.json` as the first line of a case, and open it in
+    an editor with taplo or "Even Better TOML".
+    """
+    from dolfin_elastic.case.reference.json_schema import case_schema
+
+    print(json.dumps(case_schema(), indent=1, ensure_ascii=False))
+
+
+def convert(
+    mesh: Annotated[Path, typer.Argument(metavar="MESH", hidden=True)],
+    target: Annotated[Path, typer.Argument(metavar="TARGET", hidden=True)],
+    *,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the files.")] = False,
+) -> None:
+    """Write a mesh as XDMF, which all ranks read in shares.
+
+    \b
+      dolfin-elastic convert wing.msh wing.xdmf     writes wing.xdmf and wing.h5
+
+    For large meshes: every other format is read by one rank, with the memory of one. Names of
+    regions, surfaces, edges and points, fields and the unit of length are kept.
+
+    \f
+    Args:
+        target: The .xdmf file.
+        force: Overwrite it, and the .h5 file beside it.
+
+    Raises:
+        CaseError: docker/run would not keep the target.
+        MeshError: The mesh cannot be read, or the target is no .xdmf file or exists.
+        OutputError: The files cannot be written.
+    """
+    start()
+    from mpi4py import MPI
+
+    from dolfin_elastic.cli.run import collect_garbage
+    from dolfin_elastic.core.errors import check_kept
+    from dolfin_elastic.mesh.formats.convert import convert_mesh
+
+    collect_garbage()
+    check_kept(target.parent, str(target))
+    found = convert_mesh(mesh, target, comm=MPI.COMM_WORLD, force=force)
+    if MPI.COMM_WORLD.rank == 0:
+        for note in found.notes:
+            print(f"warning: {mesh.name}: {note}", file=sys.stderr)
+        unit = f", in {found.unit}" if found.unit else ""
+        size = f"{found.cells} cells, {found.points} points{unit}"
+        print(f"{target} and {target.with_suffix('.h5').name} written: {size}")
+        for kind, names in [*found.parts.items(), ("field", found.fields)]:
+            if names:
+                print(f"  {kind}s: {', '.join(names)}")
