@@ -13,7 +13,6 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.core.units import to_si
 from dolfin_elastic.mesh.geometry.simplices import qualities, signed_volumes
-from dolfin_elastic.report.contents import model
 from dolfin_elastic.report.quantity import number, quantity
 from dolfin_elastic.report.scene import Marks, Scene, View, chosen_frames, node_values, surface_of
 from dolfin_elastic.report.words import Table, part_names
@@ -125,8 +124,8 @@ def _view(
 
 def _marks(run: FinishedRun, points: FloatArray) -> Iterator[Marks]:
     """Arrows of what the run has noted places of."""
-    parts = model(run).get("parts") or {}
-    sums = model(run).get("loads") or []
+    parts = run.model.get("parts") or {}
+    sums = run.model.get("loads") or []
     for k, row in enumerate(run.case.get("support") or []):
         rows = _places(parts, part_names(row))
         if len(rows):

@@ -16,7 +16,7 @@ import numpy as np
 from dolfin_elastic.case.toml import toml_text
 from dolfin_elastic.core import __version__
 from dolfin_elastic.core.files.regular import irregular, read_regular
-from dolfin_elastic.report import contents
+from dolfin_elastic.report import balance, contents
 from dolfin_elastic.report.charts import Axis, histogram
 from dolfin_elastic.report.drawn import drawn_frames, mesh_quality, scene_of
 from dolfin_elastic.report.laws import materials_of
@@ -75,12 +75,12 @@ def report_contents(run: FinishedRun) -> dict[str, object]:
     """
     frames = drawn_frames(run)
     scene = scene_of(run, frames)
-    supports, loads = contents.supports_of(run), contents.loads_of(run)
+    supports, loads = balance.supports_of(run), balance.loads_of(run)
     palette = _palette(scene)
     sides = _extent(run, scene)
     status, kind = contents.status_of(run.summary)
     pictures = _pictures(scene, palette)
-    dim = frames[-1][1].dim if frames else (contents.model(run).get("mesh") or {}).get("dim")
+    dim = frames[-1][1].dim if frames else (run.model.get("mesh") or {}).get("dim")
     return {
         "title": str(run.case.get("title") or run.folder.resolve().name),
         "folder": run.folder.resolve().name,
@@ -99,7 +99,7 @@ def report_contents(run: FinishedRun) -> dict[str, object]:
         "last_values": contents.last_values(run),
         "supports": supports,
         "loads": loads,
-        "balance": contents.balance_of(run),
+        "balance": balance.balance_of(run),
         "modes": contents.modes_of(run),
         "charts": contents.history_charts(run),
         "newton": contents.newton_chart(run),
@@ -107,7 +107,7 @@ def report_contents(run: FinishedRun) -> dict[str, object]:
         "steps": contents.steps_of(run),
         "materials": materials_of(run.case),
         "mesh": _mesh(run, frames, sides),
-        "warnings": [str(text) for text in contents.model(run).get("warnings") or []],
+        "warnings": [str(text) for text in run.model.get("warnings") or []],
         **pictures,
         "own_pictures": list(_own_pictures(run.folder, _room(pictures))),
         "case_text": _case_text(run.case),
@@ -253,13 +253,13 @@ def _extent(run: FinishedRun, scene: Scene | None) -> list[float]:
     if scene is not None:
         sides = np.ptp(scene.points, axis=0)
         return [float(side) for side in (sides[:2] if scene.plane else sides)]
-    return [float(x) for x in (contents.model(run).get("mesh") or {}).get("extent") or []]
+    return [float(x) for x in (run.model.get("mesh") or {}).get("extent") or []]
 
 
 def _mesh(
     run: FinishedRun, frames: list[tuple[str, Frame]], sides: list[float]
 ) -> dict[str, object]:
-    summary, noted = run.summary, contents.model(run).get("mesh") or {}
+    summary, noted = run.summary, run.model.get("mesh") or {}
     file = Path(str((run.case.get("mesh") or {}).get("file") or "")).name
     found: dict[str, object] = {
         "cells": summary.get("cells"),
@@ -327,14 +327,14 @@ def _case_text(case: Table) -> str:
 
 
 def _command(run: FinishedRun) -> str:
-    file = contents.model(run).get("file") or "case.toml"
+    file = run.model.get("file") or "case.toml"
     ranks = run.summary.get("ranks")
     words = ["dolfin-elastic", "run", str(file)]
     if (goal := _goal(run.folder)) is not None:
         words[1:] = ["converge", str(file), "--until", *goal]
     if isinstance(ranks, int) and ranks > 1:
         words = ["mpirun", "-n", str(ranks), *words]
-    options = contents.model(run).get("petsc") or {}
+    options = run.model.get("petsc") or {}
     words += ["--"] * bool(options)
     for key, value in options.items():
         words += [f"-{key}"] if value in (None, "", True) else [f"-{key}", str(value)]

@@ -22,8 +22,9 @@ from dolfin_elastic import Case, run
 from dolfin_elastic.cli.tools.report import _write
 from dolfin_elastic.core.errors import InputError, OutputError, SolveError
 from dolfin_elastic.report import pdf
+from dolfin_elastic.report.balance import balance_of, supports_of
 from dolfin_elastic.report.charts import Axis, Line, line_chart
-from dolfin_elastic.report.contents import balance_of, history_charts, last_values, supports_of
+from dolfin_elastic.report.contents import history_charts, last_values
 from dolfin_elastic.report.depth import Window, look
 from dolfin_elastic.report.laws import _constants
 from dolfin_elastic.report.page import json_text

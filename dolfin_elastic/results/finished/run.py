@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import re
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -151,6 +152,12 @@ class FinishedRun:
         """See the class."""
         return {name: column_unit(name, moving=self.moving) for name in self.history}
 
+    @cached_property
+    def model(self) -> Mapping[str, Any]:
+        """The record of its model in the summary; empty of older runs."""
+        found = self.summary.get("model")
+        return found if isinstance(found, Mapping) else {}
+
     @property
     def moving(self) -> bool:
         """The run was a motion: t is a time [s]; else it is the load parameter of statics."""
@@ -196,8 +203,7 @@ class FinishedRun:
     @property
     def metres(self) -> float:
         """Metres per unit of length of the mesh, in which places beside it are written."""
-        model = self.summary.get("model")
-        mesh = model.get("mesh") if isinstance(model, dict) else None
+        mesh = self.model.get("mesh")
         found = mesh.get("metres", 1.0) if isinstance(mesh, dict) else 1.0
         return float(found) if isinstance(found, int | float) and found > 0 else 1.0
 
