@@ -38,7 +38,7 @@ from dolfin_elastic.mesh.distribute import is_cad
 from dolfin_elastic.mesh.generate import number_of_cells
 from dolfin_elastic.mesh.local_size import MOST_CELLS, CadSizes, LocalSize
 from dolfin_elastic.mesh.selectors import Place, Selector
-from dolfin_elastic.model.dimension import Geometry
+from dolfin_elastic.model.kinematics import Geometry
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.problem.material_regions import Formulation

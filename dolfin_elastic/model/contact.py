@@ -24,8 +24,7 @@ from dolfin_elastic.core.shapes.shapes import (
 )
 from dolfin_elastic.core.units import ForceDensity, Length
 from dolfin_elastic.model.amplitude import Amplitude, Curve
-from dolfin_elastic.model.on_surfaces import OnSurfaces
-from dolfin_elastic.model.values import amplitude_of, components
+from dolfin_elastic.model.values import OnSurfaces, amplitude_of, components
 
 
 class Contact(OnSurfaces):

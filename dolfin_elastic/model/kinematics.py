@@ -6,7 +6,10 @@ configuration, x = X + u its place in the current one.
 
 Strains are differences from F = I, and F = I + grad u has rounded off all digits of grad u below
 1e-16.  So strains are computed from the displacement gradient H = grad u, which
-`displacement_gradient` finds in an F that is written as the sum I + H.
+`displacement_gradient` finds in an F that is written as the sum I + H.  ln(1 + x) and e^x - 1, too,
+lose all digits where x is below 1e-16; energies and stresses of a body that is hardly strained are
+made of functions that do not (N. J. Higham, Accuracy and Stability of Numerical Algorithms (2002),
+sections 1.14 and 1.17).
 
 Source: Bonet & Wood, Nonlinear Continuum Mechanics for Finite Element Analysis, 2nd ed.,
 Cambridge 2008, chapters 4 (kinematics) and 5 (stress); equation numbers below are theirs.
@@ -14,11 +17,151 @@ Cambridge 2008, chapters 4 (kinematics) and 5 (stress); equation numbers below a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
 import ufl
 from ufl.classes import Identity, Sum
 from ufl.core.expr import Expr
 
-from dolfin_elastic.model.near_zero import log1p
+from dolfin_elastic.core.types import FloatArray, Scalar
+
+Geometry = Literal["plane-strain", "plane-stress", "axisymmetric"]
+GEOMETRIES: tuple[str, ...] = get_args(Geometry)
+
+
+@dataclass(frozen=True)
+class WeightedMeasure:
+    """A measure of a plane mesh times thickness or circumference.
+
+    Attributes:
+        weight: Factor of every integrand; None: 1.
+        measure: UFL measure of the mesh.
+    """
+
+    weight: Expr | None
+    measure: ufl.Measure
+
+    def ufl_domain(self) -> ufl.Mesh:
+        """The mesh in UFL."""
+        return self.measure.ufl_domain()
+
+    def __call__(self, **kwargs: Any) -> WeightedMeasure:
+        """The same with another quadrature rule, see `ufl.Measure`."""
+        return WeightedMeasure(self.weight, self.measure(**kwargs))
+
+    def __rmul__(self, integrand: Expr) -> ufl.Form:
+        """The integral's form."""
+        return (integrand if self.weight is None else integrand * self.weight) * self.measure
+
+
+def weight(geometry: Geometry, x: Expr, thickness: Expr | None) -> Expr | None:
+    """Thickness or circumference by which integrals over a plane mesh are multiplied.
+
+    Args:
+        x: Reference coordinates; x[0] is the radius of an axisymmetric body, x[1] its axis.
+        thickness: Of a plane body; None: 1.
+    """
+    return 2 * ufl.pi * x[0] if geometry == "axisymmetric" else thickness
+
+
+def full_gradient(geometry: Geometry, u: Expr, x: Expr, stretch: Expr | None) -> Expr:
+    """The 3x3 deformation gradient of a displacement.
+
+    Args:
+        geometry: Kind of body, if it is two-dimensional.
+        u: Displacement, 2 or 3 components.
+        x: Reference coordinates.
+        stretch: Displacement gradient out of the plane, F33 - 1, in plane stress.
+
+    In an axisymmetric body F33 is current over reference circumference, 1 + u_r/r.
+
+    Source: Holzapfel, Nonlinear Solid Mechanics (2000), section 2.4 (gradient in cylindrical
+    coordinates).
+    """
+    return deformation_from(gradient_variation(geometry, u, x, stretch))
+
+
+def gradient_variation(geometry: Geometry, v: Expr, x: Expr, stretch: Expr | None) -> Expr:
+    """Variation of `full_gradient`, linear in v and the virtual stretch.
+
+    Args:
+        geometry: Kind of body, if it is two-dimensional.
+        v: Virtual displacement, 2 or 3 components.
+        x: Reference coordinates.
+        stretch: Variation of F33 in plane stress.
+
+    Returns:
+        UFL tensor of shape (3, 3).
+    """
+    if len(v) == 3:
+        return ufl.grad(v)
+    if geometry == "axisymmetric":
+        return padded(ufl.grad(v), v[0] / x[0])
+    return padded(ufl.grad(v), 0.0 if stretch is None else stretch)
+
+
+def moment_of(arms: FloatArray, forces: FloatArray) -> FloatArray:
+    """Moments of forces [N m], shape (..., 3), in a plane (..., 1).
+
+    Args:
+        arms: From the point of reference to where they act [m], shape (..., dim).
+        forces: The forces [N], shape (..., dim).
+    """
+    if arms.shape[-1] == 2:
+        return np.asarray(arms[..., :1] * forces[..., 1:] - arms[..., 1:] * forces[..., :1])
+    return np.asarray(np.cross(arms, forces))
+
+
+NEAR = 5e-3
+"""Below it series stand for logarithm and exponential."""
+TERMS = 8
+"""Of these series: the next term is below 1e-19 of the first."""
+
+_LOGARITHM = [(-1) ** (n + 1) / n for n in range(1, TERMS + 1)]
+
+
+def polynomial(coefficients: Sequence[Scalar], x: Expr) -> Expr:
+    """Sum of c_n x^(n+1), n = 0, 1, ..., by Horner's rule."""
+    total: Scalar = 0.0
+    for coefficient in reversed(coefficients):
+        total = (total + coefficient) * x
+    return total
+
+
+def log1p(x: Expr, whole: Expr | None = None) -> Expr:
+    """ln(1 + x); NaN where x < -1.
+
+    Args:
+        whole: 1 + x, if it is known without rounding where it is small itself.
+    """
+    far = ufl.ln(1 + x if whole is None else whole)
+    return ufl.conditional(ufl.lt(abs(x), NEAR), polynomial(_LOGARITHM, x), far)
+
+
+def log1p_less(x: Expr, whole: Expr | None = None) -> Expr:
+    """ln(1 + x) - x, of second order in x; NaN where x < -1.
+
+    Args:
+        x: See `log1p`.
+        whole: See `log1p`.
+    """
+    series = x * polynomial(_LOGARITHM[1:], x)
+    far = ufl.ln(1 + x if whole is None else whole) - x
+    return ufl.conditional(ufl.lt(abs(x), NEAR), series, far)
+
+
+def expm1(x: Expr) -> Expr:
+    """e^x - 1 = 2 sinh(x/2) e^(x/2), smooth and without a condition."""
+    return 2 * ufl.sinh(x / 2) * ufl.exp(x / 2)
+
+
+def expm1_less(x: Expr) -> Expr:
+    """e^x - 1 - x = 2 sinh(x/2)^2 + (sinh(x) - x), of second order in x."""
+    odd = x**3 * (1 / 6 + polynomial([1 / 120, 1 / 5040, 1 / 362880], x**2))
+    return 2 * ufl.sinh(x / 2) ** 2 + ufl.conditional(ufl.lt(abs(x), 0.1), odd, ufl.sinh(x) - x)
 
 
 def deformation_gradient(u: Expr) -> Expr:

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.units import Length
-from dolfin_elastic.model.on_surfaces import OnSurfaces
+from dolfin_elastic.model.values import OnSurfaces
 
 EXPLICIT_TIES = "explicit schemes have a mass at each node, and tied nodes none of their own"
 IMPLICIT = 'dynamics.scheme = "newmark" or "generalized-alpha"'

@@ -1,17 +1,48 @@
-"""Vectors as users write them: numbers, texts with units, or formulas in x, y, z and t."""
+"""Vectors as users write them: numbers, texts with units, formulas; and names of surfaces."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
+from pydantic import model_validator
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import LOAD_EXAMPLES, is_quantity, to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
+
+
+class OnSurfaces(Record):
+    """A record that acts on surfaces; supports may act on edges and points, too.
+
+    Attributes:
+        on: Name of a surface, or several.
+        name: Its name in results; the surfaces' names by default.
+    """
+
+    on: str | list[str]
+    name: str = ""
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> Self:
+        if not self.on:
+            raise InputError("no name is given", where="on", expected="a surface's name")
+        return self
+
+    @property
+    def surfaces(self) -> tuple[str, ...]:
+        """Names of its surfaces, edges and points."""
+        return (self.on,) if isinstance(self.on, str) else tuple(self.on)
+
+    @property
+    def label(self) -> str:
+        """Its name in results."""
+        return self.name or "+".join(self.surfaces)
+
 
 COORDINATES = ("x", "y", "z", "t")
 PLACE = frozenset("xyz")

@@ -25,7 +25,7 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.curved import quadrature_rule
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
-from dolfin_elastic.model.dimension import Geometry, WeightedMeasure, full_gradient
+from dolfin_elastic.model.kinematics import Geometry, WeightedMeasure, full_gradient
 from dolfin_elastic.model.values import Component, Parts, depends_on_time
 from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.problem.material_regions import MaterialRegion

@@ -26,7 +26,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.model.dimension import gradient_variation
+from dolfin_elastic.model.kinematics import gradient_variation
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, SplitLaw
 from dolfin_elastic.problem.material_regions import MaterialRegion

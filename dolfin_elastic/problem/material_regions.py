@@ -18,9 +18,8 @@ from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.core.schema import within
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size, span
-from dolfin_elastic.model.dimension import GEOMETRIES, Geometry
+from dolfin_elastic.model.kinematics import GEOMETRIES, Geometry
 from dolfin_elastic.model.materials.law import Law, SplitLaw
-from dolfin_elastic.model.materials.user import UserEnergy
 from dolfin_elastic.problem.coefficients import BoundLaw, CoefficientBinder
 from dolfin_elastic.problem.pressure.graded import stiffness_step
 from dolfin_elastic.problem.spaces import AuxiliaryField
@@ -395,12 +394,13 @@ def check_user_energies(laws: Mapping[str, Law], comm: MPI.Comm) -> None:
     Raises:
         InputError: On every rank, with the key and the first check that fails.
     """
+    from dolfin_elastic.model.materials.user import UserEnergy
+    from dolfin_elastic.model.point.checks import check_energy
+
     for key, law in laws.items():
         # Constants that vary in space have no values yet: after binding their means are checked.
         if not isinstance(law, UserEnergy) or law.checked or law.spatial_constants():
             continue
-        from dolfin_elastic.model.point.checks import check_energy
-
         try:
             on_root(comm, lambda law=law: check_energy(law))  # type: ignore[misc]
         except InputError as error:

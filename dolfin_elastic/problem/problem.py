@@ -17,15 +17,14 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.contact import Contact
-from dolfin_elastic.model.dimension import Geometry, weight
+from dolfin_elastic.model.kinematics import Geometry, weight
 from dolfin_elastic.model.loads import Cavity, ConcentratedLoad, Eigenstrain, Load
 from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.model.on_surfaces import OnSurfaces
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.supports.springs import Dashpot, ResistingSupport, Spring
 from dolfin_elastic.model.tie import Tie
-from dolfin_elastic.model.values import depends_on_time
+from dolfin_elastic.model.values import OnSurfaces, depends_on_time
 from dolfin_elastic.problem.constraints.dirichlet import DirichletConditions
 from dolfin_elastic.problem.constraints.normals import (
     Projections,

@@ -14,7 +14,7 @@ from dolfinx import fem
 
 from dolfin_elastic.core.errors import ElasticError, RestartError
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.model.dimension import moment_of
+from dolfin_elastic.model.kinematics import moment_of
 
 
 def plain(t: float) -> float:

@@ -18,8 +18,8 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.model.dimension import WeightedMeasure, gradient_variation
 from dolfin_elastic.model.discrete_gradient import StepLaw
+from dolfin_elastic.model.kinematics import WeightedMeasure, gradient_variation
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, SplitLaw

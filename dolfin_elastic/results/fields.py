@@ -20,8 +20,8 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.model import kinematics
-from dolfin_elastic.model.materials.fibres import direction
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, once
+from dolfin_elastic.model.materials.spatial import direction
 from dolfin_elastic.results.derived import spectral
 
 SHAPES = {"scalar": 1, "vector": 3, "tensor": 9}

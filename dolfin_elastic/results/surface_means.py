@@ -17,7 +17,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.schema import within
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import span
-from dolfin_elastic.model.dimension import weight
+from dolfin_elastic.model.kinematics import weight
 from dolfin_elastic.problem.spaces import part_nodes
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import cell_components, unknowns_of_outputs

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from dolfin_elastic.case.look.listing import Look
 from dolfin_elastic.case.look.look import look_at
 from dolfin_elastic.cli import console
-from dolfin_elastic.cli.look.command import show_look
+from dolfin_elastic.cli.look.show import show_look
 from dolfin_elastic.core.errors import OutputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.results.scene import body_picture as draw

@@ -29,9 +29,8 @@ from dolfin_elastic.core import jit, signals
 from dolfin_elastic.core.errors import OutputError, StoppedError
 from dolfin_elastic.core.jit import cache, claim
 from dolfin_elastic.core.jit import compile as compile_module
-from dolfin_elastic.core.jit.cache import find_or_compile, private_folders
+from dolfin_elastic.core.jit.cache import find_or_compile, private_folders, why_foreign
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.core.startup.private import why_foreign
 
 
 def test_an_expression_is_compiled_once(comm: MPI.Comm, folder, monkeypatch: pytest.MonkeyPatch):

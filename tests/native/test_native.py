@@ -12,7 +12,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.jit import compile_c, options
 from dolfin_elastic.core.jit.vectorise import LANES, kernel_of_one_cell
 from dolfin_elastic.core.native import source
-from dolfin_elastic.core.native.lengths import length_of
+from dolfin_elastic.core.native.functions import length_of
 
 COMM = MPI.COMM_WORLD
 FOLDER = Path(source.__file__).parent

@@ -42,9 +42,8 @@ from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.mesh.geometry.simplices import cell_corners
 from dolfin_elastic.model.kinematics import green_strain
-from dolfin_elastic.model.materials.fibres import direction
 from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.model.materials.spatial import Direction, Range
+from dolfin_elastic.model.materials.spatial import Direction, Range, direction
 from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.extremes import extremes

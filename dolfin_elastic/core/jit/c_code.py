@@ -18,8 +18,7 @@ from dolfin_elastic.core.jit.compile import (
     on_all_ranks,
     roots,
 )
-from dolfin_elastic.core.native.functions import CFunctions
-from dolfin_elastic.core.native.source import declarations, prototypes, read
+from dolfin_elastic.core.native.functions import CFunctions, declarations, prototypes, read
 from dolfin_elastic.core.timing import stage
 
 NAME = "dolfin_elastic_loops"

@@ -14,7 +14,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints, keyed
-from dolfin_elastic.model.materials.fibres import Axis, axis_vector
+from dolfin_elastic.model.materials.spatial import Axis, axis_vector
 from dolfin_elastic.model.values import (
     PLACE,
     Component,

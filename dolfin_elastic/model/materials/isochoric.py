@@ -19,12 +19,12 @@ from dolfin_elastic.model.kinematics import (
     cofactor,
     green_strain,
     less_cofactor,
+    log1p,
     volume_change,
 )
 from dolfin_elastic.model.materials import moduli
 from dolfin_elastic.model.materials.law import SplitLaw, placeholder
 from dolfin_elastic.model.materials.spatial import Range
-from dolfin_elastic.model.near_zero import log1p
 
 NEAR = 0.15
 """|J - 1|/(J + 1) below which a series stands for the logarithm, which would cancel."""

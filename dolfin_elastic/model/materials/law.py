@@ -28,7 +28,7 @@ from dolfin_elastic.model.kinematics import (
     volume_change,
 )
 from dolfin_elastic.model.materials import moduli, spatial
-from dolfin_elastic.model.materials.fibres import as_floats
+from dolfin_elastic.model.materials.spatial import as_floats
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -83,7 +83,7 @@ class Law(Record):
     warning: ClassVar[str] = ""
     """Logged once in every run that uses the law."""
     directions: ClassVar[tuple[str, ...]] = ()
-    """Fields that are vectors in the reference configuration; read them by `fibres.direction`."""
+    """Fields that are vectors in the reference configuration; read them by `spatial.direction`."""
     written: ClassVar[bool] = False
     """A user has written it, so that it is checked before a run, see `model.point.checks`."""
     example: ClassVar[Mapping[str, object]] = {}

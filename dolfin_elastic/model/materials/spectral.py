@@ -16,8 +16,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.types import Scalar
-from dolfin_elastic.model.kinematics import green_strain, less_cofactor, volume_change
-from dolfin_elastic.model.near_zero import polynomial
+from dolfin_elastic.model.kinematics import green_strain, less_cofactor, polynomial, volume_change
 
 CLOSE = 1e-4
 """Value of j2 below which series stand for the eigenvalues: stretches within about one per cent."""

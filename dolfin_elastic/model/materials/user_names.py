@@ -15,7 +15,7 @@ from dolfin_elastic.model.kinematics import (
     isochoric_invariants,
     right_cauchy_green,
 )
-from dolfin_elastic.model.materials.fibres import direction
+from dolfin_elastic.model.materials.spatial import direction
 
 _PAIRS = tuple((i, j) for i in range(3) for j in range(3))
 _STRETCHES = ("lambda1", "lambda2", "lambda3")

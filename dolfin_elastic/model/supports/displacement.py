@@ -14,10 +14,10 @@ from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import is_quantity, to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
-from dolfin_elastic.model.materials.fibres import Axis, axis_vector
-from dolfin_elastic.model.on_surfaces import OnSurfaces
+from dolfin_elastic.model.materials.spatial import Axis, axis_vector
 from dolfin_elastic.model.values import (
     Component,
+    OnSurfaces,
     amplitude_of,
     component,
     components,

@@ -33,7 +33,7 @@ from dolfin_elastic.mesh.geometry.simplices import (
 )
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.contact import Contact
-from dolfin_elastic.model.dimension import WeightedMeasure
+from dolfin_elastic.model.kinematics import WeightedMeasure
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion, shear_modulus, volume_modulus
 

@@ -29,7 +29,7 @@ from dolfin_elastic.mesh.geometry.curved import (
     reference_nodes,
 )
 from dolfin_elastic.mesh.geometry.simplices import cells_beside_edges, node_cells
-from dolfin_elastic.model.dimension import WeightedMeasure
+from dolfin_elastic.model.kinematics import WeightedMeasure
 from dolfin_elastic.problem.terms.at_points import IntegralPoints
 
 

@@ -28,7 +28,7 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.jit.compile import compile_expression
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
-from dolfin_elastic.model.dimension import weight
+from dolfin_elastic.model.kinematics import weight
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
 from dolfin_elastic.results.evaluate import Evaluator

@@ -32,7 +32,7 @@ from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 from dolfin_elastic.core.units import MeshLength, metres
 from dolfin_elastic.mesh.body import centre_of, span
 from dolfin_elastic.mesh.criteria import BoundingBox
-from dolfin_elastic.model.dimension import moment_of
+from dolfin_elastic.model.kinematics import moment_of
 from dolfin_elastic.problem.problem import configuration_of_moments
 from dolfin_elastic.problem.state import Moment, State
 from dolfin_elastic.results.cell_fields import unknowns_of_outputs

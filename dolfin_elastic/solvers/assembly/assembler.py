@@ -18,7 +18,7 @@ from dolfin_elastic.core.parallel import largest_row, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import middle_of
-from dolfin_elastic.model.dimension import moment_of
+from dolfin_elastic.model.kinematics import moment_of
 from dolfin_elastic.problem.problem import Problem, configuration_of_moments, parts_held
 from dolfin_elastic.problem.state import Moment
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress

@@ -22,7 +22,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
-from dolfin_elastic.model.dimension import moment_of
+from dolfin_elastic.model.kinematics import moment_of
 from dolfin_elastic.problem.problem import Problem, configuration_of_moments
 from dolfin_elastic.problem.state import Audit, Stability
 from dolfin_elastic.solvers.assembly.assembler import (

@@ -17,9 +17,9 @@ import dolfin_elastic
 from dolfin_elastic import Problem, box_body
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.materials import pages
-from dolfin_elastic.model.materials.fibres import direction, frame
 from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.model.materials.registry import MATERIALS, Isotropic
+from dolfin_elastic.model.materials.spatial import direction, frame
 from dolfin_elastic.model.point.ufl_to_numpy import (
     LawAtPoints,
     NumpyProgram,

@@ -20,13 +20,19 @@ from mpi4py import MPI
 
 from dolfin_elastic import Problem, box_body
 from dolfin_elastic.core.jit import compile_expression, compile_forms
-from dolfin_elastic.model.dimension import gradient_variation
-from dolfin_elastic.model.kinematics import deformation_from, displacement_gradient
+from dolfin_elastic.model.kinematics import (
+    deformation_from,
+    displacement_gradient,
+    expm1,
+    expm1_less,
+    gradient_variation,
+    log1p,
+    log1p_less,
+)
 from dolfin_elastic.model.loads.eigenstrain import Thermal
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, SplitLaw
 from dolfin_elastic.model.materials.registry import MATERIALS
-from dolfin_elastic.model.near_zero import expm1, expm1_less, log1p, log1p_less
 from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
 
 LAWS = pytest.mark.parametrize("name", MATERIALS)

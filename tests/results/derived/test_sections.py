@@ -29,7 +29,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.model.dimension import moment_of
+from dolfin_elastic.model.kinematics import moment_of
 from dolfin_elastic.model.loads import BodyForce
 from dolfin_elastic.model.supports.springs import Spring
 from dolfin_elastic.results.finished.run import column_unit

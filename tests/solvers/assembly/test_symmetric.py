@@ -17,7 +17,7 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
-from dolfin_elastic.core.jit import lanes
+from dolfin_elastic.core.jit import cell_integrals
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -30,10 +30,10 @@ rounds by 2^-48 of the sum."""
 CASES = [(2, 1), (2, 2), (3, 1), (3, 2)]
 
 
-@pytest.fixture(autouse=True, params=[lanes.FROM, 0], ids=["few", "many"])
+@pytest.fixture(autouse=True, params=[cell_integrals.MANY_CELLS, 0], ids=["few", "many"])
 def cells_from_which_lanes_pay(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
     """All cases cell by cell, and eight cells at once."""
-    monkeypatch.setattr(lanes, "FROM", request.param)
+    monkeypatch.setattr(cell_integrals, "MANY_CELLS", request.param)
 
 
 def bent(dim: int, degree: int) -> Problem:
@@ -97,7 +97,7 @@ def test_products_and_diagonal_are_those_of_the_entries(dim: int, degree: int) -
         assert (K.getType(), A.getType()[-3:]) == ("python", "aij")
         assert isinstance(half.tangent.form, TwoStageForm)
         in_lanes = [term.moduli.in_lanes for term in half.tangent.form._terms]
-        assert in_lanes == [lanes.FROM == 0]
+        assert in_lanes == [cell_integrals.MANY_CELLS == 0]
         v = some(A)
         same(times(K, v), times(A, v), SPLIT, half.comm)
         diagonals = [matrix.getDiagonal() for matrix in (K, A)]

@@ -10,12 +10,12 @@ from pydantic import Field
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.units import Number, Stress
+from dolfin_elastic.model.kinematics import polynomial
 from dolfin_elastic.model.materials.isochoric import (
     Isochoric,
     excess_invariants,
     stress_of_invariants,
 )
-from dolfin_elastic.model.near_zero import polynomial
 
 SERIES = (1 / 2, 1 / 20, 11 / 1050, 19 / 7000, 519 / 673750)
 """Of the inverse Langevin function, integrated."""

@@ -11,14 +11,16 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.kinematics import (
     cofactor,
     displacement_gradient,
+    expm1,
+    expm1_less,
     green_strain,
     less_cofactor,
+    log1p_less,
     log_volume,
     volume_change,
 )
 from dolfin_elastic.model.materials.law import Isotropic
 from dolfin_elastic.model.materials.spatial import Range
-from dolfin_elastic.model.near_zero import expm1, expm1_less, log1p_less
 
 
 class BlatzKo(Isotropic):

@@ -10,12 +10,12 @@ from pydantic import Field
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.units import Number, Stress
+from dolfin_elastic.model.kinematics import log1p
 from dolfin_elastic.model.materials.isochoric import (
     Isochoric,
     excess_invariants,
     stress_of_invariants,
 )
-from dolfin_elastic.model.near_zero import log1p
 
 
 class Gent(Isochoric):

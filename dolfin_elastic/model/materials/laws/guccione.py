@@ -10,10 +10,9 @@ from pydantic import Field
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.units import Number, Stress
-from dolfin_elastic.model.materials.fibres import direction
+from dolfin_elastic.model.kinematics import expm1
 from dolfin_elastic.model.materials.isochoric import Volumetric, isochoric_strain, isochoric_stress
-from dolfin_elastic.model.materials.spatial import Direction
-from dolfin_elastic.model.near_zero import expm1
+from dolfin_elastic.model.materials.spatial import Direction, direction
 
 
 class Guccione(Volumetric):

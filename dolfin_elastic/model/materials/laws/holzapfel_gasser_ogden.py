@@ -10,7 +10,7 @@ from pydantic import Field
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.units import Number, Stress
-from dolfin_elastic.model.materials.fibres import direction
+from dolfin_elastic.model.kinematics import expm1
 from dolfin_elastic.model.materials.isochoric import (
     Volumetric,
     excess_invariants,
@@ -18,8 +18,7 @@ from dolfin_elastic.model.materials.isochoric import (
     isochoric_stress,
     stress_of_invariants,
 )
-from dolfin_elastic.model.materials.spatial import Direction
-from dolfin_elastic.model.near_zero import expm1
+from dolfin_elastic.model.materials.spatial import Direction, direction
 
 
 class HolzapfelGasserOgden(Volumetric):

@@ -11,11 +11,11 @@ from dolfin_elastic.model.kinematics import (
     cofactor,
     displacement_gradient,
     less_cofactor,
+    log1p_less,
     log_volume,
     volume_change,
 )
 from dolfin_elastic.model.materials.law import Isotropic, SplitLaw
-from dolfin_elastic.model.near_zero import log1p_less
 
 
 class NeoHookean(Isotropic, SplitLaw):

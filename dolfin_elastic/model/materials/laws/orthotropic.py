@@ -14,9 +14,8 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import Scalar
 from dolfin_elastic.core.units import Number, Stress
 from dolfin_elastic.model.kinematics import infinitesimal_strain
-from dolfin_elastic.model.materials.fibres import as_floats, frame
 from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.model.materials.spatial import Direction
+from dolfin_elastic.model.materials.spatial import Direction, as_floats, frame
 
 SMALLEST_ANGLE = 1e-6
 """Sine of the angle below which two axes count as one."""
