@@ -50,7 +50,7 @@ sys.argv = ["dolfin-elastic", *{words}]
 main()
 """
 NEWTON = "from dolfin_elastic.solvers.nonlinear.convergence import ConvergenceTest"
-FLOW = "from dolfin_elastic.solvers.statics import pseudo_transient"
+FLOW = "from dolfin_elastic.solvers.statics import retry"
 SLEPC = "from dolfin_elastic.solvers.eigen import slepc"
 NEVER = """
 test = ConvergenceTest.__call__
@@ -134,7 +134,7 @@ LONG = {
             output={"checkpoint": {"time": "1 h"}},
         ),
         FLOW,
-        "slow(pseudo_transient._Shift, '__call__', 0.4)",
+        "slow(retry._Shift, '__call__', 0.4)",
     ),
 }
 

@@ -22,7 +22,7 @@ from dolfin_elastic import (
     name_parts,
     rectangle_body,
 )
-from dolfin_elastic.core.jit import compile_expression, lanes
+from dolfin_elastic.core.jit import cell_integrals, compile_expression
 from dolfin_elastic.core.jit.cell_integrals import CellExpression
 from dolfin_elastic.core.jit.vectorise import _in_lanes
 from dolfin_elastic.core.parallel import largest, total
@@ -35,10 +35,10 @@ COMM = MPI.COMM_WORLD
 SOFT = NeoHookean(E=1.0, nu=0.3, density=1.0)
 
 
-@pytest.fixture(autouse=True, params=[lanes.FROM, 0], ids=["few", "many"])
+@pytest.fixture(autouse=True, params=[cell_integrals.MANY_CELLS, 0], ids=["few", "many"])
 def cells_from_which_lanes_pay(request, monkeypatch):
     """All cases cell by cell, and eight cells at once."""
-    monkeypatch.setattr(lanes, "FROM", request.param)
+    monkeypatch.setattr(cell_integrals, "MANY_CELLS", request.param)
 
 
 FUSED = 5e-15
@@ -82,7 +82,7 @@ def check_values(problem: Problem, region: MaterialRegion, *, by_loop: bool, wit
     expression = compile_expression(COMM, moduli(problem, region), points, problem.jit)
     values = CellExpression(moduli(problem, region), points, problem.w, problem.jit)
     assert (values.kernel is not None) == by_loop
-    assert values.in_lanes == (by_loop and lanes.FROM == 0)
+    assert values.in_lanes == (by_loop and cell_integrals.MANY_CELLS == 0)
     cells = region.cells[::-1]
     known = expression.eval(problem.body.mesh, cells).reshape(len(cells), values.size)
     assert not known.size or np.any(known)

@@ -11,11 +11,11 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.jit import compile_c, options
 from dolfin_elastic.core.jit.vectorise import LANES, kernel_of_one_cell
-from dolfin_elastic.core.native import source
+from dolfin_elastic.core.native import functions
 from dolfin_elastic.core.native.functions import length_of
 
 COMM = MPI.COMM_WORLD
-FOLDER = Path(source.__file__).parent
+FOLDER = Path(functions.__file__).parent
 
 ONE = kernel_of_one_cell(7)
 SEVERAL = f"""
@@ -75,7 +75,7 @@ def test_no_warnings(file, kernel):
     flags = ["-O2", "-march=native", "-Wno-psabi", "-Wall", "-Wextra", "-Werror"]
     for sizes in SIZES[file]:
         macros = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
-        text = macros + source.read(file, {"kernel.h": kernel})
+        text = macros + functions.read(file, {"kernel.h": kernel})
         command = ["gcc", *flags, "-c", "-x", "c", "-o", "/dev/null", "-"]
         done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{sizes}: {done.stderr}"
@@ -84,7 +84,7 @@ def test_no_warnings(file, kernel):
 @pytest.mark.parametrize("file", SIZES)
 def test_each_array_names_its_length(file):
     """And each of what it names is an earlier parameter or a macro."""
-    for parameters in source.prototypes(source.read(file, {"kernel.h": ONE})).values():
+    for parameters in functions.prototypes(functions.read(file, {"kernel.h": ONE})).values():
         names = [one.name for one in parameters]
         assert len(set(names)) == len(names)
 
@@ -102,7 +102,7 @@ def test_lengths():
 
 def test_pointers_without_a_length_are_refused():
     with pytest.raises(ValueError, match=r"const double\* x is neither"):
-        source.prototypes("int64_t f(int64_t n, const double* x)\n{\n")
+        functions.prototypes("int64_t f(int64_t n, const double* x)\n{\n")
 
 
 def test_short_arrays_are_refused():
