@@ -192,6 +192,10 @@ def check_words(page: Page, summary: dict[str, Any], kind: str) -> None:
         assert "area 1 m²" in page.text
         assert "volume4 m³" in "".join(page.text.split("\n"))
         assert "dolfin-elastic run case.toml" in page.text
+    assert ("known to" in page.text) == (kind in ("statics", "plane"))  # no empty columns
+    assert ("force and moment on the body" in page.text) == ("modes" not in summary)
+    titles = [field["title"] for field in json.loads(page.inside["script"][0])["fields"]]
+    assert ("displacement (scaled to 1)" in titles) == ("modes" in summary)
     if kind == "buckling":
         assert "factors on all loads at which it buckles" in page.text
 
@@ -569,7 +573,7 @@ def test_words() -> None:
         "moved along z by 2 mm; no displacement along x; free along y"
     )
     assert support_words({"on": "a", "kind": "spring", "stiffness": [0, 0, 5]}) == (
-        "on springs: stiffness (0, 0, 5) N/m^3"
+        "on springs: stiffness (0, 0, 5) N/m³"
     )
     assert load_words({"on": "a", "force": [0, 0, "-2 kN"]}) == (
         "total force of (0, 0, −2 kN), spread over the surface"
@@ -578,8 +582,9 @@ def test_words() -> None:
         "pressure of 200 kPa, which follows the deformed surface; curve ramp"
     )
     assert load_words({"kind": "gravity"}) == (
-        "weight, with the acceleration of gravity 9.81 m/s^2 against the last axis"
+        "weight, with the acceleration of gravity 9.81 m/s² against the last axis"
     )
+    assert "of (0, −5) m/s²" in load_words({"kind": "gravity", "value": [0, -5]})
     cavity = {"kind": "cavity", "on": "a", "pressure": "1 kPa"}
     assert load_words(cavity) == "closed cavity with pressure 1 kPa"
     spring = {"on": "a", "kind": "spring", "stiffness": [0, 0, 5]}
