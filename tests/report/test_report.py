@@ -584,11 +584,11 @@ def test_words() -> None:
     assert load_words({"kind": "gravity"}) == (
         "weight, with the acceleration of gravity 9.81 m/s² against the last axis"
     )
-    assert "of (0, −5) m/s²" in load_words({"kind": "gravity", "value": [0, -5]})
+    assert "(0, −5) m/s²" in load_words({"kind": "gravity", "value": [0, -5]})
     cavity = {"kind": "cavity", "on": "a", "pressure": "1 kPa"}
     assert load_words(cavity) == "closed cavity with pressure 1 kPa"
     spring = {"on": "a", "kind": "spring", "stiffness": [0, 0, 5]}
-    assert support_words(spring, "edge") == "on springs: stiffness (0, 0, 5) N/m^2"
+    assert support_words(spring, "edge") == "on springs: stiffness (0, 0, 5) N/m²"
     assert support_words(spring, "point") == "on springs: stiffness (0, 0, 5) N/m"
     edge = {"kind": "line-force", "on": "a", "value": [0, 0, 5]}
     assert load_words(edge) == "force of (0, 0, 5) N/m along a line"
