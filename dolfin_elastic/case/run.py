@@ -24,7 +24,7 @@ from dolfin_elastic.case.check.initial_state import (
 )
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.loads import LoadSum, load_sums, stress_notes
-from dolfin_elastic.case.check.mesh_quality import bending_notes, shape_notes
+from dolfin_elastic.case.check.mesh_quality import bending_notes, section_notes, shape_notes
 from dolfin_elastic.case.check.plausibility import unit_information
 from dolfin_elastic.case.model_record import model_record
 from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished, written_tables
@@ -392,7 +392,7 @@ def check_problem(case: Case, problem: Problem) -> tuple[list[str], tuple[LoadSu
     integrals = Integrals(problem, case.mesh.metres_thick(problem.body))
     with locate_errors(case.file):
         check_poles(case, integrals)
-    finders = tie_notes, contact_notes, bending_notes, shape_notes
+    finders = tie_notes, contact_notes, bending_notes, shape_notes, section_notes
     notes = [f"mesh: {note}" for note in untied_notes(case, problem)]
     notes += [note for find in finders for note in find(case, problem)]
     sums: tuple[LoadSum, ...] = ()

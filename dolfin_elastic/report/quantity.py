@@ -30,7 +30,7 @@ def scaled_unit(largest: float, unit: str) -> tuple[float, str]:
     """
     steps = _PREFIXES.get(unit)
     if not steps or not math.isfinite(largest) or largest == 0:
-        return 1.0, unit
+        return 1.0, unit.replace("^2", "²").replace("^3", "³")
     return next((step for step in steps if abs(largest) >= 0.99995 * step[0]), steps[-1])
 
 

@@ -207,7 +207,9 @@ def _shown(name: str, title: str, views: Sequence[View], *, modes: bool) -> Show
     elif unit:  # a strain or stretch need not begin at 0
         low, high = min(low, 0.0), max(high, 0.0)
     largest = max(abs(low), abs(high))
-    factor, shown = (largest or 1.0, "of the largest") if modes else scaled_unit(largest, unit)
+    factor, shown = (largest or 1.0, "") if modes else scaled_unit(largest, unit)
+    if modes:  # a mode has no size of its own
+        title = f"{title} (scaled to 1)"
     if FIELDS[name].shape == "tensor":
         title = f"{title} (norm)"
     return Shown(name, title, low, high, factor, shown)

@@ -189,7 +189,7 @@ def load_words(table: Table) -> str:
     if kind in _LOADS:
         text, unit = _LOADS[kind]
         if kind == "gravity" and not table.get("value"):
-            return text.format("9.81 m/s^2 against the last axis") + _rest(table, "value")
+            return text.format("9.81 m/s² against the last axis") + _rest(table, "value")
         if kind == "line-force" and table.get("total"):
             return text.format(value_text(table.get("value", 0), "N")) + _rest(table, "value")
         return text.format(value_text(table.get("value", 0), unit)) + _rest(table, "value")

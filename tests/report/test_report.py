@@ -193,6 +193,10 @@ def check_words(page: Page, summary: dict[str, Any], kind: str) -> None:
         assert "area 1 m²" in page.text
         assert "volume4 m³" in "".join(page.text.split("\n"))
         assert "dolfin-elastic run case.toml" in page.text
+    assert ("known to" in page.text) == (kind in ("statics", "plane"))  # no empty columns
+    assert ("force and moment on the body" in page.text) == ("modes" not in summary)
+    titles = [field["title"] for field in json.loads(page.inside["script"][0])["fields"]]
+    assert ("displacement (scaled to 1)" in titles) == ("modes" in summary)
     if kind == "buckling":
         assert "factors on all loads at which it buckles" in page.text
 
@@ -476,7 +480,7 @@ def test_constants_have_units() -> None:
     varied = {"law": "linear-elastic", "E": {"field": "E_cell"}, "nu": 0.3, "viscosity": 5.0}
     own = {"energy": "C*(I1 - 3)", "parameters": {"C": 2000.0, "b": "3 MPa"}, "K": 1e6}
     assert dict(_constants(heart, "guccione")) == {
-        **{"C": "2 kPa", "bf": "8", "K": "200 kPa", "density": "1060 kg/m^3"}
+        **{"C": "2 kPa", "bf": "8", "K": "200 kPa", "density": "1060 kg/m³"}
     }
     assert dict(_constants(rubber, "ogden")) == {
         **{"mu": "(600, −10) kPa", "alpha": "(1.3, −2)", "nu": "0.4"}
@@ -570,7 +574,7 @@ def test_words() -> None:
         "moved along z by 2 mm; no displacement along x; free along y"
     )
     assert support_words({"on": "a", "kind": "spring", "stiffness": [0, 0, 5]}) == (
-        "on springs: stiffness (0, 0, 5) N/m^3"
+        "on springs: stiffness (0, 0, 5) N/m³"
     )
     assert load_words({"on": "a", "force": [0, 0, "-2 kN"]}) == (
         "total force of (0, 0, −2 kN), spread over the surface"
@@ -579,12 +583,13 @@ def test_words() -> None:
         "pressure of 200 kPa, which follows the deformed surface; curve ramp"
     )
     assert load_words({"kind": "gravity"}) == (
-        "weight, with the acceleration of gravity 9.81 m/s^2 against the last axis"
+        "weight, with the acceleration of gravity 9.81 m/s² against the last axis"
     )
+    assert "(0, −5) m/s²" in load_words({"kind": "gravity", "value": [0, -5]})
     cavity = {"kind": "cavity", "on": "a", "pressure": "1 kPa"}
     assert load_words(cavity) == "closed cavity with pressure 1 kPa"
     spring = {"on": "a", "kind": "spring", "stiffness": [0, 0, 5]}
-    assert support_words(spring, "edge") == "on springs: stiffness (0, 0, 5) N/m^2"
+    assert support_words(spring, "edge") == "on springs: stiffness (0, 0, 5) N/m²"
     assert support_words(spring, "point") == "on springs: stiffness (0, 0, 5) N/m"
     edge = {"kind": "line-force", "on": "a", "value": [0, 0, 5]}
     assert load_words(edge) == "force of (0, 0, 5) N/m along a line"

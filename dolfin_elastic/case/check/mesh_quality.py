@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
+from contextlib import suppress
 
 import numpy as np
 from dolfinx.mesh import exterior_facet_indices
 
 from dolfin_elastic.case.case import Case
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.units import metres
 from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.mesh.distribute import is_cad
 from dolfin_elastic.mesh.geometry.quality import worst_cells
@@ -25,6 +28,7 @@ from dolfin_elastic.mesh.geometry.thickness import Thickness, local_thickness
 from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.problem.material_regions import STIFF_IN_VOLUME, poisson
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.results.derived.sections import distance_from_plane
 
 THIN = 0.05
 """Quality (1 is regular) below which results near a cell are poor: a needle of one to twenty."""
@@ -36,6 +40,8 @@ _FEW = 0.02
 """Share of edges between these that may be anything else, such as chamfers."""
 _SLENDER = 4.0
 """Length over thickness from which on a body bends more than it shears."""
+_OFF = 1e-6
+"""Distance over the size of the cells that is round-off of a mesh."""
 _TOO_STIFF = 1.15
 """Bending stiffness over the true one that is worth a note: some five linear cells across."""
 
@@ -114,6 +120,31 @@ def shape_notes(case: Case, problem: Problem) -> list[str]:
         f"boundary are bent, by {sums / count:.2g} degrees in the mean, and quadratic elements "
         "converge there as on a polyhedron: stress with the first power of the cell size; export "
         "quadratic cells (Gmsh: Mesh.ElementOrder = 2), or give the CAD file"
+    ]
+
+
+def section_notes(case: Case, problem: Problem) -> list[str]:
+    """How far the facets lie from the planes that they stand for in sections. Collective.
+
+    A plane that misses the body is left out: `SectionForces` refuses it.
+    """
+    body, off = problem.body, []
+    unit = body.unit
+    for name, section in case.output.sections.items():
+        if section.plane is None or section.at is None:
+            continue
+        with suppress(InputError):
+            distance = distance_from_plane(body, section)
+            if distance > _OFF * cell_size(body):
+                at = metres(section.at, unit.metres) / unit.metres
+                off += [(name, distance / unit.metres, f"{section.plane} = {at:.4g}")]
+    shown = ", ".join(f"'{n}' by up to {d:.2g} {unit.name} from {p} {unit.name}" for n, d, p in off)
+    if not off:
+        return []
+    return [
+        f"output.sections: the element faces of a section lie off its plane: {shown}; "
+        "its force may differ by what loads the elements between; a finer mesh, or a surface in "
+        "the mesh there, brings the faces closer"
     ]
 
 

@@ -31,6 +31,7 @@ from dolfin_elastic.case.check.mesh_quality import (
     bending_notes,
     cell_notes,
     part_notes,
+    section_notes,
     shape_notes,
 )
 from dolfin_elastic.case.check.plausibility import unit_information
@@ -257,6 +258,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
             *locking_notes(body, problem.regions, problem.degree, problem.geometry),
             *bending_notes(case, problem),
             *shape_notes(case, problem),
+            *section_notes(case, problem),
             *stress_notes(case, integrals, sums),
             *PressureLevel(problem).notes(),
             *part_notes(body, {s.on for s in case.output.sections.values()}),

@@ -25,7 +25,7 @@ from pydantic import field_validator, model_validator
 
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.jit import compile_forms
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.schema import Record, within
 from dolfin_elastic.core.shapes.shapes import Axis, Point
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
@@ -215,6 +215,23 @@ class SectionForces:
         return columns
 
 
+def distance_from_plane(body: Body, section: Section) -> float:
+    """Largest distance of the facets that stand for a plane from it [m]. Collective.
+
+    Raises:
+        InputError: The plane misses the body.
+    """
+    assert section.plane is not None
+    assert section.at is not None
+    axis, at = BoundingBox.of(body, body.unit.metres).plane(section.plane, section.at)
+    cells, local = _beside(body, _sides_of_plane(body, section))
+    geometry, dim = body.mesh.geometry, body.dim
+    layout = geometry.cmap.create_dof_layout()  # with the nodes amid edges of curved cells
+    nodes = np.array([layout.entity_closure_dofs(dim - 1, i) for i in range(dim + 1)])[local]
+    x = geometry.x[np.take_along_axis(geometry.dofmap[cells], nodes, axis=1)][..., axis]
+    return largest(body.comm, float(np.abs(x - at).max(initial=0.0)))
+
+
 def _corners(body: Body) -> FloatArray:
     """Corners of the owned cells [m], shape (cells, dim + 1, dim)."""
     geometry, dim = body.mesh.geometry, body.dim
@@ -280,26 +297,38 @@ def _sides_of_plane(body: Body, section: Section) -> AnyArray:
     assert section.plane is not None
     assert section.at is not None
     space = BoundingBox.of(body, body.unit.metres)
-    (axis, at), low, high = space.plane(section.plane, section.at), space.low, space.high
-    ahead = _corners(body).mean(axis=1)[:, axis] > at + 1e-9 * span(body)
+    axis, at = space.plane(section.plane, section.at)
+    low, high = float(space.low[axis]), float(space.high[axis])
+    middles = _corners(body).mean(axis=1)[:, axis]
+    ahead = middles > at + 1e-9 * span(body)
     counts = total(body.comm, np.array([ahead.sum(), (~ahead).sum()]))
-    if not low[axis] < at < high[axis] or not counts.all():
+    if not low < at < high or not counts.all():
         scale, name = body.unit.metres, body.unit.name
+        if low < at < high:  # too near to an end: a section leaves a cell on each side
+            low = -largest(body.comm, float(-middles.min(initial=np.inf)))
+            high = largest(body.comm, float(middles.max(initial=-np.inf)))
         raise InputError(
             f"no cells lie on both sides of {section.plane} = {at / scale:.4g} {name}",
             where="at",
-            expected=f"between {low[axis] / scale:.4g} and {high[axis] / scale:.4g} {name}",
+            expected=f"between {low / scale:.4g} and {high / scale:.4g} {name}",
         )
     return np.where(ahead, 1, -1)
+
+
+def _beside(body: Body, sides: AnyArray) -> tuple[AnyArray, AnyArray]:
+    """Owned cells of the positive side at facets between the sides, and the numbers of these."""
+    facets = _Facets(body)
+    between = np.asarray((facets.beside(_both(sides)) > 0).all(axis=1))
+    cells, local = np.nonzero(between[facets.of_cells] & (sides == 1)[:, None])
+    return cells, local
 
 
 def _centre(body: Body, section: Section, sides: AnyArray) -> FloatArray:
     """Centroid of the facets between the sides, as they are seen along the plane's normal [m]."""
     assert section.plane is not None
     assert section.at is not None
-    axis, facets = "xyz".index(section.plane), _Facets(body)
-    between = np.asarray((facets.beside(_both(sides)) > 0).all(axis=1))
-    cells, local = np.nonzero(between[facets.of_cells] & (sides == 1)[:, None])
+    axis = "xyz".index(section.plane)
+    cells, local = _beside(body, sides)
     N, middle = _outward(body, cells, local)
     area = -N[:, axis]
     sums = total(body.comm, np.array([*(area @ middle), area.sum(), len(area)]))

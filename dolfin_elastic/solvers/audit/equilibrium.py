@@ -117,7 +117,8 @@ class EquilibriumAuditor:
             force = self._force_balance(external, noise, reasons)
             moment = self._moment_balance(external, noise, reasons)
             if self._previous is None and self._begins_out_of_balance(forces, noise):
-                reasons.clear()
+                reasons.clear()  # nothing is solved yet; nan stays, for what has no balance
+                force, moment, self._round_off_share = 0.0 * force, 0.0 * moment, 0.0
                 forces, self._out_of_balance = self._internal_forces(forces.shape), True
         if self._previous is not None:  # what begins in an obstacle has not been pushed out yet
             self._check_contacts(reasons)

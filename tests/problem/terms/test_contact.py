@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
@@ -652,6 +653,19 @@ def test_only_an_obstacle_in_which_the_body_begins_moves_it_without_loads(at, st
     tables["contact"] = [{"on": "bottom", "plane": {"axis": "y", "at": at}}]
     notes = report(Case.from_dict(tables), comm=comm).notes
     assert any("nothing will move" in note for note in notes) is still
+
+
+def test_a_start_inside_an_obstacle_is_no_part_of_the_balance(comm, folder):
+    """Nothing is solved there yet; the steps are judged, and the summary has the worst of them."""
+    tables = {key: value for key, value in TABLES.items() if key != "load"}
+    tables["support"] = [{"on": "top"}]
+    tables["contact"] = [{"on": "bottom", "plane": {"axis": "y", "at": 0.05}}]
+    *_, state = run(Case.from_dict(tables), output=folder / "out", comm=comm)
+    assert state.reactions["bottom"][1] > 0
+    audit = json.loads((folder / "out" / "summary.json").read_text())["audit"]
+    assert audit["verdict"] == "pass"
+    assert audit["balance_force"] < 1e-6
+    assert audit["balance_moment"] < 1e-6
 
 
 def test_in_a_case(comm):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from math import pi
 from typing import Any
 
@@ -27,11 +28,13 @@ from dolfin_elastic import (
     rectangle_body,
     run,
 )
+from dolfin_elastic.case.check.report import report
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.kinematics import moment_of
 from dolfin_elastic.model.loads import BodyForce
 from dolfin_elastic.model.supports.springs import Spring
+from dolfin_elastic.results.derived.sections import distance_from_plane
 from dolfin_elastic.results.finished.run import column_unit
 
 ROUND_OFF = 1e-10
@@ -212,6 +215,34 @@ def test_columns_and_units(folder):
 
 
 @pytest.mark.parametrize(
+    ("at", "off"), [("4 mm", None), (5.0, "'mid' by up to 1 mm from x = 5 mm")], ids=["on", "off"]
+)
+def test_a_plane_that_cuts_cells_is_said_to_lie_beside_its_facets(folder, at, off):
+    """Once, in `check`, and in the run's log and summary, which the report shows."""
+    tables = {
+        "mesh": {"box": {"size": [10, 2, 2], "cells": [5, 1, 1]}, "unit": "mm", "degree": 1},
+        "materials": {"m": {"law": "linear-elastic", "E": 1e9, "nu": 0.0}},
+        "support": [{"on": "left"}],
+        "load": [{"kind": "traction", "on": "right", "force": [0, 0, "-3 N"]}],
+        "output": {"sections": {"mid": {"plane": "x", "at": at}, "end": {"plane": "x", "at": 8}}},
+    }
+    case = Case.from_dict(tables)
+    [*_] = run(case, output=folder / "out")
+    summary = json.loads((folder / "out" / "summary.json").read_text())
+    for notes in (report(case).notes, summary["model"]["warnings"]):
+        found = [note for note in notes if "output.sections" in note]
+        assert len(found) == (off is not None)
+        assert all(off in note and "'end'" not in note for note in found)
+
+
+@pytest.mark.parametrize(("at", "off"), [(5.0, 0.0), (5.1, 0.1), (6.4, 0.15), (6.9, 0.65)])
+def test_how_far_the_facets_lie_from_a_plane(at, off):
+    """Columns of cells are 1.25 long, cut by diagonals: at 6.9 facets reach from 6.25 to 7.5."""
+    found = distance_from_plane(bar(), Section(plane="x", at=at))
+    assert found == pytest.approx(off, abs=1e-12)
+
+
+@pytest.mark.parametrize(
     ("section", "where", "message"),
     [
         ({"on": "cutt"}, "output.sections.s.on", "no surface 'cutt'"),
@@ -220,6 +251,11 @@ def test_columns_and_units(folder):
         ({"on": "cut", "side": "rightt"}, "output.sections.s.side", "no region 'rightt'"),
         ({"on": "cut", "side": "all"}, "output.sections.s.side", "no two sides"),
         ({"plane": "x", "at": 11}, "output.sections.s.at", "no cells lie on both sides of x = 11"),
+        (
+            {"plane": "x", "at": 0.1},
+            "output.sections.s.at",
+            "of x = 0.1 m; between 0.3125 and 9.688 m",
+        ),
         ({"plane": "x", "at": 5, "about": "lefft"}, "output.sections.s.about", "no point 'lefft'"),
     ],
 )
