@@ -53,12 +53,13 @@ def show_check(report: Report) -> None:
 def _head(report: Report) -> list[tuple[str, str]]:
     kind = "" if report.dim == 3 else f" ({report.geometry})"
     whole, elements = report.regions[0], {1: "linear", 2: "quadratic"}[report.degree]
+    by = f" by {report.scheme}" if report.scheme else ""
     rows = [
         ("mesh", f"{report.mesh}, {report.dim}D{kind}, {report.cells} cells"),
         *(("", text) for text in report.information),
         ("extent", _extent(report)),
         *([] if report.thickness is None else [("thickness", f"{report.thickness:.4g} m")]),
-        ("analysis", f"{report.analysis}, {elements} elements, {report.unknowns} unknowns"),
+        ("analysis", f"{report.analysis}{by}, {elements} elements, {report.unknowns} unknowns"),
         ("equations", report.linear_solver),
         ("memory", f"about {report.memory.total / 1e9:.2g} GB of all ranks together"),
     ]

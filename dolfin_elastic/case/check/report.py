@@ -84,6 +84,7 @@ class Report:
         degree: Of the displacement in the elements, 1 or 2.
         unknowns: Degrees of freedom on all ranks.
         analysis: "statics", "dynamics", "modal" or "buckling".
+        scheme: Of dynamics; else empty.
         linear_solver: Which linear solver, and why.
         surfaces: The named surfaces.
         edges: The named edges of a solid.
@@ -111,6 +112,7 @@ class Report:
     degree: int
     unknowns: int
     analysis: str
+    scheme: str
     linear_solver: str
     surfaces: tuple[PartSize, ...]
     edges: tuple[PartSize, ...]
@@ -245,6 +247,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
         degree=problem.degree,
         unknowns=problem.num_dofs,
         analysis=case.analysis,
+        scheme=case.dynamics.scheme if case.dynamics else "",
         linear_solver="none: explicit scheme" if choice is None else choice.why,
         surfaces=surface_sizes(case, integrals),
         edges=lower_sizes(case, integrals, "edge"),

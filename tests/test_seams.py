@@ -1,0 +1,174 @@
+"""What is new touches a file of its own and one row: examples of CONTRIBUTING.md, put into a copy.
+
+The copy is then a package like ours: `check`, `run`, `report` and `schema` show what was added,
+though nothing of them was edited.  A ring as an obstacle is added in `core/test_shapes.py`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from helpers.processes import PROGRAM
+
+LAWS, LOADS = "model/materials/registry.py", "model/loads/__init__.py"
+FILES = {
+    "class Foam": "model/materials/laws/foam.py",
+    "class Spin": "model/loads/spin.py",
+    "class AffineMotion": "model/supports/affine_motion.py",
+    "class DriftKick": "solvers/dynamics/explicit/drift_kick.py",
+}
+"""Example to the file in which it stands."""
+ROWS = {
+    LAWS: [('    "gent": "Gent",\n', '    "foam": "Foam",\n')],
+    LOADS: [
+        ("import Pressure as Pressure\n", "from dolfin_elastic.model.loads.spin import Spin\n"),
+        ("        Growth,\n    )\n}\n", 'LOADS["spin"] = Spin\n'),
+    ],
+    "model/supports/springs.py": [
+        (
+            '    "dashpot": Dashpot,\n}\n',
+            "from dolfin_elastic.model.supports.affine_motion import AffineMotion\n"
+            'SUPPORTS["affine"] = AffineMotion\n',
+        )
+    ],
+    "solvers/dynamics/schemes.py": [
+        (
+            '    "central-differences": ExplicitRow(CentralDifferences),\n}\n',
+            "from dolfin_elastic.solvers.dynamics.explicit.drift_kick import DriftKick\n"
+            'SCHEMES["drift-kick"] = ExplicitRow(DriftKick)\n',
+        )
+    ],
+}
+"""File of a table to the lines behind which a row, and the import that it needs, are put."""
+CASE = """
+[mesh]
+box = {size = [1, 0.1, 0.1], cells = [8, 1, 1]}
+degree = 1
+[materials.wheel]
+law = "foam"
+mu = "1 MPa"
+density = "1000 kg/m^3"
+[[support]]
+on = "left"
+[[load]]
+kind = "spin"
+value = [0, 0, 2]
+"""
+STRETCHED = """
+[mesh]
+box = {size = [1, 1, 1], cells = [1, 1, 1]}
+degree = 1
+[materials.block]
+law = "linear-elastic"
+E = "1 MPa"
+nu = 0.25
+[[support]]
+on = ["left", "right"]
+kind = "affine"
+gradient = [[0.2, 0, 0], [0, 0, 0], [0, 0, 0]]
+"""
+FALLING = """
+[mesh]
+box = {size = [1, 1, 1], cells = [1, 1, 1]}
+degree = 1
+[materials.block]
+law = "linear-elastic"
+E = "1 MPa"
+nu = 0.3
+density = 1000
+[[load]]
+kind = "gravity"
+value = [0, 0, -10]
+[dynamics]
+scheme = "drift-kick"
+end = "10 ms"
+dt = "1 ms"
+"""
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a copy of the package to which the examples have been added."""
+    folder = tmp_path_factory.mktemp("seams")
+    package = folder / "dolfin_elastic"
+    shutil.copytree(ROOT / "dolfin_elastic", package, ignore=shutil.ignore_patterns("__pycache__"))
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    for block in re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        file = next((file for name, file in FILES.items() if name in block), None)
+        if file is not None:  # its row stands in the file of the table
+            lines = [line for line in block.splitlines() if not TABLE.search(line)]
+            (package / file).write_text("\n".join(lines))
+    for file, rows in ROWS.items():
+        table = (package / file).read_text()
+        for before, row in rows:
+            assert table.count(before) == 1
+            table = table.replace(before, before + row)
+        (package / file).write_text(table)
+    return folder
+
+
+TABLE = re.compile(r"\b(?:SCHEMES|SUPPORTS)\b")
+
+
+def command(folder: Path, *words: str) -> str:
+    """What the copy prints, code 0."""
+    done = subprocess.run(
+        [*PROGRAM, *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(folder)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def tried(folder: Path, case: str) -> tuple[str, np.ndarray, str]:
+    """What `check` says, the history of the run, and the text of the page of a case."""
+    (folder / "case.toml").write_text(case)
+    shutil.rmtree(folder / "case_results", ignore_errors=True)
+    checked = command(folder, "check", "case.toml")
+    command(folder, "run", "case.toml", "-q")
+    history = np.genfromtxt(folder / "case_results/history.csv", delimiter=",", names=True)
+    command(folder, "report", "case_results")
+    return checked, history, (folder / "case_results/report.html").read_text()
+
+
+@pytest.mark.long
+def test_a_law_and_a_load(copy: Path) -> None:
+    """The pull at the axis of a rod that spins is rho A w^2 L^2/2."""
+    checked, history, page = tried(copy, CASE)
+    assert "foam" in checked
+    assert re.search(r"\bspin\b", checked)
+    assert history["reaction_left_x"][-1] == pytest.approx(-1000 * 0.01 * 4 / 2, rel=1e-6)
+    assert "foam" in page and "400 kPa" not in page and "1 MPa" in page
+    assert re.search(r"\bspin\b", page)
+    schema = command(copy, "schema")
+    assert '"foam"' in schema and '"spin"' in schema
+    assert "foam" in command(copy, "materials")
+
+
+@pytest.mark.long
+def test_a_constraint(copy: Path) -> None:
+    """A block between ends that stay as wide as they are: psi = (mu + lambda/2) e^2."""
+    checked, history, page = tried(copy, STRETCHED)
+    assert "affine" in checked and "affine" in page
+    assert history["strain_energy"][-1] == pytest.approx(0.5 * 1.2e6 * 0.04, rel=1e-9)
+
+
+@pytest.mark.long
+def test_a_scheme(copy: Path) -> None:
+    """It moves on before it looks at forces: a body falls by n(n - 1)/2 g dt^2."""
+    checked, history, page = tried(copy, FALLING)
+    assert "dynamics by drift-kick" in checked and "by the scheme drift-kick" in page
+    n = round(history["t"][-1] / 1e-3)
+    assert history["max_displacement"][-1] == pytest.approx(1e-5 * n * (n - 1) / 2, abs=1e-12)
