@@ -38,7 +38,7 @@ from dolfin_elastic.report.scene import (
     packed,
 )
 from dolfin_elastic.report.still import Camera, _colours, colour_table
-from dolfin_elastic.report.words import contact_words, load_words, support_words
+from dolfin_elastic.report.words import contact_words, load_words, small_strains, support_words
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.pictures._draw import colour_map
 
@@ -479,7 +479,7 @@ def test_constants_have_units() -> None:
     varied = {"law": "linear-elastic", "E": {"field": "E_cell"}, "nu": 0.3, "viscosity": 5.0}
     own = {"energy": "C*(I1 - 3)", "parameters": {"C": 2000.0, "b": "3 MPa"}, "K": 1e6}
     assert dict(_constants(heart, "guccione")) == {
-        **{"C": "2 kPa", "bf": "8", "K": "200 kPa", "density": "1060 kg/m^3"}
+        **{"C": "2 kPa", "bf": "8", "K": "200 kPa", "density": "1060 kg/m³"}
     }
     assert dict(_constants(rubber, "ogden")) == {
         **{"mu": "(600, −10) kPa", "alpha": "(1.3, −2)", "nu": "0.4"}
@@ -581,6 +581,13 @@ def test_words() -> None:
     assert load_words({"on": "a", "kind": "pressure", "value": 2e5, "curve": "ramp"}) == (
         "pressure of 200 kPa, which follows the deformed surface; curve ramp"
     )
+    pressure = {"on": "a", "kind": "pressure", "value": 2e5}
+    assert load_words(pressure, fixed=True) == "pressure of 200 kPa"
+    linear, rubber = {"law": "linear-elastic"}, {"law": "neo-hookean"}
+    assert small_strains({"materials": {"a": linear, "b": {"law": "orthotropic"}}})
+    for others in ({"b": rubber}, {"b": {"energy": "I1"}}, {"b": {"law": "no law"}}):
+        assert not small_strains({"materials": {"a": linear, **others}})
+    assert not small_strains({})
     assert load_words({"kind": "gravity"}) == (
         "weight, with the acceleration of gravity 9.81 m/s² against the last axis"
     )
