@@ -6,6 +6,7 @@ closed on one rank alone would wait for them.  And Ctrl-C amid a loop over state
 
 from __future__ import annotations
 
+import atexit
 import gc
 import math
 import sys
@@ -54,11 +55,44 @@ def loop_together(comm: MPI.Comm, states: Generator[T, None, None]) -> Generator
     with closing(states):
         for state in _computed(comm, states, stop):
             try:
-                yield state
+                with _inside(comm):
+                    yield state
             except GeneratorExit:
                 _leave_together(comm)
                 raise
             _go_on_together(comm)
+
+
+_bodies: list[MPI.Comm] = []
+"""Ranks of the loops in whose body this one is, or was when it left it and kept the generator."""
+
+
+@contextmanager
+def _inside(comm: MPI.Comm) -> Iterator[None]:
+    """The body of a loop over states.  Not collective.
+
+    Args:
+        comm: The ranks of the loop.
+    """
+    atexit.unregister(_leave_at_exit)
+    atexit.register(_leave_at_exit)  # the last one is called first: before PETSc waits for all
+    _bodies.append(comm)
+    try:
+        yield
+    finally:
+        _bodies.remove(comm)
+
+
+def _leave_at_exit() -> None:
+    """Ends all ranks where this one ends in the body of a loop, as by sys.exit, and others do not.
+
+    `sys.excepthook` does not hear of that, and PETSc and MPI would wait for the others.
+    """
+    for comm in reversed(_bodies):
+        if comm.size > 1 and not MPI.Is_finalized() and _ask(comm, _LEAVES) != (_LEAVES, _LEAVES):
+            sys.stderr.write(f"rank {comm.rank} has ended in a loop over states, others have not\n")
+            sys.stderr.flush()
+            MPI.COMM_WORLD.Abort(1)
 
 
 _computing: list[object] = []

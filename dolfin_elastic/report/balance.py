@@ -18,6 +18,7 @@ from dolfin_elastic.report.words import (
     names,
     part_kind,
     part_names,
+    small_strains,
     support_words,
 )
 from dolfin_elastic.results.finished.run import FinishedRun
@@ -94,7 +95,8 @@ def loads_of(run: FinishedRun) -> list[Acting]:
             (s.get("force") for s in sums if str(s.get("load", "")).startswith(f"load[{k}]")), None
         )
         text = vector(force, "N") if force else ""
-        found.append(Acting(names(row), f"load {k}", load_words(row), _area(run, row), text))
+        words = load_words(row, fixed=small_strains(run.case))
+        found.append(Acting(names(row), f"load {k}", words, _area(run, row), text))
     return found
 
 
@@ -189,7 +191,9 @@ def _balance_remark(run: FinishedRun) -> str:
             "the audit counts it in."
         )
     follows = {"pressure", "cavity", "centrifugal"}
-    if any(row.get("kind") in follows for row in _rows(run.case, "load")):
+    if not small_strains(run.case) and any(
+        row.get("kind") in follows for row in _rows(run.case, "load")
+    ):
         return (
             "A load that follows the deformed surface has another resultant there than on the "
             "undeformed one: where deformations are large, look at the audit's figure."

@@ -11,6 +11,7 @@ from typing import Any
 
 from dolfin_elastic.core.units import is_quantity
 from dolfin_elastic.model.contact import obstacle_shapes
+from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.report.quantity import listed, number, quantity, scaled_unit, vector
 
 Table = Mapping[str, Any]
@@ -156,8 +157,9 @@ def _held(moved: object) -> str:
 
 # --- loads ---
 
+_FOLLOWS = ", which follows the deformed surface"
 _LOADS = {
-    "pressure": ("pressure of {}, which follows the deformed surface", "Pa"),
+    "pressure": ("pressure of {}" + _FOLLOWS, "Pa"),
     "body-force": ("force per volume of {}", "N/m^3"),
     "gravity": ("weight, with the acceleration of gravity {}", "m/s^2"),
     "centrifugal": ("centrifugal force of a rotation with {}", "rad/s"),
@@ -168,8 +170,21 @@ _LOADS = {
 }
 
 
-def load_words(table: Table) -> str:
-    """What a load does, without its place."""
+def small_strains(case: Table) -> bool:
+    """Whether all materials are linear, so that all loads act on the undeformed body."""
+    materials = case.get("materials")
+    rows = list(materials.values()) if isinstance(materials, Mapping) else []
+    laws = [row.get("law") if isinstance(row, Mapping) else None for row in rows]
+    linear = [getattr(MATERIALS.get(str(law)), "linear", False) is True for law in laws]
+    return bool(linear) and all(linear)
+
+
+def load_words(table: Table, *, fixed: bool = False) -> str:
+    """What a load does, without its place.
+
+    Args:
+        fixed: It acts on the undeformed body, see `small_strains`.
+    """
     kind = str(table.get("kind", "traction"))
     if kind == "traction":
         if "force" in table:
@@ -188,6 +203,8 @@ def load_words(table: Table) -> str:
         return f"closed cavity with {', '.join(given)}" + _rest(table, *keys)
     if kind in _LOADS:
         text, unit = _LOADS[kind]
+        if fixed:
+            text = text.removesuffix(_FOLLOWS)
         if kind == "gravity" and not table.get("value"):
             return text.format("9.81 m/s² against the last axis") + _rest(table, "value")
         if kind == "line-force" and table.get("total"):
@@ -294,7 +311,10 @@ def _support_sentences(case: Table, summary: Table, kind: str) -> list[str]:
         found[0] = f"It is held by {len(supports)} supports."
     if kind == "modal" and not (case["modal"] or {}).get("preload"):
         return found
-    acting = [f"a {_short(load_words(row))} on {names(row)}" for row in loads[:6]]
+    acting = [
+        f"a {_short(load_words(row, fixed=small_strains(case)))} on {names(row)}"
+        for row in loads[:6]
+    ]
     if len(loads) > 6:
         found.append(f"{len(loads)} loads act on it.")
     elif acting:

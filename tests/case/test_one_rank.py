@@ -58,6 +58,17 @@ except KeyError:
     pass
 comm.barrier()
 """
+ENDED = """
+import sys, traceback
+states = run(case)
+for state in states:
+    if state.step == 2 and comm.rank == 1:
+        try:
+            fail()
+        except KeyError:
+            traceback.print_exc()
+            sys.exit(0)
+"""
 OUTPUT = """
 import dolfin_elastic.results.writers.history as history
 class Own(history.HistoryWriter):
@@ -134,7 +145,7 @@ def small(folder: Path) -> None:
 
 
 @pytest.mark.sample(1)
-@pytest.mark.parametrize("body", [LOOP, OTHERS_WAIT, CLOSING, CAUGHT, OUTPUT, ENERGY])
+@pytest.mark.parametrize("body", [LOOP, OTHERS_WAIT, CLOSING, CAUGHT, ENDED, OUTPUT, ENERGY])
 def test_all_ranks_end(body: str, tmp_path: Path) -> None:
     """Also where the others wait for it in a call of the user's own."""
     assert seconds_to_the_end(body, tmp_path) < LONGEST

@@ -39,7 +39,7 @@ from dolfin_elastic.report.scene import (
     packed,
 )
 from dolfin_elastic.report.still import Camera, _colours, colour_table
-from dolfin_elastic.report.words import contact_words, load_words, support_words
+from dolfin_elastic.report.words import contact_words, load_words, small_strains, support_words
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.scene._draw import colour_map
 
@@ -582,6 +582,13 @@ def test_words() -> None:
     assert load_words({"on": "a", "kind": "pressure", "value": 2e5, "curve": "ramp"}) == (
         "pressure of 200 kPa, which follows the deformed surface; curve ramp"
     )
+    pressure = {"on": "a", "kind": "pressure", "value": 2e5}
+    assert load_words(pressure, fixed=True) == "pressure of 200 kPa"
+    linear, rubber = {"law": "linear-elastic"}, {"law": "neo-hookean"}
+    assert small_strains({"materials": {"a": linear, "b": {"law": "orthotropic"}}})
+    for others in ({"b": rubber}, {"b": {"energy": "I1"}}, {"b": {"law": "no law"}}):
+        assert not small_strains({"materials": {"a": linear, **others}})
+    assert not small_strains({})
     assert load_words({"kind": "gravity"}) == (
         "weight, with the acceleration of gravity 9.81 m/s² against the last axis"
     )

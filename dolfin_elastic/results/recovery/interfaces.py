@@ -57,9 +57,10 @@ def material_corners(
     for key in np.unique(keys, axis=0):
         regions = np.flatnonzero(key[1:])
         sizes = key[1:][regions]
-        inside = key[0] == -1
+        inside, mirrored = key[0] == -1, key[0] == _FACES.index("roller")
         bent = np.abs(sizes - straight).max() > margin and abs(sizes.sum() - around) <= margin
-        if key[0] == -2 or (inside and not bent):
+        flat = mirrored and np.abs(2 * sizes - straight).max() <= margin  # with its mirror image
+        if key[0] == -2 or (inside and not bent) or flat:
             continue
         wedges = [_wedge(problem, r, float(s * _STEP)) for r, s in zip(regions, sizes, strict=True)]
         weakest = stress_exponent(*wedges, None if inside else _FACES[key[0]])

@@ -146,6 +146,18 @@ def test_one_material_under_two_names() -> None:
     assert (peaks.safety.singular, peaks.safety_elsewhere) == ("", None)
 
 
+@pytest.mark.parametrize(("slope", "singular"), [(0.0, False), (0.1, False), (0.6, True)])
+def test_an_interface_that_ends_at_a_plane_of_symmetry(slope: float, singular: bool) -> None:
+    """With its mirror image it is bent by 0, 11 and 62 degrees; a round one's elements are, too."""
+    problem = bar((1e3, 1e4))
+    x = problem.body.mesh.geometry.x
+    x[:, 0] += slope * x[:, 1] * (1 - np.abs(x[:, 0] - 2) / 2)
+    places = singular_places(problem)
+    near = places.near[:, places.reasons.index("an edge where materials meet")]
+    y = problem.V.tabulate_dof_coordinates()[: len(near), 1][near]
+    assert problem.body.comm.allreduce(bool((y < 0.1).any()), op=MPI.LOR) == singular
+
+
 def interface_on(comm: MPI.Comm) -> Any:
     problem = bar((1e3, 1e4), comm)
     places = singular_places(problem)
