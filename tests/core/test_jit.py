@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import logging
 import os
@@ -13,7 +14,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 
 import dolfinx
@@ -25,11 +27,12 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfin_elastic import box_body
-from dolfin_elastic.core import jit, signals
+from dolfin_elastic.core import jit, lease, signals
 from dolfin_elastic.core.errors import OutputError, StoppedError
-from dolfin_elastic.core.jit import cache, claim
+from dolfin_elastic.core.jit import cache
 from dolfin_elastic.core.jit import compile as compile_module
 from dolfin_elastic.core.jit.cache import find_or_compile, private_folders, why_foreign
+from dolfin_elastic.core.lease import Lease
 from dolfin_elastic.core.parallel import on_root
 
 
@@ -161,20 +164,23 @@ def refuse(into: Path) -> None:
     raise AssertionError("compiled")
 
 
-def holder(root: Path, key: str, **keys: object) -> Path:
-    """A claim of this process, or of one that differs from it."""
+@contextmanager
+def holder(root: Path, key: str, **keys: object) -> Iterator[Path]:
+    """The lease of a form, of this process or of one with another number or host."""
     root.mkdir(exist_ok=True)
     file = root / f".{key}.claim"
-    file.write_text(json.dumps({"token": "t", "beat": 0, **claim._this_process(), **keys}))
-    return file
+    with closing(Lease(file)) as held:
+        assert held.acquire(0.0)
+        file.write_text(json.dumps({**json.loads(file.read_text()), **keys}))
+        yield file
 
 
 @serial
 def test_a_finished_form_is_taken_without_a_lock(tmp_path: Path):
     """Whoever holds it, also from a folder in which nothing may be written."""
     found = find_or_compile([tmp_path / "a"], "f", write("1"))
-    holder(tmp_path / "a", "f")
-    assert find_or_compile([tmp_path / "b", tmp_path / "a"], "f", refuse) == found
+    with holder(tmp_path / "a", "f"):
+        assert find_or_compile([tmp_path / "b", tmp_path / "a"], "f", refuse) == found
     assert not (tmp_path / "b").exists()
 
 
@@ -206,46 +212,37 @@ def test_different_forms_are_compiled_side_by_side(tmp_path: Path, caplog):
 
 @serial
 def test_waiting_says_for_whom(tmp_path: Path, monkeypatch, caplog):
-    """After 5 s, in the test 0.3; the holder, on another machine, shows that it lives."""
-    monkeypatch.setattr(claim, "QUIET", 0.3)
-    monkeypatch.setattr(claim, "PATIENCE", 0.6)
-    file = holder(tmp_path, "f", host="node7", pid=4711, where="elsewhere")
+    """After 5 s, in the test 0.3; the holder may be on another machine."""
+    monkeypatch.setattr(lease, "QUIET", 0.3)
 
-    def beat() -> None:
-        for count in range(20):
-            new = file.with_suffix(".new")  # by renaming: whoever looks reads the whole of it
-            new.write_text(json.dumps({**json.loads(file.read_text()), "beat": count}))
-            new.replace(file)
-            time.sleep(0.1)
+    def end() -> None:
         (tmp_path / "f").mkdir()
         (tmp_path / "f/whole.json").write_text(json.dumps({"code": cache._checksum(file)}))
         shutil.copy(file, tmp_path / "f/code")
 
-    other = threading.Thread(target=beat)
-    other.start()
-    find_or_compile([tmp_path], "f", refuse)
-    other.join()
+    with holder(tmp_path, "f", host="node7", pid=4711) as file:
+        other = threading.Timer(2.0, end)
+        other.start()
+        find_or_compile([tmp_path], "f", refuse)
+        other.join()
     assert [r.message for r in caplog.records] == [
         "waiting for process 4711 on node7, which compiles the same form"
     ]
 
 
 @serial
-def test_a_dead_holder_is_noticed(tmp_path: Path, monkeypatch):
-    """At once where its number means a process, a reused one, too; elsewhere as it is still."""
-    with subprocess.Popen([sys.executable, "-c", ""]) as process:
-        process.wait()
-    for number, keys in enumerate([{"pid": process.pid}, {"started": "1"}]):
-        holder(tmp_path, f"f{number}", **keys)
+def test_a_dead_holder_is_noticed(tmp_path: Path):
+    """At once, on whatever machine it was, and whoever has its number now."""
+    code = "from pathlib import Path; from dolfin_elastic.core.lease import Lease; import os, sys;"
+    code += "assert Lease(Path(sys.argv[1])).acquire(0.0); os.kill(os.getpid(), 9)"
+    subprocess.run([sys.executable, "-c", code, tmp_path / ".f.claim"], check=False)
+    assert "pid" in (tmp_path / ".f.claim").read_text()
+    (tmp_path / ".g.claim").write_text(json.dumps({"pid": os.getpid(), "host": "elsewhere"}))
+    (tmp_path / ".h.claim").write_text("")
+    for key in "fgh":
         begin = time.monotonic()
-        find_or_compile([tmp_path], f"f{number}", write("1"))
+        find_or_compile([tmp_path], key, write("1"))
         assert time.monotonic() - begin < 2.0
-    monkeypatch.setattr(claim, "PATIENCE", 0.5)
-    for number, keys in enumerate([{"where": "elsewhere"}, {"where": "", "host": ""}]):
-        holder(tmp_path, f"g{number}", **keys)
-        begin = time.monotonic()
-        find_or_compile([tmp_path], f"g{number}", write("1"))
-        assert 0.3 < time.monotonic() - begin < 3.0
     assert not [*tmp_path.glob(".*")]
 
 
@@ -255,21 +252,45 @@ def test_an_hour_asleep_is_no_hour_of_silence(tmp_path: Path, monkeypatch):
 
     The clock on the wall and the name of the host do not matter at all.
     """
-    clock = [0.0]
-    monkeypatch.setattr(claim.time, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(claim.time, "time", lambda: -clock[0])
-    holder(tmp_path, "f", where="elsewhere")
-    watch = claim._Watch(tmp_path / ".f.claim")
-    assert not watch.holder_is_dead()
-    clock[0] += 3600.0
-    assert not watch.holder_is_dead()
-    for _ in range(int(claim.PATIENCE) + 1):
-        clock[0] += 1.0
-        dead = watch.holder_is_dead()
-    assert dead
-    holder(tmp_path, "g")
-    monkeypatch.setattr(claim.socket, "gethostname", lambda: "renamed")
-    assert not claim._Watch(tmp_path / ".g.claim").holder_is_dead()
+    clock, looks = [0.0], []
+
+    def done() -> bool:
+        clock[0] += 3600.0
+        looks.append(clock[0])
+        return len(looks) == 5
+
+    with holder(tmp_path, "f") as file:
+        monkeypatch.setattr(lease.time, "monotonic", lambda: clock[0])
+        monkeypatch.setattr(lease.time, "time", lambda: -clock[0])
+        monkeypatch.setattr(lease.socket, "gethostname", lambda: "renamed")
+        assert not Lease(file).acquire(60.0, done=done)
+    assert len(looks) == 5
+
+
+@serial
+def test_a_holder_that_stands_still(tmp_path: Path, monkeypatch):
+    """One that was stopped, say: its form is compiled here, too, and what it has begun stays."""
+    monkeypatch.setattr(cache, "PATIENCE", 0.3)
+    with holder(tmp_path, "f"):
+        begun = tmp_path / ".f.part-0"
+        begun.mkdir()
+        find_or_compile([tmp_path], "f", write("1"))
+        assert begun.exists()
+        assert (tmp_path / ".f.claim").exists()
+    assert (tmp_path / "f/code").read_text() == "1"
+
+
+@serial
+def test_a_cache_on_a_file_system_without_locks(tmp_path: Path, monkeypatch, caplog):
+    """Each process compiles for itself: nothing is lost but time."""
+
+    def flock(descriptor: int, how: int) -> None:
+        raise OSError(errno.ENOSYS, "not implemented")
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    assert find_or_compile([tmp_path], "f", write("1")) == tmp_path / "f"
+    assert {file.name for file in tmp_path.iterdir()} == {"f"}
+    assert not caplog.records
 
 
 @serial
@@ -294,11 +315,10 @@ def test_a_signal_is_heard(waiting: bool, tmp_path: Path, monkeypatch, capfd):
     monkeypatch.setattr(signals, "_current", [])
     try:
         signals.Stop(tmp_path)
-        if waiting:
-            holder(tmp_path, "f")
         threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGTERM)).start()
         begin = time.monotonic()
-        with pytest.raises(StoppedError), signals.interruptible():
+        held = holder(tmp_path, "f") if waiting else nullcontext()
+        with held, pytest.raises(StoppedError), signals.interruptible():
             find_or_compile([tmp_path], "f", lambda into: time.sleep(30))
         assert time.monotonic() - begin < 2.0
     finally:
@@ -354,7 +374,7 @@ def test_a_sleeper_whose_folder_was_removed(tmp_path: Path):
 @serial
 def test_a_claim_that_cannot_be_written(tmp_path: Path, monkeypatch):
     """An empty one would be waited for, by this user's next run and by others."""
-    monkeypatch.setattr(claim.Claim, "_text", full)
+    monkeypatch.setattr(lease, "_this_process", full)
     with pytest.raises(OutputError, match="no space left on device"):
         find_or_compile([tmp_path], "f", refuse)
     assert not [*tmp_path.iterdir()]

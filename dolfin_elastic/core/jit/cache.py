@@ -18,18 +18,29 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 
 from cffi import VerificationError
 
 from dolfin_elastic.core.errors import OutputError
-from dolfin_elastic.core.jit.claim import EVERY_RANK, Claim
+from dolfin_elastic.core.lease import Lease
+from dolfin_elastic.core.signals import raise_if_asked
 from dolfin_elastic.core.startup.elsewhere import elsewhere
 
 log = logging.getLogger("dolfin_elastic")
 
+
+EVERY_RANK = {"every_rank": True}
+"""Marks a record that one rank alone may have, and that is shown from whichever has it."""
+
+PATIENCE = 600.0
+"""Seconds to wait for a process that compiles the same form, and may have been stopped meanwhile:
+then this one compiles it, too, and the first to finish publishes it."""
+
+_NO_LOCKS = (errno.EOPNOTSUPP, errno.ENOSYS, errno.ENOLCK)
+"""Of file systems without locks, where several processes may compile the same form."""
 
 OTHERS = 0o022
 """Rights to write of the group and of all."""
@@ -196,12 +207,13 @@ def _compile(root: Path, key: str, compile_into: Compile, *, private: bool) -> P
     _make_root(root, private=private)
     target = root / key
     while True:
-        with Claim(root / f".{key}.claim", lambda: _is_whole(target)) as claim:
-            if _is_whole(target):  # by another process, before this one had the claim
+        with closing(Lease(root / f".{key}.claim")) as lease:
+            alone = _acquired(lease, target)
+            if _is_whole(target):  # by another process, before this one had the lease
                 return target
             if shutil.disk_usage(root).free < _ROOM:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            for left in root.glob(f".{key}.part-*"):  # by a killed compilation
+            for left in root.glob(f".{key}.part-*") if alone else ():  # by a killed compilation
                 shutil.rmtree(left, ignore_errors=True)
             if target.exists():
                 _warn_once(
@@ -212,8 +224,28 @@ def _compile(root: Path, key: str, compile_into: Compile, *, private: bool) -> P
             try:
                 return _publish(root, key, compile_into)
             except (OSError, VerificationError):
-                if not claim.is_lost():
+                if not lease.is_lost():
                     raise  # else another process has removed the folder, and compiles the form
+
+
+def _acquired(lease: Lease, target: Path) -> bool:
+    """Whether this process alone compiles a form; else none does any more, or nobody can tell."""
+
+    def done() -> bool:
+        raise_if_asked()
+        return _is_whole(target)
+
+    try:
+        return lease.acquire(PATIENCE, done=done, speak=_say_for_whom)
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+        return False
+
+
+def _say_for_whom(owner: dict[str, str]) -> None:
+    who = f"process {owner.get('pid', '?')} on {owner.get('host', '?')}"
+    log.warning("waiting for %s, which compiles the same form", who, extra=EVERY_RANK)
 
 
 def _make_root(root: Path, *, private: bool) -> None:

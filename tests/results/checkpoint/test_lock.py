@@ -14,6 +14,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import restart, run
 from dolfin_elastic.case.restart import unfinished
+from dolfin_elastic.core import lease
 from dolfin_elastic.core.errors import RestartError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.results.checkpoint import lock
@@ -76,8 +77,8 @@ def test_another_date_and_another_name(folder: Path, monkeypatch: pytest.MonkeyP
     """A clock set back and a host renamed change nothing: the lock is that of the file."""
     one = FolderLock(WORLD, folder)
     one.acquire()
-    monkeypatch.setattr(lock.time, "time", lambda: 0.0)
-    monkeypatch.setattr(lock.socket, "gethostname", lambda: "renamed")
+    monkeypatch.setattr(lease.time, "time", lambda: 0.0)
+    monkeypatch.setattr(lease.socket, "gethostname", lambda: "renamed")
     with pytest.raises(RestartError, match=GOING):
         on_root(WORLD, lambda: check_free(folder))
     one.close()
