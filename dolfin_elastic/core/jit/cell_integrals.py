@@ -8,7 +8,6 @@ one cell, or, where there are many, of some cells at once, see `Kernel`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -104,50 +103,45 @@ class _Integral:
 class CellIntegrals:
     """A compiled form whose integrals are all over cells. Collective to make.
 
-    Where one of its integrals has another coefficient than the unknowns, as a modulus that varies
-    in space, DOLFINx assembles the whole form.
-
     Args:
-        form: Of one test function in the space of the unknowns, or of none.
+        form: Of one test function in the space of the unknowns, or of none; it has no coefficient
+            but the unknowns.
         jit_options: From `options`.
     """
 
     def __init__(self, form: fem.Form, w: fem.Function, jit_options: JitOptions) -> None:
         self._form, self._w = form, w
-        self._integrals: list[_Integral] | None = None
-        if (kernels := _kernels(form, w)) is None:
-            return
         self._elements = _elements(w)
         self._packed, self._first = _room(form, w)
         self._integrals = [
             _Integral(kernel, cells, _loops_over_cells(w, kernel, jit_options, many=pays(w)))
-            for kernel, cells in kernels
+            for kernel, cells in _kernels(form)
         ]
 
-    def add_to(self, out: FloatArray) -> None:
+    @property
+    def constants(self) -> FloatArray:
+        """The present values of its constants."""
+        return pack_constants(self._form._cpp_object)
+
+    def add_to(self, out: FloatArray, constants: FloatArray | None = None) -> None:
         """Adds the vector of a form with a test function. Not collective.
 
         Args:
             out: Local entries, those of ghosts too.
+            constants: From `constants`, of another time; None: the present ones.
         """
-        if self._integrals is None:
-            fem.assemble_vector(out, self._form)
-        else:
-            self._call("add_vector", self._integrals, out)
+        self._call("add_vector", self.constants if constants is None else constants, out)
 
     def value(self) -> float:
         """The value of a form without arguments over this rank's cells. Not collective."""
-        if self._integrals is None:
-            return float(fem.assemble_scalar(self._form))
         out = np.zeros(1)
-        self._call("add_scalar", self._integrals, out)
+        self._call("add_scalar", self.constants, out)
         return float(out[0])
 
-    def _call(self, loop: str, integrals: Sequence[_Integral], out: FloatArray) -> None:
-        constants = pack_constants(self._form._cpp_object)
+    def _call(self, loop: str, constants: FloatArray, out: FloatArray) -> None:
         w = self._w.x.array
         unknowns = (*self._elements, len(w), w, self._packed, self._first)
-        for one in integrals:
+        for one in self._integrals:
             where = (one.kernel.address, len(one.cells), one.cells)
             one.loops.call(loop, *where, *unknowns, len(constants), constants, out)
 
@@ -292,20 +286,14 @@ def _function(function: cffi.FFI.CData, library: Library, number: int) -> Kernel
     return Kernel(address, arguments, Path(library.__file__).parent, number)
 
 
-def _kernels(form: fem.Form, w: fem.Function) -> list[tuple[Kernel, IndexArray]] | None:
-    """The functions of a form's integrals, with their cells.
-
-    None where another coefficient than w is in one.
-    """
-    inner, compiled = form._cpp_object, form.ufcx_form
-    ours = [one is w._cpp_object for one in inner.coefficients]
+def _kernels(form: fem.Form) -> list[tuple[Kernel, IndexArray]]:
+    """The functions of a form's integrals over cells, with their cells."""
+    compiled = form.ufcx_form
     offsets, found = compiled.form_integral_offsets, []
     for k in range(offsets[0], offsets[1]):  # those of cells stand first
-        integral = compiled.form_integrals[k]
-        if any(integral.enabled_coefficients[i] and not own for i, own in enumerate(ours)):
-            return None
-        kernel = _function(integral.tabulate_tensor_float64, form.module, k)
-        found.append((kernel, np.ascontiguousarray(cells_of_integral(form, k))))
+        tabulate = compiled.form_integrals[k].tabulate_tensor_float64
+        cells = np.ascontiguousarray(cells_of_integral(form, k))
+        found.append((_function(tabulate, form.module, k), cells))
     return found
 
 

@@ -10,6 +10,7 @@ import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
 from petsc4py import PETSc
+from ufl.algorithms import extract_coefficients
 from ufl.integral import Integral
 
 from dolfin_elastic.core.jit import compile_forms
@@ -454,17 +455,20 @@ def compiled(problem: Problem, forms: Sequence[ufl.Form]) -> list[fem.Form]:
 
 
 def in_cells(problem: Problem, form: ufl.Form) -> tuple[CellIntegrals | None, fem.Form | None]:
-    """The integrals of a form over cells, and all others, compiled. Collective.
+    """The integrals over cells of what depends on the unknowns alone, and all others. Collective.
+
+    Others have, for example, a modulus or a load that varies in space.
 
     Args:
         form: Of at most one test function.
 
     Returns:
-        None in place of what the form has not.
+        Both compiled; None in place of what the form has not.
     """
     parts: tuple[list[Integral], list[Integral]] = [], []
     for one in form.integrals():
-        parts[one.integral_type() != "cell"].append(one)
+        ours = all(field is problem.w for field in extract_coefficients(one.integrand()))
+        parts[one.integral_type() != "cell" or not ours].append(one)
     found = iter(compiled(problem, [ufl.Form(part) for part in parts if part]))
     cells, others = (next(found) if part else None for part in parts)
     if cells is None:
@@ -491,20 +495,22 @@ class StrainEnergy:
     def __init__(self, problem: Problem) -> None:
         form, springs = problem.weak_form.strain_energy, problem.weak_form.spring_energy
         self._problem = problem
-        self._cells, others = (None, None) if form is None else in_cells(problem, form)
-        assert others is None  # it is stored in the body
+        self._parts = None if form is None else in_cells(problem, form)
         self._springs = None if springs is None else compiled(problem, [springs])[0]
 
     def energy(self) -> float:
         """Strain energy of the present displacement [J]. Collective."""
-        if self._cells is None:
+        if self._parts is None:
             return float("nan")
-        return total(self._problem.body.comm, self._cells.value())
+        cells, others = self._parts
+        stored = 0.0 if cells is None else cells.value()
+        stored += 0.0 if others is None else float(fem.assemble_scalar(others))
+        return total(self._problem.body.comm, stored)
 
     @property
     def none(self) -> bool:
         """A law has no energy."""
-        return self._cells is None
+        return self._parts is None
 
     def springs(self) -> dict[str, float]:
         """Energy stored in springs [J] by its name; nothing without springs. Collective."""

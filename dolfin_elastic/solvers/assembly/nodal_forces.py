@@ -6,20 +6,23 @@ from collections.abc import Sequence
 from hashlib import blake2b
 
 import numpy as np
+import ufl
 from dolfinx import fem, la
 from dolfinx.cpp.fem import pack_coefficients, pack_constants
 
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.assembler import in_cells
 
 
 class Forces:
     """One virtual work as nodal forces in one vector, without allocating anything.
 
-    A form's coefficients and constants are packed once.  What changes from step to step, the
-    displacement and the velocity that dashpots see, is read into the packed arrays again; numbers
-    and formulas that change with time are taken over by `renew`, and what a program has changed by
-    `pack_again`.
+    Cells whose forces depend on the displacement alone are those of the residual of statics.  Of
+    all other integrals, coefficients and constants are packed once.  What changes from step to
+    step, the displacement and the velocity that dashpots see, is read into the packed arrays again;
+    numbers and formulas that change with time are taken over by `renew`, and what a program has
+    changed by `pack_again`.
 
     Args:
         problem: Whose displacement; linear elements, no unknowns beside it.
@@ -31,13 +34,65 @@ class Forces:
     """
 
     def __init__(
-        self, problem: Problem, form: fem.Form, vector: la.Vector, *, points: float = 0.0
+        self, problem: Problem, work: ufl.Form, vector: la.Vector, *, points: float = 0.0
     ) -> None:
-        self._problem, self._form, self._vector = problem, form, vector
-        self._array = vector.array
+        self._vector, self._array = vector, vector.array
         self.owned = self._array[: problem.u.x.index_map.size_local * problem.u.x.block_size]
         self._point_loads = problem.nodal_loads if points else None
         self._points = points
+        self._cells, others = in_cells(problem, work)
+        self._others = None if others is None else _Packed(problem, others)
+        self._constants: FloatArray = np.empty(0)
+        self._at_points: FloatArray = np.empty(0)
+        self.renew()
+
+    def renew(self) -> None:
+        """Takes over the numbers of the present time. Not collective."""
+        if self._cells is not None:
+            self._constants = self._cells.constants
+        if self._others is not None:
+            self._others.renew()
+        if self._point_loads is not None:
+            self._at_points = self._points * self._point_loads.nodal()
+
+    def fingerprint(self) -> bytes:
+        """Of this rank's numbers and fields, but those that follow the motion or the time.
+
+        Where it has changed from one look to the next without a step, a program has changed it.
+        """
+        digest = blake2b()
+        values = [] if self._cells is None else [self._cells.constants]
+        if self._others is not None:
+            values += self._others.given()
+        if self._point_loads is not None:
+            values.append(self._point_loads.nodal())
+        for value in values:
+            digest.update(np.ascontiguousarray(value))
+        return digest.digest()
+
+    def pack_again(self) -> None:
+        """Takes over all numbers and fields, which a program may have changed. Not collective."""
+        if self._others is not None:
+            self._others.pack_again()
+        self.renew()
+
+    def assemble(self) -> None:
+        """The forces at the present displacement, summed over the ranks. Collective."""
+        self._array.fill(0.0)
+        if self._cells is not None:
+            self._cells.add_to(self._array, self._constants)
+        if self._others is not None:
+            self._others.add_to(self._array)
+        if self._point_loads is not None:
+            self._array += self._at_points
+        self._vector.scatter_reverse(la.InsertMode.add)
+
+
+class _Packed:
+    """A form with its coefficients and constants, as `Forces` says."""
+
+    def __init__(self, problem: Problem, form: fem.Form) -> None:
+        self._form = form
         self._packed = pack_coefficients(form._cpp_object)
         formulas = problem.context.formulas
         moving = (problem.u, problem.context.velocity), () if formulas is None else formulas.moving
@@ -48,45 +103,24 @@ class Forces:
         read = [field._cpp_object for fields in moving for field in fields]
         self._fixed = [field for field in form._cpp_object.coefficients if field not in read]
         self._constants = pack_constants(form._cpp_object)
-        self._at_points: FloatArray = np.empty(0)
-        self.renew()
 
     def renew(self) -> None:
-        """Takes over the numbers of the present time. Not collective."""
         self._constants = pack_constants(self._form._cpp_object)
         for read in self._timed:
             read.again()
-        if self._point_loads is not None:
-            self._at_points = self._points * self._point_loads.nodal()
 
-    def fingerprint(self) -> bytes:
-        """Of this rank's numbers and fields, but those that follow the motion or the time.
-
-        Where it has changed from one look to the next without a step, a program has changed it.
-        """
-        digest = blake2b()
-        values = [pack_constants(self._form._cpp_object), *(field.x.array for field in self._fixed)]
-        if self._point_loads is not None:
-            values.append(self._point_loads.nodal())
-        for value in values:
-            digest.update(np.ascontiguousarray(value))
-        return digest.digest()
+    def given(self) -> list[FloatArray]:
+        """Numbers and fields that follow neither the motion nor the time."""
+        return [pack_constants(self._form._cpp_object), *(field.x.array for field in self._fixed)]
 
     def pack_again(self) -> None:
-        """Takes over all numbers and fields, which a program may have changed. Not collective."""
         for key, values in pack_coefficients(self._form._cpp_object).items():
             self._packed[key][...] = values  # in place: the reads have views of them
-        self.renew()
 
-    def assemble(self) -> None:
-        """The forces at the present displacement, summed over the ranks. Collective."""
+    def add_to(self, out: FloatArray) -> None:
         for read in self._reads:
             read.again()
-        self._array.fill(0.0)
-        fem.assemble_vector(self._array, self._form, self._constants, self._packed)
-        if self._point_loads is not None:
-            self._array += self._at_points
-        self._vector.scatter_reverse(la.InsertMode.add)
+        fem.assemble_vector(out, self._form, self._constants, self._packed)
 
 
 class _Read:

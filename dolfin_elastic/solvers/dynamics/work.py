@@ -401,7 +401,7 @@ class ExternalWork:
     def _of(self, form: ufl.Form, points: float = 0.0) -> NodalForces:
         dofmap = self._problem.V.dofmap
         vector = la.vector(dofmap.index_map, dofmap.index_map_bs)
-        return NodalForces(self._problem, compiled(self._problem, [form])[0], vector, points=points)
+        return NodalForces(self._problem, form, vector, points=points)
 
     def begin(self, work: float = 0.0) -> None:
         """Takes in the state that the next step begins with. Collective.

@@ -139,7 +139,9 @@ def test_explicit_forces_follow_formulas_in_place_and_time() -> None:
     )
     (form,) = compiled(problem, [problem.weak_form.residual])
     dofmap = problem.V.dofmap
-    forces = Forces(problem, form, la.vector(dofmap.index_map, dofmap.index_map_bs))
+    forces = Forces(
+        problem, problem.weak_form.residual, la.vector(dofmap.index_map, dofmap.index_map_bs)
+    )
     for t in (0.3, 2.0):
         problem.set_time(t)
         forces.renew()

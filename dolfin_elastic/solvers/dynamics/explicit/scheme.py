@@ -25,7 +25,7 @@ from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import FormulaError, InputError
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
+from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces
 from dolfin_elastic.solvers.dynamics.work import ExternalWork, supports_move
 
@@ -146,8 +146,7 @@ class ExplicitScheme(ABC):
         self._work, self._end, self._chosen = work, end, chosen
         self.a = fem.Function(self.problem.V, name="acceleration")
         residual = assembler.residual
-        form = compiled(self.problem, [residual.work])[0]
-        self._forces = Forces(self.problem, form, residual.vector, points=-1.0)
+        self._forces = Forces(self.problem, residual.work, residual.vector, points=-1.0)
         self._supports_move, self._timed = supports_move(self.problem), changes(self.problem)
         self._imposed = self._supports_move or self.problem.dirichlet.skew is not None
         arrays = self.problem.u.x.array, v.x.array, assembler.residual.vector.array

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dolfinx import fem
+from dolfinx import fem, la
 from helpers.checkpoints import through_json
 from helpers.tetrahedron import CORNERS, GRADIENTS, V0
 from mpi4py import MPI
 
 from dolfin_elastic import (
+    BodyForce,
     Contact,
     Dashpot,
     Dynamics,
@@ -30,10 +31,12 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
+from dolfin_elastic.core.jit import cell_integrals
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.signals import PythonStop
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.distribute import make_mesh
+from dolfin_elastic.solvers.assembly.assembler import compiled
 from dolfin_elastic.solvers.dynamics.explicit import explicit
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
 from dolfin_elastic.solvers.dynamics.schemes import SCHEMES, ExplicitRow
@@ -100,6 +103,50 @@ def loaded(body: Body | None = None, **more: Any) -> Problem:
     return Problem(
         body or block(), NeoHookean(E=E, nu=NU, density=RHO), **{"degree": 1, **settings}
     )
+
+
+@pytest.mark.parametrize("many", [cell_integrals.MANY_CELLS, 0], ids=["few", "many"])
+@pytest.mark.parametrize("modulus", [E, "1e5*(1 + x)"])
+def test_forces_are_those_of_statics(modulus, many, monkeypatch):
+    """At each state of a motion with dead, following and growing loads, dashpots and a wall."""
+    monkeypatch.setattr(cell_integrals, "MANY_CELLS", many)
+    law = NeoHookean(E=modulus, nu=NU, density=RHO)
+    problem = Problem(
+        block(),
+        law,
+        loads=[
+            Gravity(),
+            BodyForce(value=["x*(1 + t)", 0.0, "y"]),
+            Pressure(on="top", value="1e3*x*t"),
+            Traction(on="right", value=[1e3, 0.0, 0.0]),
+            PointForce(at=[0.6, 0.2, 0.2], value=[10.0, 0.0, 0.0]),
+        ],
+        supports=[Support(on="left"), Dashpot(on="right", viscosity=[1e3, 1e3, 1e3])],
+        contacts=[Contact(on="bottom", plane={"axis": "z", "at": 0.01}, stiffness=1e4)],
+        degree=1,
+    )
+    velocity = fem.Function(problem.V)
+    scheme = SCHEMES["central-differences"].scheme
+    march = Explicit(problem, velocity, scheme, end=1.0, dt=None, safety=0.5, every=10)
+    residual, states = march.assembler.residual, 0
+    for _ in march.run():
+        march.scheme.assemble_forces()
+        found = residual.vector.array.copy()
+        residual.assemble()
+        known = residual.vector.array[: march.assembler.size]
+        whole = fem.assemble_vector(compiled(problem, [residual.work])[0])
+        march.assembler.reactions.add_point_loads(whole.array, -1.0)
+        whole.scatter_reverse(la.InsertMode.add)
+        size = largest(problem.body.comm, float(np.abs(known).max(initial=0.0)))
+        assert size > 10.0
+        for other in (found, whole.array):
+            off = np.abs(other[: march.assembler.size] - known)
+            assert largest(problem.body.comm, float(off.max(initial=0.0))) < 1e-12 * size
+        states += 1
+        if states == 4:
+            break
+    assert states == 4
+    march.assembler.destroy()
 
 
 @BOTH
