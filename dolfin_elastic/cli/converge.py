@@ -77,9 +77,9 @@ def converge(
     from dolfin_elastic.results.writers.summary import mark_stopped
     from dolfin_elastic.study.converge.converge import Goal, default_folder
     from dolfin_elastic.study.converge.converge import converge as converge_case
-    from dolfin_elastic.study.converge.quantity import Quantity, tolerance
+    from dolfin_elastic.study.converge.wanted import Wanted, tolerance
 
-    goal = Goal(Quantity.read(until[0]), tolerance(until[1]), refinements, int(unknowns))
+    goal = Goal(Wanted.read(until[0]), tolerance(until[1]), refinements, int(unknowns))
     comm = begin(quiet)
     read = read_case(case, comm=comm, trust=trust)
     folder = output if output is not None else default_folder(read)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Self, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Self
 
 import basix
 import numpy as np
@@ -23,18 +23,19 @@ from dolfin_elastic.mesh.geometry.locate import LocatedPoint, locate
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.problem.terms.edges_points import points_of
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
-from dolfin_elastic.results.derived.part_numbers import PartNumbers, Statistic, columns_of
+from dolfin_elastic.results.derived.part_numbers import (
+    NODAL,
+    PartNumbers,
+    check_surface,
+    columns_of,
+    nodal_function,
+    share_below,
+)
 from dolfin_elastic.results.derived.sections import Section, SectionForces
 from dolfin_elastic.results.fields import FIELDS, component_names
 from dolfin_elastic.results.moments import ReferencePoints, columns_of_moments
+from dolfin_elastic.results.reactions import REACTION, ReactionSums
 from dolfin_elastic.results.recovery.stress import StressAtPoints, is_recovered
-from dolfin_elastic.results.surface_means import (
-    NODAL,
-    REACTION,
-    ReactionSums,
-    SurfaceMean,
-    check_surface,
-)
 from dolfin_elastic.results.writers.history import row
 
 if TYPE_CHECKING:
@@ -43,8 +44,6 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
 _WHERE = "output.probes"
-STATISTICS: tuple[str, ...] = get_args(Statistic)
-"""What `values` of a probe may ask for."""
 
 
 class ProbePoint(Record):
@@ -56,8 +55,8 @@ class ProbePoint(Record):
         surface: The same for a surface.
         fields: Names from `FIELDS`: displacement, velocity, acceleration and those of cells; with
             `values` all of them.
-        values: Of a surface or region: which numbers of the fields are asked for; by default the
-            mean over a surface.
+        values: Of a surface or region: which numbers of the fields are asked for, "max", "min",
+            "mean", "integral" or "percentile:95"; by default the mean over a surface.
     """
 
     at: Annotated[list[MeshLength], Key(min_length=2, max_length=3)] | None = None
@@ -81,12 +80,10 @@ class ProbePoint(Record):
     @classmethod
     def _statistics(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         for index, name in enumerate(names):
-            if name not in STATISTICS:
-                raise InputError(
-                    f"unknown value '{name}'",
-                    where=f"[{index}]",
-                    expected=nearest(name, STATISTICS),
-                )
+            try:
+                share_below(name)
+            except InputError as error:
+                raise within(f"[{index}]", error) from None
         return names
 
     @model_validator(mode="after")
@@ -108,10 +105,10 @@ class ProbePoint(Record):
                 raise within("fields", error) from None
         return self
 
-    def counted(self, kind: str) -> tuple[Statistic, ...]:
+    def counted(self, kind: str) -> tuple[str, ...]:
         """What `PartNumbers` finds of the part; nothing where a plain mean is asked for."""
         if self.values:
-            return cast("tuple[Statistic, ...]", tuple(dict.fromkeys(self.values)))
+            return tuple(dict.fromkeys(self.values))
         derived = any(FIELDS[name].of_tensor is not None for name in self.fields)
         return ("mean",) if kind == "region" or (kind == "surface" and derived) else ()
 
@@ -272,7 +269,7 @@ class Probe:
         }
         self._stress = StressAtPoints(problem, recovered) if recovered else None
         self._means = {
-            name: SurfaceMean(problem, surface, check_readable(asked))
+            name: PartNumbers(problem, "surface", surface, check_readable(asked), ("mean",))
             for name, (surface, asked) in (surfaces or {}).items()
             if asked
         }
@@ -327,9 +324,9 @@ class Probe:
         """
         with stage("output"):
             means = {
-                f"{name}_{field}": values
+                f"{name}_{number.removesuffix('_mean')}": values
                 for name, mean in self._means.items()
-                for field, values in mean(state).items()
+                for number, values in mean(state).items()
             }
         found = self._at_points(state)
         for name, sample in self._samples.items():
@@ -363,13 +360,7 @@ class Probe:
 
     def _nodal(self, state: State, field: str, place: LocatedPoint) -> FloatArray:
         """A vector at a point, on the rank that owns its cell; zeros on the others."""
-        function = getattr(state, NODAL[field])
-        if function is None:
-            raise InputError(
-                f"there is no '{field}' in statics",
-                where=_WHERE,
-                expected="leave it out, or use [dynamics]",
-            )
+        function = nodal_function(state, field)
         if place.cell < 0:
             return np.zeros(self.dim)
         shape = _shape_functions(self.problem.body.dim, self.problem.degree, place.local)

@@ -46,7 +46,7 @@ from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import Direction, Range, direction
 from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.extremes import extremes
+from dolfin_elastic.results.quantity import extremes
 
 COMM = MPI.COMM_WORLD
 SHARED = ROOT.parent / "shared" / "meshes"

@@ -43,8 +43,8 @@ from dolfin_elastic.mesh.distribute import make_mesh
 from dolfin_elastic.model.loads import Load, LoadContext
 from dolfin_elastic.problem.material_regions import locking
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.extremes import extremes
 from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.quantity import extremes
 from dolfin_elastic.solvers.assembly.assembler import integral
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 

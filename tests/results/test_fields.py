@@ -20,9 +20,9 @@ from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.extremes import extremes
 from dolfin_elastic.results.fields import FIELDS, check_field_names
 from dolfin_elastic.results.grid import to_nodes
+from dolfin_elastic.results.quantity import extremes
 
 COMM = MPI.COMM_WORLD
 E_MODULUS, NU = 200.0, 0.3

@@ -21,7 +21,7 @@ from dolfin_elastic import (
 from dolfin_elastic.case.model_record import SAMPLES, model_record
 from dolfin_elastic.core.parallel import largest_row
 from dolfin_elastic.mesh.geometry.simplices import facet_corners, prepare_facets
-from dolfin_elastic.results.extremes import extremes
+from dolfin_elastic.results.quantity import extremes
 from dolfin_elastic.results.recovery.error import ErrorEstimator
 from dolfin_elastic.results.recovery.peaks import find_peaks
 from dolfin_elastic.solvers.linear.choice import LinearSettings

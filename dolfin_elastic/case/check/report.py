@@ -54,7 +54,7 @@ from dolfin_elastic.results.derived.sections import SectionForces
 from dolfin_elastic.results.files import why_not_made
 from dolfin_elastic.results.moments import columns_of_moments
 from dolfin_elastic.results.probes import duplicate_column
-from dolfin_elastic.results.surface_means import REACTION, node_at
+from dolfin_elastic.results.reactions import REACTION, node_at
 from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
 from dolfin_elastic.solvers.diagnostics.rigid_body import (
     FreeBody,

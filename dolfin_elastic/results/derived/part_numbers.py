@@ -1,4 +1,4 @@
-"""Largest and smallest values, means and integrals of fields over surfaces and regions.
+"""Largest and smallest values, percentiles, means and integrals over surfaces and regions.
 
 Integrals are over the undeformed part, of a plane body over its thickness and of an axisymmetric
 one around the axis, by quadrature.  Fields with a formula, stresses and strains, are evaluated at
@@ -9,40 +9,81 @@ Extremes of fields of nodes, recovered stresses too, are sought among the nodes 
 of fields of cells among the quadrature points, as are those of stresses over a region of a body of
 several materials, whose nodes show the larger stress of two.  Of a vector it is that of its length,
 and that of each of its components.
+
+Below the percentile p lie p % of the area or volume, each quadrature point with its weight; between
+two points it is interpolated, as it is for the middle of the weight of each.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-import basix
 import numpy as np
-import ufl
-from dolfinx import fem
+from dolfinx import fem, la
 from mpi4py import MPI
 
 from dolfin_elastic.core.compat import integration_entities
-from dolfin_elastic.core.errors import MeshError
-from dolfin_elastic.core.jit.compile import compile_expression
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.errors import InputError, MeshError, nearest
+from dolfin_elastic.core.parallel import largest, smallest, total
+from dolfin_elastic.core.schema import within
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
-from dolfin_elastic.model.kinematics import weight
+from dolfin_elastic.mesh.geometry.curved import cell_gradients, quadrature_rule, shape_functions
+from dolfin_elastic.mesh.geometry.simplices import prepare_facets
+from dolfin_elastic.problem.spaces import part_nodes
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.terms.at_points import facet_sets
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.fields import FIELDS, component_names
 
 if TYPE_CHECKING:
+    from dolfin_elastic.mesh.body import Body
     from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
 
-Statistic = Literal["max", "min", "mean", "integral"]
-"""What is asked for of a field over a part."""
+STATISTICS = ("max", "min", "mean", "integral", "percentile:95")
+"""What is asked for of a field over a part; any other percentile, too."""
+_PERCENTILE = re.compile(r"percentile:(\d+(?:\.\d+)?)")
+NODAL = {"displacement": "u", "velocity": "v", "acceleration": "a"}
+"""Fields that are functions of the state: name to attribute of `State`."""
 _TRIPLES = ("principal_stresses", "principal_stretches")
 """Fields of three numbers that are no vector: they have no length."""
 _WHERE = "output.probes"
+_HALVINGS = 64
+"""Of the range of values, down to round-off."""
+
+
+def share_below(statistic: str) -> float | None:
+    """Share of the part below a percentile; None of other statistics.
+
+    Raises:
+        InputError: It is no statistic.
+    """
+    found = _PERCENTILE.fullmatch(statistic)
+    if found is not None and float(found[1]) <= 100.0:
+        return float(found[1]) / 100.0
+    if statistic not in STATISTICS:
+        raise InputError(f"unknown value '{statistic}'", expected=nearest(statistic, STATISTICS))
+    return None
+
+
+def nodal_function(state: State, field: str) -> fem.Function:
+    """The function of a state that is a field of `NODAL`.
+
+    Raises:
+        InputError: A field of motion is asked for in statics.
+    """
+    found: fem.Function | None = getattr(state, NODAL[field])
+    if found is None:
+        raise InputError(
+            f"there is no '{field}' in statics",
+            where=_WHERE,
+            expected="leave it out, or use [dynamics]",
+        )
+    return found
 
 
 @dataclass(frozen=True)
@@ -67,7 +108,13 @@ class PartNumbers:
 
     Args:
         kind: "surface" or "region".
+        part: Its name; None: the whole body.
         fields: Names from `FIELDS`.
+        statistics: Of `STATISTICS`.
+
+    Attributes:
+        shares: Statistic to `share_below`.
+        size: Area [m^2] or volume [m^3] of the undeformed part.
 
     Raises:
         InputError: A field that a material of the part does not have.
@@ -78,56 +125,36 @@ class PartNumbers:
         self,
         problem: Problem,
         kind: str,
-        part: str,
+        part: str | None,
         fields: Sequence[str],
-        statistics: Sequence[Statistic],
+        statistics: Sequence[str],
     ) -> None:
         self.problem, self.kind, self.fields = problem, kind, tuple(fields)
-        self.statistics = tuple(statistics)
+        self.shares = {statistic: share_below(statistic) for statistic in statistics}
         self._w = unknowns_of_outputs(problem)
         self._inside = tuple(name for name in fields if FIELDS[name].formula is not None)
-        others = [n for n in fields if n not in self._inside or FIELDS[n].centre == "node"]
+        # Of fields with a formula the values at nodes are needed for their extremes alone.
+        sought = {"max", "min"} & {*statistics}
+        others = [
+            name
+            for name in fields
+            if name not in self._inside or (sought and FIELDS[name].centre == "node")
+        ]
         self._evaluator = Evaluator(problem, others) if others else None
-        self._points, self._reference = self._quadrature()
-        body = problem.body
-        sides = (
-            integration_entities(body.mesh, np.asarray(body.owned_facets(part))).reshape(-1, 2)
-            if kind == "surface"
-            else np.column_stack([body.owned_cells(part), np.zeros_like(body.owned_cells(part))])
-        )
+        body, degree = problem.body, 2 * problem.context.order
+        sides = sides_of(problem, kind, part)
         if not total(body.comm, len(sides)):
             raise MeshError(
                 f"the {kind} '{part}' is empty", where=_WHERE, expected="a name that has members"
             )
-        self._nodes = self._nodes_of(part)
+        self._nodes = members(problem, kind, part, "node")
+        # Points in the reference cell, shape (sides, points, dim), and their weights (points,).
+        points, self._reference = quadrature_rule(body.dim - (kind == "surface"), degree)
+        self._points = facet_sets(body.dim, points) if kind == "surface" else points[None]
         self._pieces = [self._piece(region, sides) for region in problem.regions]
+        self.size = float(total(body.comm, sum(piece.weights.sum() for piece in self._pieces)))
         shapes = problem.V.element.basix_element.tabulate(0, self._points.reshape(-1, body.dim))
         self._shapes = np.asarray(shapes)[0, :, :, 0].reshape(*self._points.shape[:2], -1)
-
-    def _quadrature(self) -> tuple[FloatArray, FloatArray]:
-        """Points in the reference cell, shape (sides, points, dim), and their weights (points,)."""
-        dim, degree = self.problem.body.dim, 2 * self.problem.context.order
-        simplex = (basix.CellType.interval, basix.CellType.triangle, basix.CellType.tetrahedron)
-        if self.kind == "region":
-            points, weights = basix.make_quadrature(simplex[dim - 1], degree)
-            return np.asarray(points)[None], np.asarray(weights)
-        points, weights = basix.make_quadrature(simplex[dim - 2], degree)
-        corners = np.asarray(basix.geometry(simplex[dim - 1]))
-        facets = basix.topology(simplex[dim - 1])[dim - 1]
-        sides = [
-            corners[facet[0]] + points @ (corners[facet[1:]] - corners[facet[0]])
-            for facet in facets
-        ]
-        return np.array(sides), np.asarray(weights)
-
-    def _nodes_of(self, part: str) -> IndexArray:
-        """Nodes of the part that this rank has, ghosts too. Collective."""
-        problem = self.problem
-        if self.kind == "surface":
-            facets = problem.body.surface(part)
-            dim = problem.body.mesh.topology.dim
-            return np.asarray(fem.locate_dofs_topological(problem.V, dim - 1, facets))
-        return np.unique(problem.V.dofmap.list[problem.body.owned_cells(part)])
 
     def _piece(self, region: MaterialRegion, sides: AnyArray) -> _Piece:
         """The part in one material. Collective.
@@ -146,33 +173,28 @@ class PartNumbers:
         return _Piece(cells, here[:, 1], kernel, self._weights(cells, here[:, 1]))
 
     def _weights(self, cells: IndexArray, side: AnyArray) -> FloatArray:
-        """Weights of the quadrature points [m^2 or m^3]; shape (cells, points). Collective.
+        """Weights of the quadrature points [m^2 or m^3]; shape (cells, points).
 
         Args:
             cells: Owned cells.
             side: Number of the facet of each.
         """
-        problem, mesh = self.problem, self.problem.body.mesh
-        dim = problem.body.dim
-        J = ufl.Jacobian(mesh)
-        across = weight(problem.geometry, problem.X, None)
-        columns = [J[i, j] for i in range(dim) for j in range(dim)]
-        columns.append(ufl.as_ufl(1.0) if across is None else across)
+        mesh, dim = self.problem.body.mesh, self.problem.body.dim
         points = self._points.reshape(-1, dim)
-        expression = compile_expression(mesh.comm, ufl.as_vector(columns), points, problem.jit)
-        shape = (len(cells), len(points), dim * dim + 1)
-        everywhere = np.asarray(expression.eval(mesh, cells)).reshape(shape)
-        table = self._of_side(everywhere, side)
-        jacobians = table[..., :-1].reshape(*table.shape[:2], dim, dim)
-        scale = table[..., -1] * (1.0 if across is not None else problem.thickness)
+        nodes = np.asarray(mesh.geometry.x[mesh.geometry.dofmap[cells], :dim])
+        gradients = cell_gradients(nodes, mesh.geometry.cmap.degree, points)
+        table = gradients.reshape(len(cells), len(points), dim * dim)
+        J = self._of_side(table, side).reshape(len(cells), len(self._reference), dim, dim)
+        across: FloatArray | float = self.problem.thickness
+        if self.problem.geometry == "axisymmetric":
+            radii = nodes[..., 0] @ shape_functions(mesh, points).T
+            across = 2 * np.pi * self._of_side(radii[..., None], side)[..., 0]
         if self.kind == "region":
-            return np.asarray(np.abs(np.linalg.det(jacobians)) * scale * self._reference)
-        kind = basix.CellType.triangle if dim == 2 else basix.CellType.tetrahedron
-        corners, facets = np.asarray(basix.geometry(kind)), basix.topology(kind)[dim - 1]
-        edges = np.array([corners[f[1:]] - corners[f[0]] for f in facets])[side]
-        tangents = np.einsum("fpij,fkj->fpki", jacobians, edges)
+            return np.asarray(np.abs(np.linalg.det(J)) * across * self._reference)
+        corners = facet_sets(dim, np.vstack([np.zeros(dim - 1), np.eye(dim - 1)]))
+        tangents = np.einsum("fpij,fkj->fpki", J, (corners[:, 1:] - corners[:, :1])[side])
         gram = np.einsum("fpki,fpli->fpkl", tangents, tangents)
-        return np.asarray(np.sqrt(np.linalg.det(gram)) * scale * self._reference)
+        return np.asarray(np.sqrt(np.linalg.det(gram)) * across * self._reference)
 
     def _of_side(self, table: FloatArray, side: AnyArray) -> FloatArray:
         """Of values at the points of all sides those of one side a cell."""
@@ -181,6 +203,8 @@ class PartNumbers:
 
     def __call__(self, state: State) -> dict[str, FloatArray]:
         """Ending "FIELD_STATISTIC" of columns to their numbers in SI units, same on every rank."""
+        for name in {*self.fields} & {*NODAL}:
+            nodal_function(state, name)  # raises
         self._w.x.array[:] = (state.w or state.u).x.array
         rows = {} if self._evaluator is None else self._evaluator(state)
         grid = None if self._evaluator is None else self._evaluator.grid
@@ -240,29 +264,35 @@ class PartNumbers:
             nodal: At the local nodes, of a field of nodes.
         """
         comm, width = self.problem.body.comm, FIELDS[name].columns
-        own = np.zeros(width + 1)
-        for piece, table in zip(self._pieces, values, strict=True):
-            own[:-1] += np.einsum("fp,fpc->c", piece.weights, table)
-            own[-1] += piece.weights.sum()
-        sums = np.asarray(total(comm, own))
+        pairs = [*zip(self._pieces, values, strict=True)]
+        own = sum(np.einsum("fp,fpc->c", piece.weights, table) for piece, table in pairs)
+        size = self._plane(name, width)
+        sums = np.asarray(total(comm, own))[:size]
         everywhere = np.concatenate([table.reshape(-1, width) for table in values])
         # At a node between two materials stands the stress of the one where it is larger.
         several = self.kind == "region" and name in self._inside and len(self._pieces) > 1
         among = everywhere if nodal is None or several else nodal[self._nodes]
-        size = self._plane(name, width)
-        found: dict[str, FloatArray] = {}
         over = "area" if self.kind == "surface" else "volume"
-        for statistic in self.statistics:
+        found: dict[str, FloatArray] = {}
+        for statistic, share in self.shares.items():
             if statistic == "mean":
-                found[f"{name}_mean"] = (sums[:-1] / sums[-1])[:size]
-            elif statistic == "integral":
-                found[f"{name}_{over}_integral"] = sums[:-1][:size]
-            else:
+                found[f"{name}_mean"] = sums / self.size
+                continue
+            if statistic == "integral":
+                found[f"{name}_{over}_integral"] = sums
+                continue
+            table = among if share is None else everywhere
+            columns = np.column_stack([table[:, :size], np.linalg.norm(table, axis=1)])
+            if share is None:
                 sign = 1.0 if statistic == "max" else -1.0
-                found[f"{name}_{statistic}"] = _largest(comm, sign * among[:, :size]) * sign
-                if width == 3 and name not in _TRIPLES:
-                    lengths = np.linalg.norm(among, axis=1, keepdims=True)
-                    found[f"{name}_length_{statistic}"] = _largest(comm, sign * lengths) * sign
+                numbers = _largest(comm, sign * columns) * sign
+            else:
+                weights = np.concatenate([piece.weights.ravel() for piece in self._pieces])
+                numbers = np.array([percentile(comm, c, weights, share) for c in columns.T])
+            ending = statistic.replace(":", "_")
+            found[f"{name}_{ending}"] = numbers[:size]
+            if width == 3 and name not in _TRIPLES:
+                found[f"{name}_length_{ending}"] = numbers[size:]
         return found
 
     def _plane(self, name: str, width: int) -> int:
@@ -276,6 +306,99 @@ def _largest(comm: MPI.Comm, rows: FloatArray) -> FloatArray:
     known = np.where(np.isnan(rows), -np.inf, rows)
     found = np.max(comm.allgather(known.max(axis=0, initial=-np.inf)), axis=0)
     return np.where(np.isinf(found), np.nan, found)
+
+
+def percentile(comm: MPI.Comm, values: FloatArray, weights: FloatArray, share: float) -> float:
+    """The value below which a share of the weights lies; nan where a value is. Collective.
+
+    Args:
+        values: This rank's, shape (n,).
+        weights: Of each, positive.
+        share: 0 to 1.
+    """
+    if total(comm, int(np.isnan(values).sum())):
+        return float("nan")
+    order = np.argsort(values)
+    known, sums = values[order], np.concatenate([[0.0], np.cumsum(weights[order])])
+
+    def below(x: float) -> float:
+        """Weights of the values below x, and half of those that equal it."""
+        ends = np.searchsorted(known, x, "left"), np.searchsorted(known, x, "right")
+        return float(total(comm, float(sums[ends[0]] + sums[ends[1]]))) / 2
+
+    goal = share * total(comm, float(sums[-1]))
+    low = smallest(comm, known.min(initial=np.inf))
+    high = largest(comm, known.max(initial=-np.inf))
+    for _ in range(_HALVINGS):
+        middle = low + (high - low) / 2
+        low, high = (middle, high) if below(middle) <= goal else (low, middle)
+    first = largest(comm, known[known <= low].max(initial=-np.inf))
+    second = smallest(comm, known[known > low].min(initial=np.inf))
+    if second == np.inf:
+        return first
+    start = below(first)
+    return first + (second - first) * min(max((goal - start) / (below(second) - start), 0.0), 1.0)
+
+
+def sides_of(problem: Problem, kind: str, part: str | None) -> AnyArray:
+    """Owned cells of a region, or beside owned facets, and the facets' numbers. Collective.
+
+    Returns:
+        Shape (n, 2); the number is 0 of a region.
+    """
+    body = problem.body
+    if kind == "surface":
+        prepare_facets(body.mesh)
+        facets = np.asarray(body.owned_facets(str(part)))
+        return integration_entities(body.mesh, facets).reshape(-1, 2)
+    cells = body.owned_cells(part)  # of the whole body without a name
+    return np.column_stack([cells, np.zeros_like(cells)])
+
+
+def members(problem: Problem, kind: str, part: str | None, centre: str) -> IndexArray:
+    """Owned nodes or cells of a part; cells of a surface are those beside it. Collective.
+
+    Args:
+        kind: "region", or another one: of a node all parts of the name that are no regions.
+        part: Its name; None: the whole body.
+        centre: "node" or "cell".
+
+    Raises:
+        MeshError: There is no such part, or it has no cells.
+    """
+    body, V = problem.body, problem.V
+    if centre == "cell":
+        cells = np.unique(sides_of(problem, kind, part)[:, 0])
+        return cells[cells < len(body.owned_cells())].astype(np.int32)
+    owned = V.dofmap.index_map.size_local
+    if part is None:
+        return np.arange(owned, dtype=np.int32)
+    if kind != "region":
+        nodes = part_nodes(body, V, part)
+        return np.asarray(nodes[nodes < owned], dtype=np.int32)
+    marks = la.vector(V.dofmap.index_map, 1)
+    marks.array[V.dofmap.list[body.owned_cells(part)]] = 1.0
+    marks.scatter_reverse(la.InsertMode.add)
+    return np.flatnonzero(marks.array[:owned]).astype(np.int32)
+
+
+def check_surface(body: Body, name: str, where: str = "") -> None:
+    """Checks that numbers over a surface are defined. Collective.
+
+    Args:
+        where: Key of the case file, for the message.
+
+    Raises:
+        MeshError: The body has no such surface, or it has no facets.
+    """
+    try:
+        body.surface(name)
+    except MeshError as error:
+        raise within(where, error) from None
+    if not total(body.comm, len(body.owned_facets(name))):
+        raise MeshError(
+            f"the surface '{name}' has no facets", where=where, expected="a surface with facets"
+        )
 
 
 def columns_of(stem: str, values: Mapping[str, FloatArray], *, plain: bool) -> dict[str, float]:

@@ -36,8 +36,8 @@ from dolfin_elastic.model.kinematics import moment_of
 from dolfin_elastic.problem.problem import configuration_of_moments
 from dolfin_elastic.problem.state import Moment, State
 from dolfin_elastic.results.cell_fields import unknowns_of_outputs
+from dolfin_elastic.results.derived.part_numbers import check_surface
 from dolfin_elastic.results.moments import MIDDLE, check_reference, place_of
-from dolfin_elastic.results.surface_means import check_surface
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body

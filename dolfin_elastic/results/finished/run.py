@@ -58,7 +58,9 @@ _STRESS = re.compile(r"P[1-3]{2}")
 """Of a periodic cell."""
 
 
-_NUMBER = re.compile(r"(_length)?_(max|min|mean|area_integral|volume_integral)(_[xyz]{1,2})?$")
+_NUMBER = re.compile(
+    r"(_length)?_(max|min|mean|area_integral|volume_integral|percentile_[\d.]+)(_[xyz]{1,2})?$"
+)
 """What follows the field in columns of numbers over a surface or region."""
 
 

@@ -24,8 +24,8 @@ from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.material_regions import locking_notes, shear_modulus
 from dolfin_elastic.problem.state import Audit, Mode, Stability, State, plain
-from dolfin_elastic.results.extremes import Extreme, Extremes
 from dolfin_elastic.results.files import make_folder, replace_text
+from dolfin_elastic.results.quantity import Extremes, Measured
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.locking import unseen_locking
 from dolfin_elastic.results.recovery.peaks import ERROR, find_peaks
@@ -153,7 +153,7 @@ class SummaryWriter:
                 "max_displacement": state.max_displacement,
             }
 
-    def _unloaded(self, state: State, extremes: Mapping[str, Extreme]) -> bool:
+    def _unloaded(self, state: State, extremes: Mapping[str, Measured]) -> bool:
         """Whether a state has nothing left of the largest of the run but round-off. Collective.
 
         A body that is held may have stress without displacement, where it is heated or contracts:
@@ -212,7 +212,10 @@ class SummaryWriter:
                 log.info("%s", self._unloaded_text(), extra={"result": True})
             extra: dict[str, object] = {
                 "finished": _now(),
-                "extremes": {name: asdict(extreme) for name, extreme in found.items()},
+                "extremes": {
+                    name: {"value": one.value, "place": one.place, "part": one.part}
+                    for name, one in found.items()
+                },
             }
             if estimate:
                 extra["error"] = _error(self.problem, estimate, logs=self._logs)

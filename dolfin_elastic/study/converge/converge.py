@@ -26,13 +26,14 @@ from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
 from dolfin_elastic.core.signals import acknowledge, raise_if_agreed, remove_stop_file
 from dolfin_elastic.core.together import loop_together
-from dolfin_elastic.core.types import AnyArray, FloatArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.refine.marking import bulk
 from dolfin_elastic.mesh.refine.refinement import Refinement, refine_body
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, State
 from dolfin_elastic.results.checkpoint.lock import FolderLock
+from dolfin_elastic.results.quantity import Measured
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.peaks import Peak, find_peaks, largest, percent
 from dolfin_elastic.results.recovery.singular import singular_places
@@ -41,8 +42,8 @@ from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.statics.load_stepping import NearEnd
 from dolfin_elastic.solvers.statics.statics import Statics
 from dolfin_elastic.study.converge.extrapolation import extrapolate, grows
-from dolfin_elastic.study.converge.quantity import Measured, Measurement, Quantity
 from dolfin_elastic.study.converge.report import Level, Progress, Verdict, write_report
+from dolfin_elastic.study.converge.wanted import Wanted, WantedNumber
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -113,7 +114,7 @@ class Goal:
         unknowns: Largest number of unknowns of a mesh.
     """
 
-    quantity: Quantity
+    quantity: Wanted
     tolerance: float
     refinements: int = REFINEMENTS
     unknowns: int = UNKNOWNS
@@ -192,6 +193,7 @@ class _Solved:
         state: At the end of the load.
         saved: The solver's restart state there.
         measured: The quantity.
+        at_peak: Owned cells of this rank where a field is about as large.
         estimate: Of the error.
         peak: Where the quantity is the largest von Mises stress.
         newton: Newton iterations.
@@ -202,6 +204,7 @@ class _Solved:
     state: State
     saved: RestartState
     measured: Measured
+    at_peak: IndexArray
     estimate: ErrorEstimate
     peak: Peak | None
     newton: int
@@ -294,13 +297,13 @@ class _Convergence:
             state = self.case.output.make_probe(problem).add_to(state)
             with timing.stage("output"):
                 estimate = ErrorEstimator(problem)(state)
-                measurement = Measurement(self.goal.quantity, problem, body)
-                measured = measurement(state)
+                number = WantedNumber(self.goal.quantity, problem)
+                measured, cells = number(state)
                 peak = None
                 if self.goal.quantity.is_stress and measured.place:
                     places = singular_places(problem)
-                    peak = largest(problem, estimate, measurement.chosen(), places)
-        return _Solved(body, problem, state, saved, measured, estimate, peak, newton)
+                    peak = largest(problem, estimate, number.chosen(), places)
+        return _Solved(body, problem, state, saved, measured, cells, estimate, peak, newton)
 
     # --- what is known ---
 
@@ -309,7 +312,7 @@ class _Convergence:
         levels, measured, problem = progress.levels, solved.measured, solved.problem
         d = problem.body.dim
         unknowns = [*(float(level.unknowns) for level in levels), float(problem.num_dofs)]
-        sizes = np.array([*(level.size for level in levels), measured.size])
+        sizes = np.array([*(level.size for level in levels), measured.cell_size])
         values = [*(level.value for level in levels), measured.value]
         # A peak depends on the cells around it, as long as each mesh has finer ones there.
         local = len(sizes) > 1 and bool(np.all(sizes[1:] < 0.8 * sizes[:-1]))
@@ -336,7 +339,7 @@ class _Convergence:
             rate=found.rate,
             energy_error=solved.estimate.relative,
             place=measured.place,
-            size=measured.size,
+            size=measured.cell_size,
             newton=solved.newton,
         )
         progress = replace(progress, levels=(*levels, level))
@@ -386,9 +389,9 @@ class _Convergence:
 
     def _refined(self, solved: _Solved) -> Refinement:
         """The mesh, finer where the error is and at the place of the quantity. Collective."""
-        indicators, peak = solved.estimate.cells, solved.measured.cells
+        indicators = solved.estimate.cells
         there = np.zeros_like(indicators)
-        there[peak] = indicators[peak]
+        there[solved.at_peak] = indicators[solved.at_peak]
         everywhere = bulk(self.comm, indicators, _SHARE[solved.body.dim])
         marked = np.union1d(everywhere, bulk(self.comm, there, _PEAK_SHARE)).astype(np.int32)
         if not total(self.comm, len(marked)):  # no error anywhere: all cells, to see it confirmed

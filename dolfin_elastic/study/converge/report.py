@@ -13,7 +13,7 @@ import numpy as np
 from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.results.files import make_folder, replace_text, writing
-from dolfin_elastic.study.converge.quantity import Quantity
+from dolfin_elastic.study.converge.wanted import Wanted
 
 Verdict = Literal["running", "reached", "singular", "audit", "refinements", "unknowns", "stopped"]
 
@@ -63,7 +63,7 @@ class Progress:
         reason: Why it ended without reaching the goal, in words; empty otherwise.
     """
 
-    quantity: Quantity
+    quantity: Wanted
     tolerance: float
     levels: tuple[Level, ...]
     verdict: Verdict = "running"

@@ -36,10 +36,10 @@ from dolfin_elastic.model.kinematics import embedded, second_from_first
 from dolfin_elastic.model.loads import PointForce
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.derived.part_numbers import PartNumbers
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.peaks import Peaks, find_peaks
-from dolfin_elastic.results.surface_means import SurfaceMean
 from dolfin_elastic.solvers.assembly.assembler import integral
 
 FREE = "free"
@@ -288,7 +288,8 @@ def test_the_mean_over_a_surface_is_that_of_the_cells(
     is more accurate at each point, to 4.3 and 0.9 %: recovery does not keep equilibrium.
     """
     problem, state = drawn(folder, HOLE, size, 2)
-    found = SurfaceMean(problem, "side", ["cauchy_stress"])(state)["cauchy_stress"][0]
+    mean = PartNumbers(problem, "surface", "side", ["cauchy_stress"], ["mean"])
+    found = mean(state)["cauchy_stress_mean"][0]
     assert found == pytest.approx(4 / 3, rel=most)
 
 

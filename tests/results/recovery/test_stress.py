@@ -31,7 +31,7 @@ from dolfin_elastic.mesh.geometry.curved import cell_quadrature, shape_functions
 from dolfin_elastic.model.kinematics import embedded
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.extremes import Extremes
+from dolfin_elastic.results.quantity import Extremes
 from dolfin_elastic.results.recovery.error import ErrorEstimator
 from dolfin_elastic.results.recovery.patches import Patches, sampling_points
 from dolfin_elastic.results.recovery.stress import COMPONENTS, RegionStress, von_mises

@@ -17,8 +17,8 @@ from dolfin_elastic import Case
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.study.converge.converge import Goal, converge
-from dolfin_elastic.study.converge.quantity import Quantity, tolerance
 from dolfin_elastic.study.converge.report import Progress
+from dolfin_elastic.study.converge.wanted import Wanted, tolerance
 
 WORLD = MPI.COMM_WORLD
 HOLE = """\
@@ -74,7 +74,7 @@ def plate(folder: Path, **tables: Any) -> Case:
 
 def last(case: Case, folder: Path, text: str, share: str, **limits: int) -> Progress:
     """What is known at the end."""
-    goal = Goal(Quantity.read(text), tolerance(share), **limits)
+    goal = Goal(Wanted.read(text), tolerance(share), **limits)
     *_, progress = converge(case, goal, output=folder)
     return progress
 
@@ -232,7 +232,7 @@ def test_ranks_agree(tmp_path: Path) -> None:
             "load": [{"kind": "traction", "on": "right", "value": ["y*(1 - y)", 0]}],
         }
     )
-    goal = Goal(Quantity.read("von_mises on right"), 1e-4, refinements=3)
+    goal = Goal(Wanted.read("von_mises on right"), 1e-4, refinements=3)
 
     def levels(comm: MPI.Comm) -> list[tuple[int, float, float]]:
         *_, progress = converge(made, goal, output=folder / f"on_{comm.size}", comm=comm)
@@ -366,7 +366,7 @@ def test_the_polygon_is_not_certified(folder: Path, degree: int, nu: float, want
         ],
     }
     energy = 4 * np.pi * psi**2 / (1 - 1 / 4) / 2 / 4
-    goal = Goal(Quantity.read(wanted), 0.01, refinements=4)
+    goal = Goal(Wanted.read(wanted), 0.01, refinements=4)
     *_, last = converge(Case.from_dict(tables), goal, output=folder / "out")
     print([(level.value / energy - 1, level.error) for level in last.levels])
     assert last.verdict == "refinements"

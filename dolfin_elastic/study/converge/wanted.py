@@ -1,25 +1,21 @@
-"""`Quantity`: one number of a run, such as "von_mises on fillet", and where it is found."""
+"""`Wanted`: one number of a run, such as "von_mises on fillet", and where it is found."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError, nearest
-from dolfin_elastic.core.parallel import largest_row
-from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.core.types import BoolArray, IndexArray
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.mesh.geometry.curved import cell_volumes
-from dolfin_elastic.mesh.geometry.simplices import cell_corners, cells_beside_facets
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.spaces import part_nodes
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.quantity import Extreme, Measured, Quantity
 from dolfin_elastic.results.writers.history import row
 
 _TEXT = re.compile(r"\s*(\w+)(?:\s+(?:on|of|at)\s+(\S.*?))?\s*")
@@ -31,25 +27,7 @@ _PEAK = 0.8
 
 
 @dataclass(frozen=True)
-class Measured:
-    """A quantity of one state.
-
-    Attributes:
-        value: In its SI unit.
-        place: Where a field has its largest value [m], reference configuration; empty for other
-            quantities.
-        size: About the edge length of the cells there [m].
-        cells: Owned cells of this rank at the peak.
-    """
-
-    value: float
-    place: tuple[float, ...] = ()
-    size: float = float("nan")
-    cells: IndexArray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
-
-
-@dataclass(frozen=True)
-class Quantity:
+class Wanted:
     """The result that is wanted, as it was written: "NAME" or "NAME on PART".
 
     Attributes:
@@ -61,7 +39,7 @@ class Quantity:
     part: str = ""
 
     @classmethod
-    def read(cls, text: str) -> Quantity:
+    def read(cls, text: str) -> Wanted:
         """From the command line.
 
         Raises:
@@ -82,6 +60,12 @@ class Quantity:
         A reaction is the force of a whole support, not the largest of its nodal forces.
         """
         return self.name in FIELDS and self.name != "reaction"
+
+    @property
+    def quantity(self) -> Quantity:
+        """The extreme of the field."""
+        reduction = "min" if self.name in _SMALLEST else "max"
+        return Quantity(self.name, self.part or None, reduction)
 
     @property
     def is_stress(self) -> bool:
@@ -132,32 +116,48 @@ def _unknown(what: str, name: str, known: Iterable[str]) -> InputError:
     return InputError(f"there is {what} '{name}'", where="--until", expected=nearest(name, known))
 
 
-class Measurement:
-    """Evaluates a quantity on one mesh. Collective to make.
+class WantedNumber:
+    """Evaluates what is wanted on one mesh. Collective to make."""
 
-    Args:
-        body: The body with all named parts.
-    """
+    def __init__(self, wanted: Wanted, problem: Problem) -> None:
+        self._wanted, self._problem = wanted, problem
+        self._extreme: Extreme | None = None
+        if wanted.is_field and (not wanted.part or problem.body.kinds(wanted.part)):
+            self._extreme = Extreme(wanted.quantity, problem)
 
-    def __init__(self, quantity: Quantity, problem: Problem, body: Body) -> None:
-        self._quantity, self._problem, self._body = quantity, problem, body
-        self._evaluator: Evaluator | None = None
-        if quantity.is_field and (not quantity.part or body.kinds(quantity.part)):
-            self._evaluator = Evaluator(problem, [quantity.name])
+    def __call__(self, state: State) -> tuple[Measured, IndexArray]:
+        """What is measured in a state with the numbers of its probes. Collective.
 
-    def __call__(self, state: State) -> Measured:
-        """The quantity of a state, with the numbers of its probes. Collective.
+        Returns:
+            It, and the owned cells of this rank at the peak of a field.
 
         Raises:
             InputError: The run has no such result.
         """
-        if self._evaluator is not None:
-            return self._largest(self._evaluator, state)
-        return Measured(self._number(state))
+        if self._extreme is None:
+            return Measured(self._number(state)), np.empty(0, dtype=np.int32)
+        values = self._extreme.values(state)
+        found = self._extreme.largest(state, values)
+        if not found.place:
+            raise InputError(
+                f"'{self._wanted}' has no value in this run",
+                where="--until",
+                expected="a result that is finite somewhere on that part",
+            )
+        top = found.value if self._extreme.quantity.reduction == "max" else -found.value
+        peak = self._extreme.members[values >= (_PEAK * top if top > 0 else top / _PEAK)]
+        return found, self._touching(peak) if self._extreme.centre == "node" else peak
+
+    def chosen(self) -> BoolArray:
+        """Whether an owned node is one of those among which the extreme of a field is sought."""
+        assert self._extreme is not None
+        found = np.zeros(self._problem.V.dofmap.index_map.size_local, dtype=bool)
+        found[self._extreme.members] = True
+        return found
 
     def _number(self, state: State) -> float:
         """A number that is there already: a column of the history, or the length of some."""
-        q, columns = self._quantity, row(state)
+        q, columns = self._wanted, row(state)
         known = {"energy": "strain_energy"}.get(q.name, q.name)
         if not q.part and isinstance(found := columns.get(known), int | float):
             return float(found)
@@ -174,53 +174,6 @@ class Measurement:
         name = f"{q.part}_{q.name}" if q.part else q.name
         raise _unknown("no result", name, [n for n, v in columns.items() if not isinstance(v, str)])
 
-    def _largest(self, evaluator: Evaluator, state: State) -> Measured:
-        """Largest value of a field over the part, its place, and the cells of the peak."""
-        q, body = self._quantity, self._body
-        values = evaluator(state)[q.name]
-        values = values[:, 0] if values.shape[1] == 1 else np.linalg.norm(values, axis=1)
-        nodal = FIELDS[q.name].centre == "node"
-        members = self._nodes() if nodal else self._cells()
-        sign = -1.0 if q.name in _SMALLEST else 1.0
-        own = np.where(np.isfinite(values[members]), sign * values[members], -np.inf)
-        places = (evaluator.grid.points() if nodal else _middles(body))[members][:, : body.dim]
-        top = largest_row(body.comm, own, lambda rows: places[rows])
-        if top is None:
-            raise InputError(
-                f"'{q}' has no value in this run",
-                where="--until",
-                expected="a result that is finite somewhere on that part",
-            )
-        limit = _PEAK * top.value if top.value > 0 else top.value / _PEAK
-        cells = self._touching(members[own >= limit]) if nodal else members[own >= limit]
-        return Measured(sign * top.value, top.place, _size_at(body, np.array(top.place)), cells)
-
-    def chosen(self) -> BoolArray:
-        """Whether an owned node is on the part. Collective."""
-        found = np.zeros(self._problem.V.dofmap.index_map.size_local, dtype=bool)
-        found[self._nodes()] = True
-        return found
-
-    def _nodes(self) -> IndexArray:
-        """Owned nodes of the displacement's space on the part. Collective."""
-        body, V, part = self._body, self._problem.V, self._quantity.part
-        owned = V.dofmap.index_map.size_local
-        if not part:
-            return np.arange(owned, dtype=np.int32)
-        if "region" in body.kinds(part):
-            nodes = fem.locate_dofs_topological(V, body.mesh.topology.dim, body.regions[part])
-        else:
-            nodes = part_nodes(body, V, part)
-        return np.asarray(nodes[nodes < owned], dtype=np.int32)
-
-    def _cells(self) -> IndexArray:
-        """Owned cells of the region, or beside the surface."""
-        body, part = self._body, self._quantity.part
-        if not part or part in body.regions:
-            return body.owned_cells(part or None)
-        beside, _ = cells_beside_facets(body.mesh, body.surface(part))
-        return np.unique(beside)
-
     def _touching(self, nodes: IndexArray) -> IndexArray:
         """Owned cells with one of these owned nodes, also those of other ranks. Collective."""
         V = self._problem.V
@@ -230,22 +183,7 @@ class Measurement:
         marks.x.scatter_forward()
         touched = marks.x.array.reshape(-1, width)[:, 0][V.dofmap.list] > 0
         cells = np.flatnonzero(touched.any(axis=1)).astype(np.int32)
-        return cells[cells < len(self._body.owned_cells())]
-
-
-def _middles(body: Body) -> FloatArray:
-    return np.asarray(cell_corners(body.mesh).mean(axis=1))
-
-
-def _size_at(body: Body, place: FloatArray) -> float:
-    """About the edge length [m] of the cell whose middle is nearest to a place. Collective."""
-    d, away = body.dim, np.linalg.norm(_middles(body) - place, axis=1)
-    mine = (np.inf, 0.0)
-    if len(away):
-        nearest_one = int(np.argmin(away))
-        mine = (float(away[nearest_one]), float(cell_volumes(body.mesh)[nearest_one]))
-    volume = min(body.comm.allgather(mine))[1]
-    return float((volume * (2.0 if d == 2 else 8.0)) ** (1 / d))
+        return cells[cells < len(self._problem.body.owned_cells())]
 
 
 def tolerance(text: str) -> float:
