@@ -144,8 +144,12 @@ class Measurement(ABC):
         self.kind = "region" if region else "surface"
 
     @abstractmethod
-    def of(self, state: State) -> Measured:
-        """The quantity of a state."""
+    def of(self, state: State, *, sized: bool = True) -> Measured:
+        """The quantity of a state.
+
+        Args:
+            sized: Also the size of the cells there, which takes a look at all of them.
+        """
 
     def derivative(self, state: State) -> ufl.Form | None:
         """dQ/dw at a state, a linear form in the test function of all unknowns of the problem.
@@ -168,13 +172,13 @@ class AtPoint(Measurement):
         assert isinstance(quantity.where, tuple)
         self._probe = Probe(problem, {"at": quantity.where}, [quantity.name])
 
-    def of(self, state: State) -> Measured:
+    def of(self, state: State, *, sized: bool = True) -> Measured:
         """See `Measurement`."""
         assert isinstance(self.quantity.where, tuple)
         (row,) = self._probe(state).values()
         place = self.quantity.where
         value = float(self.quantity.scalars(row[None])[0])
-        return Measured(value, place, size_at(self.problem, place))
+        return Measured(value, place, size_at(self.problem, place) if sized else np.nan)
 
 
 class Extreme(Measurement):
@@ -192,9 +196,9 @@ class Extreme(Measurement):
         self._evaluator = Evaluator(problem, [quantity.name])
         self._recovery = StressRecovery(problem) if field.recovered else None
 
-    def of(self, state: State) -> Measured:
+    def of(self, state: State, *, sized: bool = True) -> Measured:
         """See `Measurement`."""
-        return self.largest(state, self.values(state))
+        return self.largest(state, self.values(state), sized=sized)
 
     def values(self, state: State) -> FloatArray:
         """Values of the members, of a smallest one their negatives; -inf where none is finite."""
@@ -202,8 +206,8 @@ class Extreme(Measurement):
         values = self._sign * self.quantity.scalars(np.asarray(rows, dtype=np.float64))
         return np.where(np.isfinite(values), values, -np.inf)
 
-    def largest(self, state: State, values: FloatArray) -> Measured:
-        """What is measured where the members have these `values`."""
+    def largest(self, state: State, values: FloatArray, *, sized: bool = True) -> Measured:
+        """What is measured where the members have these `values`, see `of`."""
         problem, dim = self.problem, self.problem.body.dim
 
         def places(rows: IntArray) -> FloatArray:
@@ -216,7 +220,7 @@ class Extreme(Measurement):
         found = largest_row(problem.body.comm, values, places, least=_ROUND_OFF, about=rest)
         if found is None:
             return Measured(self._sign * -np.inf)
-        size = size_at(problem, found.place)
+        size = size_at(problem, found.place) if sized else np.nan
         return Measured(self._sign * found.value, found.place, size, self._region(state, found))
 
     def _region(self, state: State, found: LargestRow) -> str:
@@ -245,7 +249,7 @@ class Integral(Measurement):
         self._form: ufl.Form | None = None
         self._along = problem.constant([0.0])
 
-    def of(self, state: State) -> Measured:
+    def of(self, state: State, *, sized: bool = True) -> Measured:
         """See `Measurement`."""
         row, *length = self._numbers(state).values()
         if length and self.quantity.component(len(row)) is None:
@@ -337,7 +341,7 @@ class Extremes:
         ``von_mises`` and ``displacement`` (largest), ``min_jacobian``, ``max_jacobian``, and where
         a material has an allowable stress the smallest ``safety_factor``.
         """
-        return {name: measurement.of(state) for name, measurement in self._measurements.items()}
+        return {name: one.of(state, sized=False) for name, one in self._measurements.items()}
 
 
 def extremes(problem: Problem, state: State) -> dict[str, Measured]:
