@@ -18,6 +18,7 @@ and Lanczos); E. V. Haynsworth, Linear Algebra Appl. 1 (1968) 73 (inertia of Sch
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -194,8 +195,8 @@ class _Tangent:
         return any(self.dot(d, self.product(d)) < 0.0 for d in kept.directions)
 
     def product(self, x: FloatArray) -> FloatArray:
-        """M x [N]. Collective."""
-        self._take(x)
+        """M x [N] of a vector without constrained components. Collective."""
+        self._put(x)
         self._A.mult(self._x, self._y)
         found = self._y.array_r
         if self._is_skew:
@@ -204,11 +205,11 @@ class _Tangent:
         return found.copy() if self._softer is None else self._softer.eliminate(found)
 
     def precondition(self, r: FloatArray) -> FloatArray:
-        """An approximation of M^-1 r. Collective."""
+        """An approximation of M^-1 r, without constrained components as r. Collective."""
         split = self._linear.split
         if split is not None:
             return self._free(split.precondition(r))
-        self._take(r)
+        self._put(r)
         self._pc.apply(self._x, self._y)
         return self._free(self._y.array_r[self._rows].copy())
 
@@ -269,20 +270,19 @@ class _Tangent:
             self._ksp.setTolerances(rtol=_SOLVE, max_it=_SOLVE_ITERATIONS)
         return self._ksp
 
-    def start(self) -> tuple[FloatArray, FloatArray]:
+    def start(self) -> tuple[list[FloatArray], list[FloatArray]]:
         """Right-hand sides that have a part in every mode together, preconditioned. Collective.
 
         A smooth one for the modes of the whole body; noise for those of short waves, as of
         wrinkles; and the preconditioned noise, in which modes weigh as they are soft.
 
         Returns:
-            The three, and their products with the preconditioner, one a row.
+            The three, and their products with the preconditioner.
         """
         moves, smooth = self._assembler.displacement_dofs, start_vector(self._assembler)
         rough = self._forces(moves, noise(self._assembler))
         parts = [rough, self.precondition(rough), self._forces(moves, smooth)]
-        images = [parts[1], *map(self.precondition, parts[1:])]
-        return np.array(parts), np.array(images)
+        return parts, [parts[1], *map(self.precondition, parts[1:])]
 
     def _forces(self, moves: IndexArray, values: FloatArray) -> FloatArray:
         self._x.set(0.0)
@@ -290,9 +290,12 @@ class _Tangent:
         self._assembler.remove_constrained(self._x)
         return np.asarray(self._x.array_r[self._rows].copy())
 
-    def _take(self, x: FloatArray) -> None:
+    def _put(self, x: FloatArray) -> None:
         self._x.set(0.0)
         self._x.array_w[self._rows] = x
+
+    def _take(self, x: FloatArray) -> None:
+        self._put(x)
         self._assembler.remove_constrained(self._x)
 
     def _free(self, x: FloatArray) -> FloatArray:
@@ -518,15 +521,19 @@ class _Begin:
 def _begin(tangent: _Tangent) -> _Begin:
     """The sum of the right-hand sides, weighted in the preconditioner's norm. Collective."""
     parts, images = tangent.start()
-    products = total(tangent.comm, parts @ images.T)
+    products = total(tangent.comm, np.array([[a @ b for b in images] for a in parts]))
     sizes = np.sqrt(np.abs(np.diag(products)))
     scale = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=sizes > 0.0)
     values, vectors = np.linalg.eigh(scale[:, None] * (products + products.T) / 2 * scale)
     negative = None
     if values[0] < -ROUND_OFF:
-        negative = (vectors[:, 0] * scale) @ images
+        negative = _combined(vectors[:, 0] * scale, images)
     weights = scale * _WEIGHTS
-    return _Begin(weights @ parts, weights @ images, negative)
+    return _Begin(_combined(weights, parts), _combined(weights, images), negative)
+
+
+def _combined(weights: FloatArray, vectors: Sequence[FloatArray]) -> FloatArray:
+    return np.asarray(sum(w * v for w, v in zip(weights, vectors, strict=True)))
 
 
 def start_vector(assembler: Assembler) -> FloatArray:
