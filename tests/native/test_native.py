@@ -5,14 +5,18 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
+import ffcx
 import numpy as np
 import pytest
+from helpers.native_sizes import SIZES
 from mpi4py import MPI
 
-from dolfin_elastic.core.jit import compile_c, options
+from dolfin_elastic import NeoHookean, Problem, box_body
+from dolfin_elastic.core.jit import cell_integrals, compile_c, options
 from dolfin_elastic.core.jit.vectorise import LANES, kernel_of_one_cell
 from dolfin_elastic.core.native import functions
 from dolfin_elastic.core.native.functions import length_of
+from dolfin_elastic.solvers.assembly.assembler import in_cells
 
 COMM = MPI.COMM_WORLD
 FOLDER = Path(functions.__file__).parent
@@ -29,37 +33,6 @@ static void tabulate(lanes* A, const lanes* w, const lanes* c, const lanes* y)
 }}
 #define TABULATE(...) ((void)kernel, tabulate(__VA_ARGS__))
 """
-
-ELEMENTS = [(2, 3, 3, 1), (2, 6, 3, 3), (2, 6, 6, 6), (3, 4, 4, 1), (3, 10, 4, 4), (3, 10, 10, 15)]
-"""Dimension, nodes of the displacement and of the geometry, and points."""
-
-
-def tangents():
-    """Linear and quadratic cells, straight and curved, with and without a pressure."""
-    for dim, nodes, corners, points in ELEMENTS:
-        sizes = {"DIM": dim, "ND": nodes, "NDP": -(-nodes // 4) * 4, "NG": corners, "NQ": points}
-        for symmetric in (0, 1):
-            plain = {"NP": 0, "STRIDE": dim, "NW": nodes, "BS": dim}
-            mixed = {"NP": dim + 1, "STRIDE": 1, "NW": dim * nodes + dim + 1, "BS": 1}
-            yield from (sizes | {"SYMMETRIC": symmetric} | one for one in (plain, mixed))
-
-
-def recoveries():
-    for dim, degree in [(2, 1), (2, 2), (3, 1), (3, 2)]:
-        nodes = {(2, 1): 3, (2, 2): 6, (3, 1): 4, (3, 2): 10}[dim, degree]
-        sizes = {"DIM": dim, "DEGREE": degree, "NG": dim + 1, "ND": nodes}
-        yield sizes | {"NS": nodes, "NM": nodes, "WIDEST": 40}
-
-
-SIZES = {
-    "cells.c": [{"NG": 3, "NW": 3, "BS": 2}, {"NG": 10, "NW": 10, "BS": 3}],
-    "extremes.c": list(tangents()),
-    "multigrid.c": [{"DIM": dim, "MODES": 3 * dim - 3} for dim in (2, 3)],
-    "patches.c": list(recoveries()),
-    "symmetric.c": [{"DIM": 2}, {"DIM": 3}],
-    "tangent.c": list(tangents()),
-    "thickness.c": [{"DIM": 2}, {"DIM": 3}],
-}
 
 
 def test_every_file_has_sizes():
@@ -127,3 +100,16 @@ def test_short_arrays_are_refused():
         product(x=np.ones(4, dtype=np.float32))
     with pytest.raises(TypeError, match="x: the entries"):
         product(x=np.ones(8)[::2])
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_lanes_are_made_of_the_code_of_this_ffcx(degree, monkeypatch):
+    """Else many cells are computed one by one: slower by half or more, and nothing says so."""
+    monkeypatch.setattr(cell_integrals, "MANY_CELLS", 0)
+    body = box_body(size=(1.0, 1.0, 1.0), cells=(1, 1, 2))
+    problem = Problem(body, NeoHookean(E=1.0, nu=0.3), degree=degree)
+    weak_form = problem.weak_form
+    for form in (weak_form.residual, weak_form.strain_energy):
+        cells, _ = in_cells(problem, form)
+        widths = [one.loops.call("width") for one in cells._integrals]
+        assert widths == [LANES], f"FFCx {ffcx.__version__} writes what `vectorise` does not know"

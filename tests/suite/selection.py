@@ -35,6 +35,7 @@ POINTS = {
     "hostile/test_gmsh.py",
     "hostile/test_petsc_options.py",
     "hostile/test_terminal.py",
+    "native/test_sanitisers.py",
     "model/point/test_material_point.py",
     "model/materials/test_moduli.py",
     "model/materials/test_reference_energies.py",

@@ -594,7 +594,7 @@ int64_t fill_smoothed(int64_t R, int64_t C, int64_t first, int64_t n,
                       const int32_t member[nodes], int64_t own, const double turned[C * C * own],
                       const double omega[1], const int64_t p_start[first + n + 1],
                       int32_t p_columns[p_start[first + n]],
-                      float p_blocks[R * C * p_start[first + n]], int64_t groups,
+                      float p_blocks[R * C * p_start[first + n] + 2], int64_t groups,
                       int32_t place[groups], int64_t most, double w[8 * R * most])
 {
   DISPATCH(R, C, fill_smoothed_, first, n, start, columns, blocks, strong, inverse, modes, turned,
@@ -713,7 +713,7 @@ int64_t galerkin(int64_t R, int64_t C, int64_t first, int64_t n,
                  const int64_t start[first + n + 1], const int32_t columns[start[first + n]],
                  const double blocks[R * R * (start[first + n] - start[first])], int64_t nodes,
                  const int64_t p_start[nodes + 1], const int32_t p_columns[p_start[nodes]],
-                 const float p_blocks[R * C * p_start[nodes]], int64_t groups,
+                 const float p_blocks[R * C * p_start[nodes] + 2], int64_t groups,
                  const int64_t c_start[groups + 1], const int32_t c_columns[c_start[groups]],
                  double coarse[C * C * c_start[groups]], int64_t size, const int32_t side[size],
                  const int64_t numbers[size], int32_t place[size], int64_t most,
@@ -922,8 +922,8 @@ INLINE void restrict_(const int R, const int C, int64_t n, const int64_t* p_star
     restrict_node(R, C, p_start[i], p_start[i + 1], p_columns, p, r + i * R, coarse);
 }
 int64_t restrict_vector(int64_t R, int64_t C, int64_t n, const int64_t p_start[n + 1],
-                        const int32_t p_columns[p_start[n]], const float p[R * C * p_start[n]],
-                        const double r[R * n], int64_t groups, double coarse[C * groups])
+                        const int32_t p_columns[p_start[n]], const float p[R * C * p_start[n] + 2],
+                        const double r[R * n], int64_t groups, double coarse[C * groups + 2])
 {
   DISPATCH(R, C, restrict_, n, p_start, p_columns, p, r, coarse);
   return 0;
@@ -950,8 +950,8 @@ int64_t restrict_residual(int64_t R, int64_t C, int64_t n, const int64_t start[n
                           const int32_t columns[start[n]], const float a[R * R * start[n] + 1],
                           int64_t nodes, const double x[R * nodes], const double b[R * n],
                           const int64_t p_start[n + 1], const int32_t p_columns[p_start[n]],
-                          const float p[R * C * p_start[n]], int64_t groups,
-                          double coarse[C * groups])
+                          const float p[R * C * p_start[n] + 2], int64_t groups,
+                          double coarse[C * groups + 2])
 {
   DISPATCH(R, C, restrict_residual_, n, start, columns, a, x, b, p_start, p_columns, p, coarse);
   return 0;
@@ -965,8 +965,8 @@ INLINE void prolong_(const int R, const int C, int64_t n, const int64_t* p_start
     AS_LANES(C, add_prolonged, R, C, p_start[i], p_start[i + 1], p_columns, p, e, x + i * R);
 }
 int64_t prolong(int64_t R, int64_t C, int64_t n, const int64_t p_start[n + 1],
-                const int32_t p_columns[p_start[n]], const float p[R * C * p_start[n]],
-                int64_t groups, const double e[C * groups], double x[R * n])
+                const int32_t p_columns[p_start[n]], const float p[R * C * p_start[n] + 2],
+                int64_t groups, const double e[C * groups + 2], double x[R * n])
 {
   DISPATCH(R, C, prolong_, n, p_start, p_columns, p, e, x);
   return 0;

@@ -17,6 +17,7 @@ from dolfin_elastic.solvers.linear.block_rows import (
     HalfRows,
     Interpolation,
     room_for,
+    with_room,
 )
 from dolfin_elastic.solvers.linear.smoother import Diagonal
 from dolfin_elastic.solvers.petsc.c_api import give_back
@@ -80,8 +81,8 @@ def smoothed_interpolation(
     for first, rows, part in A.parts():
         loops.call(
             *("fill_smoothed", R, C, first, rows, *pattern, part, strong, diagonal.inverse),
-            *(halo.size, modes, tentative, member, count, turned, step, start, columns, blocks),
-            *(coarse.size, place, len(room), room),
+            *(halo.size, modes, tentative, member, count, turned, step, start, columns),
+            *(with_room(blocks), coarse.size, place, len(room), room),
         )
     return Interpolation(start, columns, blocks, coarse), factors
 
@@ -154,7 +155,7 @@ def galerkin(A: BlockRows, P: Interpolation, loops: CFunctions) -> BlockRows:
     blocks = np.zeros((len(pattern[1]), P.C, P.C))
     for_columns = np.full(len(numbers), -1, dtype=np.int32)
     work = (most, np.empty(most, dtype=np.int32), np.empty((most, P.R, LANES)))
-    interpolation = (len(start) - 1, start, columns, P_blocks)
+    interpolation = (len(start) - 1, start, columns, with_room(P_blocks))
     coarse = (P.halo.size, *pattern, blocks, len(numbers), *sides, for_columns)
     for first, count, part in A.parts():
         rows = (first, count, *A.pattern(), part)

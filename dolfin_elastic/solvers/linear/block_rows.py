@@ -14,7 +14,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from dolfin_elastic.core.jit import CFunctions
-from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray, SingleArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray, SingleArray
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks, in_full
 from dolfin_elastic.solvers.petsc.c_api import parts_of_aij
 from dolfin_elastic.solvers.petsc.halo import Halo
@@ -50,6 +50,12 @@ class Interpolation:
 def room_for(count: int, R: int, C: int) -> SingleArray:
     """Blocks of an interpolation, behind which the loops may read. Local."""
     return np.zeros(count * R * C + 2, dtype=np.float32)[:-2].reshape(count, R, C)
+
+
+def with_room(entries: AnyArray) -> AnyArray:
+    """What was made as in `room_for`, in a row with what stands behind it. Local."""
+    assert isinstance(entries.base, np.ndarray)
+    return entries.base
 
 
 class BlockRows:

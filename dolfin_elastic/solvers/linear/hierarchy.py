@@ -26,6 +26,7 @@ from dolfin_elastic.solvers.linear.block_rows import (
     PetscRows,
     SymmetricRows,
     interpolation_from_petsc,
+    with_room,
 )
 from dolfin_elastic.solvers.linear.multigrid import (
     aij,
@@ -62,7 +63,7 @@ class Level:
 
     def __init__(self, smoother: Smoother, P: Interpolation, loops: CFunctions) -> None:
         self.smoother, self._loops, self._coarse = smoother, loops, P.halo
-        self._P = (P.start, P.columns, P.blocks)
+        self._P = (P.start, P.columns, with_room(P.blocks))
         R, n = smoother.sizes
         values = np.zeros(P.halo.size * P.C + 2)  # with room that the loops may read
         self._sizes, self._c = (R, P.C, n), values[:-2].reshape(-1, P.C)
@@ -94,8 +95,8 @@ class Level:
         """
         self._c[: self._coarse.owned] = correction
         self._coarse.fill(self._c)
-        c = self._c
-        self._loops.call("prolong", *self._sizes, *self._P, len(c), c, self.smoother.x)
+        coarse = (len(self._c), with_room(self._c))
+        self._loops.call("prolong", *self._sizes, *self._P, *coarse, self.smoother.x)
         return self.smoother.once_more(b)
 
     def __str__(self) -> str:

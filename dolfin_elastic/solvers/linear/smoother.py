@@ -17,6 +17,7 @@ from dolfin_elastic.solvers.linear.block_rows import (
     SymmetricRows,
     in_single_precision,
     into_single_precision,
+    with_room,
 )
 
 STEP = 0x9E3779B97F4A7C15
@@ -153,11 +154,11 @@ class Smoother:
 
         Args:
             b: Right-hand side, of owned nodes.
-            coarse: At all coarse nodes here, is added to.
+            coarse: At all coarse nodes here, is added to; with room as in `room_for`.
         """
         (R, n), C = self.sizes, coarse.shape[1]
         matrix = (*self._matrix, len(self.x), self.x, b)
-        self._loops.call("restrict_residual", R, C, n, *matrix, *P, len(coarse), coarse)
+        self._loops.call("restrict_residual", R, C, n, *matrix, *P, len(coarse), with_room(coarse))
 
     def once_more(self, b: FloatArray) -> FloatArray:
         """The next iterate, of owned nodes; valid until the next call. Collective."""
@@ -186,7 +187,8 @@ class HalvedSmoother(Smoother):
         self._times(self.x, self._y)
         np.subtract(b, self._y, out=self._y)
         (R, n), C = self.sizes, coarse.shape[1]
-        self._loops.call("restrict_vector", R, C, n, *P, self._y, len(coarse), coarse)
+        out = (len(coarse), with_room(coarse))
+        self._loops.call("restrict_vector", R, C, n, *P, self._y, *out)
 
     def once_more(self, b: FloatArray) -> FloatArray:
         """See `Smoother.once_more`."""
