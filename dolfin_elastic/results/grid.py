@@ -11,8 +11,7 @@ from dolfinx import cpp, fem, la
 from dolfinx.mesh import CellType
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
-from dolfin_elastic.mesh.geometry.curved import shape_functions
+from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.mesh.geometry.simplices import cell_corners, signed_volumes
 from dolfin_elastic.results.hdf5 import Rows
 
@@ -134,21 +133,6 @@ class Grid:
             int(index_map.local_range[0]),
             int(index_map.size_global),
         )
-
-
-def places_of(V: fem.FunctionSpace, nodes: IntArray) -> FloatArray:
-    """Places [m] of local nodes in the reference configuration, shape (n, 3). Not collective."""
-    wanted = np.zeros(V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts, dtype=bool)
-    wanted[nodes] = True
-    cells, local = np.nonzero(wanted[V.dofmap.list])
-    # Of several cells the last one counts, as in a table of all nodes.
-    last = np.zeros(len(wanted), dtype=np.int64)
-    last[V.dofmap.list[cells, local]] = np.arange(len(cells))
-    chosen = last[nodes]
-    geometry, points = V.mesh.geometry, np.asarray(V.element.basix_element.points)
-    shape = shape_functions(V.mesh, points)[local[chosen]]
-    corners = geometry.x[geometry.dofmap[cells[chosen]]]
-    return np.asarray(np.einsum("nk,nkj->nj", shape, corners))
 
 
 def to_nodes(V: fem.FunctionSpace, values: FloatArray) -> FloatArray:

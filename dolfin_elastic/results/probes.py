@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Self
 
-import basix
 import numpy as np
 from dolfinx import fem, la
 from pydantic import Field as Key
@@ -35,12 +34,12 @@ from dolfin_elastic.results.derived.sections import Section, SectionForces
 from dolfin_elastic.results.fields import FIELDS, component_names
 from dolfin_elastic.results.moments import ReferencePoints, columns_of_moments
 from dolfin_elastic.results.reactions import REACTION, ReactionSums
-from dolfin_elastic.results.recovery.stress import StressAtPoints, is_recovered
+from dolfin_elastic.results.recovery.patches import sampling_points
+from dolfin_elastic.results.recovery.stress import StressAtPoints, cells_around, is_recovered
 from dolfin_elastic.results.writers.history import row
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body
-    from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
 
 _WHERE = "output.probes"
@@ -166,32 +165,23 @@ def _kind(body: Body, name: str, where: str = "") -> str:
         raise within(where, error) from None
 
 
-@dataclass(frozen=True)
-class _Samples:
-    """Points of an edge or of a set of nodes, the same on every rank.
+def _samples(body: Body, kind: str, on: str, degree: int) -> FloatArray:
+    """Gauss points of all mesh edges of an edge, or all nodes of a point. Collective.
 
-    Attributes:
-        points: Name of a sample to its place [m].
-        weights: Of each, with the sum 1.
+    Args:
+        kind: "edge" or "point".
+        degree: Of polynomials whose means are exact on straight edges.
+
+    Returns:
+        Places [m] and weights with the sum 1, shape (points, dim + 1), in the order of the places
+        and the same on every rank.
     """
-
-    points: Mapping[str, FloatArray]
-    weights: FloatArray
-
-    @classmethod
-    def of(cls, name: str, body: Body, kind: str, on: str, degree: int) -> Self:
-        """Gauss points of all mesh edges, or all nodes, in the order of their places. Collective.
-
-        Args:
-            kind: "edge" or "point".
-            degree: Of polynomials whose means are exact on straight edges.
-        """
-        own = points_of(body, kind, [on], degree)
-        rows = np.column_stack([own.X.reshape(-1, body.dim), own.weights.ravel()])
-        every = np.concatenate(body.comm.allgather(rows))
-        every = every[np.lexsort(every[:, ::-1].T)]
-        points = {f"{name} {i}": row for i, row in enumerate(every[:, :-1])}
-        return cls(points, every[:, -1] / every[:, -1].sum())
+    own = points_of(body, kind, [on], degree)
+    rows = np.column_stack([own.X.reshape(-1, body.dim), own.weights.ravel()])
+    every = np.concatenate(body.comm.allgather(rows))
+    every = every[np.lexsort(every[:, ::-1].T)]
+    every[:, -1] /= every[:, -1].sum()
+    return every
 
 
 def check_readable(names: Iterable[str]) -> tuple[str, ...]:
@@ -225,7 +215,8 @@ class Probe:
         points: Name to coordinates [m] in the reference configuration.
         fields: Fields at all points, or name of the point to its fields.
         surfaces: Name to a surface and the fields whose means over it are evaluated.
-        samples: Name to those of the points of which the weighted mean is evaluated.
+        samples: Name to places and weights of which the weighted mean is evaluated, the fields
+            being those of its name; shape (points, dim + 1).
         reactions: Name to the part whose nodal reactions are summed up.
         counted: Name to the numbers of a surface or region.
         plain: Names of those that are means, called as the field alone.
@@ -243,7 +234,7 @@ class Probe:
         points: Mapping[str, Sequence[float]],
         fields: Iterable[str] | Mapping[str, Iterable[str]] = ("displacement",),
         surfaces: Mapping[str, tuple[str, Sequence[str]]] | None = None,
-        samples: Mapping[str, _Samples] | None = None,
+        samples: Mapping[str, FloatArray] | None = None,
         reactions: Mapping[str, str] | None = None,
         counted: Mapping[str, PartNumbers] | None = None,
         plain: Collection[str] = (),
@@ -254,13 +245,16 @@ class Probe:
         self._moments = columns_of_moments(moments or {}, problem)
         self._sections = SectionForces(problem, sections) if sections else None
         of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
-        wanted = {name: check_readable(of[name]) for name in points}
-        self.fields = {name: _interpolated(row) for name, row in wanted.items()}
-        held: dict[str, str | Sequence[float]] = dict(reactions or {})
-        held |= {n: points[n] for n, row in wanted.items() if REACTION in row}
-        self._reactions = ReactionSums(problem, held) if held else None
         self._samples, self._counted, self._plain = samples or {}, counted or {}, plain
-        self.places = locate(problem.body, points, _materials(problem))
+        asked = {name: check_readable(of[name]) for name in (*points, *self._samples)}
+        held: dict[str, str | Sequence[float]] = dict(reactions or {})
+        held |= {name: place for name, place in points.items() if REACTION in asked[name]}
+        self._reactions = ReactionSums(problem, held) if held else None
+        every, self.fields = dict(points), {name: _interpolated(asked[name]) for name in points}
+        for name, rows in self._samples.items():
+            every |= {f"{name} {i}": row[:-1].tolist() for i, row in enumerate(rows)}
+            self.fields |= {f"{name} {i}": _interpolated(asked[name]) for i in range(len(rows))}
+        self.places = locate(problem.body, every, _materials(problem))
         names = dict.fromkeys(n for row in self.fields.values() for n in row if n not in NODAL)
         of_cells = tuple(name for name in names if not FIELDS[name].recovered)
         self._cells = _CellFields(problem, self.places, of_cells) if of_cells else None
@@ -290,32 +284,24 @@ class Probe:
             moments: Label of a support to the points about which its moment is found.
             sections: Name to a section of which force and moment are found.
         """
-        places, body = _points(probes, scale), problem.body
-        named = {n: p for n, p in probes.items() if p.part is not None}
-        whole = {n: _kind(body, str(p.part)) for n, p in named.items()}
-        asked = {n: statistics for n, p in named.items() if (statistics := p.counted(whole[n]))}
-        counted = {
-            n: PartNumbers(
-                problem, whole[n], str(named[n].part), _interpolated(named[n].fields), statistics
-            )
-            for n, statistics in asked.items()
-        }
-        plain = [n for n in counted if not named[n].values]
+        surfaces: dict[str, tuple[str, tuple[str, ...]]] = {}
+        samples: dict[str, FloatArray] = {}
+        counted: dict[str, PartNumbers] = {}
+        named = {name: probe for name, probe in probes.items() if probe.part is not None}
+        for name, probe in named.items():
+            part, kind = str(probe.part), _kind(problem.body, str(probe.part))
+            fields = _interpolated(probe.fields)
+            if statistics := probe.counted(kind):
+                counted[name] = PartNumbers(problem, kind, part, fields, statistics)
+            elif kind == "surface":
+                surfaces[name] = part, fields
+            else:
+                samples[name] = _samples(problem.body, kind, part, problem.context.order)
         held = {n: str(p.part) for n, p in named.items() if REACTION in p.fields}
-        named = {n: p for n, p in named.items() if n not in counted}
-        parts = {n: (str(p.part), _interpolated(p.fields)) for n, p in named.items()}
-        kinds = {n: _kind(body, on) for n, (on, _) in parts.items()}
-        surfaces = {n: part for n, part in parts.items() if kinds[n] == "surface"}
-        samples = {
-            n: _Samples.of(n, body, kinds[n], on, problem.context.order)
-            for n, (on, _) in parts.items()
-            if kinds[n] != "surface"
-        }
-        points = {**places, **{k: list(x) for s in samples.values() for k, x in s.points.items()}}
-        fields = {n: probes[n].fields for n in places}
-        fields |= {k: parts[n][1] for n, s in samples.items() for k in s.points}
-        more = (counted, plain, moments, sections)
-        return cls(problem, points, fields, surfaces, samples, held, *more)
+        plain = [name for name in counted if not named[name].values]
+        asked = {name: probe.fields for name, probe in probes.items()}
+        more = (surfaces, samples, held, counted, plain, moments, sections)
+        return cls(problem, _points(probes, scale), asked, *more)
 
     def __call__(self, state: State) -> dict[str, FloatArray]:
         """Column stem "POINT_FIELD" to the field's components in SI units, the same on every rank.
@@ -329,10 +315,11 @@ class Probe:
                 for number, values in mean(state).items()
             }
         found = self._at_points(state)
-        for name, sample in self._samples.items():
-            for field in self.fields[next(iter(sample.points))]:
-                rows = np.array([found.pop(f"{point}_{field}") for point in sample.points])
-                means[f"{name}_{field}"] = sample.weights @ rows
+        for name, rows in self._samples.items():
+            points = [f"{name} {i}" for i in range(len(rows))]
+            for field in self.fields[points[0]]:
+                values = np.array([found.pop(f"{point}_{field}") for point in points])
+                means[f"{name}_{field}"] = rows[:, -1] @ values
         held = self._reactions(state) if self._reactions else {}
         return {**found, **means, **{f"{name}_{REACTION}": force for name, force in held.items()}}
 
@@ -363,7 +350,8 @@ class Probe:
         function = nodal_function(state, field)
         if place.cell < 0:
             return np.zeros(self.dim)
-        shape = _shape_functions(self.problem.body.dim, self.problem.degree, place.local)
+        element = self.problem.V.element.basix_element
+        shape = element.tabulate(0, place.local[None])[0, 0, :, 0]
         nodes = function.function_space.dofmap.list[place.cell]
         return np.asarray(shape @ function.x.array.reshape(-1, self.dim)[nodes])
 
@@ -426,36 +414,9 @@ def _columns(name: str, size: int) -> list[str]:
     return component_names(name.removesuffix("_displacement"), size)
 
 
-def _shape_functions(dim: int, degree: int, local: FloatArray) -> FloatArray:
-    """Shape functions at a point of the reference cell.
-
-    Args:
-        dim: 2: triangle, 3: tetrahedron.
-        local: Coordinates in the reference cell, shape (dim,).
-
-    Returns:
-        Shape (nodes,).
-    """
-    kind = (basix.CellType.triangle, basix.CellType.tetrahedron)[dim - 2]
-    element = basix.create_element(
-        basix.ElementFamily.P, kind, degree, basix.LagrangeVariant.equispaced
-    )
-    return np.asarray(element.tabulate(0, local[None])[0, 0, :, 0])
-
-
-@dataclass(frozen=True)
-class _RegionFields:
-    """Points in one material region, and how its fields are evaluated there.
-
-    Attributes:
-        places: Name to place, of points on this rank.
-        cells: Owned cells of the region that share a corner with the points' cells.
-        kernel: The fields at the sampling points; None: the material has none of them.
-    """
-
-    places: Mapping[str, LocatedPoint]
-    cells: IndexArray
-    kernel: CellKernel | None
+def _linear(local: FloatArray) -> FloatArray:
+    """Linear shape functions at a point of the reference cell, shape (dim + 1,)."""
+    return np.array([1.0 - local.sum(), *local])
 
 
 class _CellFields:
@@ -468,62 +429,45 @@ class _CellFields:
     def __init__(
         self, problem: Problem, places: Mapping[str, LocatedPoint], names: Sequence[str]
     ) -> None:
-        self.problem, self.places, self.names = problem, places, names
-        self.mesh = problem.body.mesh
+        mesh, self.places, self.names = problem.body.mesh, places, names
         self.w = unknowns_of_outputs(problem)
         self.widths = [FIELDS[name].evaluated for name in names]
-        self.corners = fem.functionspace(self.mesh, ("Lagrange", 1)).dofmap
-        self.volumes = cell_volumes(self.mesh)
-        self.samples = _samples(self.mesh.topology.dim, problem.degree)
-        dim = self.mesh.topology.dim
-        at_samples = np.array([_shape_functions(dim, 1, sample) for sample in self.samples])
+        self.corners = fem.functionspace(mesh, ("Lagrange", 1)).dofmap
+        self.volumes = cell_volumes(mesh)
+        samples = sampling_points(problem.body.dim, problem.degree)
         # Least squares: values at the sampling points to a linear function's values at corners.
-        self.fit = np.linalg.pinv(at_samples)
-        self._parts = [self._region_fields(part) for part in problem.regions]
-
-    def _region_fields(self, part: MaterialRegion) -> _RegionFields | None:
-        """The evaluation in one region; None if no rank has a point there. Collective."""
-        mine = {n: p for n, p in self.places.items() if p.cell >= 0 and p.cell in part.cells}
-        if not total(self.problem.body.comm, len(mine)):
-            return None
-        marks = la.vector(self.corners.index_map, 1)
-        for place in mine.values():
-            marks.array[self.corners.list[place.cell]] = 1.0
-        marks.scatter_reverse(la.InsertMode.add)
-        marks.scatter_forward()
-        near = (marks.array[self.corners.list[part.cells]] > 0).any(axis=1)
-        kernel = cell_kernel(self.problem, part, self.w, self.names, self.samples, _WHERE)
-        return _RegionFields(mine, part.cells[near], kernel)
+        self.fit = np.linalg.pinv(np.array([_linear(sample) for sample in samples]))
+        # Points of this rank in a region, the cells that share a corner with theirs, and the fields
+        # at the sampling points; None: the material has none of them.
+        self._parts: list[tuple[list[str], IndexArray, CellKernel | None]] = []
+        for region in problem.regions:
+            mine = [n for n, p in places.items() if p.cell >= 0 and p.cell in region.cells]
+            if total(problem.body.comm, len(mine)):
+                cells = cells_around(problem, region, [places[n].cell for n in mine], rings=1)
+                kernel = cell_kernel(problem, region, self.w, names, samples, _WHERE)
+                self._parts.append((mine, cells, kernel))
 
     def __call__(self, state: State) -> dict[str, dict[str, FloatArray]]:
         """Point and field to components, on the rank that owns the cell; zeros on the others."""
         self.w.x.array[:] = (state.w or state.u).x.array
-        width = sum(self.widths)
-        values = {
-            name: np.full(width, np.nan if place.cell >= 0 else 0.0)
-            for name, place in self.places.items()
-        }
-        for part in self._parts:
-            if part is not None and part.kernel is not None:
-                corners = self._at_corners(part.kernel, part.cells)
-                for name, place in part.places.items():
-                    shape = _shape_functions(self.mesh.topology.dim, 1, place.local)
-                    found = shape @ corners[self.corners.list[place.cell]]
-                    values[name][part.kernel.columns] = found
+        rows = {name: np.full((1, sum(self.widths)), np.nan) for name in self.places}
+        for mine, cells, kernel in self._parts:
+            if kernel is not None:
+                corners = self._at_corners(kernel, cells)
+                for name in mine:
+                    place = self.places[name]
+                    around = corners[self.corners.list[place.cell]]
+                    rows[name][0, kernel.columns] = _linear(place.local) @ around
         ends = np.cumsum(self.widths)[:-1]
         return {
             point: {
-                name: self._finished(name, part, point)
-                for name, part in zip(self.names, np.split(row, ends), strict=True)
+                name: np.asarray(FIELDS[name].finished(part)[0])
+                if self.places[point].cell >= 0
+                else np.zeros(FIELDS[name].columns)
+                for name, part in zip(self.names, np.split(row, ends, axis=1), strict=True)
             }
-            for point, row in values.items()
+            for point, row in rows.items()
         }
-
-    def _finished(self, name: str, part: FloatArray, point: str) -> FloatArray:
-        """Components of a field from those of its formula; zeros on ranks without the point."""
-        if self.places[point].cell < 0:
-            return np.zeros(FIELDS[name].columns)
-        return np.asarray(FIELDS[name].finished(part[None])[0])
 
     def _at_corners(self, kernel: CellKernel, cells: IndexArray) -> FloatArray:
         """Means at the local corners, shape (corners, columns); 0 away from these cells."""
@@ -539,10 +483,3 @@ class _CellFields:
         sums.scatter_forward()
         weights = table[:, -1:]
         return np.asarray(table[:, :-1] / np.where(weights > 0, weights, 1.0))
-
-
-def _samples(dim: int, degree: int) -> FloatArray:
-    """Sampling points of fields of cells in the reference cell, shape (points, dim)."""
-    kind = (basix.CellType.triangle, basix.CellType.tetrahedron)[dim - 2]
-    points, _ = basix.make_quadrature(kind, 1 if degree == 1 else 2)
-    return np.asarray(points, dtype=np.float64)

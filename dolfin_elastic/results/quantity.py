@@ -16,14 +16,13 @@ from dolfin_elastic.core.parallel import LargestRow, largest_row
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
 from dolfin_elastic.mesh.geometry.simplices import cell_corners
-from dolfin_elastic.model.kinematics import weight
+from dolfin_elastic.model.kinematics import WeightedMeasure, weight
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import cell_components, unknowns_of_outputs
 from dolfin_elastic.results.derived.part_numbers import (
     PartNumbers,
     members,
     share_below,
-    sides_of,
 )
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.fields import FIELDS, component_names
@@ -83,9 +82,7 @@ class Quantity:
 
     def __post_init__(self) -> None:
         if self.name not in FIELDS:
-            raise InputError(
-                f"there is no field '{self.name}'", expected=nearest(self.name, FIELDS)
-            )
+            raise _unknown(self.name, FIELDS)
         if not isinstance(self.where, tuple):
             share_below(self.reduction)
         elif self.reduction != "at":
@@ -107,9 +104,7 @@ class Quantity:
             return 0 if size == 1 else None
         names = component_names(self.name, size)
         if self.field not in names:
-            raise InputError(
-                f"there is no field '{self.field}'", expected=nearest(self.field, names)
-            )
+            raise _unknown(self.field, names)
         return names.index(self.field)
 
     def scalars(self, rows: FloatArray) -> FloatArray:
@@ -247,7 +242,6 @@ class Integral(Measurement):
         self._numbers = PartNumbers(problem, self.kind, self.part, *one)
         self._w = unknowns_of_outputs(problem)
         self._form: ufl.Form | None = None
-        self._along = problem.constant([0.0])
 
     def of(self, state: State, *, sized: bool = True) -> Measured:
         """See `Measurement`."""
@@ -277,22 +271,20 @@ class Integral(Measurement):
         rows = [self._components(region, size) for region in problem.regions]
         if any(row is None for row in rows):
             return None
-        sides = sides_of(problem, self.kind, self.part)
-        data = []
-        for number, region in enumerate(problem.regions, start=1):
-            here = sides[np.isin(sides[:, 0], region.cells)]
-            entities = here.reshape(-1) if self.kind == "surface" else here[:, 0]
-            data.append((number, entities.astype(np.int32)))
+        surface = self.kind == "surface"
+        data = [
+            (number, np.column_stack([p.cells, p.side]).reshape(-1) if surface else p.cells)
+            for number, p in enumerate(self._numbers.pieces, start=1)
+        ]
         over = ufl.Measure(
-            "ds" if self.kind == "surface" else "dx",
+            "ds" if surface else "dx",
             domain=mesh,
             subdomain_data=data,
             metadata={"quadrature_degree": 2 * problem.context.order},
         )
         rho = weight(problem.geometry, problem.X, None)
-        factor = ufl.as_ufl(1.0) if rho is None else rho
         value = sum(
-            factor * sum(self._along[i] * c for i, c in enumerate(row)) * over(number)
+            ufl.dot(self._along, ufl.as_vector(row)) * WeightedMeasure(rho, over(number))
             for number, row in enumerate(rows, start=1)
             if row is not None
         )

@@ -87,8 +87,8 @@ def nodal_function(state: State, field: str) -> fem.Function:
 
 
 @dataclass(frozen=True)
-class _Piece:
-    """The part of a surface or region in one material.
+class Piece:
+    """The part of a surface or region in one material, on this rank.
 
     Attributes:
         cells: Owned cells, one of each facet of a surface.
@@ -113,6 +113,7 @@ class PartNumbers:
         statistics: Of `STATISTICS`.
 
     Attributes:
+        pieces: The part in each material of the problem.
         shares: Statistic to `share_below`.
         size: Area [m^2] or volume [m^3] of the undeformed part.
 
@@ -151,12 +152,12 @@ class PartNumbers:
         # Points in the reference cell, shape (sides, points, dim), and their weights (points,).
         points, self._reference = quadrature_rule(body.dim - (kind == "surface"), degree)
         self._points = facet_sets(body.dim, points) if kind == "surface" else points[None]
-        self._pieces = [self._piece(region, sides) for region in problem.regions]
-        self.size = float(total(body.comm, sum(piece.weights.sum() for piece in self._pieces)))
+        self.pieces = [self._piece(region, sides) for region in problem.regions]
+        self.size = float(total(body.comm, sum(piece.weights.sum() for piece in self.pieces)))
         shapes = problem.V.element.basix_element.tabulate(0, self._points.reshape(-1, body.dim))
         self._shapes = np.asarray(shapes)[0, :, :, 0].reshape(*self._points.shape[:2], -1)
 
-    def _piece(self, region: MaterialRegion, sides: AnyArray) -> _Piece:
+    def _piece(self, region: MaterialRegion, sides: AnyArray) -> Piece:
         """The part in one material. Collective.
 
         Args:
@@ -170,7 +171,7 @@ class PartNumbers:
             if self._inside
             else None
         )
-        return _Piece(cells, here[:, 1], kernel, self._weights(cells, here[:, 1]))
+        return Piece(cells, here[:, 1], kernel, self._weights(cells, here[:, 1]))
 
     def _weights(self, cells: IndexArray, side: AnyArray) -> FloatArray:
         """Weights of the quadrature points [m^2 or m^3]; shape (cells, points).
@@ -213,17 +214,17 @@ class PartNumbers:
             for name, values in rows.items()
             if grid is not None and FIELDS[name].centre == "node"
         }
-        inside = [self._evaluated(piece) for piece in self._pieces]
+        inside = [self._evaluated(piece) for piece in self.pieces]
         found: dict[str, FloatArray] = {}
         for name in self.fields:
             values = [
                 self._at_points(name, piece, known, nodal, rows)
-                for piece, known in zip(self._pieces, inside, strict=True)
+                for piece, known in zip(self.pieces, inside, strict=True)
             ]
             found |= self._numbers(name, values, nodal.get(name))
         return found
 
-    def _evaluated(self, piece: _Piece) -> dict[str, FloatArray]:
+    def _evaluated(self, piece: Piece) -> dict[str, FloatArray]:
         """Fields with a formula at the points of a piece. Not collective."""
         widths = [FIELDS[name].evaluated for name in self._inside]
         shape = piece.weights.shape
@@ -240,7 +241,7 @@ class PartNumbers:
     def _at_points(
         self,
         name: str,
-        piece: _Piece,
+        piece: Piece,
         inside: Mapping[str, FloatArray],
         nodal: Mapping[str, FloatArray],
         rows: Mapping[str, AnyArray],
@@ -264,13 +265,13 @@ class PartNumbers:
             nodal: At the local nodes, of a field of nodes.
         """
         comm, width = self.problem.body.comm, FIELDS[name].columns
-        pairs = [*zip(self._pieces, values, strict=True)]
+        pairs = [*zip(self.pieces, values, strict=True)]
         own = sum(np.einsum("fp,fpc->c", piece.weights, table) for piece, table in pairs)
         size = self._plane(name, width)
         sums = np.asarray(total(comm, own))[:size]
         everywhere = np.concatenate([table.reshape(-1, width) for table in values])
         # At a node between two materials stands the stress of the one where it is larger.
-        several = self.kind == "region" and name in self._inside and len(self._pieces) > 1
+        several = self.kind == "region" and name in self._inside and len(self.pieces) > 1
         among = everywhere if nodal is None or several else nodal[self._nodes]
         over = "area" if self.kind == "surface" else "volume"
         found: dict[str, FloatArray] = {}
@@ -287,7 +288,7 @@ class PartNumbers:
                 sign = 1.0 if statistic == "max" else -1.0
                 numbers = _largest(comm, sign * columns) * sign
             else:
-                weights = np.concatenate([piece.weights.ravel() for piece in self._pieces])
+                weights = np.concatenate([piece.weights.ravel() for piece in self.pieces])
                 numbers = np.array([percentile(comm, c, weights, share) for c in columns.T])
             ending = statistic.replace(":", "_")
             found[f"{name}_{ending}"] = numbers[:size]

@@ -13,7 +13,6 @@ from dolfin_elastic.core.parallel import largest_row, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.core.units import stress_unit
 from dolfin_elastic.mesh.body import cell_size
-from dolfin_elastic.results.grid import places_of
 from dolfin_elastic.results.recovery.error import ErrorEstimate
 from dolfin_elastic.results.recovery.locking import unseen_locking
 from dolfin_elastic.results.recovery.resolution import RESOLVED, largest_at_nodes, resolution
@@ -382,8 +381,8 @@ class _Finder:
             singular: See `at_largest`.
         """
         problem, comm = self._problem, self._problem.body.comm
-        V, dim = problem.V, problem.body.dim
-        best = largest_row(comm, by, lambda nodes: places_of(V, nodes)[:, :dim])
+        dim = problem.body.dim
+        best = largest_row(comm, by, lambda nodes: problem.places[nodes, :dim])
         if best is None or not np.isfinite(best.value):
             return -np.inf, Peak(0.0, (), "", 0.0)
         node, own, surface = best.row, None, _surface_at(problem, best.row, best.rank)

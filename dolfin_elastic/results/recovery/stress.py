@@ -83,7 +83,7 @@ class StressAtPoints:
         for region in problem.regions:
             mine = [n for n, p in places.items() if p.cell >= 0 and p.cell in region.cells]
             if total(comm, len(mine)):
-                cells = _around(problem, region, [places[name].cell for name in mine])
+                cells = cells_around(problem, region, [places[name].cell for name in mine], _RINGS)
                 part = RegionStress(problem, region, self._w, cells)
                 rows = {n: int(np.searchsorted(cells, places[n].cell)) for n in mine}
                 self._parts.append((part, rows))
@@ -103,11 +103,13 @@ class StressAtPoints:
         return found
 
 
-def _around(problem: Problem, region: MaterialRegion, cells: list[int]) -> IndexArray:
-    """Owned cells of a region in `_RINGS` layers around cells of all ranks, sorted. Collective."""
+def cells_around(
+    problem: Problem, region: MaterialRegion, cells: list[int], rings: int
+) -> IndexArray:
+    """Owned cells of a region in some layers around cells of all ranks, sorted. Collective."""
     dofmap = fem.functionspace(problem.body.mesh, ("Lagrange", 1)).dofmap
     chosen = np.asarray(sorted(cells), dtype=np.int32)
-    for _ in range(_RINGS):
+    for _ in range(rings):
         marks = la.vector(dofmap.index_map, 1)
         marks.array[dofmap.list[chosen].reshape(-1)] = 1.0
         marks.scatter_reverse(la.InsertMode.add)
