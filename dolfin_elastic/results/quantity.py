@@ -12,7 +12,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, nearest
-from dolfin_elastic.core.parallel import LargestRow, largest_row
+from dolfin_elastic.core.parallel import LargestRow, largest_row, total
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
 from dolfin_elastic.mesh.geometry.simplices import cell_corners
@@ -21,6 +21,7 @@ from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import cell_components, unknowns_of_outputs
 from dolfin_elastic.results.derived.part_numbers import (
     PartNumbers,
+    has_length,
     members,
     share_below,
 )
@@ -82,9 +83,12 @@ class Quantity:
 
     def __post_init__(self) -> None:
         if self.name not in FIELDS:
-            raise _unknown(self.name, FIELDS)
+            raise _no_field(self.name, FIELDS)
         if not isinstance(self.where, tuple):
-            share_below(self.reduction)
+            names = component_names(self.name, FIELDS[self.name].columns)
+            bare = self.field == self.name and len(names) > 1 and not has_length(self.name)
+            if share_below(self.reduction) is not None and bare:
+                raise InputError(f"'{self.field}' has no length", expected=f"such as '{names[0]}'")
         elif self.reduction != "at":
             raise InputError(f"unknown value '{self.reduction}'", expected="'at' of a point")
 
@@ -104,7 +108,7 @@ class Quantity:
             return 0 if size == 1 else None
         names = component_names(self.name, size)
         if self.field not in names:
-            raise _unknown(self.field, names)
+            raise _no_field(self.field, names)
         return names.index(self.field)
 
     def scalars(self, rows: FloatArray) -> FloatArray:
@@ -124,7 +128,7 @@ class Quantity:
         return (Extreme if self.reduction in ("max", "min") else Integral)(self, problem)
 
 
-def _unknown(name: str, known: Iterable[str]) -> InputError:
+def _no_field(name: str, known: Iterable[str]) -> InputError:
     return InputError(f"there is no field '{name}'", expected=nearest(name, known))
 
 
@@ -268,8 +272,13 @@ class Integral(Measurement):
     def _derived(self, size: int) -> ufl.Form | None:
         """Derivative of the integral of the field's components times `_along`."""
         problem, mesh = self.problem, self.problem.body.mesh
-        rows = [self._components(region, size) for region in problem.regions]
-        if any(row is None for row in rows):
+        here = [bool(total(problem.body.comm, len(piece.cells))) for piece in self._numbers.pieces]
+        rows = {
+            number: self._components(region, size)
+            for number, region in enumerate(problem.regions, start=1)
+            if here[number - 1]
+        }
+        if any(row is None for row in rows.values()):
             return None
         surface = self.kind == "surface"
         data = [
@@ -285,7 +294,7 @@ class Integral(Measurement):
         rho = weight(problem.geometry, problem.X, None)
         value = sum(
             ufl.dot(self._along, ufl.as_vector(row)) * WeightedMeasure(rho, over(number))
-            for number, row in enumerate(rows, start=1)
+            for number, row in rows.items()
             if row is not None
         )
         return ufl.derivative(value, self._w, ufl.TestFunction(problem.W))
@@ -334,8 +343,3 @@ class Extremes:
         a material has an allowable stress the smallest ``safety_factor``.
         """
         return {name: one.of(state, sized=False) for name, one in self._measurements.items()}
-
-
-def extremes(problem: Problem, state: State) -> dict[str, Measured]:
-    """Extremes of one state, see `Extremes.of`. Collective."""
-    return Extremes(problem).of(state)

@@ -46,7 +46,7 @@ from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import Direction, Range, direction
 from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.quantity import extremes
+from dolfin_elastic.results.quantity import Extremes
 
 COMM = MPI.COMM_WORLD
 SHARED = ROOT.parent / "shared" / "meshes"
@@ -701,7 +701,7 @@ def test_safety_factor_and_constants_as_fields(folder: Path) -> None:
     beyond = problem.V.tabulate_dof_coordinates()[:own, 0] > 0.5 + 1e-9
     assert np.isnan(factor[beyond]).all()
     one = ~beyond  # the interface has the factor of the material that has one
-    smallest = extremes(problem, state)["safety_factor"]
+    smallest = Extremes(problem).of(state)["safety_factor"]
     own = factor[one].min(initial=np.inf)
     assert smallest.value == pytest.approx(COMM.allreduce(own, op=MPI.MIN), rel=1e-12)
     assert smallest.part == "one" and smallest.place[0] <= 0.5 + 1e-9

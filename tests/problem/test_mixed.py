@@ -44,7 +44,7 @@ from dolfin_elastic.model.loads import Load, LoadContext
 from dolfin_elastic.problem.material_regions import locking
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.fields import FIELDS
-from dolfin_elastic.results.quantity import extremes
+from dolfin_elastic.results.quantity import Extremes
 from dolfin_elastic.solvers.assembly.assembler import integral
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 
@@ -237,7 +237,7 @@ def twisted(body: Body, angle: float, degree: int) -> tuple[float, float, float]
     now = place + problem.u.x.array[: 3 * len(force)].reshape(-1, 3)
     top = place[:, 2] > 1 - 1e-9
     moment = np.sum(np.cross(now[top], force[top])[:, 2])
-    found = extremes(problem, state)
+    found = Extremes(problem).of(state)
     change = max(abs(found["min_jacobian"].value - 1), abs(found["max_jacobian"].value - 1))
     return float(body.comm.allreduce(moment)), float(state.reactions["high"][2]), change
 
@@ -571,7 +571,7 @@ def test_every_field_of_a_mixed_problem():
         bad = problem.body.comm.allreduce(int(np.count_nonzero(~np.isfinite(values[name]))))
         assert bool(bad) == name.startswith("fibre"), name
     assert largest(problem.body.comm, values["density"] - 1000) < 1e-9
-    assert "safety_factor" in extremes(problem, state)
+    assert "safety_factor" in Extremes(problem).of(state)
 
 
 def test_a_material_is_judged_by_its_largest_poisson_ratio():

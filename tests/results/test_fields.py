@@ -22,7 +22,7 @@ from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.fields import FIELDS, check_field_names
 from dolfin_elastic.results.grid import to_nodes
-from dolfin_elastic.results.quantity import extremes
+from dolfin_elastic.results.quantity import Extremes
 
 COMM = MPI.COMM_WORLD
 E_MODULUS, NU = 200.0, 0.3
@@ -204,7 +204,7 @@ def test_motion_has_velocities_and_statics_has_none() -> None:
 def test_extremes_and_their_places(degree: int) -> None:
     laws = {"left": LinearElastic(E=E_MODULUS, nu=NU), "right": LinearElastic(E=3e3, nu=NU)}
     problem = Problem(make_body(3), laws, degree=degree)
-    found = extremes(problem, make_state(problem, lambda x: H @ x))
+    found = Extremes(problem).of(make_state(problem, lambda x: H @ x))
     sigma, _ = by_hand(LinearElastic, np.eye(3) + H)
     assert found["von_mises"].value == pytest.approx(15 * mises(sigma))
     assert found["von_mises"].part == "right"

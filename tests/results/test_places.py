@@ -21,7 +21,7 @@ from dolfin_elastic import (
 from dolfin_elastic.case.model_record import SAMPLES, model_record
 from dolfin_elastic.core.parallel import largest_row
 from dolfin_elastic.mesh.geometry.simplices import facet_corners, prepare_facets
-from dolfin_elastic.results.quantity import extremes
+from dolfin_elastic.results.quantity import Extremes
 from dolfin_elastic.results.recovery.error import ErrorEstimator
 from dolfin_elastic.results.recovery.peaks import find_peaks
 from dolfin_elastic.solvers.linear.choice import LinearSettings
@@ -49,7 +49,7 @@ def test_equal_values(method: str) -> None:
     """The stress is that of the node at the origin, det F that of the cell nearest to it."""
     problem = pulled()
     (*_, state) = Statics(problem, linear=LinearSettings(method=method)).steps()
-    found = extremes(problem, state)
+    found = Extremes(problem).of(state)
     assert found["von_mises"].place == pytest.approx((0, 0, 0), abs=1e-12)
     assert found["von_mises"].value == pytest.approx(1e3, rel=1e-6)
     assert found["displacement"].place[0] == pytest.approx(0.75)
@@ -76,7 +76,7 @@ def test_symmetric_values() -> None:
         loads=[Traction(on="top", value=[0, 0, -1e4])],
     )
     (*_, state) = Statics(problem).steps()
-    at = extremes(problem, state)["von_mises"].place
+    at = Extremes(problem).of(state)["von_mises"].place
     assert at[0] < 0
     assert at[1] <= 1e-9
 

@@ -117,6 +117,7 @@ def test_places_values_and_sizes() -> None:
     [
         (("displacment",), "displacement"),
         (("displacement", None, "percentile:101"), "unknown value 'percentile:101'"),
+        (("cauchy_stress", None, "percentile:50"), "no length"),
         (("displacement", None, "at"), "unknown value 'at'"),
         (("displacement", (1.0, 0.0, 0.0), "max"), "unknown value 'max'"),
     ],

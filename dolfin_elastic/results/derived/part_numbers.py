@@ -56,6 +56,11 @@ _HALVINGS = 64
 """Of the range of values, down to round-off."""
 
 
+def has_length(name: str) -> bool:
+    """Whether a field is a vector."""
+    return FIELDS[name].shape == "vector" and name not in _TRIPLES
+
+
 def share_below(statistic: str) -> float | None:
     """Share of the part below a percentile; None of other statistics.
 
@@ -292,7 +297,7 @@ class PartNumbers:
                 numbers = np.array([percentile(comm, c, weights, share) for c in columns.T])
             ending = statistic.replace(":", "_")
             found[f"{name}_{ending}"] = numbers[:size]
-            if width == 3 and name not in _TRIPLES:
+            if has_length(name):
                 found[f"{name}_length_{ending}"] = numbers[size:]
         return found
 
