@@ -136,6 +136,7 @@ def test_the_integral_of_the_traction_is_the_applied_force(folder):
         end={"on": "right", "fields": ["first_piola"], "values": ["integral", "mean"]},
         grip={"on": "left", "fields": ["first_piola", "reaction"], "values": ["integral"]},
         middle={"on": "right", "fields": ["tresca"]},
+        half={"on": "right", "fields": ["tresca", "displacement"], "values": ["percentile:50"]},
     )
     assert list(run(Case.from_dict(tables), output=folder))
 
@@ -148,6 +149,11 @@ def test_the_integral_of_the_traction_is_the_applied_force(folder):
         # Without a second Lame constant the cross section, and so the stress, stays as it is.
         assert float(row["middle_tresca"]) == pytest.approx(20.0, rel=1e-9)
         units = {name: column_unit(name, moving=False) for name in row}
+        assert float(row["half_tresca_percentile_50"]) == pytest.approx(20.0, rel=1e-9)
+        assert float(row["half_displacement_percentile_50_x"]) > 0
+        assert units["half_tresca_percentile_50"] == "Pa"
+        assert units["half_displacement_percentile_50_x"] == "m"
+        assert units["half_displacement_length_percentile_50"] == "m"
         assert units["end_first_piola_area_integral_xx"] == "Pa m^2"
         assert units["end_first_piola_mean_xx"] == "Pa"
         assert units["grip_reaction_x"] == "N"
@@ -160,6 +166,11 @@ def test_the_integral_of_the_traction_is_the_applied_force(folder):
     ("probe", "where", "message"),
     [
         ({"on": "right", "values": ["maks"]}, "output.probes.p.values[0]", "unknown value 'maks'"),
+        (
+            {"on": "right", "values": ["percentile:101"]},
+            "output.probes.p.values[0]",
+            "percentile:95",
+        ),
         ({"at": [1, 0, 0], "values": ["max"]}, "output.probes.p.values", "this is a point"),
         ({"on": "right", "fields": ["rank"]}, "output.probes.p.fields", "cannot read 'rank'"),
         ({"on": "right", "fields": ["trsca"]}, "output.probes.p.fields", "tresca"),
