@@ -163,13 +163,13 @@ def vector_at(vector: tuple[Component, ...], X: FloatArray, t: float) -> FloatAr
     return found
 
 
-def number_at(item: Component, X: FloatArray, t: float) -> FloatArray:
+def number_at(item: Component, X: FloatArray, t: float | FloatArray) -> FloatArray:
     """Values of a component at points of the reference configuration.
 
     Args:
         item: The component; a free one counts as 0.
         X: Points [m], shape (..., dim).
-        t: Time [s], or load parameter.
+        t: Time [s], or load parameter; one, or one for each point.
 
     Returns:
         Shape (...).

@@ -15,10 +15,9 @@ from dolfin_elastic.case.check.consistency import acts_on_surfaces
 from dolfin_elastic.case.check.initial_state import TIMES
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.toml import key_text
-from dolfin_elastic.core.errors import CaseError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import first_of
-from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.curved import edge_points, node_points
 from dolfin_elastic.mesh.geometry.simplices import (
@@ -34,7 +33,7 @@ from dolfin_elastic.model.supports.displacement import Normal, Restraint
 from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.model.values import Component, number_at
 from dolfin_elastic.problem.terms.edges_points import owned
-from dolfin_elastic.problem.terms.undefined import least_place, no_value
+from dolfin_elastic.problem.terms.undefined import no_value, undefined_formula
 
 _HALVINGS = 60
 _ROUND_OFF = 2.0**-50
@@ -42,8 +41,6 @@ _FAR, _NEAR = 2.0**-15, 2.0**-30
 """Distances from a zero of a denominator at which values are compared, in shares of a cell."""
 _ANY, _NOT_INTEGRABLE = 2.0**3, 2.0**12
 """Growth from far to near of poles of the orders 0.2 and 0.8: values are needed, or integrals."""
-
-Place = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -92,7 +89,9 @@ def check_formulas(case: Case, integrals: Integrals) -> None:
         if formulas and use.inside is not None:
             X = use.places()[:, use.inside :]
             for value in formulas:
-                _check_values(value, X, use.where, times, comm)
+                for t in _times_of(value, times):
+                    if (error := undefined_formula(comm, value, use.where, X, t)) is not None:
+                        raise error
     check_poles(case, integrals)
 
 
@@ -138,9 +137,9 @@ def _check_in_time(case: Case, times: Sequence[float]) -> None:
     for where, value in given:
         if not isinstance(value, Formula) or value.names != {"t"}:
             continue
-        pole = next(_poles_in_time(value, np.zeros((1, 1, 3)), times), None)
+        pole = next(_poles_in_time(value, np.zeros((1, 3)), times), None)
         if pole is not None:
-            raise _no_value(value, where, pole, ())
+            raise no_value(value, where, (), pole, pole=True)
 
 
 # --- what is evaluated where ---
@@ -265,70 +264,35 @@ def _edges(body: Body, names: Sequence[str]) -> FloatArray:
 # --- values and poles ---
 
 
-def _check_values(
-    value: Formula, X: FloatArray, where: str, times: Sequence[float], comm: MPI.Comm
-) -> None:
-    """Raises on all ranks where a formula gives no finite number. Collective."""
-    for t in times if "t" in value.names else [0.0]:
-        place = least_place(value, X, t)
-        found = first_of(comm, [] if place is None else [place])
-        if found is not None:
-            raise no_value(value, where, found, t)
-
-
 def _check_poles(
     value: Formula, X: FloatArray, use: _Use, times: Sequence[float], comm: MPI.Comm
 ) -> None:
     """Raises on all ranks where a formula has a pole between two points or times. Collective."""
-    poles = [
-        (t, place)
-        for t in (times if "t" in value.names else [0.0])
-        for place in _poles(value, X, t, use)
-    ]
-    found = first_of(comm, poles)
-    if found is not None:
-        raise _no_value(value, use.where, *found)
-    if "t" in value.names:
-        early = first_of(comm, _poles_in_time(value, X, [0.0, *times]))
-        if early is not None:
-            raise _no_value(value, use.where, early, ())
-
-
-_EXPECTED = "a formula that gives a number at every place it acts on"
-
-
-def _no_value(formula: Formula, where: str, t: float, place: Place) -> CaseError:
-    near = [f"({', '.join(f'{x:.6g}' for x in place)}) m"] if place else []
-    near += [f"t = {t:.6g}"] if "t" in formula.names else []
-    return CaseError(
-        f"'{formula.text}' has no finite value near {' at '.join(near)}: it divides by zero",
-        where=where,
-        expected=_EXPECTED,
+    found = first_of(
+        comm, [pole for t in _times_of(value, times) for pole in _poles(value, X, t, use)]
     )
+    if found is not None:
+        raise no_value(value, use.where, found[1:], found[0], pole=True)
+    if "t" in value.names:
+        early = first_of(comm, _poles_in_time(value, X.reshape(-1, X.shape[-1]), [0.0, *times]))
+        if early is not None:
+            raise no_value(value, use.where, (), early, pole=True)
 
 
-def _poles(formula: Formula, X: FloatArray, t: float, use: _Use) -> Iterator[Place]:
-    """Poles on lines between two points of one facet, cell or edge."""
-    if not X.size:
-        return
-    for divisor in formula.divisors:
+def _times_of(value: Formula, times: Sequence[float]) -> Sequence[float]:
+    return times if "t" in value.names else [0.0]
+
+
+def _poles(formula: Formula, X: FloatArray, t: float, use: _Use) -> Iterator[tuple[float, ...]]:
+    """Poles on lines between two points of one facet, cell or edge: their time and place."""
+    for divisor in formula.divisors if X.size else ():
         values = np.nan_to_num(number_at(divisor, X, t))
         across, from_corners = _across(X, values), _from_corners(X, values, use)
-        start, end = map(np.concatenate, zip(across, from_corners, strict=True))
-        growth = np.full(len(start), _NOT_INTEGRABLE)
-        growth[: len(across[0])] = use.growth
-
-        def at(s: FloatArray, start: FloatArray = start, end: FloatArray = end) -> FloatArray:
-            return start + s[:, None] * (end - start)
-
-        sign = np.where(number_at(divisor, end, t) < 0, -1.0, 1.0)
-
-        def zero(s: FloatArray, divisor: Formula = divisor, sign: FloatArray = sign) -> FloatArray:
-            return sign * number_at(divisor, at(s), t)
-
-        roots = _roots(zero, len(start))
-        grow = _grown(lambda s: np.abs(number_at(formula, at(s), t)), roots, growth)
-        yield from (tuple(map(float, place)) for place in at(roots)[grow])
+        growth = np.repeat([use.growth, _NOT_INTEGRABLE], [len(across[0]), len(from_corners[0])])
+        ends = (np.concatenate(pair) for pair in zip(across, from_corners, strict=True))
+        start, end = (np.insert(x, 0, t, axis=1) for x in ends)
+        for pole in _poles_between(formula, divisor, start, end, growth):
+            yield tuple(map(float, pole))
 
 
 def _across(X: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -351,61 +315,56 @@ def _from_corners(X: FloatArray, values: FloatArray, use: _Use) -> tuple[FloatAr
 
 
 def _poles_in_time(formula: Formula, X: FloatArray, times: Sequence[float]) -> Iterator[float]:
-    """Poles between some times, of denominators that depend on nothing else."""
+    """Poles between some times, of denominators that depend on nothing else.
+
+    Args:
+        X: Shape (n, dim).
+    """
     for divisor in formula.divisors if X.size else ():
         if divisor.names != {"t"}:
             continue
         values = np.nan_to_num(divisor.evaluate(t=np.array(times)))
         for (first, a), (last, b) in pairwise(zip(times, values, strict=True)):
-            if a * b >= 0:
-                continue
-
-            def at(s: FloatArray, first: float = first, last: float = last) -> FloatArray:
-                return first + s * (last - first)
-
-            def zero(s: FloatArray, divisor: Formula = divisor, sign: float = b) -> FloatArray:
-                return np.sign(sign) * np.asarray(divisor.evaluate(t=at(s)))
-
-            def size(s: FloatArray) -> FloatArray:
-                with np.errstate(all="ignore"):
-                    values = np.abs(number_at(formula, X, float(at(s)[0])))
-                return np.array([np.nanmax(np.append(values, 0.0))])
-
-            root = _roots(zero, 1)
-            if _grown(size, root, _ANY)[0]:
-                yield float(at(root)[0])
+            if a * b < 0:
+                start, end = (np.insert(X, 0, t, axis=1) for t in (first, last))
+                found = _poles_between(formula, divisor, start, end, np.full(len(X), _ANY))
+                yield from map(float, found[:1, 0])
 
 
-def _roots(function: Callable[[FloatArray], FloatArray], count: int) -> FloatArray:
-    """Zeros of functions that are negative at 0 and positive at 1, by bisection.
+def _poles_between(
+    formula: Formula, divisor: Formula, start: FloatArray, end: FloatArray, growth: FloatArray
+) -> FloatArray:
+    """Zeros of a denominator on lines, towards which values grow, shape (n, 1 + dim).
+
+    A quotient of zeros counts as none.
 
     Args:
-        function: Values of the functions at a number each.
+        start: Time and place where each line begins, shape (lines, 1 + dim).
+        end: Where it ends, and the denominator has another sign or value than at its start.
+        growth: Of values from far to near of a zero, from which on there is a pole, shape (lines,).
     """
-    low: FloatArray = np.zeros(count)
-    high: FloatArray = np.ones(count)
-    for _ in range(_HALVINGS if count else 0):
+    if not len(start):
+        return start
+
+    def along(item: Formula, s: FloatArray) -> FloatArray:
+        points = start + s[:, None] * (end - start)
+        return number_at(item, points[:, 1:], points[:, 0])
+
+    low: FloatArray = np.zeros(len(start))
+    high: FloatArray = np.ones(len(start))
+    falls = along(divisor, high) < 0
+    for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        below = function(middle) < 0
+        values = along(divisor, middle)
+        below = np.where(falls, -values, values) < 0
         low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return np.where(high < _ROUND_OFF, 0.0, high)
-
-
-def _grown(
-    size: Callable[[FloatArray], FloatArray], roots: FloatArray, growth: float | FloatArray
-) -> BoolArray:
-    """Where values grow towards zeros of denominators; a quotient of zeros counts as none.
-
-    Args:
-        size: Absolute values at a number for each zero.
-        growth: From which on there is a pole.
-    """
+    roots = np.where(high < _ROUND_OFF, 0.0, high)
 
     def around(distance: float) -> FloatArray:
-        sides = [size(roots + side * distance) for side in (-1, 1)]
-        return np.nanmax([*sides, np.zeros(len(roots))], axis=0)
+        sides = [np.abs(along(formula, roots + side * distance)) for side in (-1, 1)]
+        return np.asarray(np.nanmax([*sides, np.zeros(len(roots))], axis=0))
 
-    if not len(roots):
-        return np.zeros(0, dtype=bool)
-    near, far = around(_NEAR), around(_FAR)
-    return np.asarray((near > growth * far) | np.isinf(near))
+    with np.errstate(all="ignore"):
+        near, far = around(_NEAR), around(_FAR)
+    grow = (near > growth * far) | np.isinf(near)
+    return np.asarray((start + roots[:, None] * (end - start))[grow])

@@ -1,4 +1,4 @@
-"""Formulas of loads that have no finite value: which one, where and when."""
+"""Formulas that have no finite value: which one, where and when."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import first_of
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.loads import Cavity, ConcentratedLoad, Load
-from dolfin_elastic.model.values import PLACE, Component, number_at
+from dolfin_elastic.model.values import PLACE, number_at
 from dolfin_elastic.problem.context import formula_places
 
 if TYPE_CHECKING:
@@ -30,11 +30,10 @@ def undefined_load(problem: Problem, t: float) -> CaseError | None:
         The same on every rank; None if all formulas have values.
     """
     for index, load in enumerate(problem.loads):
-        if not any(isinstance(value, Formula) for value in load.values):
-            continue
-        error = undefined(problem.body.comm, index, load, _places(problem, load), t)
-        if error is not None:
-            return error
+        if any(isinstance(value, Formula) for value in load.values):
+            X = _places(problem, load)
+            if (error := undefined(problem.body.comm, index, load, X, t)) is not None:
+                return error
     return None
 
 
@@ -49,63 +48,60 @@ def _places(problem: Problem, load: Load) -> FloatArray:
 
 
 def undefined(comm: MPI.Comm, index: int, load: Load, X: FloatArray, t: float) -> CaseError | None:
-    """The error about a formula of one load without a finite value. Collective.
+    """The error about the first formula of one load without a finite value. Collective.
 
     Args:
         X: Points of this rank [m], shape (..., 2 or 3).
         t: Time [s], or load parameter.
 
     Returns:
-        With the key of the component, the formula, and the least of its places by coordinates; the
-        same on every rank.  None if it has values.
+        See `undefined_formula`; with the key of the component.
     """
-    points = np.asarray(X).reshape(-1, X.shape[-1])
-    found = first_of(comm, _undefined(load.values, points, t))
-    if found is None:
-        return None
-    component, place = found
-    formula = load.values[component]
-    assert isinstance(formula, Formula)
-    where = f"load[{index}].{_key(load, component)}"
-    return no_value(formula, where, place, t)
+    for component, value in enumerate(load.values):
+        if isinstance(value, Formula):
+            where = f"load[{index}].{_key(load, component)}"
+            if (error := undefined_formula(comm, value, where, X, t)) is not None:
+                return error
+    return None
 
 
-def _undefined(
-    values: tuple[Component, ...], X: FloatArray, t: float
-) -> list[tuple[int, tuple[float, ...]]]:
-    """Formulas without a finite value on this rank, each with the least place."""
-    found = []
-    for component, value in enumerate(values):
-        if isinstance(value, Formula) and (place := least_place(value, X, t)) is not None:
-            found.append((component, place))
-    return found
-
-
-def least_place(formula: Formula, X: FloatArray, t: float) -> tuple[float, ...] | None:
-    """The least point, by coordinates, at which a formula has no finite value. Not collective.
+def undefined_formula(
+    comm: MPI.Comm, formula: Formula, where: str, X: FloatArray, t: float
+) -> CaseError | None:
+    """The error about a formula without a finite value. Collective.
 
     Args:
         formula: In x, y, z [m] and t.
         X: Points of this rank [m], shape (..., 2 or 3).
         t: Time [s], or load parameter.
+
+    Returns:
+        With the least of its places by coordinates, the same on every rank; None if it has values.
     """
-    points = np.asarray(X).reshape(-1, X.shape[-1])
-    bad = points[~np.isfinite(number_at(formula, points, t))]
+    bad = X[~np.isfinite(number_at(formula, X, t))]
     # Rounded, lest the last digits differ with the number of ranks.
-    return min((tuple(float(x) + 0.0 for x in row.round(12)) for row in bad), default=None)
+    found = first_of(comm, [tuple(float(x) + 0.0 for x in row.round(12)) for row in bad])
+    return None if found is None else no_value(formula, where, found, t)
 
 
-def no_value(formula: Formula, where: str, place: tuple[float, ...], t: float) -> CaseError:
+def no_value(
+    formula: Formula, where: str, place: tuple[float, ...], t: float, *, pole: bool = False
+) -> CaseError:
     """The error about a formula without a finite value.
 
     Args:
-        place: A point at which it has none [m].
+        place: A point at which it has none [m]; empty where that is not told.
         t: Time [s], or load parameter.
+        pole: It divides by zero between the points and times at which it is evaluated.
     """
-    at = [f"({', '.join(f'{x:.6g}' for x in place)}) m"] if formula.names & PLACE else []
+    told = place and (pole or formula.names & PLACE)
+    at = [f"({', '.join(f'{x:.6g}' for x in place)}) m"] if told else []
     at += [f"t = {t:g}"] if "t" in formula.names or not at else []
+    text = f"'{formula.text}' has no finite value"
     return CaseError(
-        f"'{formula.text}' has no finite value at {' at '.join(at)}",
+        f"{text} near {' at '.join(at)}: it divides by zero"
+        if pole
+        else f"{text} at {' at '.join(at)}",
         where=where,
         expected="a formula that gives a number at every place and time it acts on",
     )
