@@ -232,7 +232,7 @@ int64_t add_tangent(int64_t kernel, int64_t count, const int32_t cells[count], i
   spread(known, constants, (double*)c);
   for (int64_t n = 0; n < count; n += LANES)
   {
-    const int some = count - n < LANES ? count - n : LANES;
+    const int some = LANES == 1 || count - n >= LANES ? LANES : count - n;
     elements(&m, some, n, cells, &T);
     for (int l = 0; l < some; l++)
     {
@@ -305,12 +305,6 @@ static void add_far(struct tangent* T, int l, int a, int b, int32_t row, int32_t
           far_blocks[f * SQUARE + i * DIM + k] += OF_CELL(T->K[entry(i, k, a, b)], l);
 }
 
-#if LANES == 1
-#define rows_of(block, rows) memcpy(rows, block, sizeof(doubles))
-#else
-#define rows_of(block, rows) transpose(block, (lanes*)rows)
-#endif
-
 /* Adds half of a symmetric tangent without pressures: see symmetric.c for where blocks stand. */
 int64_t add_half(int64_t kernel, int64_t count, const int32_t cells[count], int64_t every,
                  const int32_t corners[NG * every], int64_t points, const double x[3 * points],
@@ -332,7 +326,7 @@ int64_t add_half(int64_t kernel, int64_t count, const int32_t cells[count], int6
   spread(known, constants, (double*)c);
   for (int64_t n = 0; n < count; n += LANES)
   {
-    const int some = count - n < LANES ? count - n : LANES;
+    const int some = LANES == 1 || count - n >= LANES ? LANES : count - n;
     elements(&m, some, n, cells, &T);
     for (int l = 0; l < some; l++)
     {
@@ -343,13 +337,15 @@ int64_t add_half(int64_t kernel, int64_t count, const int32_t cells[count], int6
     for (int a = 0, pair = 0; a < ND; a++)
       for (int b = a; b < ND; b++, pair++)
       {
+#if LANES > 1
         lanes block[SQUARE]; /* row by row */
         for (int i = 0; i < DIM; i++)
           for (int k = 0; k < DIM; k++)
             block[i * DIM + k] = T.K[entry(i, k, a, b)];
 #if DIM == 3
-        doubles eight[LANES] __attribute__((aligned(64))); /* of each cell, the first ones */
-        rows_of(block, eight);
+        lanes eight[LANES]; /* of each cell, the first ones */
+        transpose(block, eight);
+#endif
 #endif
         for (int l = 0; l < some; l++)
         {
@@ -361,19 +357,27 @@ int64_t add_half(int64_t kernel, int64_t count, const int32_t cells[count], int6
           if (row < owned)
           {
             const int64_t k = (start[row] + places[cell * UPPER + pair]) * SQUARE;
+            /* Columns of the stored block are columns of this one, or its rows. */
+#if LANES == 1
+#define ENTRY(i, j) T.K[entry(i, j, turned ? b : a, turned ? a : b)]
+#else
+#define ENTRY(i, j) OF_CELL(block[turned ? (j) * DIM + (i) : (i) * DIM + (j)], l)
+#endif
 #if DIM == 3
+#if LANES == 1
+            const doubles first = {ENTRY(0, 0), ENTRY(1, 0), ENTRY(2, 0), ENTRY(0, 1),
+                                   ENTRY(1, 1), ENTRY(2, 1), ENTRY(0, 2), ENTRY(1, 2)};
+#else
             static const marks order[2]
                 = {{0, 3, 6, 1, 4, 7, 2, 5}, {0, 1, 2, 3, 4, 5, 6, 7}};
-            add_eight(high + k, low + k, __builtin_shuffle(eight[l], order[turned]));
-            add_split(high + k + 8, low + k + 8, OF_CELL(block[8], l));
+            const doubles first = __builtin_shuffle(eight[l], order[turned]);
+#endif
+            add_eight(high + k, low + k, first);
+            add_split(high + k + 8, low + k + 8, ENTRY(2, 2));
 #else
-            for (int i = 0; i < DIM; i++)
-              for (int j = 0; j < DIM; j++)
-              {
-                const int64_t place = k + j * DIM + i; /* column by column */
-                const int at = turned ? j * DIM + i : i * DIM + j;
-                add_split(high + place, low + place, OF_CELL(block[at], l));
-              }
+            for (int j = 0; j < DIM; j++)
+              for (int i = 0; i < DIM; i++)
+                add_split(high + k + j * DIM + i, low + k + j * DIM + i, ENTRY(i, j));
 #endif
           }
           if (one >= owned)
@@ -403,7 +407,7 @@ int64_t add_product(int64_t kernel, int64_t count, const int32_t cells[count], i
   spread(known, constants, (double*)c);
   for (int64_t n = 0; n < count; n += LANES)
   {
-    const int some = count - n < LANES ? count - n : LANES;
+    const int some = LANES == 1 || count - n >= LANES ? LANES : count - n;
     elements(&m, some, n, cells, &T);
     for (int l = 0; l < some; l++)
     {
