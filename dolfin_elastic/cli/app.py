@@ -157,12 +157,6 @@ def check(
       dolfin-elastic check beam.toml --json | jq .unknowns
 
     Compares every name, unit and size with the mesh, sums up masses and loads; computes nothing.
-
-    \f
-    Args:
-        case: The case file.
-        json: Write the report as JSON.
-        trust: Let the mesh's script do all that the user may.
     """
     start()
     from mpi4py import MPI

@@ -57,16 +57,6 @@ def converge(
     The mesh is refined where the estimated error is.  The table of all meshes, a plot and the
     results of the last one go to CASE_converged.  Exit code 6: not known as well as wanted.
     What stops `run` stops it, too, with the results of the last complete mesh and exit code 130.
-
-    \f
-    Args:
-        case: The case file.
-        petsc: PETSc options as they stand on the command line.
-        until: The quantity, and its largest error as a share of its value.
-        unknowns: Largest number of unknowns of a mesh.
-        output: Folder of the results, in place of `CASE_converged`.
-        trust: Let the mesh's script do all that the user may.
-        quiet: Show warnings and errors only.
     """
     options, at_start = parse_arguments(petsc or [])
     start(at_start)

@@ -38,13 +38,6 @@ def material(
 
     Checks what every material must keep, says how far it goes, and draws its curves: uniaxial,
     equibiaxial, planar, simple shear, volumetric.
-
-    \f
-    Args:
-        context: Typer's; its remaining arguments are the constants of a law.
-        what: A case file, or the name of a law.
-        only: Name of the one material of the file that is tested.
-        json: Write the report as JSON.
     """
     start()
     from mpi4py import MPI

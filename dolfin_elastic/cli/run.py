@@ -6,7 +6,7 @@ from __future__ import annotations
 import gc
 import logging
 import sys
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -68,34 +68,18 @@ def run(
     it with a checkpoint of the last complete step, from which `restart` goes on; SIGUSR1 makes a
     checkpoint and no stop.
     What follows two dashes are PETSc options; they win over the case's own.
-
-    \f
-    Args:
-        case: The case file.
-        petsc: PETSc options as they stand on the command line.
-        output: Folder of the results, in place of the case's.
-        profile: Show at the end where time and memory went.
-        trust: Let the mesh's script do all that the user may.
-        quiet: Show warnings and errors only.
-        verbose: Show every trial of a step.
-        json: Print the summary at the end, for scripts.
     """
     options, at_start = parse_arguments(petsc or [])
     start(at_start)
     from dolfin_elastic.case.case import read_case
     from dolfin_elastic.case.run import run as run_case
-    from dolfin_elastic.results.writers.summary import mark_stopped
 
-    comm = begin(quiet or json, verbose=verbose)
+    shown = _Shown(quiet=quiet or json, verbose=verbose, json=json, profile=profile)
+    comm = begin(shown.quiet, verbose=verbose)
     read = read_case(case, comm=comm, trust=trust)
     folder = output if output is not None else read.results_folder()
-
     check_kept(folder, "--output" if output is not None else "output.folder")
-
-    stop = Stop(folder, partial(mark_stopped, folder.absolute()))
-    states = run_case(read, output=folder, petsc=options, asked=stop.wants_checkpoint)
-    shown = _Shown(quiet=quiet or json, verbose=verbose, json=json, profile=profile)
-    _compute(_DisplayedRun(read, folder, states, stop, shown), comm)
+    _compute(read, folder, partial(run_case, read, output=folder, petsc=options), shown, comm)
 
 
 def restart(
@@ -116,31 +100,18 @@ def restart(
 
     DIR is the folder of its results; it goes on from the last checkpoint there, and the results
     go on with it.  PETSc options of the first run hold; those after two dashes win over them.
-
-    \f
-    Args:
-        petsc: PETSc options as they stand on the command line.
-        profile: Show at the end where time and memory went.
-        trust: Let the mesh's script do all that the user may.
-        quiet: Show warnings and errors only.
-        verbose: Show every trial of a step.
-        json: Print the summary at the end, for scripts.
     """
     options, at_start = parse_arguments(petsc or [])
     start(at_start)
     from dolfin_elastic.case.restart import unfinished
     from dolfin_elastic.case.run import restart as restart_case
-    from dolfin_elastic.results.writers.summary import mark_stopped
 
-    comm = begin(quiet or json, verbose=verbose)
+    shown = _Shown(quiet=quiet or json, verbose=verbose, json=json, profile=profile)
+    comm = begin(shown.quiet, verbose=verbose)
     found = unfinished(folder, comm=comm, trust=trust)
     logging.getLogger("dolfin_elastic").info("%s", found.message())
-
-    stop = Stop(folder, partial(mark_stopped, folder.absolute()))
-    states = restart_case(found, petsc=options, asked=stop.wants_checkpoint)
-    shown = _Shown(quiet=quiet or json, verbose=verbose, json=json, profile=profile)
-    displayed = _DisplayedRun(found.case, folder, states, stop, shown, since=found.step)
-    _compute(displayed, comm)
+    shown.since = found.step
+    _compute(found.case, folder, partial(restart_case, found, petsc=options), shown, comm)
 
 
 def begin(quiet: bool, *, verbose: bool = False) -> MPI.Comm:
@@ -163,7 +134,7 @@ def collect_garbage() -> None:
     gc.enable()
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Shown:
     """What the command line shows of a run.
 
@@ -172,56 +143,56 @@ class _Shown:
         verbose: Show every trial of a step.
         json: Print the summary at the end.
         profile: Show time and memory per stage.
-    """
-
-    quiet: bool = False
-    verbose: bool = False
-    json: bool = False
-    profile: bool = False
-
-
-@dataclass
-class _DisplayedRun:
-    """A run and how the command line shows it.
-
-    Attributes:
-        case: What is computed.
-        folder: Of the results.
-        states: The generator that computes it.
-        stop: Signals and files that stop it.
-        shown: What is shown of it.
         since: Step from which it is restarted.
     """
 
-    case: Case
-    folder: Path
-    states: Generator[State | Mode, None, None]
-    stop: Stop
-    shown: _Shown
+    quiet: bool
+    verbose: bool
+    json: bool
+    profile: bool
     since: int = 0
 
 
-def _compute(displayed: _DisplayedRun, comm: MPI.Comm) -> None:
-    """Computes and shows a run; leaves with its exit code if that is not 0. Collective."""
-    visible = comm.rank == 0 and not displayed.shown.quiet
-    before = _written(displayed.folder)
+def _compute(
+    case: Case,
+    folder: Path,
+    states: Callable[..., Generator[State | Mode, None, None]],
+    shown: _Shown,
+    comm: MPI.Comm,
+) -> None:
+    """Computes and shows a run; leaves with its exit code if that is not 0. Collective.
+
+    Args:
+        states: Makes the generator that computes it, given `asked`.
+    """
+    from dolfin_elastic.results.writers.summary import mark_stopped
+
+    visible = comm.rank == 0 and not shown.quiet
+    stop = Stop(folder, partial(mark_stopped, folder.absolute()))
+    before = _written(folder)
+    code = INTERRUPTED
     try:
-        code = _follow(displayed, comm, visible=visible)
+        code = _follow(case, states(asked=stop.wants_checkpoint), stop, shown, comm)
+    except StoppedError:
+        stop.acknowledge()
+    except SolveError as error:
+        error.add_note(f"results so far are in {folder}")
+        raise
     finally:
         # A run that was refused leaves the summary of an earlier one as it is.
-        if displayed.shown.json and comm.rank == 0 and _written(displayed.folder) != before:
-            _print_summary(displayed.folder)
-    if displayed.shown.profile:
+        if shown.json and comm.rank == 0 and _written(folder) != before:
+            print(_summary(folder), end="", flush=True)
+    if shown.profile:
         _show_profile(comm)
     if visible:
         from dolfin_elastic.cli.console import show_files, show_restart
 
-        if displayed.case.dynamics is not None and code != INTERRUPTED:
-            _show_extremes(displayed.folder)
-        if displayed.folder.is_dir():
-            show_files(displayed.folder, displayed.case.listing(displayed.folder))
+        if case.dynamics is not None and code != INTERRUPTED:
+            _show_extremes(folder)
+        if folder.is_dir():
+            show_files(folder, case.listing(folder))
         if code == INTERRUPTED:
-            show_restart(displayed.folder)
+            show_restart(folder)
     if code:
         raise Exit(code)
 
@@ -232,10 +203,8 @@ def _show_extremes(folder: Path) -> None:
 
     from dolfin_elastic.cli.console import extreme_lines
 
-    path = folder / "summary.json"
-    if path.is_file():
-        for line in extreme_lines(loads(path.read_text(encoding="utf-8"))):
-            print(f" {line}")
+    for line in extreme_lines(loads(_summary(folder) or "{}")):
+        print(f" {line}")
 
 
 def _written(folder: Path) -> tuple[int, int] | None:
@@ -247,14 +216,19 @@ def _written(folder: Path) -> tuple[int, int] | None:
     return found.st_ino, found.st_mtime_ns
 
 
-def _print_summary(folder: Path) -> None:
-    """Prints the summary of a run, as it stands in the folder."""
+def _summary(folder: Path) -> str:
+    """The summary of a run, as it stands in the folder; empty where there is none."""
     path = folder / "summary.json"
-    if path.is_file():
-        print(path.read_text(encoding="utf-8"), end="", flush=True)
+    return path.read_text(encoding="utf-8") if path.is_file() else ""
 
 
-def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
+def _follow(
+    case: Case,
+    states: Generator[State | Mode, None, None],
+    stop: Stop,
+    shown: _Shown,
+    comm: MPI.Comm,
+) -> int:
     """Computes a run to its end, or until it is stopped; returns the exit code. Collective."""
     from contextlib import closing
 
@@ -262,29 +236,20 @@ def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
     from dolfin_elastic.core import timing
     from dolfin_elastic.problem.state import Mode
 
-    motion = displayed.case.dynamics is not None
-    progress = _progress_display(motion, visible, verbose=displayed.shown.verbose)
+    motion, visible = case.dynamics is not None, comm.rank == 0 and not shown.quiet
+    progress = _progress_display(motion, visible, verbose=shown.verbose)
     state, newton, most, modes = None, 0, 0.0, []
-    try:
-        with closing(displayed.states) as results:
-            for result in results:
-                if isinstance(result, Mode):
-                    modes.append(result)
-                else:
-                    state = result
-                    newton += state.newton
-                    most = max(most, state.max_displacement)
-                    progress.show(state)
-                if result.done < 1.0 and displayed.stop.agreed(comm):
-                    return INTERRUPTED
-    except StoppedError:
-        displayed.stop.acknowledge()
-        return INTERRUPTED
-    except SolveError as error:
-        error.add_note(f"results so far are in {displayed.folder}")
-        raise
-    finally:
-        progress.close()
+    with closing(progress), closing(states) as results:
+        for result in results:
+            if isinstance(result, Mode):
+                modes.append(result)
+            else:
+                state = result
+                newton += state.newton
+                most = max(most, state.max_displacement)
+                progress.show(state)
+            if result.done < 1.0 and stop.agreed(comm):
+                return INTERRUPTED
     if visible and modes:
         from dolfin_elastic.cli.console_modes import show_modes
 
@@ -295,12 +260,12 @@ def _follow(displayed: _DisplayedRun, comm: MPI.Comm, *, visible: bool) -> int:
             motion=motion,
             seconds=timing.totals(),
             newton=newton,
-            since=displayed.since,
+            since=shown.since,
             most=most,
         )
     if state is None or not state.failure:
         return 0
-    if displayed.shown.quiet:
+    if shown.quiet:
         logging.getLogger("dolfin_elastic").error("audit FAIL: %s", state.failure)
     return AUDIT_FAILED
 

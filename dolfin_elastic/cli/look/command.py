@@ -35,11 +35,6 @@ def look(
     Faces of CAD files have numbers; [surfaces] of a case names them: holes = {faces = [7, 8]}.
 
     \f
-    Args:
-        what: A mesh, a CAD file, or a case.
-        json: Write the list as JSON.
-        trust: Let a script do all that the user may.
-
     Raises:
         CaseError: The picture cannot have that name.
     """

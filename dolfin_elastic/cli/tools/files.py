@@ -44,10 +44,6 @@ def new(
       dolfin-elastic new reed.toml --kind modal      natural frequencies
 
     \f
-    Args:
-        file: The file to write.
-        force: Overwrite it if it exists.
-
     Raises:
         CaseError: It exists, or cannot be written.
     """
@@ -111,10 +107,6 @@ def convert(
     regions, surfaces, edges and points, fields and the unit of length are kept.
 
     \f
-    Args:
-        target: The .xdmf file.
-        force: Overwrite it, and the .h5 file beside it.
-
     Raises:
         CaseError: docker/run would not keep the target.
         MeshError: The mesh cannot be read, or the target is no .xdmf file or exists.

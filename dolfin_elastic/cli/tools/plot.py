@@ -86,15 +86,6 @@ def plot(
     the picture.
 
     \f
-    Args:
-        view: Direction from which the body is seen.
-        up: Axis that is up.
-        circle: Centre, radius and axis of a circle.
-        output: The file that is written.
-        speed: Time that passes in a second of a film.
-        plain: The body alone: no mark, obstacles, title, colour bar and axes.
-        listing: List fields, steps and columns, draw nothing.
-
     Raises:
         InputError: Something of it is not there, or cannot be read.
     """

@@ -56,13 +56,6 @@ def verify(
     Exit code 1: a result is off by more than its limit, or ranks differ.
 
     \f
-    Args:
-        full: Also the cases that take longer.
-        ranks: Numbers of ranks to start.
-        case: A case file whose results on these ranks are compared.
-        tolerance: Relative difference that is allowed between ranks.
-        json: File for the table.
-
     Raises:
         UsageError: Ranks are asked for within mpirun.
         CaseError: There is no mpirun.
