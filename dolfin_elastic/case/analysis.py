@@ -193,11 +193,7 @@ def _check_one_analysis(case: AnalysisTables) -> None:
 
 
 def _check_contacts(case: AnalysisTables) -> None:
-    """Keys of [[contact]] without effect in motion.
-
-    Raises:
-        InputError: There is one.
-    """
+    """Refuses keys of [[contact]] without effect in motion."""
     rule = UnusedKeys(
         ["gap_tolerance"],
         "in motion the penalty decides how far a surface penetrates",
@@ -208,11 +204,7 @@ def _check_contacts(case: AnalysisTables) -> None:
 
 
 def _check_output(case: AnalysisTables) -> None:
-    """Keys of [output] for what the analysis does not give.
-
-    Raises:
-        InputError: There is one.
-    """
+    """Refuses keys of [output] for what the analysis does not give."""
     rules = [UnusedKeys(["frames", "amplitude"], f"there are no modes in {case.analysis}")]
     if case.gives_modes:
         rules = []

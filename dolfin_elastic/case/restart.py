@@ -187,11 +187,7 @@ def _case_text(folder: Path, content: Mapping[str, Any]) -> str:
 
 
 def _check_folder(folder: Path) -> None:
-    """Checks that a stopped run is in the folder. On rank 0.
-
-    Raises:
-        RestartError: There is none.
-    """
+    """Checks that a stopped run is in the folder. On rank 0."""
     where = str(folder)
     if folder.is_file():
         raise RestartError(

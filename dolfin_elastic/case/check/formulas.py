@@ -119,11 +119,7 @@ def check_poles(case: Case, integrals: Integrals) -> None:
 
 
 def _check_in_time(case: Case, times: Sequence[float]) -> None:
-    """Looks for poles of formulas in t alone: curves, and what moves rigid surfaces and obstacles.
-
-    Raises:
-        CaseError: There is one.
-    """
+    """Refuses poles of formulas in t alone: curves, and what moves rigid surfaces and obstacles."""
     given: list[tuple[str, object]] = []
     for key in ("support", "load", "contact"):
         for i, row in enumerate(getattr(case, key)):

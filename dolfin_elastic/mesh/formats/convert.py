@@ -102,9 +102,6 @@ def _check_target(path: Path, target: Path, *, force: bool) -> None:
     Args:
         target: The new file.
         force: It may exist.
-
-    Raises:
-        MeshError: See above.
     """
     if is_cad(path):
         raise MeshError(

@@ -557,11 +557,7 @@ def _lost(comm: MPI.Comm, name: str, numbers: IndexArray, gone: BoolArray) -> di
 
 
 def _check_nodes(mesh: Mesh, cells: IntArray, tags: _Tags, points: int) -> None:
-    """Refuses data of cells whose points do not exist. Collective.
-
-    Raises:
-        MeshError: There are some.
-    """
+    """Refuses data of cells whose points do not exist. Collective."""
     bad = int(np.count_nonzero((cells < 0) | (cells >= points)))
     if total(mesh.comm, bad):
         raise MeshError(

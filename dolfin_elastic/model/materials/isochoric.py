@@ -51,9 +51,7 @@ def _root(J: Expr, j: Expr) -> Expr:
     J = (1 + t)/(1 - t) and ln J = 2 artanh t, so it is sqrt(2 (2 - t)/(1 - t)^2 - 2 t s) with
     s = (artanh t - t)/t^3 = 1/3 + t^2/5 + t^4/7 + ...
 
-    Args:
-        J: See `simo_taylor`.
-        j: See `simo_taylor`.
+    Arguments: see `simo_taylor`.
     """
     t = j / (J + 1)
     series: Scalar = 0.0

@@ -184,11 +184,7 @@ def _unbounded(peak: Peak, changes: str) -> Remark:
 
 
 def _doubts(peak: Peak, rival: Peak | None) -> list[Remark]:
-    """Where the largest regular stress is not known, or may be larger.
-
-    Args:
-        rival: See `Peaks`.
-    """
+    """Where the largest regular stress is not known, or may be larger. See `Peaks`."""
     if rival is None:
         return [Remark("peak not known", peak.unresolved, True)] if peak.unresolved else []
     if not rival.unresolved:

@@ -111,16 +111,7 @@ def diagnose(
 
 
 class _CauseSearch:
-    """Looks for the cause of one failure. Collective.
-
-    Args:
-        assembler: See `diagnose`.
-        result: See `diagnose`.
-        good: See `diagnose`.
-        failed: See `diagnose`.
-        judge_stability: See `diagnose`.
-        moving: See `diagnose`.
-    """
+    """Looks for the cause of one failure. Collective. See `diagnose`."""
 
     def __init__(
         self,

@@ -167,11 +167,7 @@ def default_folder(case: Case) -> Path:
 
 
 def _check_kind(case: Case) -> None:
-    """Only statics without periodic faces is refined.
-
-    Raises:
-        InputError: The case is another.
-    """
+    """Refuses all but statics without periodic faces."""
     what = f"[{case.analysis}]" if case.analysis != "statics" else ""
     if case.periodic is not None:
         what = "a periodic cell, whose opposite faces must have the same mesh"

@@ -139,11 +139,7 @@ def read_abaqus(path: Path) -> MeshFile:
 
 
 def _check_understood(card: Card) -> None:
-    """Refuses what would define nodes, elements or coordinates and is not understood.
-
-    Raises:
-        MeshError: It does.
-    """
+    """Refuses what would define nodes, elements or coordinates and is not understood."""
     if card.word in _UNREAD:
         raise card.error("this is not understood", expected="write the mesh out in full")
     unknown = [key for key in card.options if key not in _OPTIONS.get(card.word, card.options)]
