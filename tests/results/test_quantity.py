@@ -15,7 +15,7 @@ from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.derived.part_numbers import PartNumbers, percentile
-from dolfin_elastic.results.quantity import Measured, Quantity
+from dolfin_elastic.results.quantity import Extremes, Measured, Quantity
 
 COMM = MPI.COMM_WORLD
 LAW = NeoHookean(mu=80.0, lmbda=120.0, allowable=50.0)
@@ -195,3 +195,34 @@ def test_what_has_no_derivative() -> None:
         ("normal", "right", "mean"),
     ):
         assert Quantity(*quantity).on(problem).derivative(state) is None
+
+
+def test_places_of_det_F() -> None:
+    """u = (x^2/10 - x^3/60, y x/50 + y^2/40) at the corners of triangles: det F of each by hand.
+
+    The smallest and largest one, with sign and place, whichever rank has the cell.
+    """
+    body = rectangle_body(size=(4, 1), cells=(8, 2))
+    problem = Problem(body, LAW, degree=1)
+
+    def bent(x: Any) -> Any:
+        u = x[0] ** 2 / 10 - x[0] ** 3 / 60
+        return np.array([u, x[1] * x[0] / 50 + x[1] ** 2 / 40])
+
+    state = state_of(problem, bent)
+    corners = body.mesh.geometry.x[body.mesh.geometry.dofmap[body.owned_cells()]][:, :, :2]
+    edges = corners[:, 1:] - corners[:, :1]
+    deformed = corners + np.moveaxis(bent(np.moveaxis(corners, 2, 0)), 0, 2)
+    J = np.linalg.det(deformed[:, 1:] - deformed[:, :1]) / np.linalg.det(edges)
+    rows = np.concatenate(COMM.allgather(np.column_stack([J, corners.mean(axis=1)])))
+    found = Extremes(problem).of(state)
+    for name, row in (
+        ("min_jacobian", rows[rows[:, 0].argmin()]),
+        ("max_jacobian", rows[rows[:, 0].argmax()]),
+    ):
+        assert found[name].value == pytest.approx(row[0], rel=1e-12)
+        assert found[name].place == pytest.approx(tuple(row[1:]), rel=1e-12)
+        assert found[name].part == problem.regions[0].name
+    # No ties: the next ones are 0.1 % away, so the place is that of one cell.
+    order = np.sort(rows[:, 0])
+    assert order[1] - order[0] > 1e-3 < order[-1] - order[-2]
