@@ -45,6 +45,11 @@ WRITTEN = FormulaEnergy(
 )
 
 
+ROUND_OFF = 40 * 1.1e-16 * (1e6 / 2.6 * 1.2e-5) / 0.00792
+"""Of an energy of invariants after 40 steps, if all are rounded alike: half a last digit of shear
+modulus times volume each, over the kinetic energy at the start [J]."""
+
+
 def block(comm: MPI.Comm, law: Law, **keys: Any) -> Problem:
     body = box_body(
         size=(0.06, 0.02, 0.01), cells=(4, 2, 1), origin=(-0.03, -0.01, -0.005), comm=comm
@@ -76,25 +81,26 @@ def drifts(states: list[State]) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize(
-    ("law", "keys"),
+    ("law", "keys", "limit"),
     [
-        (SVK, {"degree": 2}),
-        (NH, {}),
-        (WRITTEN, {}),
-        (NeoHookean(E=1e6, nu=0.5, density=1000.0), {"degree": 2}),
-        (NeoHookean(E=1e6, nu=0.499, density=1000.0), {"degree": 2}),
+        (SVK, {"degree": 2}, 1e-14),
+        (NH, {}, ROUND_OFF),
+        (WRITTEN, {}, ROUND_OFF),
+        (NeoHookean(E=1e6, nu=0.5, density=1000.0), {"degree": 2}, 1e-12),
+        (NeoHookean(E=1e6, nu=0.499, density=1000.0), {"degree": 2}, 1e-12),
     ],
     ids=["st-venant-kirchhoff", "neo-hookean", "of a user", "incompressible", "nearly"],
 )
-def test_free_flight(comm: MPI.Comm, law: Law, keys: dict[str, Any]) -> None:
+def test_free_flight(comm: MPI.Comm, law: Law, keys: dict[str, Any], limit: float) -> None:
     """Energy, angular and linear momentum in 40 steps, 0.77 of a turn.
 
-    What Newton's method leaves at round-off, 1e-16 of the forces, adds up over steps; the energy of
-    a law has 1e-16 of its modulus itself, 25 times the energy of 4 % strain.
+    What Newton's method leaves at round-off, 1e-16 of the forces, adds up over steps.  A quadratic
+    energy has 1e-16 of itself; one of invariants has 1e-16 of its modulus each step, see
+    `ROUND_OFF`: 4e-13 to 1.0e-12 were found on one to three ranks.
     """
     states = motion(block(comm, law, **keys), 40)
     energy, turn, push = drifts(states)
-    assert energy < 1e-12
+    assert energy < limit
     assert turn < 1e-12
     assert push < 1e-12
     assert all(state.audit is not None and state.audit.verdict == "pass" for state in states)
