@@ -6,16 +6,14 @@ though nothing of them was edited.  A ring as an obstacle is added in `core/test
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import ROOT
-from helpers.processes import PROGRAM
+from helpers.processes import of_copy
 
 LAWS, LOADS = "model/materials/registry.py", "model/loads/__init__.py"
 FILES = {
@@ -119,17 +117,9 @@ TABLE = re.compile(r"\b(?:SCHEMES|SUPPORTS)\b")
 
 def command(folder: Path, *words: str) -> str:
     """What the copy prints, code 0."""
-    done = subprocess.run(
-        [*PROGRAM, *words],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(folder)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout + done.stderr
+    said = of_copy(folder, *words)
+    assert said.startswith("0\n"), said
+    return said
 
 
 def tried(folder: Path, case: str) -> tuple[str, np.ndarray, str]:

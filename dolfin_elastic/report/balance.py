@@ -89,13 +89,13 @@ def _where(table: Table) -> str:
 def loads_of(run: FinishedRun) -> list[Acting]:
     """What acts on the body, with its resultants."""
     sums = run.model.get("loads") or []
-    found = []
+    found, fixed = [], small_strains(run.case)
     for k, row in enumerate(_rows(run.case, "load")):
         force = next(
             (s.get("force") for s in sums if str(s.get("load", "")).startswith(f"load[{k}]")), None
         )
         text = vector(force, "N") if force else ""
-        words = load_words(row, fixed=small_strains(run.case))
+        words = load_words(row, fixed=fixed)
         found.append(Acting(names(row), f"load {k}", words, _area(run, row), text))
     return found
 

@@ -311,10 +311,8 @@ def _support_sentences(case: Table, summary: Table, kind: str) -> list[str]:
         found[0] = f"It is held by {len(supports)} supports."
     if kind == "modal" and not (case["modal"] or {}).get("preload"):
         return found
-    acting = [
-        f"a {_short(load_words(row, fixed=small_strains(case)))} on {names(row)}"
-        for row in loads[:6]
-    ]
+    fixed = small_strains(case)
+    acting = [f"a {_short(load_words(row, fixed=fixed))} on {names(row)}" for row in loads[:6]]
     if len(loads) > 6:
         found.append(f"{len(loads)} loads act on it.")
     elif acting:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.parallel import LargestRow, largest_row, total
-from dolfin_elastic.core.types import FloatArray, IntArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.mesh.geometry.curved import cell_volumes
 from dolfin_elastic.mesh.geometry.simplices import cell_corners
 from dolfin_elastic.model.kinematics import WeightedMeasure, weight
@@ -143,12 +143,8 @@ class Measurement(ABC):
         self.kind = "region" if region else "surface"
 
     @abstractmethod
-    def of(self, state: State, *, sized: bool = True) -> Measured:
-        """The quantity of a state.
-
-        Args:
-            sized: Also the size of the cells there, which takes a look at all of them.
-        """
+    def of(self, state: State) -> Measured:
+        """The quantity of a state."""
 
     def derivative(self, state: State) -> ufl.Form | None:
         """dQ/dw at a state, a linear form in the test function of all unknowns of the problem.
@@ -171,42 +167,55 @@ class AtPoint(Measurement):
         assert isinstance(quantity.where, tuple)
         self._probe = Probe(problem, {"at": quantity.where}, [quantity.name])
 
-    def of(self, state: State, *, sized: bool = True) -> Measured:
+    def of(self, state: State) -> Measured:
         """See `Measurement`."""
         assert isinstance(self.quantity.where, tuple)
         (row,) = self._probe(state).values()
         place = self.quantity.where
         value = float(self.quantity.scalars(row[None])[0])
-        return Measured(value, place, size_at(self.problem, place) if sized else np.nan)
+        return Measured(value, place, size_at(self.problem, place))
 
 
 class Extreme(Measurement):
     """The largest or smallest value on a part, and its place.
 
+    Args:
+        evaluator: Of the field, among others; None: one of its own is made.
+
     Attributes:
         members: Owned nodes or cells among which it is sought.
     """
 
-    def __init__(self, quantity: Quantity, problem: Problem) -> None:
+    def __init__(
+        self, quantity: Quantity, problem: Problem, evaluator: Evaluator | None = None
+    ) -> None:
         super().__init__(quantity, problem)
         field, self._sign = FIELDS[quantity.name], -1.0 if quantity.reduction == "min" else 1.0
         self.centre = field.centre
         self.members = members(problem, self.kind, self.part, field.centre)
-        self._evaluator = Evaluator(problem, [quantity.name])
+        self._evaluator = evaluator or Evaluator(problem, [quantity.name])
         self._recovery = StressRecovery(problem) if field.recovered else None
 
-    def of(self, state: State, *, sized: bool = True) -> Measured:
+    def of(self, state: State) -> Measured:
         """See `Measurement`."""
-        return self.largest(state, self.values(state), sized=sized)
+        return self.largest(state, self.values(state))
 
     def values(self, state: State) -> FloatArray:
         """Values of the members, of a smallest one their negatives; -inf where none is finite."""
-        rows = self._evaluator(state)[self.quantity.name][self.members]
+        return self.values_in(self._evaluator(state))
+
+    def values_in(self, evaluated: Mapping[str, AnyArray]) -> FloatArray:
+        """The same of a state whose field is evaluated: its name to all owned rows."""
+        rows = evaluated[self.quantity.name][self.members]
         values = self._sign * self.quantity.scalars(np.asarray(rows, dtype=np.float64))
         return np.where(np.isfinite(values), values, -np.inf)
 
     def largest(self, state: State, values: FloatArray, *, sized: bool = True) -> Measured:
-        """What is measured where the members have these `values`, see `of`."""
+        """What is measured where the members have these `values`.
+
+        Args:
+            sized: Also the size of the cells there, which takes a look at all of them.
+        """
         problem, dim = self.problem, self.problem.body.dim
 
         def places(rows: IntArray) -> FloatArray:
@@ -247,7 +256,7 @@ class Integral(Measurement):
         self._w = unknowns_of_outputs(problem)
         self._form: ufl.Form | None = None
 
-    def of(self, state: State, *, sized: bool = True) -> Measured:
+    def of(self, state: State) -> Measured:
         """See `Measurement`."""
         row, *length = self._numbers(state).values()
         if length and self.quantity.component(len(row)) is None:
@@ -334,7 +343,8 @@ class Extremes:
         }
         if any(part.law.allowable is not None for part in problem.regions):
             wanted["safety_factor"] = Quantity("safety_factor", reduction="min")
-        self._measurements = {name: one.on(problem) for name, one in wanted.items()}
+        self._evaluator = Evaluator(problem, sorted({one.name for one in wanted.values()}))
+        self._found = {name: Extreme(one, problem, self._evaluator) for name, one in wanted.items()}
 
     def of(self, state: State) -> dict[str, Measured]:
         """Name to extreme.
@@ -342,4 +352,8 @@ class Extremes:
         ``von_mises`` and ``displacement`` (largest), ``min_jacobian``, ``max_jacobian``, and where
         a material has an allowable stress the smallest ``safety_factor``.
         """
-        return {name: one.of(state, sized=False) for name, one in self._measurements.items()}
+        evaluated = self._evaluator(state)  # each field once
+        return {
+            name: one.largest(state, one.values_in(evaluated), sized=False)
+            for name, one in self._found.items()
+        }

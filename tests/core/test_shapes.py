@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +10,7 @@ import numpy as np
 import pytest
 import ufl
 from conftest import ROOT
-from helpers.processes import PROGRAM
+from helpers.processes import of_copy
 
 from dolfin_elastic.core.shapes.box import Box
 from dolfin_elastic.core.shapes.shapes import (
@@ -168,20 +166,6 @@ probes = {below = [0.25, 0.5, 0.5]}
 """
 
 
-def command(folder: Path, *words: str) -> str:
-    """What the copy in a folder prints."""
-    done = subprocess.run(
-        [*PROGRAM, *words],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(folder)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    return f"{done.returncode}\n{done.stdout}{done.stderr}"
-
-
 @pytest.mark.long
 @pytest.mark.skipif(not shutil.which("Xvfb"), reason="pictures need Xvfb")
 def test_a_new_obstacle_is_one_class_and_one_row(tmp_path: Path) -> None:
@@ -200,18 +184,18 @@ def test_a_new_obstacle_is_one_class_and_one_row(tmp_path: Path) -> None:
     case = tmp_path / "stamp.toml"
     case.write_text(CASE)
 
-    checked = command(tmp_path, "check", "stamp.toml")
+    checked = of_copy(tmp_path, "check", "stamp.toml")
     assert checked.startswith("0\n"), checked
     row = next(line.split() for line in checked.splitlines() if "'stamp'" in line)
     assert row[2:5] == ["top", "ring", "0.001"], checked
     case.write_text(CASE.replace('0.5, "701 mm"', "0.5"))
-    assert "contact[0].ring.center: 2 components given" in command(tmp_path, "check", "stamp.toml")
+    assert "contact[0].ring.center: 2 components given" in of_copy(tmp_path, "check", "stamp.toml")
     case.write_text(CASE.replace("ring = {", "rings = {"))
-    refused = command(tmp_path, "check", "stamp.toml")
+    refused = of_copy(tmp_path, "check", "stamp.toml")
     assert refused.startswith("2\n") and "did you mean 'ring'?" in refused
     case.write_text(CASE)
 
-    ran = command(tmp_path, "run", "stamp.toml")
+    ran = of_copy(tmp_path, "run", "stamp.toml")
     assert ran.startswith("0\n"), ran
     results = tmp_path / "stamp_results"
     history = np.genfromtxt(results / "history.csv", delimiter=",", names=True)
@@ -223,12 +207,12 @@ def test_a_new_obstacle_is_one_class_and_one_row(tmp_path: Path) -> None:
     assert shown[0].shape == shown[1].shape
     assert (np.abs(shown[0] - shown[1]).max(axis=2) > 0.02).sum() > 2000
 
-    looked = command(tmp_path, "look", "stamp.toml", "-o", "look.png")
+    looked = of_copy(tmp_path, "look", "stamp.toml", "-o", "look.png")
     assert looked.startswith("0\n"), looked
     red, green, blue = np.moveaxis(imread(tmp_path / "look.png")[..., :3], 2, 0)
     assert ((blue > green + 0.03) & (red > green + 0.015) & (blue > 0.8)).sum() > 2000
 
-    assert command(tmp_path, "report", "stamp_results").startswith("0\n")
+    assert of_copy(tmp_path, "report", "stamp_results").startswith("0\n")
     page = (results / "report.html").read_text()
     assert "may touch a rigid ring (center " in page and "wide 250 mm" in page
-    assert '"Ring"' in command(tmp_path, "schema")
+    assert '"Ring"' in of_copy(tmp_path, "schema")

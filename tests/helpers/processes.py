@@ -37,6 +37,20 @@ def cli(*words: str, folder: Path, ranks: int = 1) -> tuple[int, str, str]:
     return process.returncode, out, err
 
 
+def of_copy(folder: Path, *words: str) -> str:
+    """Exit code, on a line of its own, and output of a command of the copy in a folder."""
+    done = subprocess.run(
+        [*PROGRAM, *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(folder)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    return f"{done.returncode}\n{done.stdout}{done.stderr}"
+
+
 def ranks_of(launcher: subprocess.Popen[str]) -> list[int]:
     """Processes that a launcher has started."""
     found = []

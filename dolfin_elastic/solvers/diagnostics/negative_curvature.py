@@ -162,7 +162,6 @@ class _Tangent:
         self._assembler, self._linear = assembler, newton.linear
         self.comm, self.symmetric = assembler.comm, bool(problem.symmetric)
         self._softer = SofterVolume(assembler) if problem.mixed else None
-        self._is_stiffened = False
         self._rows: IndexArray | slice = slice(None)
         if self._softer is not None:
             self._rows = self._softer.moves
@@ -185,10 +184,7 @@ class _Tangent:
 
     def stiffen(self) -> bool:
         """Makes M stiffer, as far as it may be; False where it is so already. Collective."""
-        if self._softer is None or self._is_stiffened:
-            return False
-        self._is_stiffened = self._softer.stiffen()
-        return self._is_stiffened
+        return self._softer is not None and self._softer.stiffen()
 
     def is_negative_along(self, kept: Soft) -> bool:
         """Whether M is along a direction that was found in another state. Collective."""

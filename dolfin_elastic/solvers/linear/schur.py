@@ -150,7 +150,8 @@ class SofterVolume:
         self.moves = np.sort(assembler.displacement_dofs)
         self._pressures = np.setdiff1d(np.arange(assembler.size), self.moves)
         self._problem = problem
-        self._set_volume(1.0 if problem.unknowns.stabilised else 1.0 / SOFTER)
+        self._may_stiffen = not problem.unknowns.stabilised
+        self._set_volume(1.0 / SOFTER if self._may_stiffen else 1.0)
         start = tangent.getOwnershipRange()[0]
         rows = [(own + start).astype(PETSc.IntType) for own in (self._pressures, self.moves)]
         p, u = (PETSc.IS().createGeneral(own, assembler.comm) for own in rows)
@@ -163,11 +164,11 @@ class SofterVolume:
         self._compliances = -_compliances(self._problem, share)[self._pressures]
 
     def stiffen(self) -> bool:
-        """Takes `LESS_SOFT` for `SOFTER`; False where stabilisation forbids it. Collective."""
-        if self._problem.unknowns.stabilised:
-            return False
-        self._set_volume(1.0 / LESS_SOFT)
-        return True
+        """Takes `LESS_SOFT` for `SOFTER`; False if it has, or stabilised. Collective."""
+        stiffens, self._may_stiffen = self._may_stiffen, False
+        if stiffens:
+            self._set_volume(1.0 / LESS_SOFT)
+        return stiffens
 
     def eliminate(self, product: FloatArray) -> FloatArray:
         """Forces K u + B^T W^-1 B u [N] at `moves`. Collective.
