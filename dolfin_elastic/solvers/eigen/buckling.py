@@ -52,7 +52,7 @@ from dolfin_elastic.solvers.eigen.critical_load import CriticalLoad
 from dolfin_elastic.solvers.eigen.mode_shapes import at_rest, refuse, shape
 from dolfin_elastic.solvers.eigen.preload import PreloadedAnalysis
 from dolfin_elastic.solvers.eigen.settings import BucklingSettings
-from dolfin_elastic.solvers.eigen.slepc import DIRECT_LIMIT, Pair, prefixed
+from dolfin_elastic.solvers.eigen.slepc import DIRECT_LIMIT, Pair, destroy, prefixed
 from dolfin_elastic.solvers.linear.choice import Choice, LinearSettings, factorising
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
@@ -174,16 +174,19 @@ class Buckling(PreloadedAnalysis):
     def _pairs(self, path: _Path, share: float, sign: int) -> list[Pair]:
         """Load factors and modes, beginning with the nearest."""
         wanted = self.settings.count
-        critical = CriticalLoad(
-            self.problem,
-            path.stiffness,
-            path.rate,
-            sign=sign,
-            choice=self.choice,
-            users=self.of_modes(loaded=self.settings.preload > 0.0),
-            tolerance=self.settings.tolerance,
-        )
-        pairs = critical.lowest(wanted)
+        change = path.rate.copy()
+        change.scale(-float(sign))
+        try:
+            pairs = CriticalLoad(
+                self.problem,
+                path.stiffness,
+                change,
+                choice=self.choice,
+                users=self.of_modes(loaded=self.settings.preload > 0.0),
+                tolerance=self.settings.tolerance,
+            ).lowest(wanted)
+        finally:
+            destroy(change)
         if len(pairs) < wanted:
             log.warning(
                 "%d buckling modes asked for under %s loads, there are only %d",

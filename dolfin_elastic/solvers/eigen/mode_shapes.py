@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from dolfinx import fem
@@ -15,7 +14,7 @@ from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.eigen.slepc import Pair, uneven
+from dolfin_elastic.solvers.eigen.slepc import Pair, Pencil, uneven
 from dolfin_elastic.solvers.nonlinear.scalars import refuse_scalars
 
 log = logging.getLogger("dolfin_elastic")
@@ -28,32 +27,6 @@ _OF_MODES = ("eps_", "st_", "bv_", "ds_")
 
 SPARE = 4
 """Modes computed beyond the requested ones, so that there is a gap to count in."""
-
-
-class Pencil(Protocol):
-    """Finds and counts eigenpairs: `slepc.Spectrum` and `critical_load.CriticalLoad` do."""
-
-    counted: bool
-
-    def near(
-        self,
-        shift: float,
-        count: int,
-        *,
-        room: int,
-        known: Sequence[FloatArray] = (),
-        seed: int = 0,
-    ) -> list[Pair]:
-        """The eigenpairs next to a shift. Collective.
-
-        Args:
-            shift: Where they are looked for: omega^2 [1/s^2], or a load factor.
-            room: How many there are at all.
-            known: Vectors that are found already, owned entries of each.
-        """
-
-    def below(self, number: float) -> int | None:
-        """How many lie below a number."""
 
 
 def refuse(problem: Problem, table: str, *, loaded: bool) -> None:

@@ -172,15 +172,16 @@ def _failed(cause: str) -> ConvergenceError:
     )
 
 
-class Spectrum:
-    """Eigenpairs of A x = value B x. Collective; `destroy` it.
+class Pencil:
+    """Finds and counts eigenvalues of A x = value B x. Collective.
 
     Args:
-        B: Symmetric and not negative.
+        A: Symmetric.
+        B: Symmetric.
         tolerance: Relative error of eigenvalues.
 
     Attributes:
-        counted: Negative eigenvalues of A - number B can be counted.
+        counted: How many values lie below a number can be counted.
     """
 
     def __init__(
@@ -193,27 +194,26 @@ class Spectrum:
         users: PetscOptions,
         tolerance: float,
     ) -> None:
-        self.problem, self.A, self.B = problem, A, B
-        self.counted, self._tolerance = choice.direct, tolerance
-        self.options = Options(choice.options, users)
+        self.problem, self.A, self.B, self.tolerance = problem, A, B, tolerance
+        self.options, self.counted = Options(choice.options, users), choice.direct
         self.options.update(petsc_multigrid(self.options.all, self.options.users, problem.degree))
-        self._pressures = problem.unknowns.count("pressure")
-        self._multigrid: Multigrid | PMultigrid | None = None
+        self.pressures = problem.unknowns.count("pressure")
 
     def below(self, number: float) -> int | None:
-        """How many eigenvalues lie below a number; None: it is one of them. Collective.
+        """How many negative eigenvalues A - number B has; None: it is singular. Collective.
 
         Each pressure adds a negative pivot, see `diagnostics.stability`.
         """
         with stage("solve"):
-            shifted = self._shifted(number)
+            shifted = self.shifted(number)
             try:
-                found = negative(shifted)
+                count = negative(shifted)
             finally:
                 shifted.destroy()
-        return None if found is None else found - self._pressures
+        return None if count is None else count - self.pressures
 
-    def _shifted(self, number: float) -> PETSc.Mat:
+    def shifted(self, number: float) -> PETSc.Mat:
+        """A - number B, which the caller destroys. Collective."""
         shifted = self.A.copy()
         shifted.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         if number != 0.0:
@@ -229,43 +229,76 @@ class Spectrum:
         known: Sequence[FloatArray] = (),
         seed: int = 0,
     ) -> list[Pair]:
-        """The eigenpairs nearest to a shift, in the order of their values. Collective.
+        """The eigenpairs next to a shift, in the order of their values. Collective.
 
         Args:
-            shift: Below all eigenvalues that are looked for.
+            shift: Below all values that are looked for: omega^2 [1/s^2], or a load factor.
             room: How many there are at all.
-            known: Vectors that are found already, B-orthogonal to each other.
+            known: Vectors that are found already, owned entries of each, orthogonal to each other
+                in the inner product of the solver.
 
         Raises:
-            ConvergenceError: Fewer were found.
+            ConvergenceError: The solver has failed.
             StoppedError: See `solve`.
         """
         count = min(count, room)
         if count < 1:
             return []
-        eps = self._solver(shift, count, room)
+        eps = SLEPc.EPS().create(self.A.comm)
+        eps.setOptionsPrefix(PREFIX)
+        eps.setTolerances(tol=self.tolerance, max_it=500)
+        self.set_up(eps, shift, count, room)
         spaces = [self._vector(v) for v in (uneven(self.problem, seed), *known)]
         eps.setInitialSpace(spaces[0])
         if known:
             eps.setDeflationSpace(spaces[1:])
-        preconditioned = None
+        temporary: Sequence[_Freed | None] = ()
         try:
             with stage("solve"), failing(), self.options.in_force(), self.options.elastic_errors():
                 eps.setFromOptions()
-                preconditioned = self._prepare(eps.getST(), shift)
+                temporary = self.prepare(eps.getST(), shift)
                 solve(eps)
                 self.options.report_unused()
-            return self._pairs(eps, shift, count)
+            return self.chosen(eps, self._pairs(eps), shift, count)
         finally:
-            destroy(eps, *spaces, preconditioned, self._multigrid)
-            self._multigrid = None
+            destroy(eps, *spaces, *temporary)
 
-    def _solver(self, shift: float, count: int, room: int) -> SLEPc.EPS:
-        eps = SLEPc.EPS().create(self.A.comm)
-        eps.setOptionsPrefix(PREFIX)
+    def set_up(self, eps: SLEPc.EPS, shift: float, count: int, room: int) -> None:
+        """Says which eigenvalues are looked for, and how. Collective."""
+        raise NotImplementedError
+
+    def prepare(self, transform: SLEPc.ST, shift: float) -> Sequence[_Freed | None]:
+        """Prepares the solver inside; returns what is destroyed after the solve. Collective."""
+        return ()
+
+    def chosen(
+        self, eps: SLEPc.EPS, pairs: Sequence[tuple[complex, FloatArray]], shift: float, count: int
+    ) -> list[Pair]:
+        """The pairs that are asked for, of those that have converged."""
+        raise NotImplementedError
+
+    def _pairs(self, eps: SLEPc.EPS) -> list[tuple[complex, FloatArray]]:
+        vector, pairs = self._vector(None), []
+        for k in range(int(eps.getConverged())):
+            value = complex(eps.getEigenpair(k, vector))
+            pairs.append((value, vector.array_r / float(vector.norm())))
+        vector.destroy()
+        return pairs
+
+    def _vector(self, values: FloatArray | None) -> PETSc.Vec:
+        vector = self.A.createVecRight()
+        if values is not None:
+            vector.array_w[:] = values
+        return vector
+
+
+class Spectrum(Pencil):
+    """Eigenvalues next to a shift by shift and invert; B is not negative. Collective."""
+
+    def set_up(self, eps: SLEPc.EPS, shift: float, count: int, room: int) -> None:
+        """See `Pencil`."""
         eps.setOperators(self.A, self.B)
         eps.setProblemType(SLEPc.EPS.ProblemType.GHEP)
-        eps.setTolerances(tol=self._tolerance, max_it=500)
         subspace = min(max(2 * count, count + ROOM), max(room, count + 1), self.A.getSize()[0])
         eps.setDimensions(nev=count, ncv=subspace)
         eps.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
@@ -273,13 +306,12 @@ class Spectrum:
         transform = eps.getST()
         transform.setType(SLEPc.ST.Type.SINVERT)
         transform.setShift(shift)
-        return eps
 
-    def _prepare(self, transform: SLEPc.ST, shift: float) -> PETSc.Mat | None:
-        """Attaches multigrid and its near null space; returns a matrix that the caller destroys."""
+    def prepare(self, transform: SLEPc.ST, shift: float) -> Sequence[_Freed | None]:
+        """Attaches multigrid and its near null space. Collective."""
         if self.counted:
-            return None
-        matrix = self._shifted(shift)
+            return ()
+        matrix = self.shifted(shift)
         modes = rigid_body_modes(self.problem.V, self.problem.unknowns.single_valued)
         matrix.setNearNullSpace(modes)
         modes.destroy()
@@ -287,33 +319,24 @@ class Spectrum:
         ksp = transform.getKSP()
         ksp.setFromOptions()
         if ksp.getPC().getType() == "python":
-            self._multigrid = Multigrid(self.problem, ksp.getPC())
-        elif ksp.getPC().getType() == "mg" and self.problem.degree > 1:
-            self._multigrid = PMultigrid(self.problem, ksp.getPC())
-        return matrix
+            return matrix, Multigrid(self.problem, ksp.getPC())
+        if ksp.getPC().getType() == "mg" and self.problem.degree > 1:
+            return matrix, PMultigrid(self.problem, ksp.getPC())
+        return (matrix,)
 
-    def _pairs(self, eps: SLEPc.EPS, shift: float, count: int) -> list[Pair]:
-        found = int(eps.getConverged())
-        if found < count:
+    def chosen(
+        self, eps: SLEPc.EPS, pairs: Sequence[tuple[complex, FloatArray]], shift: float, count: int
+    ) -> list[Pair]:
+        """See `Pencil`; those at infinity are left out."""
+        if len(pairs) < count:
             raise ConvergenceError(
-                f"of {count} modes only {found} were found: the eigenvalue solver has failed, "
+                f"of {count} modes only {len(pairs)} were found: the eigenvalue solver has failed, "
                 f"{eigenvalues(_reason(eps))}, after {eps.getIterationNumber()} iterations",
                 advice='solver.method = "direct", fewer modes, or a larger tolerance',
             )
-        vector, pairs = self._vector(None), []
-        for k in range(found):
-            value = complex(eps.getEigenpair(k, vector)).real
-            norm = float(vector.norm())
-            pairs.append(Pair(value, vector.array_r / norm))
-        vector.destroy()
-        far = INFINITE * min(abs(pair.value - shift) for pair in pairs)
-        return sorted((p for p in pairs if abs(p.value - shift) < far), key=lambda p: p.value)
-
-    def _vector(self, values: FloatArray | None) -> PETSc.Vec:
-        vector = self.A.createVecRight()
-        if values is not None:
-            vector.array_w[:] = values
-        return vector
+        far = INFINITE * min(abs(value.real - shift) for value, _ in pairs)
+        finite = [Pair(z.real, v) for z, v in pairs if abs(z.real - shift) < far]
+        return sorted(finite, key=lambda pair: pair.value)
 
 
 def solve(eps: SLEPc.EPS) -> None:
