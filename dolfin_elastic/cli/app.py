@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated
 import click
 import typer
 from click.exceptions import ClickException
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from dolfin_elastic.cli.converge import converge
 from dolfin_elastic.cli.look.command import look
@@ -43,6 +43,14 @@ from dolfin_elastic.core.startup.libraries import start
 
 if TYPE_CHECKING:
     from mpi4py import MPI
+
+
+class Verb(TyperCommand):
+    """A command whose help has brackets as they are: Typer escapes them for a markup of Rich's."""
+
+    def get_help(self, ctx: click.Context) -> str:
+        """See `click.Command`."""
+        return super().get_help(ctx).replace("\\[", "[")
 
 
 class Verbs(TyperGroup):
@@ -144,10 +152,10 @@ def _options(
 # --- commands ---
 
 
-@app.command()
+@app.command(cls=Verb)
 def check(
     case: CaseFile,
-    json: Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
     trust: Trust = False,
 ) -> None:
     """Say what is wrong with a case, or what it will compute.
@@ -180,21 +188,23 @@ def check(
         show_check(found)
 
 
-app.command()(look)
-app.command()(run)
-app.command()(converge)
-app.command()(restart)
-app.command()(plot)
-app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(material)
-app.command()(materials)
-app.command()(report)
-app.command()(convert)
-app.command()(new)
-app.command()(schema)
-app.command()(verify)
+app.command(cls=Verb)(look)
+app.command(cls=Verb)(run)
+app.command(cls=Verb)(converge)
+app.command(cls=Verb)(restart)
+app.command(cls=Verb)(plot)
+app.command(cls=Verb, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(
+    material
+)
+app.command(cls=Verb)(materials)
+app.command(cls=Verb)(report)
+app.command(cls=Verb)(convert)
+app.command(cls=Verb)(new)
+app.command(cls=Verb)(schema)
+app.command(cls=Verb)(verify)
 
 
-@app.command()
+@app.command(cls=Verb)
 def info() -> None:
     """Show versions and libraries."""
     from dolfin_elastic.cli.console import show_versions

@@ -45,7 +45,10 @@ def show_modes(modes: Sequence[Mode], seconds: Mapping[str, float]) -> None:
             carried = "all of it"
         for line in _axis_points(modes):
             screen.print(line)
-        screen.print(f"columns: effective mass in % of the whole body's; together {carried}")
+        screen.print(
+            "columns: % of the body's mass that a mode moves along x, y, z, or about them (rx, "
+            f"ry, rz); together {carried}"
+        )
 
 
 def _axis_points(modes: Sequence[Mode]) -> list[str]:

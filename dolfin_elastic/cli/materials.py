@@ -17,7 +17,8 @@ def material(
     what: Annotated[str, typer.Argument(metavar="FILE|LAW", hidden=True)],
     *,
     only: Annotated[
-        str | None, typer.Option("--material", metavar="NAME", help="One material of the file.")
+        str | None,
+        typer.Option("--material", metavar="NAME", help="Only this material of the file."),
     ] = None,
     stretch: Annotated[
         float,
@@ -27,7 +28,7 @@ def material(
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="Write curves (CSV, PNG) here."),
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
 ) -> None:
     """Test a material at a point, before there is any mesh.
 
@@ -50,7 +51,7 @@ def material(
 
 
 def materials(
-    json: Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
 ) -> None:
     """List the material laws, and typical constants with their sources."""
     from dataclasses import asdict

@@ -37,9 +37,9 @@ Trust = Annotated[
     typer.Option("--trust", help="Let a .geo script of your own run commands and write files."),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show only problems.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Show every trial of a step.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Show every attempt at a step.")]
 Json = Annotated[
-    bool, typer.Option("--json", help="At the end print summary.json, before it only problems.")
+    bool, typer.Option("--json", help="Print problems only, and summary.json at the end.")
 ]
 
 

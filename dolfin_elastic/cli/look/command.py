@@ -22,7 +22,7 @@ def look(
         Path | None,
         typer.Option("--output", "-o", metavar="PNG", help="Draw the body into this file."),
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="As JSON, for scripts.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
     trust: Trust = False,
 ) -> None:
     """See a body and its names: faces, surfaces, regions, and a picture.

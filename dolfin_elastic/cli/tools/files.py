@@ -33,8 +33,8 @@ class Kind(StrEnum):
 
 def new(
     file: Annotated[Path, typer.Argument(metavar="[FILE]", hidden=True)] = Path("case.toml"),
-    kind: Annotated[Kind, typer.Option("--kind", "-k", help="What it is about.")] = Kind.STATICS,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+    kind: Annotated[Kind, typer.Option("--kind", "-k", help="Kind of case.")] = Kind.STATICS,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
 ) -> None:
     """Write a first case file that runs as it is.
 
@@ -96,7 +96,7 @@ def convert(
     mesh: Annotated[Path, typer.Argument(metavar="MESH", hidden=True)],
     target: Annotated[Path, typer.Argument(metavar="TARGET", hidden=True)],
     *,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the files.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
 ) -> None:
     """Write a mesh as XDMF, which all ranks read in shares.
 

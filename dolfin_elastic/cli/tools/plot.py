@@ -35,21 +35,26 @@ def plot(
     folder: Annotated[Path, typer.Argument(metavar="DIR", hidden=True)],
     *,
     field: Annotated[
-        list[str] | None, typer.Option("--field", "-f", help="Field; again: side by side.")
+        list[str] | None,
+        typer.Option("--field", "-f", help="Field to show; repeat for pictures side by side."),
     ] = None,
-    step: Annotated[int, typer.Option("--step", help="0 the first, -1 the last.")] = -1,
+    step: Annotated[
+        int, typer.Option("--step", help="Which step: 0 is the first, -1 the last.")
+    ] = -1,
     view: Annotated[str, typer.Option("--view", help="isometric, x, y, z, -x, -y or -z.")] = (
         "isometric"
     ),
     up: Annotated[
-        str | None, typer.Option("--up", help="Axis that is up, x, y or z: against the weight.")
+        str | None,
+        typer.Option("--up", help="Vertical axis: x, y or z (default: against gravity)."),
     ] = None,
     scale: Annotated[float, typer.Option("--scale", help="Magnification of displacements.")] = 1.0,
     ends: Annotated[
-        str | None, typer.Option("--range", help="Ends of the colours: 0:2e8, 2%:98%.")
+        str | None, typer.Option("--range", help="Range of the colours: 0:2e8, 2%:98%.")
     ] = None,
     clip: Annotated[
-        list[str] | None, typer.Option("--clip", help="Cut away x>0.01; x=0.01: the side in front.")
+        list[str] | None,
+        typer.Option("--clip", help="Cut away x>0.01; with x=0.01 the side in front."),
     ] = None,
     line: Annotated[
         str | None, typer.Option("--line", help="Field along x0,y0,z0:x1,y1,z1.")
@@ -69,8 +74,8 @@ def plot(
     speed: Annotated[
         float | None, typer.Option("--speed", help="Time [s] in a second of a film.")
     ] = None,
-    plain: Annotated[bool, typer.Option("--plain", help="The body alone.")] = False,
-    listing: Annotated[bool, typer.Option("--list", help="Say what there is to plot.")] = False,
+    plain: Annotated[bool, typer.Option("--plain", help="Draw the body alone.")] = False,
+    listing: Annotated[bool, typer.Option("--list", help="List what there is to plot.")] = False,
 ) -> None:
     """Draw a finished run: pictures, films, curves.
 

@@ -19,9 +19,7 @@ def report(
         Path | None,
         typer.Option("--output", "-o", metavar="FILE", help="The page (DIR/report.html)."),
     ] = None,
-    pdf: Annotated[
-        bool, typer.Option("--pdf", help="Print it as PDF, too; needs Chromium.")
-    ] = False,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Also print a PDF; needs Chromium.")] = False,
 ) -> None:
     """Make a page of a finished run that can be mailed.
 
@@ -32,6 +30,7 @@ def report(
     One HTML file that every browser opens, without network: what was computed, pictures that can be
     turned, largest values, curves, audit, materials, and how to repeat it.
 
+    \f
     Raises:
         CaseError: The output is no HTML file.
         InputError: It is no folder of results.

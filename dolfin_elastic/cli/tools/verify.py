@@ -30,19 +30,21 @@ AGREEMENT = 1e-6
 
 
 def verify(
-    full: Annotated[bool, typer.Option("--full", help="What takes longer, too.")] = False,
+    full: Annotated[bool, typer.Option("--full", help="Also run the long cases.")] = False,
     ranks: Annotated[
-        str, typer.Option("--ranks", metavar="N,N..", help="Numbers of ranks, by mpirun.")
+        str,
+        typer.Option("--ranks", metavar="N,N..", help="Numbers of ranks to compare (by mpirun)."),
     ] = "",
     case: Annotated[
         Path | None,
-        typer.Option("--case", metavar="CASE", help="Compare ranks on this case instead."),
+        typer.Option("--case", metavar="CASE", help="Compare the ranks on this case instead."),
     ] = None,
     tolerance: Annotated[
-        float, typer.Option("--tolerance", help="Share by which ranks may differ, with --case.")
+        float,
+        typer.Option("--tolerance", help="Relative difference that ranks may have, with --case."),
     ] = AGREEMENT,
     json: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the table as JSON, too.")
+        Path | None, typer.Option("--json", metavar="FILE", help="Also write the table as JSON.")
     ] = None,
 ) -> None:
     """Compute cases with known results on this installation, and compare.

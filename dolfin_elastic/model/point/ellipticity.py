@@ -93,7 +93,9 @@ def ellipticity(tested: LawUnderTest, curves: dict[str, ResponseCurve]) -> Itera
         low, high = _interval(good, rest)
         a, b = float(curve.values[low]), float(curve.values[high])
         whole = (low, high) == (0, len(good) - 1)
-        text = f"{curve.mode.symbol} {a:.3g} to {b:.3g}" + ("" if whole else ", lost beyond")
+        text = f"{curve.mode.symbol} {a:.3g} to {b:.3g}" + (
+            "" if whole else "; beyond, the law is not stable"
+        )
         values = {"from": a, "to": b, "whole": whole}
         yield Finding(f"elliptic, {name}", "pass" if whole else "note", text, values)
 

@@ -163,7 +163,7 @@ class Peaks:
         if self.safety_elsewhere is not None:
             beside = self.safety_elsewhere
             found.append(Remark("smallest elsewhere", f"{beside.value:.3g} {beside.where()}"))
-        share = f"{percent(norm)} of the whole stress field (energy norm)"
+        share = f"{percent(norm)} of the stresses on average (energy norm)"
         if not np.isfinite(norm):
             share = "none is known: its energy at these strains has no finite value"
         found.append(Remark(ERROR, share, not np.isfinite(norm), indented=False))

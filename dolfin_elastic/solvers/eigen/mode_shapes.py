@@ -160,14 +160,14 @@ def complete(
                     advice="a smaller tolerance",
                 )
             if missing == 0 or left == 0:
-                log.info("counted by the signs of pivots: none of the modes is missing")
+                log.info("checked for missed modes by the signs of pivots: none")
                 return pairs
             log.info("%d modes are missing: another search", missing)
             pairs += spectrum.near(shift, missing, room=left, known=vectors, seed=attempt)
         else:
             more = spectrum.near(shift, 1, room=left, known=vectors, seed=attempt)
             if not any(pair.value < top for pair in more):
-                log.info("modes are not counted without factors; a second search found no other")
+                log.info("checked for missed modes by a second search: none")
                 return pairs
             pairs += more
         pairs.sort(key=lambda pair: pair.value)

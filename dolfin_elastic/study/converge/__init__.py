@@ -1,1 +1,1 @@
-"""Refining a case until one of its results is known to a given share."""
+"""Refining a case until one of its results is accurate enough."""

@@ -469,7 +469,7 @@ def test_the_rim_of_a_clamped_end() -> None:
     assert first.startswith("largest von Mises stress  2.") and error.startswith(
         "  estimated error"
     )
-    assert field == "estimated error           5.4 % of the whole stress field (energy norm)"
+    assert field == "estimated error           5.4 % of the stresses on average (energy norm)"
     _, singular = cantilever(0.3)
     assert singular.largest.singular == "the rim of the support 'wall'"
     lines = singular.lines(0.054)
