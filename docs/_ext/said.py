@@ -21,13 +21,14 @@ _CODES = {
     "ConvergenceError": "3",
     "StabilityError": "3",
     "OutputError": "4",
+    "DrawingError": "4",
     "StoppedError": "130",
     "Offence": "0 or 5",
     "warning": "0",
 }
 """Exit codes that are not 2; the run goes on beside an offence, which is what an audit finds."""
 _KINDS = re.compile(
-    r"(Input|Mesh|Unit|Case|Solve|Convergence|Stability|Output|Restart|Formula|Stopped)Error"
+    r"(Input|Mesh|Unit|Case|Solve|Convergence|Stability|Output|Drawing|Restart|Formula|Stopped)Error"
     "|Offence|UnusedKeys"
 )
 CLICK = (

@@ -11,6 +11,7 @@ ElasticError                      base: `except ElasticError` catches all of the
 │   ├── ConvergenceError          Newton or the load stepping gave up
 │   └── StabilityError            explicit dynamics diverged, or its step exceeds the stable one
 ├── OutputError         exit 4    results cannot be written
+│   └── DrawingError              no picture can be drawn here: no display, no VTK, or it fails
 └── StoppedError        exit 130  the user has asked for the end of the run
 """
 
@@ -170,6 +171,10 @@ class OutputError(ElasticError):
     """Results cannot be written."""
 
     exit_code = 4
+
+
+class DrawingError(OutputError):
+    """The drawing process cannot be started, has failed or does not answer."""
 
 
 class StoppedError(ElasticError):

@@ -15,7 +15,7 @@ from dolfin_elastic.case.look.listing import Look
 from dolfin_elastic.case.look.look import look_at
 from dolfin_elastic.cli import console
 from dolfin_elastic.cli.look.show import show_look
-from dolfin_elastic.core.errors import OutputError
+from dolfin_elastic.core.errors import DrawingError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.results.scene import body_picture as draw
 from dolfin_elastic.results.scene.body import Scene
@@ -165,7 +165,7 @@ def test_picture_of_a_case(folder: Path) -> None:
 
 def test_without_a_picture_the_list_still_comes(folder: Path, monkeypatch) -> None:
     def fail(*_: object) -> None:
-        raise OutputError("cannot draw a picture: no display; pyvista and Xvfb are needed")
+        raise DrawingError("cannot draw a picture: no display; pyvista and Xvfb are needed")
 
     monkeypatch.setattr(draw, "draw_scene", fail)
     found = look_at(case(folder), picture=folder / "look.png")

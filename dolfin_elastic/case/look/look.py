@@ -11,7 +11,7 @@ from dolfin_elastic.case.case import Case, read_case
 from dolfin_elastic.case.check.sizes import references
 from dolfin_elastic.case.look.listing import Look, listing
 from dolfin_elastic.case.look.scene import Drawn, drawn_of
-from dolfin_elastic.core.errors import InputError, MeshError, OutputError
+from dolfin_elastic.core.errors import DrawingError, InputError, MeshError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh import Body, read_body
 from dolfin_elastic.model.loads.forces import Gravity
@@ -98,8 +98,6 @@ def _why_not_drawn(scene: Scene | None, picture: Path) -> str:
     assert scene is not None
     try:
         draw_scene(scene, picture)
-    except OutputError as error:
-        if "cannot draw" in str(error) or "took longer" in str(error):
-            return str(error)
-        raise
+    except DrawingError as error:
+        return str(error)
     return ""

@@ -1,4 +1,4 @@
-"""Draws pictures: reads lines "a.npz<tab>...<tab>picture.png" and writes "drawn" after each.
+"""Draws pictures: reads lines "a.npz<tab>...<tab>picture.png" and answers "drawn", or what failed.
 
 Several files are drawn side by side.
 
@@ -497,9 +497,13 @@ def main() -> None:
     plot = plotter()
     for line in sys.stdin:
         *sources, target = line.rstrip("\n").split("\t")
-        draw(plot, sources, target)
+        answer = "drawn"
+        try:
+            draw(plot, sources, target)
+        except OSError as error:
+            answer = str(error)
         with suppress(BrokenPipeError):
-            print("drawn", file=answers, flush=True)
+            print(answer, file=answers, flush=True)
     plot.close()
 
 

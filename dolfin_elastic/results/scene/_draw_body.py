@@ -528,9 +528,13 @@ def main() -> None:
     first = pv.Plotter(off_screen=True, window_size=[16, 16])
     first.show(auto_close=False)
     for line in sys.stdin:
-        draw(*line.rstrip("\n").split("\t"))
+        answer = "drawn"
+        try:
+            draw(*line.rstrip("\n").split("\t"))
+        except OSError as error:
+            answer = str(error)
         with suppress(BrokenPipeError):
-            print("drawn", file=answers, flush=True)
+            print(answer, file=answers, flush=True)
     first.close()
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from shutil import which
 from typing import IO, cast
 
-from dolfin_elastic.core.errors import OutputError
+from dolfin_elastic.core.errors import DrawingError, OutputError
 from dolfin_elastic.core.startup.elsewhere import EMPTY
 
 _PROGRAM = Path(__file__).with_name("_draw.py")
@@ -58,7 +58,8 @@ class Renderer:
             drawn: The PNG file.
 
         Raises:
-            OutputError: The process failed, with the last line of its output; it is of no use then.
+            DrawingError: The process failed, with the last line of its output; it is of no use.
+            OutputError: The picture cannot be written.
         """
         into, back = self._process.stdin, self._process.stdout
         assert into is not None
@@ -69,17 +70,17 @@ class Renderer:
         except BrokenPipeError:
             raise self._fault() from None
         if not select.select([back], [], [], _TIMEOUT)[0]:
-            raise OutputError(f"drawing a picture took longer than {_TIMEOUT} s")
-        if not back.readline() or not drawn.exists():
+            raise DrawingError(f"drawing a picture took longer than {_TIMEOUT} s")
+        if not (answer := back.readline().strip()):
             raise self._fault()
+        if answer != "drawn":
+            raise OutputError(f"cannot write a picture: {answer}")
 
-    def _fault(self) -> OutputError:
+    def _fault(self) -> DrawingError:
         code = self._process.wait()
         self._output.seek(0)
         text = (self._output.read().strip().splitlines() or [f"exit code {code}"])[-1]
-        # Errors of files, such as a full disk, have a number.
-        needed = "" if "Errno" in text else "; pyvista and Xvfb are needed"
-        return OutputError(f"cannot draw a picture: {text}{needed}")
+        return DrawingError(f"cannot draw a picture: {text}; pyvista and Xvfb are needed")
 
     def close(self) -> None:
         """Ends the process and the display."""
@@ -115,7 +116,7 @@ class SharedRenderer:
             self._renderer = Renderer()
         try:
             self._renderer.draw(data, drawn)
-        except OutputError:
+        except DrawingError:
             self._end()
             raise
 
@@ -176,7 +177,7 @@ def _start_xvfb() -> tuple[subprocess.Popen[bytes], int]:
     """Starts a server, which chooses a free display number.
 
     Raises:
-        OutputError: It ends, or has no display after half a minute.
+        DrawingError: It ends, or has no display after half a minute.
     """
     read, write = os.pipe()
     size = ["-screen", "0", "1600x1200x24"]
@@ -196,7 +197,7 @@ def _start_xvfb() -> tuple[subprocess.Popen[bytes], int]:
         server.kill()
         server.wait()
         why = "has ended" if ready else f"has no display after {_START} s"
-        raise OutputError(f"cannot draw a picture: Xvfb {why}")
+        raise DrawingError(f"cannot draw a picture: Xvfb {why}")
     return server, int(number)
 
 
