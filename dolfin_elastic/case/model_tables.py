@@ -95,7 +95,7 @@ class ModelTables(Record):
                 f"[{key}] is one table, and a list of tables is needed",
                 expected=f"write [[{key}]] with double brackets",
             )
-        return read_list(rows, _ROWS[key])
+        return read_list(rows, READERS[key])
 
     def model_tables(self) -> dict[str, Any]:
         """Nested dictionaries that are read back to equal tables; without [periodic]."""
@@ -182,12 +182,13 @@ def _tie(row: object) -> Tie:
     return row if isinstance(row, Tie) else Tie(**as_table(row))
 
 
-_ROWS: Mapping[str, Callable[[object], Record]] = {
+READERS: Mapping[str, Callable[[object], Restraint | Load | Contact | Tie]] = {
     "support": _support,
     "load": _load,
     "contact": _contact,
     "tie": _tie,
 }
+"""Key of a list of tables to what reads one of it."""
 
 
 @contextmanager

@@ -181,7 +181,7 @@ def check(
         from dataclasses import asdict
         from json import dumps
 
-        print(dumps(asdict(found), indent=2, ensure_ascii=False))
+        print(dumps(asdict(found), indent=2))
     elif comm.rank == 0:
         from dolfin_elastic.cli.console_check import show_check
 

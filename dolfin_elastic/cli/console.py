@@ -18,18 +18,21 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, SolveError
+from dolfin_elastic.core.si_text import number
 from dolfin_elastic.core.units import stress_unit
-from dolfin_elastic.report.quantity import number
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from dolfin_elastic.case.described import Described
     from dolfin_elastic.cli.terminal import Screen
     from dolfin_elastic.problem.state import State
 
 _ORIGIN = 1e-12
 """Coordinates below this are round-off [m]."""
 WIDTH = 100
+_TYPED = str.maketrans({"\u2212": "-", "\u00b2": "^2", "\u00b3": "^3", "\u00b5": "u"})
+"""Signs of pages as they are typed, searched for, and printed by any terminal."""
 _LEAST = 0.05
 """Share of a run that is to be done before the time left can be told."""
 BETWEEN = 30.0
@@ -195,7 +198,7 @@ def seconds_text(t: float, digits: int) -> str:
     Args:
         t: The time [s].
     """
-    return number(t, digits).replace("\u2212", "-")
+    return number(t, digits).translate(_TYPED)
 
 
 def time_left(spent: float, done: float, before: float = 0.0) -> str:
@@ -289,6 +292,23 @@ def show_table(screen: Screen, table: Table) -> None:
         screen.print(table)
     for line in captured.get().splitlines():
         screen.print(line.rstrip(), soft_wrap=True)
+
+
+def show_described(screen: Screen, rows: Sequence[Described]) -> None:
+    """Prints what supports, loads, contacts and ties do; nothing of none.
+
+    Args:
+        screen: Where to.
+    """
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table("key", "on", "what it does", box=SIMPLE_HEAD, pad_edge=False)
+    for row in rows:
+        on = ", ".join(row.on) or "(whole body)"
+        table.add_row(row.key, on, row.text.translate(_TYPED))
+    if rows:
+        show_table(screen, table)
 
 
 def show_end(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from dolfin_elastic.cli.console import console, show_table, vector_text
+from dolfin_elastic.cli.console import console, show_described, show_table, vector_text
 from dolfin_elastic.cli.terminal import Screen
 from dolfin_elastic.core.units import LENGTHS
 
@@ -36,6 +36,7 @@ def show_check(report: Report) -> None:
         show_table(screen, _parts("point", "", report.points, span))
     show_table(screen, _parts("region", volume, report.regions, span))
     show_table(screen, _parts("material", volume, report.materials, span))
+    show_described(screen, report.described)
     if report.loads:
         _show_loads(screen, report)
     if report.contacts:
@@ -112,14 +113,14 @@ def _parts(kind: str, unit: str, parts: Sequence[PartSize], span: float) -> Tabl
 
 def _show_loads(screen: Screen, report: Report) -> None:
     table = Table("load", box=SIMPLE_HEAD, pad_edge=False)
-    for head in ("on", "force [N]", "moment about the origin [N m]"):
+    for head in ("force [N]", "moment about the origin [N m]"):
         table.add_column(head)
     moving = report.analysis == "dynamics"
     if moving:
         table.add_column("at t [s]", justify="right")
     for load in report.loads:
         time = [f"{load.time:.4g}"] if moving else []
-        table.add_row(load.load, load.on, _resultant(load.force), _resultant(load.moment), *time)
+        table.add_row(load.load, _resultant(load.force), _resultant(load.moment), *time)
     show_table(screen, table)
     at = f"at load parameter {max((load.time for load in report.loads), default=1.0):g}"
     when = "when it is largest in the motion" if moving else at
@@ -128,10 +129,10 @@ def _show_loads(screen: Screen, report: Report) -> None:
 
 def _contacts(contacts: Sequence[ContactGap]) -> Table:
     table = Table("contact", box=SIMPLE_HEAD, pad_edge=False)
-    for head in ("on", "obstacle", "smallest gap at the start [m]", "at [m]"):
+    for head in ("smallest gap at the start [m]", "at [m]"):
         table.add_column(head)
     for row in contacts:
-        table.add_row(row.contact, row.on, row.obstacle, f"{row.gap:.4g}", vector_text(row.place))
+        table.add_row(row.contact, f"{row.gap:.4g}", vector_text(row.place))
     return table
 
 

@@ -22,8 +22,10 @@ from dolfin_elastic.core.shapes.shapes import (
     SphereObstacle,
     check_components,
 )
+from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.units import ForceDensity, Length
 from dolfin_elastic.model.amplitude import Amplitude, Curve
+from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.values import OnSurfaces, amplitude_of, components
 
 
@@ -82,6 +84,13 @@ class Contact(OnSurfaces):
         """The rigid obstacle, of any shape."""
         found: Shape = getattr(self, self.shape)
         return found
+
+    def describe(self, setting: Setting = ALONE) -> str:
+        """What its surfaces may touch."""
+        shape = self.obstacle.in_metres(setting.metres)
+        keys = shape.model_dump(exclude_unset=True, exclude_none=True)
+        told = (f"{k} {given(v, 'm' if k in shape.lengths else '')}" for k, v in keys.items())
+        return f"may touch a rigid {self.shape} ({', '.join(told)}){other_keys(self, self.shape)}"
 
     def in_metres(self, scale: float) -> Self:
         """The same contact with the obstacle in metres, see `Shape.in_metres`.

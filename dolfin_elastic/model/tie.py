@@ -7,7 +7,9 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.si_text import listed
 from dolfin_elastic.core.units import Length
+from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.values import OnSurfaces
 
 EXPLICIT_TIES = "explicit schemes have a mass at each node, and tied nodes none of their own"
@@ -44,6 +46,10 @@ class Tie(OnSurfaces):
     def others(self) -> tuple[str, ...]:
         """Names of the surfaces that `on` follows."""
         return (self.to,) if isinstance(self.to, str) else tuple(self.to)
+
+    def describe(self, setting: Setting = ALONE) -> str:
+        """What its surfaces follow."""
+        return f"moves with {listed(self.others)}{other_keys(self, 'to')}"
 
     @property
     def label(self) -> str:

@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from dolfin_elastic.case.described import Described
+from dolfin_elastic.core.si_text import size as size_text
+from dolfin_elastic.core.si_text import vector
 from dolfin_elastic.report.contents import Value
-from dolfin_elastic.report.quantity import size as size_text
-from dolfin_elastic.report.quantity import vector
-from dolfin_elastic.report.words import (
-    Table,
-    contact_words,
-    label,
-    load_words,
-    names,
-    part_kind,
-    part_names,
-    small_strains,
-    support_words,
-)
+from dolfin_elastic.report.words import names, rows_of
 from dolfin_elastic.results.finished.run import FinishedRun
-
-_AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
@@ -51,29 +40,28 @@ def supports_of(run: FinishedRun) -> list[Acting]:
     """What holds the body, with the reactions and moments of the last state."""
     reactions = run.summary.get("reactions") or {}
     most = max((abs(x) for row in reactions.values() for x in row), default=0.0)
-
-    def acting(row: Table, key: str, words: str) -> Acting:
-        force = reactions.get(label(row))
-        text = vector(force, "N", most) if force else ""
-        return Acting(_where(row), key, words, _area(run, row), text, _moment(run, row, most))
-
-    found = [
-        acting(row, f"support {k}", support_words(row, part_kind(row, run.summary)))
-        for k, row in enumerate(_rows(run.case, "support"))
+    return [
+        Acting(
+            names(row.on) if row.label == "+".join(row.on) else f"{row.label}: {names(row.on)}",
+            _colour(row, "support"),
+            row.text,
+            _area(run, row),
+            vector(force, "N", most) if (force := reactions.get(row.label)) else "",
+            _moment(run, row.label, most),
+        )
+        for row in rows_of(run)
+        if not row.key.startswith("load")
     ]
-    return found + [
-        acting(row, "", contact_words(row, run.metres)) for row in _rows(run.case, "contact")
-    ]
 
 
-def _moment(run: FinishedRun, row: Table, force: float) -> str:
+def _moment(run: FinishedRun, label: str, force: float) -> str:
     """The moment of a support, with its point of reference; empty of older runs.
 
     Args:
         force: The largest reaction [N]: its moment about the end of the body is not small.
     """
     moments = run.summary.get("moments") or {}
-    if not (found := moments.get(label(row))):
+    if not (found := moments.get(label)):
         return ""
     size = max((run.model.get("mesh") or {}).get("extent") or [0.0])
     most = max(abs(x) for one in moments.values() for x in one["moment"])
@@ -81,36 +69,38 @@ def _moment(run: FinishedRun, row: Table, force: float) -> str:
     return f"{vector(found['moment'], 'N m', max(most, force * size))} about {about}"
 
 
-def _where(table: Table) -> str:
-    """The parts that a support or contact acts on, after its own name."""
-    return f"{table['name']}: {names(table)}" if table.get("name") else names(table)
-
-
 def loads_of(run: FinishedRun) -> list[Acting]:
     """What acts on the body, with its resultants."""
-    sums = run.model.get("loads") or []
-    found, fixed = [], small_strains(run.case)
-    for k, row in enumerate(_rows(run.case, "load")):
-        force = next(
-            (s.get("force") for s in sums if str(s.get("load", "")).startswith(f"load[{k}]")), None
+    forces = _resultants(run)
+    return [
+        Acting(
+            names(row.on),
+            _colour(row, "load"),
+            row.text,
+            _area(run, row),
+            vector(forces[row.key], "N") if row.key in forces else "",
         )
-        text = vector(force, "N") if force else ""
-        words = load_words(row, fixed=fixed)
-        found.append(Acting(names(row), f"load {k}", words, _area(run, row), text))
-    return found
+        for row in rows_of(run)
+        if row.key.startswith("load")
+    ]
 
 
-def _rows(case: Table, key: str) -> list[Table]:
-    rows = case.get(key) or []
-    return [row for row in rows if isinstance(row, Mapping)] if isinstance(rows, list) else []
+def _colour(row: Described, key: str) -> str:
+    """Key of a colour, "load 0"; empty: it is not drawn."""
+    name, _, number = row.key.rstrip("]").partition("[")
+    return f"{name} {number}" if name == key else ""
 
 
-def _area(run: FinishedRun, table: Table) -> str:
+def _resultants(run: FinishedRun) -> dict[str, list[float]]:
+    """Key of a load to its force, where that is known."""
+    sums = run.model.get("loads") or []
+    return {str(s["load"]).partition(" ")[0]: s["force"] for s in sums if s.get("force")}
+
+
+def _area(run: FinishedRun, row: Described) -> str:
     parts = run.model.get("parts") or {}
-    on = table.get("on")
-    on = on if isinstance(on, list) else [on]
-    areas = [a for name in on if (a := (parts.get(name) or {}).get("area")) is not None]
-    if not areas or len(areas) != len(on):
+    areas = [a for name in row.on if (a := (parts.get(name) or {}).get("area")) is not None]
+    if not areas or len(areas) != len(row.on):
         return ""
     plane = (run.model.get("mesh") or {}).get("dim") == 2
     return f"length {size_text(sum(areas), 1)}" if plane else f"area {size_text(sum(areas), 2)}"
@@ -141,25 +131,20 @@ def balance_of(run: FinishedRun) -> Balance | None:
     """
     if not run.summary.get("steps"):
         return None
-    summary, rows = run.summary, []
-    inside = {
-        str(row.get("name") or f"tie_{'+'.join(part_names(row))}") for row in _rows(run.case, "tie")
-    }
+    summary, rows, given = run.summary, list[tuple[str, str]](), rows_of(run)
+    inside = {row.label for row in given if row.key.startswith("tie")}
     reactions = {
         k: v
         for k, v in (summary.get("reactions") or {}).items()
         if isinstance(v, list) and k not in inside
     }
-    sums = [s for s in run.model.get("loads") or [] if s.get("force") is not None]
-    own = [s for s in sums if s.get("load") != "all loads"]
-    whole = next((s["force"] for s in sums if s.get("load") == "all loads"), None)
-    if whole is None and len(own) == 1 == len(_rows(run.case, "load")):
-        whole = own[0]["force"]
+    # Without what acts on rigid plates: their reactions hold it.
+    own = [s for s in run.model.get("loads") or [] if str(s.get("load")).startswith("load[")]
+    forces = [force for s in own if (force := s.get("force"))]
+    together = len(forces) == len(own) and len({s.get("time") for s in own}) == 1
+    whole = _sum(forces) if together else None
     total = _sum(list(reactions.values()))
-    most = max(
-        (abs(x) for row in (*reactions.values(), *(s["force"] for s in own)) for x in row),
-        default=0.0,
-    )
+    most = max((abs(x) for row in (*reactions.values(), *forces) for x in row), default=0.0)
     ended = summary.get("status") == "completed"
     if whole is not None:
         when = "" if ended else " at their full values"
@@ -180,20 +165,17 @@ def balance_of(run: FinishedRun) -> Balance | None:
         tuple(rows),
         Value.of(audit.get("balance_force")),
         Value.of(audit.get("balance_moment")),
-        _balance_remark(run),
+        _balance_remark(run, given),
     )
 
 
-def _balance_remark(run: FinishedRun) -> str:
+def _balance_remark(run: FinishedRun, given: Sequence[Described]) -> str:
     if run.moving:
         return (
             "In motion reactions contain the inertia of the body, and need not cancel the loads; "
             "the audit counts it in."
         )
-    follows = {"pressure", "cavity", "centrifugal"}
-    if not small_strains(run.case) and any(
-        row.get("kind") in follows for row in _rows(run.case, "load")
-    ):
+    if any(row.follows for row in given):
         return (
             "A load that follows the deformed surface has another resultant there than on the "
             "undeformed one: where deformations are large, look at the audit's figure."

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
+from dolfin_elastic.core.si_text import number
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.report.quantity import number
 
 WIDTH, HEIGHT = 420, 280
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 14, 14, 48

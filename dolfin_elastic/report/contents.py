@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dolfin_elastic.core.si_text import number, percent, quantity, scaled_unit
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.report.charts import Axis, Line, line_chart
-from dolfin_elastic.report.quantity import number, percent, quantity, scaled_unit
 from dolfin_elastic.report.words import (
     Table,
     analysis_of,

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.si_text import number, quantity
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.core.units import to_si
 from dolfin_elastic.mesh.geometry.simplices import qualities, signed_volumes
-from dolfin_elastic.report.quantity import number, quantity
 from dolfin_elastic.report.scene import Marks, Scene, View, chosen_frames, node_values, surface_of
 from dolfin_elastic.report.words import Table, part_names
 from dolfin_elastic.results.finished.run import FinishedRun

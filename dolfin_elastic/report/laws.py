@@ -11,6 +11,7 @@ from markupsafe import Markup
 from dolfin_elastic.case.material_report import law_table
 from dolfin_elastic.case.model_tables import read_material_tables
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.si_text import given, scaled_unit
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.spatial import units_of
@@ -18,8 +19,7 @@ from dolfin_elastic.model.materials.user import SplitFormulaEnergy
 from dolfin_elastic.model.point.homogeneous_tests import ResponseCurve
 from dolfin_elastic.model.point.report import material_report
 from dolfin_elastic.report.charts import Axis, Line, line_chart
-from dolfin_elastic.report.quantity import scaled_unit
-from dolfin_elastic.report.words import Table, names, value_text
+from dolfin_elastic.report.words import Table, names, part_names
 
 _DRAWN = 8
 """Materials whose curves are computed: a second each."""
@@ -64,20 +64,20 @@ def materials_of(case: Table) -> list[MaterialText]:
     tables = case.get("materials", {})
     tables = tables if isinstance(tables, Mapping) else {}
     found = []
-    for k, (name, given) in enumerate(tables.items()):
-        table = given if isinstance(given, Mapping) else {}
+    for k, (name, row) in enumerate(tables.items()):
+        table = row if isinstance(row, Mapping) else {}
         law = str(table.get("law", "energy" if "energy" in table else ""))
-        row = known.get(law, {})
+        page = known.get(law, {})
         charts, notes = _tested(name, table) if k < _DRAWN else ((), ())
         found.append(
             MaterialText(
                 name=str(name),
                 law=law,
-                where=names(table),
+                where=names(part_names(table)),
                 constants=tuple(_constants(table, law)),
-                what=str(row.get("what", "")),
-                formula=str(row.get("formula", "")),
-                source=str(row.get("source", "")),
+                what=str(page.get("what", "")),
+                formula=str(page.get("formula", "")),
+                source=str(page.get("source", "")),
                 charts=charts,
                 notes=notes,
             )
@@ -100,13 +100,13 @@ def _constants(table: Table, law: str) -> list[tuple[str, str]]:
 def _constant(value: object, unit: str) -> str:
     """A constant, which may be a field of the mesh."""
     if isinstance(value, Mapping) and unit and not value.get("unit"):
-        return f"{value_text(value)} [{unit}]"
-    return value_text(value, unit)
+        return f"{given(value)} [{unit}]"
+    return given(value, unit)
 
 
 def _parameters(table: object) -> str:
     """Parameters of an energy that a user wrote, whose units follow from the formula alone."""
-    text = value_text(table)
+    text = given(table)
     values = table.values() if isinstance(table, Mapping) else ()
     bare = any(isinstance(value, int | float) for value in values)
     return f"{text} (bare numbers: SI units)" if bare else text

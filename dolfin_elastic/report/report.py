@@ -16,12 +16,12 @@ import numpy as np
 from dolfin_elastic.case.toml import toml_text
 from dolfin_elastic.core import __version__
 from dolfin_elastic.core.files.regular import irregular, read_regular
+from dolfin_elastic.core.si_text import counted, listed, number, quantity, size, vector
 from dolfin_elastic.report import balance, contents
 from dolfin_elastic.report.charts import Axis, histogram
 from dolfin_elastic.report.drawn import drawn_frames, mesh_quality, scene_of
 from dolfin_elastic.report.laws import materials_of
 from dolfin_elastic.report.page import json_text, render
-from dolfin_elastic.report.quantity import counted, listed, number, quantity, size, vector
 from dolfin_elastic.report.scene import FIRST, Scene, packed
 from dolfin_elastic.report.still import Camera, colour_table
 from dolfin_elastic.report.words import Table, analysis_of, what_was_computed
@@ -91,7 +91,7 @@ def report_contents(run: FinishedRun) -> dict[str, object]:
         "status_kind": kind,
         "reason": str(run.summary.get("reason") or ""),
         "diagnosis": contents.diagnosis_lines(run.summary),
-        "sentences": what_was_computed(run.case, run.summary, dim=dim) if run.case else [],
+        "sentences": what_was_computed(run, dim=dim),
         "key_figures": _key_figures(run, max(sides, default=1.0)),
         "audit": contents.audit_of(run),
         "audited": _audited(run.summary),

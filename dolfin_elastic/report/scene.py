@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dolfin_elastic.core.si_text import scaled_unit
 from dolfin_elastic.core.startup.elsewhere import elsewhere
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
-from dolfin_elastic.report.quantity import scaled_unit
 from dolfin_elastic.results.derived.spectral import von_mises
 from dolfin_elastic.results.fields import FIELDS, SAFEST
 from dolfin_elastic.results.scene.scene import SMALL_MATTERS, label_of

@@ -71,6 +71,18 @@ def test_output_that_cannot_be_written(
         assert summary["status"] == "completed"
 
 
+@pytest.mark.parametrize("words", ["check", "look", "check --json"])
+def test_a_terminal_of_ascii(words: str, tmp_path: Path) -> None:
+    """Units and signs of sentences are printed as they are typed."""
+    environment = {**clean_environment(), "PYTHONIOENCODING": "ascii"}
+    load = '[[load]]\nkind = "body-force"\nvalue = [0, 0, "-0.1 N/m^3"]\n'
+    (tmp_path / "pulled.toml").write_text(CASE + load)
+    name, *options = words.split()
+    done = shell("", name, "pulled.toml", *options, folder=tmp_path, environment=environment)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "force per volume of (0, 0, " in done.stdout
+
+
 @pytest.mark.sample(2)
 @pytest.mark.parametrize(
     ("redirections", "code"),

@@ -19,8 +19,10 @@ import numpy as np
 import pytest
 
 from dolfin_elastic import Case, run
+from dolfin_elastic.case.described import described_tables
 from dolfin_elastic.cli.tools.report import _write
 from dolfin_elastic.core.errors import InputError, OutputError, SolveError
+from dolfin_elastic.model.describe import Setting
 from dolfin_elastic.report import pdf
 from dolfin_elastic.report.balance import balance_of, supports_of
 from dolfin_elastic.report.charts import Axis, Line, line_chart
@@ -39,7 +41,7 @@ from dolfin_elastic.report.scene import (
     packed,
 )
 from dolfin_elastic.report.still import Camera, _colours, colour_table
-from dolfin_elastic.report.words import contact_words, load_words, small_strains, support_words
+from dolfin_elastic.report.words import small_strains
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.scene._draw import colour_map
 
@@ -499,6 +501,7 @@ BALANCED: dict[str, dict[str, Any]] = {
     "failed": {"status": "failed"},
     "ring": {"mesh": {"geometry": "axisymmetric"}},
     "tied": {"tie": [{"on": "a", "to": "b"}]},
+    "plate": {"support": [{"on": "end", "kind": "rigid", "force": [-5, 0]}]},
 }
 
 
@@ -513,6 +516,12 @@ def test_loads_against_reactions(kind: str, tmp_path: Path) -> None:
         "model": {"loads": [{"load": "load[0] (traction)", "force": [5.0, -3.0]}]},
         "reactions": {"left": [0.0 if kind == "ring" else -5.0, 3.0]},
     }
+    if kind == "plate":  # its reaction holds what acts on it
+        summary["model"]["loads"] += [
+            {"load": "support[0] (rigid)", "force": [-5.0, 0.0]},
+            {"load": "all loads", "force": [0.0, -3.0]},
+        ]
+        summary["reactions"] |= {"left": [0.0, 3.0], "end": [-5.0, 0.0]}
     if kind == "tied":
         summary["reactions"] |= {"tie_a": [7.0, 7.0]}
     (tmp_path / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
@@ -567,44 +576,64 @@ def test_the_command_can_be_typed(tmp_path: Path) -> None:
     )
 
 
+def said(key: str, table: dict[str, Any], **setting: Any) -> str:
+    """What one table says."""
+    (row,) = described_tables({key: [table]}, Setting(**setting))
+    return row.text
+
+
 def test_words() -> None:
     """Supports and loads as an engineer would say them, with the units that were written."""
-    assert support_words({"on": "a"}) == "fixed: no displacement"
-    assert support_words({"on": "a", "displacement": [0, "free", "2 mm"]}) == (
+    assert said("support", {"on": "a"}) == "fixed: no displacement"
+    assert said("support", {"on": "a", "displacement": [0, "free", "2 mm"]}) == (
         "moved along z by 2 mm; no displacement along x; free along y"
     )
-    assert support_words({"on": "a", "kind": "spring", "stiffness": [0, 0, 5]}) == (
-        "on springs: stiffness (0, 0, 5) N/m³"
-    )
-    assert load_words({"on": "a", "force": [0, 0, "-2 kN"]}) == (
+    spring = {"on": "a", "kind": "spring", "stiffness": [0, 0, 5]}
+    assert said("support", spring) == "on springs: stiffness (0, 0, 5) N/m³"
+    assert said("load", {"kind": "traction", "on": "a", "force": [0, 0, "-2 kN"]}) == (
         "total force of (0, 0, −2 kN), spread over the surface"
     )
-    assert load_words({"on": "a", "kind": "pressure", "value": 2e5, "curve": "ramp"}) == (
+    pressure = {"on": "a", "kind": "pressure", "value": 2e5}
+    assert said("load", {**pressure, "curve": "ramp"}) == (
         "pressure of 200 kPa, which follows the deformed surface; curve ramp"
     )
-    pressure = {"on": "a", "kind": "pressure", "value": 2e5}
-    assert load_words(pressure, fixed=True) == "pressure of 200 kPa"
+    assert said("load", pressure, linear=True) == "pressure of 200 kPa"
     linear, rubber = {"law": "linear-elastic"}, {"law": "neo-hookean"}
     assert small_strains({"materials": {"a": linear, "b": {"law": "orthotropic"}}})
     for others in ({"b": rubber}, {"b": {"energy": "I1"}}, {"b": {"law": "no law"}}):
         assert not small_strains({"materials": {"a": linear, **others}})
     assert not small_strains({})
-    assert load_words({"kind": "gravity"}) == (
+    assert said("load", {"kind": "gravity"}) == (
         "weight, with the acceleration of gravity 9.81 m/s² against the last axis"
     )
-    assert "(0, −5) m/s²" in load_words({"kind": "gravity", "value": [0, -5]})
+    assert "(0, −5) m/s²" in said("load", {"kind": "gravity", "value": [0, -5]})
+    varying = {"kind": "body-force", "value": [0, 2, "5*x"]}
+    assert said("load", varying) == "force per volume of (0, 2, 5*x) N/m³"
     cavity = {"kind": "cavity", "on": "a", "pressure": "1 kPa"}
-    assert load_words(cavity) == "closed cavity with pressure 1 kPa"
-    spring = {"on": "a", "kind": "spring", "stiffness": [0, 0, 5]}
-    assert support_words(spring, "edge") == "on springs: stiffness (0, 0, 5) N/m²"
-    assert support_words(spring, "point") == "on springs: stiffness (0, 0, 5) N/m"
+    assert said("load", cavity) == "closed cavity with pressure 1 kPa"
+    for kind, unit in (("edge", "N/m²"), ("point", "N/m")):
+        text = said("support", spring, kinds={"a": kind})
+        assert text == f"on springs: stiffness (0, 0, 5) {unit}"
     edge = {"kind": "line-force", "on": "a", "value": [0, 0, 5]}
-    assert load_words(edge) == "force of (0, 0, 5) N/m along a line"
-    assert load_words({**edge, "total": True}).startswith("force of (0, 0, 5) N along a line")
+    assert said("load", edge) == "force of (0, 0, 5) N/m along a line"
+    assert said("load", {**edge, "total": True}).startswith("force of (0, 0, 5) N along a line")
     ball = {"on": "a", "sphere": {"center": [0, 0, 0.5], "radius": 0.02}, "motion": [0, 0, -0.1]}
-    assert contact_words(ball) == (
+    assert said("contact", ball) == (
         "may touch a rigid sphere (center (0, 0, 500) mm, radius 20 mm); motion (0, 0, −100) mm"
     )
+    assert "center (0, 0, 500) µm, radius 20 µm" in said("contact", ball, metres=1e-3)
+    tie = {"on": "a", "to": ["b", "c"], "tolerance": "1 mm"}
+    assert said("tie", tie) == "moves with b and c; tolerance 1 mm"
+
+
+def test_tables_that_cannot_be_read() -> None:
+    """A stranger's have their kind, or the name of their list."""
+    rows = [{"kind": "no kind", "on": 3}, {"on": ["a", "b"], "name": "n"}, "no table"]
+    found = described_tables({"load": rows, "support": {"on": "a"}}, Setting())
+    assert [(row.key, row.label, row.on, row.text) for row in found] == [
+        ("load[0]", "3", ("3",), "no kind"),
+        ("load[1]", "n", ("a", "b"), "load"),
+    ]
 
 
 def test_chart_keeps_extremes() -> None:

@@ -42,6 +42,7 @@ from dolfin_elastic.case.check.sizes import (
     region_sizes,
     surface_sizes,
 )
+from dolfin_elastic.case.described import Described, described
 from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import CaseError, InputError
 from dolfin_elastic.core.parallel import on_root
@@ -93,6 +94,7 @@ class Report:
         notes: What is allowed but probably not meant.
         fields: Name, place and range of each field that the mesh carries.
         materials: The cells of each material.
+        described: Its supports, loads, contacts and ties in words.
         loads: Resultant of each load, and of all of them.
         contacts: Initial gap of each contact.
         thickness: Of a plane body [m]; None of others.
@@ -121,6 +123,7 @@ class Report:
     notes: tuple[str, ...]
     fields: tuple[str, ...]
     materials: tuple[PartSize, ...]
+    described: tuple[Described, ...]
     loads: tuple[LoadSum, ...]
     contacts: tuple[ContactGap, ...]
     thickness: float | None
@@ -271,6 +274,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
             f"{name}: {body.fields[name].describe(body.comm)}" for name in sorted(body.fields)
         ),
         materials=material_sizes(integrals),
+        described=described(case, body),
         loads=sums,
         contacts=contact_gaps(case, problem),
         thickness=_thickness(case, problem),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dolfin_elastic.case.described import Described
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, extent
@@ -96,6 +97,7 @@ class Look:
         points: The named points that are no surfaces or edges.
         notes: What is doubtful, and faults of the case.
         picture: The file of the picture; empty: there is none.
+        described: Supports, loads, contacts and ties of the case in words.
     """
 
     source: str
@@ -113,6 +115,7 @@ class Look:
     points: tuple[PartRow, ...]
     notes: tuple[str, ...]
     picture: str = ""
+    described: tuple[Described, ...] = ()
 
 
 def listing(

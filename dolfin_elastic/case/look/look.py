@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case, read_case
 from dolfin_elastic.case.check.sizes import references
+from dolfin_elastic.case.described import described
 from dolfin_elastic.case.look.listing import Look, listing
 from dolfin_elastic.case.look.scene import Drawn, drawn_of
 from dolfin_elastic.core.errors import DrawingError, InputError, MeshError
@@ -46,6 +47,8 @@ def look_at(
     drawn = Drawn() if case is None or notes else drawn_of(case, body)
     notes = (*notes, *drawn.notes)
     found = listing(body, case="" if case is None else case.file, use=use, notes=notes)
+    if case is not None:
+        found = replace(found, described=described(case, body))
     if picture is None:
         return found
     # Of a plane body regions are drawn; surfaces are its outline.

@@ -54,7 +54,7 @@ def look(
         from dataclasses import asdict
         from json import dumps
 
-        print(dumps(asdict(found), indent=2, ensure_ascii=False))
+        print(dumps(asdict(found), indent=2))
     elif comm.rank == 0:
         from dolfin_elastic.cli.look.show import show_look
 

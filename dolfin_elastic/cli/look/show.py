@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from dolfin_elastic.cli.console import console, show_table
+from dolfin_elastic.cli.console import console, show_described, show_table
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.look.listing import FaceRow, Look, PartRow
@@ -38,6 +38,7 @@ def show_look(found: Look) -> None:
         rows: Sequence[PartRow] = getattr(found, f"{kind}s")
         if rows:
             show_table(screen, _parts(found, kind, members, rows))
+    show_described(screen, found.described)
     if found.faces and not found.case:
         one = next((f.number for f in found.faces if f.form), found.faces[0].number)
         screen.print(f"A case names faces like this:  [surfaces]  name = {{faces = [{one}]}}")

@@ -14,8 +14,10 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
+from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.values import Component, Parts, components, depends_on_time
 
 
@@ -146,6 +148,8 @@ class Load(Record):
     }
     unit: ClassVar[str] = ""
     """SI unit of `value`."""
+    sentence: ClassVar[str] = ""
+    """What it does, with {} for its value; "KIND of {}" by default, see `describe`."""
     needs_density: ClassVar[bool] = False
     """The load is proportional to mass."""
     along_normal: ClassVar[bool] = False
@@ -216,6 +220,11 @@ class Load(Record):
         """Where its integral is taken."""
         surfaces = "on" in type(self).model_fields and type(self).model_fields["on"].is_required()
         return Parts("surface" if surfaces else "region", self.parts)
+
+    def describe(self, setting: Setting = ALONE) -> str:
+        """What it does, without its place: as it was written, with units."""
+        sentence = self.sentence or f"{self.kind} of {{}}"
+        return sentence.format(given(self.value, self.unit)) + other_keys(self, "value")
 
     def field(self, context: LoadContext) -> Expr:
         """The load's vector as a UFL expression, for an integral over its parts."""

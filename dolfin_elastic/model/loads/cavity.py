@@ -11,7 +11,9 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.si_text import given
 from dolfin_elastic.model.amplitude import Amplitude
+from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.loads.base import Load, LoadContext
 from dolfin_elastic.model.loads.pressure import area_vector
 from dolfin_elastic.model.values import Component, component, components
@@ -67,6 +69,11 @@ class Cavity(Load):
     def label(self) -> str:
         """Its name in results."""
         return self.name or "+".join(self.parts)
+
+    def describe(self, setting: Setting = ALONE) -> str:
+        """See `Load.describe`."""
+        inside = f"{self.key.replace('_', ' ')} {given(getattr(self, self.key), UNITS[self.key])}"
+        return f"closed cavity with {inside}{other_keys(self, self.key)}"
 
     @property
     def key(self) -> str:

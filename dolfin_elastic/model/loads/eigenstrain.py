@@ -52,6 +52,7 @@ class Thermal(Eigenstrain):
     kind: Literal["thermal"] = "thermal"
     value: Any
     unit: ClassVar[str] = "K"
+    sentence: ClassVar[str] = "change of temperature by {}"
 
     @cached_property
     def values(self) -> tuple[Component, ...]:
@@ -78,6 +79,7 @@ class Growth(Eigenstrain):
     """
 
     kind: Literal["growth"] = "growth"
+    sentence: ClassVar[str] = "growth by the stretches {}"
 
     @cached_property
     def values(self) -> tuple[Component, ...]:

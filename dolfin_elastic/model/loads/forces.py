@@ -12,7 +12,9 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints, keyed
 from dolfin_elastic.model.materials.spatial import Axis, axis_vector
 from dolfin_elastic.model.values import (
@@ -39,6 +41,7 @@ class Traction(Load):
     value: list[Any] = Field(default=[])
     force: list[Any] | None = None
     unit: ClassVar[str] = "Pa"
+    sentence: ClassVar[str] = "force per area of {}"
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
@@ -65,6 +68,13 @@ class Traction(Load):
         """See `Load.vectors`."""
         return {"value" if self.force is None else "force": self.values}
 
+    def describe(self, setting: Setting = ALONE) -> str:
+        """See `Load.describe`."""
+        if self.force is None:
+            return super().describe(setting)
+        force = f"total force of {given(self.force, 'N')}, spread over the surface"
+        return force + other_keys(self, "force")
+
     def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
         share = 1.0 if self.force is None else points.size
@@ -89,6 +99,7 @@ class BodyForce(Load):
     kind: Literal["body-force"] = "body-force"
     on: str | list[str] | None = None
     unit: ClassVar[str] = "N/m^3"
+    sentence: ClassVar[str] = "force per volume of {}"
 
     def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
@@ -109,12 +120,19 @@ class Gravity(Load):
     value: list[Any] = Field(default=[])
     on: str | list[str] | None = None
     unit: ClassVar[str] = "m/s^2"
+    sentence: ClassVar[str] = "weight, with the acceleration of gravity {}"
     needs_density: ClassVar[bool] = True
 
     @cached_property
     def values(self) -> tuple[Component, ...]:
         """The components [m/s^2]; empty: 9.81 m/s^2 against the last axis."""
         return components(self.value, self.unit, key="value") if self.value else ()
+
+    def describe(self, setting: Setting = ALONE) -> str:
+        """See `Load.describe`."""
+        if self.value:
+            return super().describe(setting)
+        return self.sentence.format("9.81 m/s² against the last axis") + other_keys(self, "value")
 
     def acceleration(self, dim: int) -> tuple[Component, ...]:
         """Its components [m/s^2] in 2 or 3 dimensions."""
@@ -164,6 +182,7 @@ class Centrifugal(Load):
     point: list[Any] | None = None
     on: str | list[str] | None = None
     unit: ClassVar[str] = "rad/s"
+    sentence: ClassVar[str] = "centrifugal force of a rotation with {}"
     needs_density: ClassVar[bool] = True
     follower: ClassVar[bool] = True
     linearises: ClassVar[bool] = True

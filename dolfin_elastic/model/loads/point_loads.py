@@ -9,8 +9,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import Length
+from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.loads.base import Load, keyed
 from dolfin_elastic.model.values import Component, components
 
@@ -104,6 +106,7 @@ class PointForce(ConcentratedLoad):
     kind: Literal["point-force"] = "point-force"
     at: list[Any] | None = None
     unit: ClassVar[str] = "N"
+    sentence: ClassVar[str] = "force of {} at a point"
     part_kinds: ClassVar[tuple[str, ...]] = ("point",)
     places: ClassVar[tuple[str, ...]] = ("at",)
     named: ClassVar[str] = "a point"
@@ -135,6 +138,11 @@ class LineForce(ConcentratedLoad):
     def values(self) -> tuple[Component, ...]:
         """See `Load.values`."""
         return components(self.value, "N" if self.total else self.unit, key="value")
+
+    def describe(self, setting: Setting = ALONE) -> str:
+        """See `Load.describe`."""
+        force = given(self.value, "N" if self.total else self.unit)
+        return f"force of {force} along a line{other_keys(self, 'value')}"
 
     @cached_property
     def points(self) -> dict[str, Point]:

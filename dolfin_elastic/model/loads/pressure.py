@@ -10,7 +10,9 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.kinematics import cofactor
 from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints, keyed
 from dolfin_elastic.model.values import PLACE, Component, component, number_at
@@ -59,6 +61,11 @@ class Pressure(Load):
         """The pressure is uniform in space, so that a fixed edge gives it a potential."""
         (p,) = self.values
         return not isinstance(p, Formula) or not p.names & PLACE
+
+    def describe(self, setting: Setting = ALONE) -> str:
+        """See `Load.describe`."""
+        follows = "" if setting.linear else ", which follows the deformed surface"
+        return f"pressure of {given(self.value, self.unit)}{follows}{other_keys(self, 'value')}"
 
     def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""

@@ -11,9 +11,11 @@ from pydantic import model_validator
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.si_text import given, listed
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import is_quantity, to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
+from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.materials.spatial import Axis, axis_vector
 from dolfin_elastic.model.values import (
     Component,
@@ -36,6 +38,10 @@ class Restraint(OnSurfaces):
 
     part_kinds: ClassVar[tuple[str, ...]] = ("surface", "edge", "point")
     """Kinds of part that it may hold."""
+
+    def describe(self, setting: Setting = ALONE) -> str:
+        """How it holds its parts: as it was written, with units."""
+        return self.kind + other_keys(self)
 
     @property
     def vectors(self) -> Mapping[str, tuple[Component, ...]]:
@@ -103,6 +109,20 @@ class Support(PrescribingSupport):
     kind: Literal["displacement"] = "displacement"
     displacement: list[Any] | None = None
     curve: Curve | None = None
+
+    def describe(self, setting: Setting = ALONE) -> str:
+        """See `Restraint`."""
+        return self._held() + other_keys(self, "displacement")
+
+    def _held(self) -> str:
+        if self.at_rest and None not in self.values:
+            return "fixed: no displacement"
+        axes = [*zip("xyz", self.values, self.displacement or (), strict=False)]
+        parts = [f"moved along {axis} by {given(text, 'm')}" for axis, v, text in axes if v]
+        for words, value in (("no displacement", 0.0), ("free", None)):
+            if those := [axis for axis, v, _ in axes if v == value]:
+                parts.append(f"{words} along {listed(those)}")
+        return "; ".join(parts)
 
     @model_validator(mode="after")
     def _read_components(self) -> Support:
@@ -184,6 +204,13 @@ class Normal(PrescribingSupport):
         _ = self.value
         return self
 
+    def describe(self, setting: Setting = ALONE) -> str:
+        """See `Restraint`."""
+        by = ", not across it"
+        if not self.at_rest:
+            by = f", moved across it by {given(self.displacement, 'm')}"
+        return f"free to slide along the surface{by}{other_keys(self, 'displacement')}"
+
     @cached_property
     def value(self) -> Component:
         """The displacement as a number or formula."""
@@ -225,6 +252,10 @@ class Symmetry(PrescribingSupport):
     part_kinds: ClassVar[tuple[str, ...]] = ("surface",)
     needs_flat: ClassVar[bool] = True
 
+    def describe(self, setting: Setting = ALONE) -> str:
+        """See `Restraint`."""
+        return "plane of symmetry: no displacement across it" + other_keys(self)
+
     def prescribed_components(self, dim: int) -> tuple[int, ...]:
         """See `PrescribingSupport`."""
         return (NORMAL,)
@@ -259,6 +290,15 @@ class Rotation(PrescribingSupport):
     def _read(self) -> Rotation:
         _ = self.centre, self.rotation_angle, self.translation, self.direction
         return self
+
+    def describe(self, setting: Setting = ALONE) -> str:
+        """See `Restraint`."""
+        moved = f", and moved by {given(self.displacement, 'm')}" if self.displacement else ""
+        return (
+            f"turned by {given(self.angle, 'rad')} about the axis {given(self.axis or 'z')} "
+            f"through {given(self.point, 'm')}{moved}"
+            + other_keys(self, "angle", "axis", "point", "displacement")
+        )
 
     @cached_property
     def centre(self) -> tuple[Component, ...]:

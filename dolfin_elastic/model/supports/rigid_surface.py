@@ -10,8 +10,10 @@ from pydantic import model_validator
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.units import is_quantity
 from dolfin_elastic.model.amplitude import Amplitude, Curve
+from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.values import (
     FREE,
@@ -78,6 +80,15 @@ class Rigid(Restraint):
                     where=f"{forced}[{i}]",
                     expected=f'0 here, or "{FREE}" in {moved}[{i}]',
                 )
+
+    def describe(self, setting: Setting = ALONE) -> str:
+        """See `Restraint`."""
+        units = {"displacement": "m", "rotation": ANGLE, "force": "N", "moment": "N m"}
+        keys = {key: value for key in units if (value := getattr(self, key)) is not None}
+        told = ", ".join(f"{key} {given(value, units[key])}" for key, value in keys.items())
+        return f"moves as a rigid plate{f': {told}' if told else ', which is held'}" + other_keys(
+            self, *units
+        )
 
     @cached_property
     def centre(self) -> tuple[Component, ...]:

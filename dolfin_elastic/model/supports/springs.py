@@ -13,7 +13,9 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.si_text import given
 from dolfin_elastic.model.amplitude import Amplitude, Curve
+from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.supports.displacement import (
     Normal,
     Restraint,
@@ -25,6 +27,8 @@ from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.values import Component, Parts, component, components
 
 T = TypeVar("T")
+_POWERS = {"surface": "^3", "edge": "^2", "point": ""}
+"""Kind of part to the power of the length by which a coefficient is per area, length or node."""
 
 
 class FormConstant(Protocol):
@@ -139,14 +143,24 @@ class ResistingSupport(Restraint):
         """Kind of part to the coefficients in its unit, where the units that are written fit."""
         found: dict[str, tuple[Component, ...]] = {}
         errors = []
-        for kind, power in (("surface", "^3"), ("edge", "^2"), ("point", "")):
+        for kind in _POWERS:
             try:
-                found[kind] = self._read_in(self.unit + ("" if self.total else power))
+                found[kind] = self._read_in(self._unit_on(kind))
             except InputError as error:
                 errors.append(error)
         if not found:
             raise errors[0]
         return found
+
+    def _unit_on(self, kind: str) -> str:
+        return self.unit + ("" if self.total else _POWERS[kind])
+
+    def describe(self, setting: Setting = ALONE) -> str:
+        """See `Restraint`."""
+        unit = self._unit_on(setting.kinds.get(self.surfaces[0], "surface"))
+        keys = [k for k in (self.axes, "normal", "tangential") if getattr(self, k) is not None]
+        told = ", ".join(f"{key} {given(getattr(self, key), unit)}" for key in keys)
+        return f"on {self.kind}s: {told}{other_keys(self, *keys, 'total')}"
 
     def _read_in(self, unit: str) -> tuple[Component, ...]:
         if not self.by_normal:
@@ -212,7 +226,7 @@ class ResistingSupport(Restraint):
             )
         if kind not in self._readings:
             per = {"surface": "area", "edge": "length", "point": "node"}[kind]
-            unit = self.unit + {"surface": "^3", "edge": "^2", "point": ""}[kind]
+            unit = self.unit + _POWERS[kind]
             article = "an" if kind == "edge" else "a"
             raise InputError(
                 f"the unit is not that of a {self.kind} on {article} {kind}",

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+
+from dolfin_elastic.core.units import is_quantity
 
 _PREFIXES = {
     "Pa": ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"), (1.0, "Pa")),
@@ -30,7 +32,7 @@ def scaled_unit(largest: float, unit: str) -> tuple[float, str]:
     """
     steps = _PREFIXES.get(unit)
     if not steps or not math.isfinite(largest) or largest == 0:
-        return 1.0, unit.replace("^2", "²").replace("^3", "³")
+        return 1.0, unit_text(unit)
     return next((step for step in steps if abs(largest) >= 0.99995 * step[0]), steps[-1])
 
 
@@ -114,3 +116,45 @@ def listed(words: Sequence[str], word: str = "and") -> str:
     """
     *others, last = words
     return f"{', '.join(others)} {word} {last}" if others else last
+
+
+# --- what users have written ---
+
+
+def given(value: object, unit: str = "") -> str:
+    """A value as a user wrote it, with its unit.
+
+    Args:
+        value: A number, a text with a unit, a formula, a word, or a list or table of these.
+        unit: SI unit of bare numbers and of formulas.
+    """
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int | float):
+        factor, name = scaled_unit(float(value), unit)
+        text = number(float(value) / factor, 6)
+        return f"{text} {name}" if unit and value else text
+    if isinstance(value, str):
+        if is_quantity(value):
+            return value.replace("-", "−")
+        return value if value == "free" or not unit else f"{value} [{unit_text(unit)}]"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {given(item)}" for key, item in value.items())
+    return _list(list(value), unit) if isinstance(value, Iterable) else str(value)
+
+
+def _list(items: list[object], unit: str) -> str:
+    if len(items) > 24:
+        return f"{len(items)} values"
+    numbers = [item for item in items if isinstance(item, int | float)]
+    if unit and items and len(numbers) == len(items):
+        return vector(map(float, numbers), unit, digits=6)
+    bare = [item for item in items if isinstance(item, str) and not is_quantity(item)]
+    if unit and {*bare} - {"free"} and len(bare) + len(numbers) == len(items):
+        return f"({', '.join(map(given, items))}) {unit_text(unit)}"
+    return f"({', '.join(given(item, unit) for item in items)})"
+
+
+def unit_text(unit: str) -> str:
+    """An SI unit as it is printed: "N/m³"."""
+    return unit.replace("^2", "²").replace("^3", "³").replace("*", " ")

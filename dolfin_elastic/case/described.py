@@ -1,0 +1,73 @@
+"""The supports, loads, contacts and ties of a case, each in one sentence of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.model_tables import READERS
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.model.describe import Setting
+from dolfin_elastic.model.loads import Load
+
+
+@dataclass(frozen=True)
+class Described:
+    """A support, load, contact or tie.
+
+    Attributes:
+        key: "load[0]".
+        label: Its name in results; of loads without one its parts.
+        on: The parts that it acts on; none: the whole body.
+        text: What it does.
+        follows: It is a load that depends on the deformation.
+    """
+
+    key: str
+    label: str
+    on: tuple[str, ...]
+    text: str
+    follows: bool = False
+
+
+def described(case: Case, body: Body) -> tuple[Described, ...]:
+    """All of a case. Local."""
+    kinds = {
+        name: next((kind for kind in row.part_kinds if kind in body.kinds(name)), "surface")
+        for row in case.support
+        for name in row.surfaces
+    }
+    linear = all(material.law.linear for material in case.materials.values())
+    setting = Setting(body.unit.metres, linear, kinds)
+    return tuple(_rows({key: getattr(case, key) for key in READERS}, setting))
+
+
+def described_tables(tables: Mapping[str, object], setting: Setting) -> tuple[Described, ...]:
+    """All of a case's tables, which may come from a stranger: what cannot be read has its kind."""
+    lists = {key: tables.get(key) for key in READERS}
+    return tuple(_rows({k: v for k, v in lists.items() if isinstance(v, list)}, setting))
+
+
+def _rows(lists: Mapping[str, Sequence[object]], setting: Setting) -> Iterator[Described]:
+    for key, rows in lists.items():
+        for i, row in enumerate(rows):
+            try:
+                record = READERS[key](row)
+            except InputError:
+                yield from _unread(f"{key}[{i}]", row)
+                continue
+            on = record.parts if isinstance(record, Load) else record.surfaces
+            label = str(getattr(record, "label", "+".join(on)))
+            follows = isinstance(record, Load) and record.follower
+            follows = follows and not (setting.linear and getattr(record, "linearises", False))
+            yield Described(f"{key}[{i}]", label, on, record.describe(setting), follows)
+
+
+def _unread(key: str, row: object) -> Iterator[Described]:
+    if isinstance(row, Mapping):
+        on = row.get("on") or ()
+        parts = tuple(map(str, on if isinstance(on, list | tuple) else [on]))
+        text = str(row.get("kind") or key.partition("[")[0])
+        yield Described(key, str(row.get("name") or "+".join(parts)), parts, text)
