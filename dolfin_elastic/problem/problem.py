@@ -47,6 +47,7 @@ from dolfin_elastic.problem.terms.cavities import BodyCavity, make_cavities
 from dolfin_elastic.problem.terms.contact import ContactPair, make_contacts, placed_contacts
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
 from dolfin_elastic.problem.terms.pressure_symmetry import follower_pressure_has_potential
+from dolfin_elastic.problem.terms.term import Term
 from dolfin_elastic.problem.weak_form import (
     StepStart,
     WeakForm,
@@ -96,6 +97,7 @@ class Problem:
         ties: Which displacements follow others; None without ties.
         cell: The macroscopic deformation of a periodic cell, or None.
         eigenstrains: Material's name to its growth Fg (UFL), of those that grow.
+        terms: What else acts on the body, and couples nodes that share no element.
         nodal_loads: Forces at points and along lines, which are in no form; None without any.
         constant: Makes a UFL constant: a new value of it needs no new compilation.
         t: UFL constant with the time, used by formulas.
@@ -185,6 +187,7 @@ class Problem:
     def _make_rare_terms(self, contacts: Sequence[Contact]) -> None:
         """Makes what few problems have where there is any, to keep the usual path short."""
         kinds = {type(load) for load in self.loads}
+        self.terms: list[Term] = []
         self.cavities: list[BodyCavity] = []
         if any(issubclass(kind, Cavity) for kind in kinds):
             self.cavities = list(make_cavities(self.loads, self.context))
@@ -235,7 +238,8 @@ class Problem:
         The stress of a time step depends on its start, too, and has none.
         """
         of_a_state = self.weak_form.start is None
-        return of_a_state and self.has_energy and all(map(self._conservative, self.loads))
+        potentials = self.has_energy and all(term.symmetric for term in self.terms)
+        return of_a_state and potentials and all(map(self._conservative, self.loads))
 
     def _conservative(self, load: Load) -> bool:
         if load.conservative or not self._follows(load):
@@ -253,7 +257,7 @@ class Problem:
         """The residual is linear in u."""
         if self.contact_pairs or any(self._follows(load) for load in self.loads):
             return False
-        return self.context.linear
+        return self.context.linear and all(term.linear for term in self.terms)
 
     @property
     def num_dofs(self) -> int:

@@ -22,16 +22,14 @@ from dolfin_elastic.mesh.body import middle_of
 from dolfin_elastic.model.kinematics import moment_of
 from dolfin_elastic.problem.problem import Problem, configuration_of_moments, parts_held
 from dolfin_elastic.problem.state import Moment
+from dolfin_elastic.problem.terms.term import Blocks, Term, blocks_of
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, TangentMatrix
-from dolfin_elastic.solvers.assembly.symmetric.matrix import SymmetricMatrix
+from dolfin_elastic.solvers.assembly.node_blocks import NodeBlocks
+from dolfin_elastic.solvers.assembly.symmetric.matrix import SymmetricMatrix, can_be_halved
 from dolfin_elastic.solvers.assembly.tied import TiedMatrix
-from dolfin_elastic.solvers.assembly.two_stage.form import (
-    TwoStageForm,
-    in_two_stages,
-    tangent_of_surroundings,
-)
+from dolfin_elastic.solvers.assembly.two_stage.form import TwoStageForm, tangent_form
 
 
 class Reactions:
@@ -94,28 +92,49 @@ class Reactions:
         if loads is not None:
             forces[self._entries] += sign * loads.nodal()
 
+    def add_terms(self, forces: FloatArray) -> None:
+        """Subtracts this rank's share of the forces of `problem.terms`. Not collective.
+
+        Args:
+            forces: See `add_point_loads`.
+        """
+        for term in self._dofs.problem.terms:
+            forces[self._entries] -= self._of_term(term)
+
+    def _of_term(self, term: Term) -> FloatArray:
+        rows = np.zeros(len(self._entries))
+        term.add_forces(rows)
+        return rows
+
+    def _restraining(self) -> Iterator[tuple[str, FloatArray]]:
+        """Label and nodal forces of each restraint, owned entries [N]."""
+        for label, form in self._restraints.items():
+            yield label, self.nodal(form)
+        for term in self._dofs.problem.terms:
+            forces = self._dofs.ghosted_vector()
+            forces.array[self._entries] = self._of_term(term)
+            forces.scatter_reverse(la.InsertMode.add)
+            yield term.label, forces.array[: self._dofs.size]
+
     def restraints(self, without: Collection[str] = ()) -> FloatArray:
         """Nodal forces of springs, dashpots and contact pairs, owned entries [N]."""
-        forces = np.zeros(self._dofs.size)
-        for form in (form for label, form in self._restraints.items() if label not in without):
-            forces += self.nodal(form)
-        return forces
+        found = (forces for label, forces in self._restraining() if label not in without)
+        return np.asarray(sum(found, np.zeros(self._dofs.size)))
 
     def restraint_norm(self) -> float:
         """Norm of the nodal forces of springs, dashpots and contact pairs, each by itself [N]."""
-        if not self._restraints:
+        if not (self._restraints or self._dofs.problem.terms):
             return 0.0
-        forces = [self.nodal(form) for form in self._restraints.values()]
-        squares = sum(float(np.sum(np.square(force))) for force in forces)
+        squares = sum(float(np.sum(np.square(forces))) for _, forces in self._restraining())
         return float(np.sqrt(total(self._dofs.comm, squares)))
 
     def by_label(self) -> dict[str, FloatArray]:
         """Label of springs, dashpots and contact pairs to nodal forces, shape (nodes, dim) [N]."""
         dofs, dim = self._dofs.displacement_dofs, self._dofs.problem.body.dim
-        return {
-            label: self.nodal(form)[dofs].reshape(-1, dim)
-            for label, form in self._restraints.items()
-        }
+        found: dict[str, FloatArray] = {}
+        for label, forces in self._restraining():
+            found[label] = found.get(label, 0.0) + forces[dofs].reshape(-1, dim)
+        return found
 
 
 class Tangent:
@@ -127,6 +146,7 @@ class Tangent:
 
     Args:
         dofs: The unknowns and what is prescribed of them.
+        form: Of what is integrals; the blocks of the problem's terms come to it.
         iterated: Only products and the diagonal are asked for, until `to_entries`: where it can
             be, it is then kept as `SymmetricBlocks`.
 
@@ -138,15 +158,23 @@ class Tangent:
     def __init__(self, dofs: ConstrainedDofs, form: BilinearForm, *, iterated: bool) -> None:
         self._dofs, self.form = dofs, form
         self._tied: TiedMatrix | None = None
+        self.blocks: NodeBlocks | None = None
+        if dofs.problem.terms and blocks_of(dofs.problem.terms) is not None:
+            self.blocks = NodeBlocks(dofs, self._blocks_of_terms)
         self._shift: float | None = None
         self._scale = 0.0
         with stage("assemble"):
             self._assembled: TangentMatrix | SymmetricMatrix
-            if iterated and isinstance(form, TwoStageForm) and _can_be_halved(dofs, form):
-                self._assembled = SymmetricMatrix(dofs.problem, form)
+            if iterated and isinstance(form, TwoStageForm) and can_be_halved(dofs, form):
+                self._assembled = SymmetricMatrix(dofs, form, self.blocks)
             else:
                 self._assembled = self._by_entries()
         self._take(self._assembled.petsc)
+
+    def _blocks_of_terms(self) -> Blocks:
+        found = blocks_of(self._dofs.problem.terms)
+        assert found is not None
+        return found
 
     def _by_entries(self) -> TangentMatrix:
         dofs, skew = self._dofs, self._dofs.skew
@@ -156,11 +184,17 @@ class Tangent:
         return TangentMatrix(self.form, dofs.skew_dofs, skew.P[: skew.count], fixed=fixed)
 
     def _take(self, matrix: PETSc.Mat) -> None:
-        self.matrix, dofs = matrix, self._dofs
+        self.matrix, dofs, self._pattern = matrix, self._dofs, 0
         if dofs.ties is not None:
             self._tied = TiedMatrix(dofs.problem, self.matrix, dofs.displacement_dofs)
             self.matrix = self._tied.matrix
-        if dofs.problem.symmetric:
+        self._of_forms = self.matrix
+        if self.blocks is not None and not isinstance(self._assembled, SymmetricMatrix):
+            self.matrix = self._of_forms.copy()
+        self._mark()
+
+    def _mark(self) -> None:
+        if self._dofs.problem.symmetric:
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self.matrix.setOption(PETSc.Mat.Option.SYMMETRY_ETERNAL, True)
 
@@ -211,11 +245,23 @@ class Tangent:
 
     def _renew(self, unit: float) -> None:
         if isinstance(self._assembled, SymmetricMatrix):
-            self._assembled.assemble(self._dofs.bcs)
+            self._assembled.assemble()
             return
         self._assembled.assemble(self._dofs.bcs, unit=unit)
         if self._tied is not None:
             self._tied.renew()
+        if self.blocks is not None:
+            self._add_blocks(self.blocks)
+
+    def _add_blocks(self, blocks: NodeBlocks) -> None:
+        """Makes `matrix` the sum of that of the forms and of blocks, whose pattern may be new."""
+        added, structure = blocks.free(), PETSc.Mat.Structure
+        self._of_forms.copy(self.matrix, structure.DIFFERENT_NONZERO_PATTERN)
+        known = blocks.pattern == self._pattern
+        how = structure.SUBSET_NONZERO_PATTERN if known else structure.DIFFERENT_NONZERO_PATTERN
+        self.matrix.axpy(1.0, added, how)
+        self._pattern = blocks.pattern
+        self._mark()
 
     def scale(self) -> float:
         """Mean size of the tangent's diagonal at the first call, a power of two [N/m]."""
@@ -244,20 +290,13 @@ class Tangent:
 
     def destroy(self) -> None:
         """Frees the matrix."""
+        if self.matrix is not self._of_forms:
+            self.matrix.destroy()
+        if self.blocks is not None:
+            self.blocks.destroy()
         if self._tied is not None:
             self._tied.destroy()
         self._assembled.destroy()
-
-
-def _can_be_halved(dofs: ConstrainedDofs, form: TwoStageForm) -> bool:
-    """Whether moduli alone make a symmetric tangent, whose prescribed entries are not combined.
-
-    Args:
-        dofs: The unknowns and what is prescribed of them.
-    """
-    problem = dofs.problem
-    combined = (dofs.skew, dofs.ties, problem.cell)
-    return form.is_of_moduli and problem.symmetric and all(x is None for x in combined)
 
 
 class Residual:
@@ -309,6 +348,7 @@ class Residual:
         if others is not None:
             fem.assemble_vector(self.vector.array, others)
         self._reactions.add_point_loads(self.vector.array, -1.0)
+        self._reactions.add_terms(self.vector.array)
         self.vector.scatter_reverse(la.InsertMode.add)
         if self._dofs.ties is not None:
             self.tied_nodal = self.owned[self._dofs.displacement_dofs][self._dofs.ties.tied]
@@ -338,7 +378,7 @@ class Residual:
             out = dofs.balanced(self.owned)
             self._measure(out, *differences)
             if self.gap > 0.0 and np.isfinite(self.free_norm):
-                dofs.lift(self._tangent.form, differences, self._lift)
+                dofs.lift(self._tangent.form, differences, self._lift, self._tangent.blocks)
                 # A support that turns keeps the volume, but its chord does not: the rest of a fixed
                 # pressure's row would change the volume of the cells around that one.
                 out = out + dofs.balanced(dofs.collect(self._lift.array[: dofs.size]))
@@ -420,7 +460,7 @@ class Assembler(ConstrainedDofs):
         self.cell = None if problem.cell is None else CellStress(problem)
         self.pressures = problem.unknowns.count("pressure")
         self.reactions = Reactions(self, found[0] if loads else None, by_label, self.cell)
-        self.tangent = Tangent(self, _tangent(problem, extra_tangent), iterated=iterated)
+        self.tangent = Tangent(self, tangent_form(problem, extra_tangent), iterated=iterated)
         self.residual = Residual(self, residual, self.tangent, self.reactions)
 
     def check_volumes(self) -> None:
@@ -435,14 +475,6 @@ class Assembler(ConstrainedDofs):
     def destroy(self) -> None:
         """Frees the tangent's matrix."""
         self.tangent.destroy()
-
-
-def _tangent(problem: Problem, extra: ufl.Form | None) -> BilinearForm:
-    """The compiled tangent of a problem and what is added to it. Collective."""
-    weak_form, more = problem.weak_form, ufl.Form([]) if extra is None else extra
-    if in_two_stages(problem):
-        return TwoStageForm(problem, tangent_of_surroundings(problem) + more)
-    return BilinearForm(compiled(problem, [weak_form.tangent + more])[0])
 
 
 def compiled(problem: Problem, forms: Sequence[ufl.Form]) -> list[fem.Form]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 from dolfinx import fem, la
 from mpi4py import MPI
@@ -11,6 +13,13 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm
 from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
+
+
+class Multiplied(Protocol):
+    """A matrix of all unknowns."""
+
+    def times(self, direction: FloatArray) -> FloatArray:
+        """Its product with owned entries of a direction [m], of the same shape. Collective."""
 
 
 class ConstrainedDofs:
@@ -177,13 +186,18 @@ class ConstrainedDofs:
         return x[self.prescribed_dofs] - goal, rows - along.reshape(-1, self._dim)
 
     def lift(
-        self, form: BilinearForm, differences: tuple[FloatArray, FloatArray], out: la.Vector
+        self,
+        form: BilinearForm,
+        differences: tuple[FloatArray, FloatArray],
+        out: la.Vector,
+        blocks: Multiplied | None = None,
     ) -> None:
         """Product of the tangent's prescribed columns and g - x, for the free rows. Collective.
 
         Args:
             differences: Of `differences`: x - g [m].
             out: Receives K (g - x) [N], owned entries.
+            blocks: What K has beside the form, such as `NodeBlocks`; None: nothing.
         """
         w, values = self.problem.w.x.array, self._values
         saved = values.x.array.copy()
@@ -198,6 +212,8 @@ class ConstrainedDofs:
             out.array[:] = 0.0
             form.lift(out.array, self._lifted_bcs, values.x.array, w)
             out.scatter_reverse(la.InsertMode.add)
+            if blocks is not None:
+                out.array[: self.size] -= blocks.times(moved)
         finally:
             values.x.array[:] = saved
 

@@ -95,7 +95,7 @@ def transformation(
     ones = np.ones(size)
     ones[tied] = 0.0
     every = np.arange(size)
-    return _matrix(
+    return square(
         like,
         np.concatenate([every, tied[np.repeat(i, dim)[keep]]]),
         np.concatenate([start + every, places[keep]]),
@@ -103,8 +103,14 @@ def transformation(
     )
 
 
-def _matrix(like: PETSc.Mat, i: IntArray, j: IntArray, v: FloatArray) -> PETSc.Mat:
-    """A square matrix of entries, of which those at one place are summed. Collective."""
+def square(like: PETSc.Mat, i: IntArray, j: IntArray, v: FloatArray) -> PETSc.Mat:
+    """A square matrix of entries, of which those at one place are summed. Collective.
+
+    Args:
+        like: Square, with the same rows.
+        i: Owned row of each entry, from the first one.
+        j: Its global column.
+    """
     size = like.getLocalSize()[0]
     order = np.lexsort((j, i))
     i, j, v = i[order], j[order], v[order]

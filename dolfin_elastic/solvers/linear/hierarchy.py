@@ -300,6 +300,7 @@ class Multigrid:
         self._hierarchy: Hierarchy | None = None
         self._space: fem.FunctionSpace | None = None
         self._linear: Interpolation | None = None
+        self._half: SymmetricBlocks | None = None
         dim = problem.body.dim
         sizes = {"DIM": dim, "MODES": 3 * dim - 3}
         self._loops = compile_c(problem.body.comm, "multigrid.c", sizes, problem.jit)
@@ -316,12 +317,11 @@ class Multigrid:
         self.reset(pc)
         give_back()  # what outputs needed: this is where most memory is in use
         dim = self._problem.body.dim
-        matrix = pc.getOperators()[1]
-        half = matrix.getPythonContext() if matrix.getType() == "python" else None
+        self._half = _half(pc)
         A: BlockRows = (
-            SymmetricRows(half)
-            if isinstance(half, SymmetricBlocks)
-            else PetscRows(matrix, dim, dim, self._loops)
+            PetscRows(pc.getOperators()[1], dim, dim, self._loops)
+            if self._half is None
+            else SymmetricRows(self._half)
         )
         self._hierarchy = Hierarchy(A, self._linear, self._modes, self._loops)
         give_back()  # what making them needed for the moment
@@ -344,6 +344,8 @@ class Multigrid:
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """One cycle. Collective."""
+        if self._half is not _half(pc):
+            self.setUp(pc)  # other pairs of nodes have blocks
         assert self._hierarchy is not None
         self._hierarchy.renew()
         b = x.array_r.reshape(-1, self._problem.body.dim)
@@ -370,3 +372,10 @@ class Multigrid:
         if self._linear is not None:
             self._linear.destroy()
         self._linear = None
+
+
+def _half(pc: PETSc.PC) -> SymmetricBlocks | None:
+    """The tangent that a PC is of by the half of its blocks; None of another one."""
+    matrix = pc.getOperators()[1]
+    context = matrix.getPythonContext() if matrix.getType() == "python" else None
+    return context if isinstance(context, SymmetricBlocks) else None

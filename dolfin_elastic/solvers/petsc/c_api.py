@@ -8,6 +8,7 @@ They are in the library that petsc4py itself has loaded:
 | SNESSetLagPreconditioner | preconditioners that others than SNES set up |
 | MatMPIAIJGetSeqAIJ, MatSeqAIJGetArray, MatSeqAIJRestoreArray | assembly without MatSetValues |
 | MatSeqAIJGetCSRAndMemType | entries of a matrix without a copy |
+| MatSetPreallocationCOO, MatSetValuesCOO | sums of entries that any rank has |
 | TSGetAdapt, TSAdaptCandidatesClear, TSAdaptCandidateAdd, TSAdaptChoose | the next time step |
 """
 
@@ -182,6 +183,30 @@ def _overwrite(handle: int, values: FloatArray) -> None:
     if len(values):
         ctypes.memmove(pointer, values.ctypes.data, values.nbytes)
     _check(_library().MatSeqAIJRestoreArray(matrix, ctypes.byref(pointer)))
+
+
+def room_for_entries(matrix: PETSc.Mat, rows: IntArray, columns: IntArray) -> None:
+    """Gives an AIJ matrix the pattern of entries that may be of any rank. Collective.
+
+    Args:
+        rows: Global row of each entry of this rank; the same one may be there again.
+        columns: Global column of each.
+    """
+    places = [np.array(numbers, dtype=PETSc.IntType) for numbers in (rows, columns)]  # are changed
+    pointers = (ctypes.c_void_p(numbers.ctypes.data) for numbers in places)
+    count = ctypes.c_ssize_t(len(rows))
+    _check(_library().MatSetPreallocationCOO(ctypes.c_void_p(matrix.handle), count, *pointers))
+
+
+def sum_entries(matrix: PETSc.Mat, values: FloatArray) -> None:
+    """Makes a matrix the sum of entries, those of `room_for_entries`. Collective."""
+    values = np.ascontiguousarray(values)
+    pointer, mode = (
+        ctypes.c_void_p(values.ctypes.data),
+        ctypes.c_int(PETSc.InsertMode.INSERT_VALUES),
+    )
+    _check(_library().MatSetValuesCOO(ctypes.c_void_p(matrix.handle), pointer, mode))
+    matrix.stateIncrease()
 
 
 def choose_step(ts: PETSc.TS, order: int) -> tuple[float, bool]:

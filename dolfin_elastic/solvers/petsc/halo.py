@@ -48,10 +48,14 @@ class Halo:
         """Local numbers of nodes.
 
         Args:
-            numbers: Global ones, of owned nodes and of ghosts, which have to be sorted.
+            numbers: Global ones, of owned nodes and of ghosts.
         """
         own = (numbers >= self.first) & (numbers < self.first + self.owned)
-        others = self.owned + np.searchsorted(self.ghosts, numbers)
+        if not len(self.ghosts):
+            return np.asarray(numbers - self.first, dtype=np.int32)
+        order = np.argsort(self.ghosts, kind="stable")
+        found = np.searchsorted(self.ghosts, numbers, sorter=order)
+        others = self.owned + order[np.minimum(found, len(order) - 1)]
         return np.where(own, numbers - self.first, others).astype(np.int32)
 
     def owners(self, numbers: IntArray) -> IntArray:

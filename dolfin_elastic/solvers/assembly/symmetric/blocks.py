@@ -23,6 +23,7 @@ class SymmetricBlocks:
 
     Args:
         problem: Whose displacement is the only unknown.
+        more: Owned row and global column of blocks that the form need not have.
 
     Attributes:
         halo: Nodes of a rank's rows and columns.
@@ -34,7 +35,9 @@ class SymmetricBlocks:
         version: Grows with each change.
     """
 
-    def __init__(self, problem: Problem, form: fem.Form) -> None:
+    def __init__(
+        self, problem: Problem, form: fem.Form, more: tuple[IntArray, IntArray] | None = None
+    ) -> None:
         self.dim, self.version = problem.body.dim, 0
         self.loops: CFunctions = compile_c(
             problem.body.comm, "symmetric.c", {"DIM": self.dim}, problem.jit
@@ -44,10 +47,21 @@ class SymmetricBlocks:
         columns, offsets = pattern.graph
         nodes = column_map(pattern)
         n = nodes.size_local
-        self.halo = Halo(problem.body.comm, n, np.asarray(nodes.ghosts, dtype=np.int64))
+        others = np.asarray(nodes.ghosts, dtype=np.int64)
+        if more is not None:
+            begin, end = nodes.local_range
+            distant = more[1][(more[1] < begin) | (more[1] >= end)]
+            others = np.append(others, np.setdiff1d(distant, others))
+        self.halo = Halo(problem.body.comm, n, others)
         row = np.repeat(np.arange(n, dtype=np.int32), np.diff(offsets[: n + 1]))
-        kept = columns[: len(row)] >= row
-        self.columns: IndexArray = columns[: len(row)][kept]
+        column = columns[: len(row)]
+        if more is not None:
+            size = max(1, self.halo.size)
+            keys = more[0] * size + self.halo.local(more[1])
+            keys = np.union1d(row.astype(np.int64) * size + column, keys)
+            row, column = (keys // size).astype(np.int32), (keys % size).astype(np.int32)
+        kept = column >= row
+        self.columns: IndexArray = np.ascontiguousarray(column[kept])
         self.start: IntArray = np.append(0, np.cumsum(np.bincount(row[kept], minlength=n)))
         size = len(self.columns) * self.dim**2
         self.high: SingleArray = np.zeros(size + 1, dtype=np.float32)
@@ -61,6 +75,30 @@ class SymmetricBlocks:
         self.high[:] = 0.0
         self.low[:] = 0.0
         self.far.blocks[:] = 0.0
+
+    def add_at(self, places: IntArray, blocks: FloatArray) -> None:
+        """Adds blocks at `places`. Local.
+
+        Args:
+            blocks: Shape (blocks, R, R); of both of a pair, where this rank owns both nodes.
+        """
+        stored = (len(self.columns), self.high, self.low)
+        self.loops.call("add_blocks", len(blocks), places, blocks, *stored)
+
+    def places(self, rows: IntArray, columns: IntArray) -> IntArray:
+        """Where blocks of owned rows stand; -1 where only the other half is there. Local.
+
+        Args:
+            columns: Global number of the node of each.
+        """
+        size, local = self.halo.size, self.halo.local(columns)
+        row = np.repeat(np.arange(self.halo.owned), np.diff(self.start))
+        key, wanted = row * size + self.columns, rows * size + local
+        found = np.searchsorted(key, wanted)
+        here = key[np.minimum(found, len(key) - 1)] == wanted if len(key) else found < 0
+        if not (here | (local < rows)).all():
+            raise RuntimeError("the matrix has no place for a block")
+        return np.where(here, found, -1).astype(np.int64)
 
     def assembled(self, prescribed: IndexArray) -> None:
         """Adds what other ranks have for rows of this one; what was kept is out of date.
@@ -174,35 +212,12 @@ class FarRows:
         without[halo.owned : halo.owned + len(start)] = start
         without[halo.owned + len(start) :] = start[-1]
         self._exchange = RowsOfOthers(halo, without)
-        self._places = self._found(self._exchange.bring(halo.globally(columns)))
-
-    def _found(self, columns: IntArray) -> IntArray:
-        """Where blocks of owned rows stand; -1 where only the other half is there.
-
-        Args:
-            columns: Global number of the node of each.
-        """
-        of, halo = self._of, self._of.halo
         nodes = np.repeat(self._exchange.nodes, np.diff(self._exchange.start)).astype(np.int64)
-        order = np.argsort(halo.ghosts)
-        own = (columns >= halo.first) & (columns < halo.first + halo.owned)
-        among = np.searchsorted(halo.ghosts[order], np.where(own, 0, columns))
-        local = np.where(own, columns - halo.first, 0)
-        if len(order):
-            local = np.where(own, local, halo.owned + order[np.minimum(among, len(order) - 1)])
-        row = np.repeat(np.arange(halo.owned), np.diff(of.start))
-        key, wanted = row * halo.size + of.columns, nodes * halo.size + local
-        found = np.searchsorted(key, wanted)
-        here = key[np.minimum(found, len(key) - 1)] == wanted if len(key) else found < 0
-        if not (here | (own & (local < nodes))).all():
-            raise RuntimeError("the matrix has no place for a block of another rank")
-        return np.where(here, found, -1).astype(np.int64)
+        self._places = of.places(nodes, self._exchange.bring(halo.globally(columns)))
 
     def collect(self) -> None:
         """Adds the blocks to the rows of their owners. Collective."""
-        of, blocks = self._of, self._exchange.bring(self.blocks)
-        stored = (len(of.columns), of.high, of.low)
-        of.loops.call("add_blocks", len(blocks), self._places, blocks, *stored)
+        self._of.add_at(self._places, self._exchange.bring(self.blocks))
 
     def destroy(self) -> None:
         """Frees PETSc's object. Collective."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 from petsc4py import PETSc
 
-from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.assembly.matrix import Conditions
+from dolfin_elastic.core.types import IntArray
+from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
+from dolfin_elastic.solvers.assembly.node_blocks import NodeBlocks, node_blocks
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
 from dolfin_elastic.solvers.assembly.two_stage.form import TwoStageForm
 
@@ -15,32 +15,40 @@ class SymmetricMatrix:
     """A tangent of a displacement as `SymmetricBlocks`; see `matrix.TangentMatrix`. Collective.
 
     Args:
-        problem: Whose displacement is the only unknown.
+        dofs: Whose displacement is the only unknown.
+        more: Symmetric blocks beside those of the form; None without any.
 
     Attributes:
         petsc: The PETSc matrix, of type "python", owned here.
-        blocks: Its blocks.
+        blocks: Its blocks; others as soon as `more` has other pairs of nodes.
     """
 
-    def __init__(self, problem: Problem, form: TwoStageForm) -> None:
-        self._form, self.blocks = form, SymmetricBlocks(problem, form.form)
-        blocks = self.blocks
-        size = (blocks.halo.owned * blocks.dim, None)
-        self.petsc = PETSc.Mat().createPython((size, size), blocks, problem.body.comm)
-        self.petsc.setBlockSize(blocks.dim)
+    def __init__(self, dofs: ConstrainedDofs, form: TwoStageForm, more: NodeBlocks | None) -> None:
+        self._dofs, self._form, self._more = dofs, form, more
+        self._rest = NodeBlocks(dofs, form.rest_blocks) if form.has_rest else None
+        self._parts = [part for part in (self._rest, more) if part is not None]
+        self._patterns: list[int] = []
+        self._places: list[IntArray] = []
+        self.blocks = SymmetricBlocks(dofs.problem, form.form)
+        size = (self.blocks.halo.owned * self.blocks.dim, None)
+        self.petsc = PETSc.Mat().createPython((size, size), self.blocks, dofs.comm)
+        self.petsc.setBlockSize(self.blocks.dim)
         self.petsc.setUp()
 
-    def assemble(self, bcs: Conditions) -> None:
-        """Assembles the form, with ones on the diagonal of constrained rows. Collective.
-
-        Args:
-            bcs: Dirichlet conditions, whose rows and columns are zero.
-        """
-        blocks = self.blocks
-        self._form.assemble_half(blocks, bcs)
-        owned = [bc.dof_indices() for bc in bcs]
-        prescribed = np.concatenate([dofs[:count] for dofs, count in owned]) if owned else []
-        blocks.assembled(np.unique(np.asarray(prescribed, dtype=np.int32)))
+    def assemble(self) -> None:
+        """Assembles the form, with ones on the diagonal of prescribed rows. Collective."""
+        parts = [node_blocks(part.free(), self.blocks.dim) for part in self._parts]
+        if (patterns := [part.pattern for part in self._parts]) != self._patterns:
+            if self._more is not None:
+                pairs = parts[-1][:2]
+                self.blocks = SymmetricBlocks(self._dofs.problem, self._form.form, pairs)
+                self.petsc.setPythonContext(self.blocks)  # which destroys the one before
+            self._places = [self.blocks.places(*part[:2]) for part in parts]
+            self._patterns = patterns
+        self._form.assemble_half(self.blocks, self._dofs.bcs)
+        for places, part in zip(self._places, parts, strict=True):
+            self.blocks.add_at(places, part[2])
+        self.blocks.assembled(self._dofs.prescribed_dofs)
         self.petsc.stateIncrease()
         self.petsc.assemble()
 
@@ -50,4 +58,13 @@ class SymmetricMatrix:
 
     def destroy(self) -> None:
         """Frees the PETSc matrix. Collective."""
+        if self._rest is not None:
+            self._rest.destroy()
         self.petsc.destroy()
+
+
+def can_be_halved(dofs: ConstrainedDofs, form: TwoStageForm) -> bool:
+    """Whether the tangent is symmetric and no rows of it are combined. Not collective."""
+    problem = dofs.problem
+    combined = (dofs.skew, dofs.ties, problem.cell)
+    return form.can_be_halved and problem.symmetric and all(x is None for x in combined)

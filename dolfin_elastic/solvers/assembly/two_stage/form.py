@@ -26,6 +26,7 @@ from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArra
 from dolfin_elastic.model.kinematics import variables
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.terms.term import Blocks
 from dolfin_elastic.problem.weak_form import UNUSED
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, Conditions
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
@@ -56,6 +57,15 @@ def in_two_stages(problem: Problem) -> bool:
     entries = _entries(problem)
     apart = entries[:, :1] + np.arange(problem.body.dim) != entries
     return not total(problem.body.comm, int(apart.any()))
+
+
+def tangent_form(problem: Problem, extra: ufl.Form | None = None) -> BilinearForm:
+    """The compiled tangent of a problem and of what is added to it. Collective."""
+    more = ufl.Form([]) if extra is None else extra
+    if in_two_stages(problem):
+        return TwoStageForm(problem, tangent_of_surroundings(problem) + more)
+    form = problem.weak_form.tangent + more
+    return BilinearForm(compile_forms(problem.body.comm, [form], problem.jit)[0])
 
 
 def tangent_of_surroundings(problem: Problem) -> ufl.Form:
@@ -126,7 +136,9 @@ class TwoStageForm(BilinearForm):
         rest: What it has beside that of the internal forces; may be empty.
 
     Attributes:
-        is_of_moduli: There is nothing beside it, and the displacement is the only unknown.
+        can_be_halved: Beside it are integrals over facets at most, and the displacement is the only
+            unknown.
+        has_rest: There is something beside it.
     """
 
     def __init__(self, problem: Problem, rest: ufl.Form) -> None:
@@ -137,7 +149,11 @@ class TwoStageForm(BilinearForm):
         found = compile_forms(problem.body.comm, forms, problem.jit)
         super().__init__(found[0])
         self._rest = None if rest.empty() else found[1]
-        self.is_of_moduli = rest.empty() and W is problem.V
+        self.has_rest = not rest.empty()
+        self._rest_matrix: la.MatrixCSR | None = None
+        on_facets = all(one.integral_type() == "exterior_facet" for one in rest.integrals())
+        self.can_be_halved = on_facets and W is problem.V
+        self._half: SymmetricBlocks | None = None  # of which `_places` are
         self._terms = [_Term(problem, region) for region in problem.regions]
         self._nodes, self._stride = _nodes(problem), _stride(problem)
         self._dim, self._displacements = problem.body.dim, problem.V.dofmap.list.shape[1]
@@ -160,7 +176,7 @@ class TwoStageForm(BilinearForm):
             term.call("add_tangent", term.cells, *places)
 
     def assemble_half(self, blocks: SymmetricBlocks, bcs: Conditions) -> None:
-        """Assembles the tangent by the half of its blocks, where it `is_of_moduli`. Local.
+        """Assembles it by the half of its blocks, `rest_blocks` apart. Local.
 
         Args:
             blocks: Are overwritten; those of rows of other ranks are not yet sent there.
@@ -168,7 +184,8 @@ class TwoStageForm(BilinearForm):
         """
         n, far = blocks.halo.owned, blocks.far
         pattern = (n, blocks.start, blocks.columns)
-        if self._places.ndim != 2:
+        if self._places.ndim != 2 or self._half is not blocks:
+            self._half = blocks
             pairs = self._displacements * (self._displacements + 1) // 2
             self._places = np.zeros((len(self._nodes), pairs), dtype=np.uint16)
             self._find("find_upper_places", *pattern)
@@ -178,6 +195,19 @@ class TwoStageForm(BilinearForm):
         others = (len(far.start) - 1, far.start, far.columns, far.blocks)
         for term in self._terms:
             term.call("add_half", term.cells, *places, *others)
+
+    def rest_blocks(self) -> Blocks:
+        """What is beside the tangent of the internal forces, which `can_be_halved`. Local."""
+        assert self._rest is not None
+        if self._rest_matrix is None:
+            self._rest_matrix = fem.create_matrix(self._rest, la.BlockMode.compact)
+        A = self._rest_matrix
+        A.data[:] = 0.0
+        fem.assemble_matrix(A, self._rest)
+        rows = np.repeat(np.arange(len(A.indptr) - 1, dtype=np.int32), np.diff(A.indptr))
+        of_rows, of_columns = A.index_map(0), A.index_map(1)
+        pairs = of_rows.local_to_global(rows), of_columns.local_to_global(A.indices)
+        return Blocks(*pairs, A.data.reshape(-1, self._dim, self._dim))
 
     def lift(self, out: FloatArray, bcs: Conditions, values: FloatArray, w: FloatArray) -> None:
         """See `BilinearForm.lift`."""

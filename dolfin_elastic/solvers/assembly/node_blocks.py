@@ -1,0 +1,141 @@
+"""Blocks of pairs of nodes as a matrix of all unknowns, without and with the constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from petsc4py import PETSc
+
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray, IntArray
+from dolfin_elastic.problem.terms.term import Blocks
+from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
+from dolfin_elastic.solvers.assembly.tied import square, transformation
+from dolfin_elastic.solvers.petsc.c_api import room_for_entries, sum_entries
+from dolfin_elastic.solvers.petsc.halo import Halo
+
+
+class NodeBlocks:
+    """What is added to a tangent beside its elements. Collective.
+
+    Args:
+        of: Gives the blocks at the present unknowns.
+
+    Attributes:
+        pattern: Grows whenever other pairs of nodes have blocks.
+    """
+
+    def __init__(self, dofs: ConstrainedDofs, of: Callable[[], Blocks]) -> None:
+        self._dofs, self._of, self.pattern = dofs, of, 0
+        self._pairs: tuple[IntArray, IntArray] | None = None
+        self._matrix: PETSc.Mat | None = None
+        self._constraints: PETSc.Mat | None = None
+        self._free: tuple[PETSc.Mat, int] | None = None
+
+    def _assembled(self) -> PETSc.Mat:
+        blocks = self._of()
+        pairs = (blocks.rows, blocks.columns)
+        same = self._pairs is not None and all(map(np.array_equal, pairs, self._pairs))
+        if self._matrix is None or total(self._dofs.comm, int(not same)):
+            if self._matrix is not None:
+                self._matrix.destroy()
+            self._matrix = self._of_pattern(*pairs)
+            self._pairs, self.pattern = pairs, self.pattern + 1
+        sum_entries(self._matrix, blocks.values.reshape(-1))
+        return self._matrix
+
+    def _of_pattern(self, rows: IntArray, columns: IntArray) -> PETSc.Mat:
+        """A matrix with room for blocks of pairs of nodes, from which PETSc makes their sum."""
+        dofs, problem = self._dofs, self._dofs.problem
+        nodes, dim = problem.V.dofmap.index_map, problem.body.dim
+        space, bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
+        first, last = nodes.local_range
+        every = np.concatenate([rows, columns])
+        halo = Halo(dofs.comm, last - first, np.unique(every[(every < first) | (every >= last)]))
+        entries = np.empty((halo.size, dim), dtype=np.int64)
+        entries[: halo.owned].reshape(-1)[:] = bs * space.local_range[0] + dofs.displacement_dofs
+        halo.fill(entries)
+        i, j = entries[halo.local(rows)], entries[halo.local(columns)]
+        halo.destroy()
+        matrix = PETSc.Mat().create(dofs.comm)
+        matrix.setSizes(((dofs.size, None),) * 2)
+        matrix.setBlockSize(bs)
+        matrix.setType(PETSc.Mat.Type.AIJ)
+        shape = (len(rows), dim, dim)
+        places = (np.broadcast_to(a, shape).reshape(-1) for a in (i[:, :, None], j[:, None, :]))
+        room_for_entries(matrix, *places)
+        return matrix
+
+    def free(self) -> PETSc.Mat:
+        """The blocks at the present unknowns with the constraints, R^T B R; owned here.
+
+        R is the identity without prescribed directions, in whose rows and columns is nothing then,
+        and with tied displacements, which follow others.
+        """
+        B = self._assembled()
+        if self._constraints is None:
+            self._constraints = _left_free(self._dofs, B)
+        if self._free is not None and self._free[1] == self.pattern:
+            B.ptap(self._constraints, result=self._free[0])
+            return self._free[0]
+        if self._free is not None:
+            self._free[0].destroy()
+        self._free = B.ptap(self._constraints), self.pattern
+        return self._free[0]
+
+    def times(self, direction: FloatArray) -> FloatArray:
+        """Product with the blocks at the present unknowns, as if nothing were prescribed.
+
+        Args:
+            direction: Owned entries of all unknowns [m].
+        """
+        B = self._assembled()
+        x, y = B.createVecs()
+        x.array_w[:] = direction
+        B.mult(x, y)
+        found = np.array(y.array_r)
+        x.destroy()
+        y.destroy()
+        return found
+
+    def destroy(self) -> None:
+        """Frees PETSc's objects. Collective."""
+        free = None if self._free is None else self._free[0]
+        for matrix in (self._matrix, self._constraints, free):
+            if matrix is not None:
+                matrix.destroy()
+
+
+def _left_free(dofs: ConstrainedDofs, like: PETSc.Mat) -> PETSc.Mat:
+    """The matrix R of `NodeBlocks.free`; the caller destroys it. Collective."""
+    dim, first = dofs.problem.body.dim, like.getOwnershipRange()[0]
+    ones, rows = np.ones(dofs.size), np.arange(dofs.size)
+    ones[dofs.prescribed_dofs] = 0.0
+    entries = [(rows, rows, ones)]
+    if dofs.skew is not None:
+        places, P = dofs.skew_dofs, dofs.skew.P[: dofs.skew.count]
+        entries.append(
+            (np.repeat(places, dim, axis=1).ravel(), np.tile(places, dim).ravel(), -P.ravel())
+        )
+    i, j, v = (np.concatenate(part) for part in zip(*entries, strict=True))
+    Q = square(like, i, first + j, v)
+    if dofs.ties is None:
+        return Q
+    T = transformation(dofs.problem, like, dofs.displacement_dofs)
+    R = T.matMult(Q)
+    T.destroy()
+    Q.destroy()
+    return R
+
+
+def node_blocks(matrix: PETSc.Mat, dim: int) -> tuple[IntArray, IntArray, FloatArray]:
+    """Owned node, global node and values of each block of a displacement's matrix. Collective."""
+    start, columns, values = matrix.getValuesCSR()
+    first, length = start[:-1:dim].astype(np.int64), np.diff(start)[::dim] // dim
+    nodes = np.repeat(np.arange(len(length)), length)
+    within = np.arange(len(nodes)) - np.repeat(np.cumsum(length) - length, length)
+    row, column = np.arange(dim)[:, None], np.arange(dim)
+    begins = (first[nodes] + dim * within)[:, None, None]
+    at = begins + row * (dim * length[nodes])[:, None, None] + column
+    return nodes, columns[at[:, 0, 0]].astype(np.int64) // dim, values[at]
