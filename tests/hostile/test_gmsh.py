@@ -371,14 +371,17 @@ def test_the_disk_is_not_filled(tmp_path: Path, monkeypatch) -> None:
 
 
 def test_without_landlock(tmp_path: Path, monkeypatch) -> None:
-    """It is said once what is not protected then, and nothing where nothing would be."""
+    """It is said once what is not protected then, and nothing where nothing would be; no script."""
+    write(tmp_path / "part.step", block)
     (tmp_path / "a.geo").write_text(BOX)
     (tmp_path / "old.msh").write_text(MESH1)
     told = "is not confined, because this kernel has no Landlock"
     if landlock.version() > 0:
         assert told not in " ".join(read_body(tmp_path / "a.geo").notes)
     monkeypatch.setattr(landlock, "version", lambda: 0)
-    assert " ".join(read_body(tmp_path / "a.geo").notes).count(told) == 1
+    assert " ".join(read_body(tmp_path / "part.step").notes).count(told) == 1
+    with pytest.raises(MeshError, match=r"a\.geo: .* is a program, .*Landlock.*--trust"):
+        read_body(tmp_path / "a.geo")
     assert told not in " ".join(read_body(tmp_path / "a.geo", trust=True).notes)
     assert " ".join(read_body(tmp_path / "old.msh").notes).count(told) == 1
 

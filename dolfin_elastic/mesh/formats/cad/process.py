@@ -181,9 +181,8 @@ def notes_of(permission: Permission) -> list[str]:
         return []
     return [
         "the process of Gmsh is not confined, because this kernel has no Landlock (Linux 5.13 and "
-        "later): statements that run commands or write files are refused, but a damaged file that "
-        "takes Gmsh over could do what you can; read files of strangers in a container or a "
-        "virtual machine"
+        "later): a damaged file that takes Gmsh over could do what you can; read files of "
+        "strangers in a container or a virtual machine"
     ]
 
 
