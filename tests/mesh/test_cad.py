@@ -17,7 +17,7 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh import Selector, mesh_statistics, name_parts, read_body
 from dolfin_elastic.mesh.body import extent
-from dolfin_elastic.mesh.formats.cad import sizes
+from dolfin_elastic.mesh.formats.cad import curved, sizes
 from dolfin_elastic.mesh.formats.cad.shapes import Lengths
 from dolfin_elastic.mesh.formats.cad.units import stated_unit
 from dolfin_elastic.mesh.refine.refinement import refine_body
@@ -341,6 +341,32 @@ def test_cells_that_are_large_for_a_small_fillet_are_told_with_their_place(folde
     places = np.array([[*map(float, p.split(","))] for p in re.findall(r"\(([^)]*)\)", found[2])])
     assert len(places) == min(int(found[1]), 3)
     assert (np.hypot(places[:, 0] - 11, places[:, 2] - 11) < 12).all(), "at the fillet"
+
+
+@pytest.mark.parametrize("hopeless", [True, False])
+def test_gmsh_mends_cells_only_where_it_can(hopeless: bool) -> None:
+    """Of cells that fold on a surface itself none, as where pipes cross; in a thin wall all."""
+
+    def work() -> tuple[bool, bool]:
+        with drawing() as gmsh:
+            occ, wide = gmsh.model.occ, 2.0 if hopeless else 5.0
+            solid = (3, occ.addCylinder(-5, 0, 0, 10, 0, 0, wide))
+            if hopeless:
+                occ.fuse([solid], [(3, occ.addCylinder(0, -5, 0, 0, 10, 0, 1.5))])
+            else:
+                occ.cut([solid], [(3, occ.addCylinder(-5, 0, 0, 10, 0, 0, 4.7))])
+            occ.synchronize()
+            for key in ("Min", "Max"):
+                gmsh.option.setNumber(f"Mesh.MeshSize{key}", 1.0 if hopeless else 2.0)
+            gmsh.model.mesh.generate(3)
+            gmsh.model.mesh.setOrder(2)
+            before = curved._folded(gmsh, 3)
+            lost = curved._lost(gmsh, 3, before)
+            gmsh.model.mesh.optimize("HighOrderElastic")
+            assert len(before) and np.isin(before[lost], curved._folded(gmsh, 3)).all()
+            return bool(lost.all()), len(curved._folded(gmsh, 3)) == len(before)
+
+    assert on_root(COMM, work) == (hopeless, hopeless)
 
 
 # --- sizes where nobody gives one ---
