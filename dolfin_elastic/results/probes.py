@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Self
 
@@ -26,10 +26,9 @@ from dolfin_elastic.results.derived.part_numbers import (
     NODAL,
     PartNumbers,
     check_surface,
-    columns_of,
     nodal_function,
-    share_below,
 )
+from dolfin_elastic.results.derived.reductions import reduction_of
 from dolfin_elastic.results.derived.sections import Section, SectionForces
 from dolfin_elastic.results.fields import FIELDS, component_names
 from dolfin_elastic.results.moments import ReferencePoints, columns_of_moments
@@ -54,8 +53,8 @@ class ProbePoint(Record):
         surface: The same for a surface.
         fields: Names from `FIELDS`: displacement, velocity, acceleration and those of cells; with
             `values` all of them.
-        values: Of a surface or region: which numbers of the fields are asked for, "max", "min",
-            "mean", "integral" or "percentile:95"; by default the mean over a surface.
+        values: Of a surface or region: which numbers of the fields are asked for, names of
+            `REDUCTIONS` such as "max" or "percentile:95"; by default the mean.
     """
 
     at: Annotated[list[MeshLength], Key(min_length=2, max_length=3)] | None = None
@@ -80,7 +79,7 @@ class ProbePoint(Record):
     def _statistics(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         for index, name in enumerate(names):
             try:
-                share_below(name)
+                reduction_of(name)
             except InputError as error:
                 raise within(f"[{index}]", error) from None
         return names
@@ -103,13 +102,6 @@ class ProbePoint(Record):
             except InputError as error:
                 raise within("fields", error) from None
         return self
-
-    def counted(self, kind: str) -> tuple[str, ...]:
-        """What `PartNumbers` finds of the part; nothing where a plain mean is asked for."""
-        if self.values:
-            return tuple(dict.fromkeys(self.values))
-        derived = any(FIELDS[name].of_tensor is not None for name in self.fields)
-        return ("mean",) if kind == "region" or (kind == "surface" and derived) else ()
 
     @property
     def part(self) -> str | None:
@@ -214,14 +206,12 @@ class Probe:
     Args:
         points: Name to coordinates [m] in the reference configuration.
         fields: Fields at all points, or name of the point to its fields.
-        surfaces: Name to a surface and the fields whose means over it are evaluated.
         samples: Name to places and weights of which the weighted mean is evaluated, the fields
             being those of its name; shape (points, dim + 1).
         reactions: Name to the part whose nodal reactions are summed up.
-        counted: Name to the numbers of a surface or region.
-        plain: Names of those that are means, called as the field alone.
-        moments: Supports of which columns have the moment, and about which points.
-        sections: Name to a section of which columns have force and moment.
+        parts: Name to the numbers of a surface or region, and whether they are its means, which
+            are called as the field alone.
+        others: What gives further columns of the history, name to number.
 
     Raises:
         InputError: A field cannot be evaluated at a point.
@@ -233,19 +223,14 @@ class Probe:
         problem: Problem,
         points: Mapping[str, Sequence[float]],
         fields: Iterable[str] | Mapping[str, Iterable[str]] = ("displacement",),
-        surfaces: Mapping[str, tuple[str, Sequence[str]]] | None = None,
         samples: Mapping[str, FloatArray] | None = None,
         reactions: Mapping[str, str] | None = None,
-        counted: Mapping[str, PartNumbers] | None = None,
-        plain: Collection[str] = (),
-        moments: ReferencePoints | None = None,
-        sections: Mapping[str, Section] | None = None,
+        parts: Mapping[str, tuple[PartNumbers, bool]] | None = None,
+        others: Sequence[Callable[[State], Mapping[str, float]]] = (),
     ) -> None:
         self.problem, self.dim = problem, problem.body.dim
-        self._moments = columns_of_moments(moments or {}, problem)
-        self._sections = SectionForces(problem, sections) if sections else None
+        self._samples, self._parts, self._others = samples or {}, parts or {}, others
         of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
-        self._samples, self._counted, self._plain = samples or {}, counted or {}, plain
         asked = {name: check_readable(of[name]) for name in (*points, *self._samples)}
         held: dict[str, str | Sequence[float]] = dict(reactions or {})
         held |= {name: place for name, place in points.items() if REACTION in asked[name]}
@@ -262,11 +247,6 @@ class Probe:
             name: place for name, place in self.places.items() if is_recovered(self.fields[name])
         }
         self._stress = StressAtPoints(problem, recovered) if recovered else None
-        self._means = {
-            name: PartNumbers(problem, "surface", surface, check_readable(asked), ("mean",))
-            for name, (surface, asked) in (surfaces or {}).items()
-            if asked
-        }
 
     @classmethod
     def of(
@@ -284,24 +264,22 @@ class Probe:
             moments: Label of a support to the points about which its moment is found.
             sections: Name to a section of which force and moment are found.
         """
-        surfaces: dict[str, tuple[str, tuple[str, ...]]] = {}
         samples: dict[str, FloatArray] = {}
-        counted: dict[str, PartNumbers] = {}
-        named = {name: probe for name, probe in probes.items() if probe.part is not None}
-        for name, probe in named.items():
-            part, kind = str(probe.part), _kind(problem.body, str(probe.part))
+        parts: dict[str, tuple[PartNumbers, bool]] = {}
+        named = {name: probe.part for name, probe in probes.items() if probe.part is not None}
+        for name, part in named.items():
+            probe, kind = probes[name], _kind(problem.body, part)
             fields = _interpolated(probe.fields)
-            if statistics := probe.counted(kind):
-                counted[name] = PartNumbers(problem, kind, part, fields, statistics)
-            elif kind == "surface":
-                surfaces[name] = part, fields
-            else:
+            if kind not in ("surface", "region"):
                 samples[name] = _samples(problem.body, kind, part, problem.context.order)
-        held = {n: str(p.part) for n, p in named.items() if REACTION in p.fields}
-        plain = [name for name in counted if not named[name].values]
+            elif fields:
+                numbers = PartNumbers(problem, kind, part, fields, probe.values or ("mean",))
+                parts[name] = numbers, not probe.values
+        held = {name: part for name, part in named.items() if REACTION in probes[name].fields}
         asked = {name: probe.fields for name, probe in probes.items()}
-        more = (surfaces, samples, held, counted, plain, moments, sections)
-        return cls(problem, _points(probes, scale), asked, *more)
+        others = [SectionForces(problem, sections).numbers] if sections else []
+        others += columns_of_moments(moments or {}, problem)
+        return cls(problem, _points(probes, scale), asked, samples, held, parts, others)
 
     def __call__(self, state: State) -> dict[str, FloatArray]:
         """Column stem "POINT_FIELD" to the field's components in SI units, the same on every rank.
@@ -309,41 +287,38 @@ class Probe:
         Vectors have as many components as the body has dimensions, tensors nine, row by row.
         """
         with stage("output"):
-            means = {
-                f"{name}_{number.removesuffix('_mean')}": values
-                for name, mean in self._means.items()
-                for number, values in mean(state).items()
-            }
-        found = self._at_points(state)
-        for name, rows in self._samples.items():
-            points = [f"{name} {i}" for i in range(len(rows))]
-            for field in self.fields[points[0]]:
-                values = np.array([found.pop(f"{point}_{field}") for point in points])
-                means[f"{name}_{field}"] = rows[:, -1] @ values
+            found = self._at_points(state)
+            for name, rows in self._samples.items():
+                points = [f"{name} {i}" for i in range(len(rows))]
+                for field in self.fields[points[0]]:
+                    values = np.array([found.pop(f"{point}_{field}") for point in points])
+                    found[f"{name}_{field}"] = rows[:, -1] @ values
+            for name, (part, plain) in self._parts.items():
+                for number, values in part(state).items():
+                    found[f"{name}_{number.removesuffix('_mean') if plain else number}"] = values
         held = self._reactions(state) if self._reactions else {}
-        return {**found, **means, **{f"{name}_{REACTION}": force for name, force in held.items()}}
+        return found | {f"{name}_{REACTION}": force for name, force in held.items()}
 
     def _at_points(self, state: State) -> dict[str, FloatArray]:
         if not any(self.fields.values()):
             return {}
-        with stage("output"):
-            cells = self._cells(state) if self._cells else {}
-            stress = self._stress(state) if self._stress else {}
+        cells = self._cells(state) if self._cells else {}
+        stress = self._stress(state) if self._stress else {}
 
-            def value(name: str, field: str) -> FloatArray:
-                if field in NODAL:
-                    return self._nodal(state, field, self.places[name])
-                return stress[name].row(field) if FIELDS[field].recovered else cells[name][field]
+        def value(name: str, field: str) -> FloatArray:
+            if field in NODAL:
+                return self._nodal(state, field, self.places[name])
+            return stress[name].row(field) if FIELDS[field].recovered else cells[name][field]
 
-            values = {
-                f"{name}_{field}": value(name, field)
-                for name, row in self.fields.items()
-                for field in row
-            }
-            sent = np.concatenate(list(values.values()))
-            ends = np.cumsum([len(v) for v in values.values()])[:-1]
-            found = np.split(total(self.problem.body.comm, sent), ends)
-            return dict(zip(values, found, strict=True))
+        values = {
+            f"{name}_{field}": value(name, field)
+            for name, row in self.fields.items()
+            for field in row
+        }
+        sent = np.concatenate(list(values.values()))
+        ends = np.cumsum([len(v) for v in values.values()])[:-1]
+        found = np.split(total(self.problem.body.comm, sent), ends)
+        return dict(zip(values, found, strict=True))
 
     def _nodal(self, state: State, field: str, place: LocatedPoint) -> FloatArray:
         """A vector at a point, on the rank that owns its cell; zeros on the others."""
@@ -367,13 +342,10 @@ class Probe:
             for column, value in zip(_columns(name, len(components)), components, strict=True)
         }
         with stage("output"):
-            for name, part in self._counted.items():
-                found |= columns_of(name, part(state), plain=name in self._plain)
-            crossing = self._sections.numbers(state) if self._sections else {}
-        for columns in (crossing, *(moment(state) for moment in self._moments)):
-            if twice := found.keys() & columns.keys():
-                raise duplicate_column(min(twice))
-            found |= columns
+            for columns in (other(state) for other in self._others):
+                if twice := found.keys() & columns.keys():
+                    raise duplicate_column(min(twice))
+                found |= columns
         return found
 
     def add_to(self, state: State) -> State:

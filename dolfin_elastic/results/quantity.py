@@ -23,8 +23,8 @@ from dolfin_elastic.results.derived.part_numbers import (
     PartNumbers,
     has_length,
     members,
-    share_below,
 )
+from dolfin_elastic.results.derived.reductions import reduction_of
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.fields import FIELDS, component_names
 from dolfin_elastic.results.probes import Probe
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
 _AT_REST = {"jacobian": 1.0}
 """Value of a field whose difference from it tells which of two extremes is the larger one."""
+EXTREMES = ("max", "min")
+"""Reductions that have a place."""
 _ROUND_OFF = 1e-14
 """Differences of det F that rounding decides; displacements and stresses are never so small but
 where there are none."""
@@ -71,7 +73,7 @@ class Quantity:
             "cauchy_stress_xy".  Of several components their length is taken, of means and integrals
             that of the row of them.
         where: Name of a part, or for "at" a point of the undeformed body [m]; None: the whole body.
-        reduction: "at", "max", "min", "mean", "integral" or "percentile:95", with any percentage.
+        reduction: "at", or a name of `REDUCTIONS`: "max", "mean", "percentile:95" ...
 
     Raises:
         InputError: There is no such field, or no such reduction.
@@ -87,7 +89,11 @@ class Quantity:
         if not isinstance(self.where, tuple):
             names = component_names(self.name, FIELDS[self.name].columns)
             bare = self.field == self.name and len(names) > 1 and not has_length(self.name)
-            if share_below(self.reduction) is not None and bare:
+            if (
+                reduction_of(self.reduction)[0].factor is None
+                and bare
+                and self.reduction not in EXTREMES
+            ):
                 raise InputError(f"'{self.field}' has no length", expected=f"such as '{names[0]}'")
         elif self.reduction != "at":
             raise InputError(f"unknown value '{self.reduction}'", expected="'at' of a point")
@@ -125,7 +131,7 @@ class Quantity:
         """
         if isinstance(self.where, tuple):
             return AtPoint(self, problem)
-        return (Extreme if self.reduction in ("max", "min") else Integral)(self, problem)
+        return (Extreme if self.reduction in EXTREMES else Integral)(self, problem)
 
 
 def _no_field(name: str, known: Iterable[str]) -> InputError:
@@ -265,7 +271,8 @@ class Integral(Measurement):
 
     def derivative(self, state: State) -> ufl.Form | None:
         """See `Measurement`."""
-        if self.quantity.reduction not in ("mean", "integral"):
+        factor = reduction_of(self.quantity.reduction)[0].factor
+        if factor is None:
             return None
         (row,) = self._numbers(state).values()  # leaves the state's unknowns in _w
         if self._form is None:
@@ -273,9 +280,7 @@ class Integral(Measurement):
             self._form = self._derived(len(row))
         number, size = self.quantity.component(len(row)), float(np.linalg.norm(row))
         along = row / size if number is None and size else np.eye(len(row))[number or 0]
-        if self.quantity.reduction == "mean":
-            along = along / self._numbers.size
-        self._along.value[:] = along * self.problem.thickness
+        self._along.value[:] = along * factor(self._numbers.size) * self.problem.thickness
         return self._form
 
     def _derived(self, size: int) -> ufl.Form | None:

@@ -250,7 +250,7 @@ def test_a_point_that_is_an_empty_part():
     body = body.named(surfaces={"none": np.zeros(0, dtype=np.int32)})
     problem = Problem(body, LinearElastic(E=1.0, nu=0.0), supports=[Support(on="left")], degree=1)
     with pytest.raises(InputError, match=r"output.moments.left.a: 'none' is empty; expected \"mid"):
-        Probe(problem, {}, moments={"left": {"a": "none"}})
+        Probe.of({}, problem, 1.0, {"left": {"a": "none"}})
 
 
 def test_means_over_surfaces(folder):
@@ -275,8 +275,8 @@ def test_a_mean_over_a_surface_of_revolution(folder):
     problem = Problem(body, law["a"], geometry="axisymmetric", degree=1)
     problem.u.interpolate(lambda x: (0.01 * x[0], 0.0 * x[0]))
     state = State(step=0, t=0.0, u=problem.u, v=problem.u)
-    asked = {"lid": ("top", ("displacement", "velocity")), "rim": ("right", ("displacement",))}
-    found = Probe(problem, {}, surfaces=asked)(state)
+    lid = ProbePoint(on="top", fields=("displacement", "velocity"))
+    found = Probe.of({"lid": lid, "rim": ProbePoint(on="right")}, problem, 1.0)(state)
     np.testing.assert_allclose(found["lid_displacement"], [0.02, 0], rtol=1e-12, atol=1e-16)
     np.testing.assert_allclose(found["lid_velocity"], [0.02, 0], rtol=1e-12, atol=1e-16)
     np.testing.assert_allclose(found["rim_displacement"], [0.03, 0], rtol=1e-12, atol=1e-16)

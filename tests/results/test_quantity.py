@@ -14,7 +14,8 @@ from dolfin_elastic import LinearElastic, NeoHookean, Problem, box_body, rectang
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.results.derived.part_numbers import PartNumbers, percentile
+from dolfin_elastic.results.derived.part_numbers import PartNumbers
+from dolfin_elastic.results.derived.reductions import percentile
 from dolfin_elastic.results.quantity import Extremes, Measured, Quantity
 
 COMM = MPI.COMM_WORLD

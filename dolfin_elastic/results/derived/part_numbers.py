@@ -8,26 +8,21 @@ ones.  Other fields of nodes are interpolated by the shape functions, those of c
 Extremes of fields of nodes, recovered stresses too, are sought among the nodes of the part, those
 of fields of cells among the quadrature points, as are those of stresses over a region of a body of
 several materials, whose nodes show the larger stress of two.  Of a vector it is that of its length,
-and that of each of its components.
-
-Below the percentile p lie p % of the area or volume, each quadrature point with its weight; between
-two points it is interpolated, as it is for the middle of the weight of each.
+and that of each of its components.  What is asked for is a row of `REDUCTIONS`.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from dolfinx import fem, la
-from mpi4py import MPI
 
 from dolfin_elastic.core.compat import integration_entities
-from dolfin_elastic.core.errors import InputError, MeshError, nearest
-from dolfin_elastic.core.parallel import largest, smallest, total
+from dolfin_elastic.core.errors import InputError, MeshError
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.schema import within
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.geometry.curved import cell_gradients, quadrature_rule, shape_functions
@@ -36,6 +31,8 @@ from dolfin_elastic.problem.spaces import part_nodes
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.problem.terms.at_points import facet_sets
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
+from dolfin_elastic.results.derived.reduction import Samples
+from dolfin_elastic.results.derived.reductions import ending, reduction_of
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.fields import FIELDS, component_names
 
@@ -44,35 +41,16 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.material_regions import MaterialRegion
     from dolfin_elastic.problem.problem import Problem
 
-STATISTICS = ("max", "min", "mean", "integral", "percentile:95")
-"""What is asked for of a field over a part; any other percentile, too."""
-_PERCENTILE = re.compile(r"percentile:(\d+(?:\.\d+)?)")
 NODAL = {"displacement": "u", "velocity": "v", "acceleration": "a"}
 """Fields that are functions of the state: name to attribute of `State`."""
 _TRIPLES = ("principal_stresses", "principal_stretches")
 """Fields of three numbers that are no vector: they have no length."""
 _WHERE = "output.probes"
-_HALVINGS = 64
-"""Of the range of values, down to round-off."""
 
 
 def has_length(name: str) -> bool:
     """Whether a field is a vector."""
     return FIELDS[name].shape == "vector" and name not in _TRIPLES
-
-
-def share_below(statistic: str) -> float | None:
-    """Share of the part below a percentile; None of other statistics.
-
-    Raises:
-        InputError: It is no statistic.
-    """
-    found = _PERCENTILE.fullmatch(statistic)
-    if found is not None and float(found[1]) <= 100.0:
-        return float(found[1]) / 100.0
-    if statistic not in STATISTICS:
-        raise InputError(f"unknown value '{statistic}'", expected=nearest(statistic, STATISTICS))
-    return None
 
 
 def nodal_function(state: State, field: str) -> fem.Function:
@@ -115,11 +93,10 @@ class PartNumbers:
         kind: "surface" or "region".
         part: Its name; None: the whole body.
         fields: Names from `FIELDS`.
-        statistics: Of `STATISTICS`.
+        statistics: Names of reductions, see `REDUCTIONS`.
 
     Attributes:
         pieces: The part in each material of the problem.
-        shares: Statistic to `share_below`.
         size: Area [m^2] or volume [m^3] of the undeformed part.
 
     Raises:
@@ -136,7 +113,7 @@ class PartNumbers:
         statistics: Sequence[str],
     ) -> None:
         self.problem, self.kind, self.fields = problem, kind, tuple(fields)
-        self.shares = {statistic: share_below(statistic) for statistic in statistics}
+        self._reductions = {name: reduction_of(name) for name in statistics}
         self._w = unknowns_of_outputs(problem)
         self._inside = tuple(name for name in fields if FIELDS[name].formula is not None)
         # Of fields with a formula the values at nodes are needed for their extremes alone.
@@ -269,81 +246,31 @@ class PartNumbers:
             values: At the quadrature points of each piece.
             nodal: At the local nodes, of a field of nodes.
         """
-        comm, width = self.problem.body.comm, FIELDS[name].columns
-        pairs = [*zip(self.pieces, values, strict=True)]
-        own = sum(np.einsum("fp,fpc->c", piece.weights, table) for piece, table in pairs)
+        width = FIELDS[name].columns
         size = self._plane(name, width)
-        sums = np.asarray(total(comm, own))[:size]
-        everywhere = np.concatenate([table.reshape(-1, width) for table in values])
+
+        def columns(table: FloatArray) -> FloatArray:
+            return np.column_stack([table[:, :size], np.linalg.norm(table, axis=1)])
+
+        points = columns(np.concatenate([table.reshape(-1, width) for table in values]))
         # At a node between two materials stands the stress of the one where it is larger.
         several = self.kind == "region" and name in self._inside and len(self.pieces) > 1
-        among = everywhere if nodal is None or several else nodal[self._nodes]
-        over = "area" if self.kind == "surface" else "volume"
+        peaks = points if nodal is None or several else columns(nodal[self._nodes])
+        weights = np.concatenate([piece.weights.ravel() for piece in self.pieces])
+        samples = Samples(self.problem.body.comm, self.size, weights, points, peaks)
         found: dict[str, FloatArray] = {}
-        for statistic, share in self.shares.items():
-            if statistic == "mean":
-                found[f"{name}_mean"] = sums / self.size
-                continue
-            if statistic == "integral":
-                found[f"{name}_{over}_integral"] = sums
-                continue
-            table = among if share is None else everywhere
-            columns = np.column_stack([table[:, :size], np.linalg.norm(table, axis=1)])
-            if share is None:
-                sign = 1.0 if statistic == "max" else -1.0
-                numbers = _largest(comm, sign * columns) * sign
-            else:
-                weights = np.concatenate([piece.weights.ravel() for piece in self.pieces])
-                numbers = np.array([percentile(comm, c, weights, share) for c in columns.T])
-            ending = statistic.replace(":", "_")
-            found[f"{name}_{ending}"] = numbers[:size]
-            if has_length(name):
-                found[f"{name}_length_{ending}"] = numbers[size:]
+        for statistic, (reduction, number) in self._reductions.items():
+            end = ending(statistic, "area" if self.kind == "surface" else "volume")
+            numbers = reduction(samples, number)
+            found[f"{name}_{end}"] = numbers[:size]
+            if has_length(name) and reduction.factor is None:
+                found[f"{name}_length_{end}"] = numbers[size:]
         return found
 
     def _plane(self, name: str, width: int) -> int:
         """Number of components that are shown: vectors of a plane body have two."""
         flat = FIELDS[name].shape == "vector" and FIELDS[name].formula is None
         return self.problem.body.dim if flat else width
-
-
-def _largest(comm: MPI.Comm, rows: FloatArray) -> FloatArray:
-    """Largest value of each column on all ranks; nan where no row has one. Collective."""
-    known = np.where(np.isnan(rows), -np.inf, rows)
-    found = np.max(comm.allgather(known.max(axis=0, initial=-np.inf)), axis=0)
-    return np.where(np.isinf(found), np.nan, found)
-
-
-def percentile(comm: MPI.Comm, values: FloatArray, weights: FloatArray, share: float) -> float:
-    """The value below which a share of the weights lies; nan where a value is. Collective.
-
-    Args:
-        values: This rank's, shape (n,).
-        weights: Of each, positive.
-        share: 0 to 1.
-    """
-    if total(comm, int(np.isnan(values).sum())):
-        return float("nan")
-    order = np.argsort(values)
-    known, sums = values[order], np.concatenate([[0.0], np.cumsum(weights[order])])
-
-    def below(x: float) -> float:
-        """Weights of the values below x, and half of those that equal it."""
-        ends = np.searchsorted(known, x, "left"), np.searchsorted(known, x, "right")
-        return float(total(comm, float(sums[ends[0]] + sums[ends[1]]))) / 2
-
-    goal = share * total(comm, float(sums[-1]))
-    low = smallest(comm, known.min(initial=np.inf))
-    high = largest(comm, known.max(initial=-np.inf))
-    for _ in range(_HALVINGS):
-        middle = low + (high - low) / 2
-        low, high = (middle, high) if below(middle) <= goal else (low, middle)
-    first = largest(comm, known[known <= low].max(initial=-np.inf))
-    second = smallest(comm, known[known > low].min(initial=np.inf))
-    if second == np.inf:
-        return first
-    start = below(first)
-    return first + (second - first) * min(max((goal - start) / (below(second) - start), 0.0), 1.0)
 
 
 def sides_of(problem: Problem, kind: str, part: str | None) -> AnyArray:

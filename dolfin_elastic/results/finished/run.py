@@ -58,12 +58,6 @@ _STRESS = re.compile(r"P[1-3]{2}")
 """Of a periodic cell."""
 
 
-_NUMBER = re.compile(
-    r"(_length)?_(max|min|mean|area_integral|volume_integral|percentile_[\d.]+)(_[xyz]{1,2})?$"
-)
-"""What follows the field in columns of numbers over a surface or region."""
-
-
 def column_unit(column: str, *, moving: bool) -> str:
     """Unit of a column of `history.csv`; empty of a pure number.
 
@@ -93,12 +87,11 @@ def column_unit(column: str, *, moving: bool) -> str:
 
 def _field_unit(column: str) -> str | None:
     """Unit of the longest name of a field that a column ends in, but for components."""
+    from dolfin_elastic.results.derived.reductions import reduced_unit
     from dolfin_elastic.results.fields import FIELDS
 
-    if (number := _NUMBER.search(column)) is not None:
-        unit = _field_unit(column[: number.start()] + (number.group(3) or ""))
-        over = {"area_integral": "m^2", "volume_integral": "m^3"}.get(number.group(2), "")
-        return None if unit is None else f"{unit} {over}".strip()
+    if (unit := reduced_unit(column, _field_unit)) is not None:
+        return unit
     name, _, last = column.rpartition("_")
     vector, tensor = last in _AXES, len(last) == 2 and set(last) <= set(_AXES)
     text = name if vector or tensor else column

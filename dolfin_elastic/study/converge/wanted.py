@@ -10,16 +10,22 @@ import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.schema import within
 from dolfin_elastic.core.types import BoolArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.derived.reductions import ending
 from dolfin_elastic.results.fields import FIELDS
-from dolfin_elastic.results.quantity import Extreme, Measured, Quantity
+from dolfin_elastic.results.finished.run import column_unit
+from dolfin_elastic.results.quantity import EXTREMES, Extreme, Measured, Measurement, Quantity
 from dolfin_elastic.results.writers.history import row
 
-_TEXT = re.compile(r"\s*(\w+)(?:\s+(?:on|of|at)\s+(\S.*?))?\s*")
-_EXAMPLES = '"von_mises on fillet", "displacement of tip", "reaction of left" or "strain_energy"'
+_TEXT = re.compile(r"\s*(?:([a-z]+(?::[\d.]+)?)\s+)?(\w+)(?:\s+(?:on|of|at)\s+(\S.*?))?\s*")
+_EXAMPLES = (
+    '"von_mises on fillet", "displacement of tip", "percentile:95 von_mises on fillet", '
+    '"reaction of left" or "strain_energy"'
+)
 _COMPONENTS = re.compile(r"(displacement|reaction)(_[xyz])?")
 _SMALLEST = ("safety_factor",)
 _PEAK = 0.8
@@ -28,15 +34,17 @@ _PEAK = 0.8
 
 @dataclass(frozen=True)
 class Wanted:
-    """The result that is wanted, as it was written: "NAME" or "NAME on PART".
+    """The result that is wanted, as it was written: "[REDUCTION] NAME [on PART]".
 
     Attributes:
         name: A field, a column of history.csv, "displacement" or "reaction".
         part: Surface, region, edge, point, probe or support; empty: the whole body.
+        reduction: Of a field or its component, see `REDUCTIONS`; empty: the extreme of a field.
     """
 
     name: str
     part: str = ""
+    reduction: str = ""
 
     @classmethod
     def read(cls, text: str) -> Wanted:
@@ -48,33 +56,44 @@ class Wanted:
         found = _TEXT.fullmatch(text)
         if found is None:
             raise InputError(f"'{text}' is no result of a run", expected=f"for example {_EXAMPLES}")
-        return cls(found[1], found[2] or "")
+        wanted = cls(found[2], found[3] or "", found[1] or "")
+        if wanted.reduction:
+            try:
+                assert wanted.quantity
+            except InputError as error:
+                raise within("--until", error) from None
+        return wanted
 
     def __str__(self) -> str:
-        return f"{self.name} on {self.part}" if self.part else self.name
+        named = f"{self.reduction} {self.name}".lstrip()
+        return f"{named} on {self.part}" if self.part else named
 
     @property
     def is_field(self) -> bool:
-        """It is the largest value of a field (of the safety factor the smallest).
+        """It is a number of a field, by default the largest (of the safety factor the smallest).
 
         A reaction is the force of a whole support, not the largest of its nodal forces.
         """
-        return self.name in FIELDS and self.name != "reaction"
+        return bool(self.reduction) or (self.name in FIELDS and self.name != "reaction")
 
     @property
     def quantity(self) -> Quantity:
-        """The extreme of the field."""
-        reduction = "min" if self.name in _SMALLEST else "max"
+        """Of the field."""
+        reduction = self.reduction or ("min" if self.name in _SMALLEST else "max")
         return Quantity(self.name, self.part or None, reduction)
 
     @property
     def is_stress(self) -> bool:
         """It is the largest von Mises stress."""
-        return self.name in ("von_mises", "von_mises_nodal")
+        return self.name in ("von_mises", "von_mises_nodal") and self.reduction in ("", "max")
 
     @property
     def unit(self) -> str:
         """SI unit; empty where it is not known from the name."""
+        if self.reduction:
+            over = "" if self.part else "volume"  # a part may be of either kind
+            column = f"part_{self.quantity.name}_{ending(self.reduction, over)}"
+            return column_unit(column, moving=False)
         if self.name in FIELDS:
             return FIELDS[self.name].unit
         units = {"displacement": "m", "reaction": "N", "force": "N", "energy": "J"}
@@ -110,6 +129,10 @@ class Wanted:
             raise _unknown("no part and no probe", self.part, [*parts, *probes])
         elif not self.is_field:
             raise _unknown("no field", self.name, FIELDS)
+        elif self.quantity.reduction not in EXTREMES:
+            sized = [*body.parts["surface"], *body.parts["region"]]
+            if self.part not in sized:
+                raise _unknown("no surface or region", self.part, sized)
 
 
 def _unknown(what: str, name: str, known: Iterable[str]) -> InputError:
@@ -121,9 +144,9 @@ class WantedNumber:
 
     def __init__(self, wanted: Wanted, problem: Problem) -> None:
         self._wanted, self._problem = wanted, problem
-        self._extreme: Extreme | None = None
+        self._measured: Measurement | None = None
         if wanted.is_field and (not wanted.part or problem.body.kinds(wanted.part)):
-            self._extreme = Extreme(wanted.quantity, problem)
+            self._measured = wanted.quantity.on(problem)
 
     def __call__(self, state: State) -> tuple[Measured, IndexArray]:
         """What is measured in a state with the numbers of its probes. Collective.
@@ -134,25 +157,28 @@ class WantedNumber:
         Raises:
             InputError: The run has no such result.
         """
-        if self._extreme is None:
-            return Measured(self._number(state)), np.empty(0, dtype=np.int32)
-        values = self._extreme.values(state)
-        found = self._extreme.largest(state, values)
+        extreme, none = self._measured, np.empty(0, dtype=np.int32)
+        if extreme is None:
+            return Measured(self._number(state)), none
+        if not isinstance(extreme, Extreme):
+            return extreme.of(state), none
+        values = extreme.values(state)
+        found = extreme.largest(state, values)
         if not found.place:
             raise InputError(
                 f"'{self._wanted}' has no value in this run",
                 where="--until",
                 expected="a result that is finite somewhere on that part",
             )
-        top = found.value if self._extreme.quantity.reduction == "max" else -found.value
-        peak = self._extreme.members[values >= (_PEAK * top if top > 0 else top / _PEAK)]
-        return found, self._touching(peak) if self._extreme.centre == "node" else peak
+        top = found.value if extreme.quantity.reduction == "max" else -found.value
+        peak = extreme.members[values >= (_PEAK * top if top > 0 else top / _PEAK)]
+        return found, self._touching(peak) if extreme.centre == "node" else peak
 
     def chosen(self) -> BoolArray:
         """Whether an owned node is one of those among which the extreme of a field is sought."""
-        assert self._extreme is not None
+        assert isinstance(self._measured, Extreme)
         found = np.zeros(self._problem.V.dofmap.index_map.size_local, dtype=bool)
-        found[self._extreme.members] = True
+        found[self._measured.members] = True
         return found
 
     def _number(self, state: State) -> float:
@@ -166,6 +192,9 @@ class WantedNumber:
             stem = f"reaction_{q.part}" if q.name.startswith("reaction") else q.part
             ends = [kind[2]] if kind and kind[2] else ["_x", "_y", "_z"]
             names = [stem + end for end in ends] if kind else [f"{q.part}_{q.name}"]
+            if q.reduction:
+                ends = [ending(q.reduction, over) for over in ("area", "volume")]
+                names = [f"{q.part}_{q.name}_{end}" for end in dict.fromkeys(ends)]
             numbers = [float(v) for n in names if isinstance(v := columns.get(n), int | float)]
             if len(numbers) == 1:
                 return numbers[0]

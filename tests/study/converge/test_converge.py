@@ -167,11 +167,19 @@ def kirsch_energy() -> float:
 @pytest.mark.sample(1)
 @pytest.mark.parametrize(
     ("text", "share", "exact"),
-    [("displacement_y of edge", "0.5%", -1e-3), ("strain_energy", "0.1%", kirsch_energy())],
-    ids=["probe", "energy"],
+    [
+        ("displacement_y of edge", "0.5%", -1e-3),
+        ("strain_energy", "0.1%", kirsch_energy()),
+        ("integral cauchy_stress_xx on left", "1%", 3 + 3 / 8 + 63 / 128),
+    ],
+    ids=["probe", "energy", "integral"],
 )
 def test_other_results(tmp_path: Path, text: str, share: str, exact: float) -> None:
-    """A probe, where Kirsch's displacement is -a S/E, and the energy: as far off as is told."""
+    """As far off as is told: a probe, where Kirsch's displacement is -a S/E, and the energy.
+
+    And the force per thickness across the cut from the hole on, where the stress is
+    1 + 1/(2 y^2) + 3/(2 y^4).
+    """
     folder = on_root(WORLD, lambda: tmp_path)
     found = last(plate(folder), folder / "out", text, share)
     assert found.verdict == "reached"
@@ -269,6 +277,9 @@ def test_reaction_of_a_support(tmp_path: Path) -> None:
         ("strain_enrgy", "no result 'strain_enrgy'; did you mean 'strain_energy'"),
         ("displacement of ede", "'ede'; did you mean 'edge'"),
         ("?", "is no result of a run"),
+        ("meen von_mises on hole", "--until: unknown value 'meen'; did you mean 'mean'"),
+        ("mean von_mises of edge", "no result 'edge_von_mises'"),
+        ("percentile:95 von_mises on hol", "no part and no probe 'hol'; did you mean 'hole'"),
     ],
 )
 def test_unknown_results(tmp_path: Path, text: str, message: str) -> None:

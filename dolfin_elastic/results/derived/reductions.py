@@ -1,0 +1,121 @@
+"""The table of reductions: what `values` of probes, `Quantity` and `converge` may ask for.
+
+Below the percentile p lie p % of the area or volume, each quadrature point with its weight; between
+two points it is interpolated, as it is for the middle of the weight of each.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+from mpi4py import MPI
+
+from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.parallel import largest, smallest, total
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.results.derived.reduction import Reduction, Samples
+
+_HALVINGS = 64
+"""Of the range of values, down to round-off."""
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+
+
+def _maximum(samples: Samples, sign: float) -> FloatArray:
+    """Largest value of each column; nan where no row has one. Collective."""
+    rows = sign * samples.peaks
+    known = np.where(np.isnan(rows), -np.inf, rows)
+    found = np.max(samples.comm.allgather(known.max(axis=0, initial=-np.inf)), axis=0)
+    return sign * np.where(np.isinf(found), np.nan, found)
+
+
+def _percentiles(samples: Samples, number: float) -> FloatArray:
+    comm, weights = samples.comm, samples.weights
+    return np.array([percentile(comm, c, weights, number / 100) for c in samples.values.T])
+
+
+def percentile(comm: MPI.Comm, values: FloatArray, weights: FloatArray, share: float) -> float:
+    """The value below which a share of the weights lies; nan where a value is. Collective.
+
+    Args:
+        values: This rank's, shape (n,).
+        weights: Of each, positive.
+        share: 0 to 1.
+    """
+    if total(comm, int(np.isnan(values).sum())):
+        return float("nan")
+    order = np.argsort(values)
+    known, sums = values[order], np.concatenate([[0.0], np.cumsum(weights[order])])
+
+    def below(x: float) -> float:
+        """Weights of the values below x, and half of those that equal it."""
+        ends = np.searchsorted(known, x, "left"), np.searchsorted(known, x, "right")
+        return float(total(comm, float(sums[ends[0]] + sums[ends[1]]))) / 2
+
+    goal = share * total(comm, float(sums[-1]))
+    low = smallest(comm, known.min(initial=np.inf))
+    high = largest(comm, known.max(initial=-np.inf))
+    for _ in range(_HALVINGS):
+        middle = low + (high - low) / 2
+        low, high = (middle, high) if below(middle) <= goal else (low, middle)
+    first = largest(comm, known[known <= low].max(initial=-np.inf))
+    second = smallest(comm, known[known > low].min(initial=np.inf))
+    if second == np.inf:
+        return first
+    start = below(first)
+    return first + (second - first) * min(max((goal - start) / (below(second) - start), 0.0), 1.0)
+
+
+REDUCTIONS: dict[str, Reduction] = {
+    "max": Reduction(lambda samples, _: _maximum(samples, 1.0)),
+    "min": Reduction(lambda samples, _: _maximum(samples, -1.0)),
+    "mean": Reduction(factor=lambda size: 1 / size),
+    "integral": Reduction(factor=lambda _: 1.0, over=True),
+    "percentile:95": Reduction(_percentiles, limits=(0, 100)),
+}
+"""Name to reduction, of one with a number behind a colon an example."""
+
+
+def reduction_of(text: str) -> tuple[Reduction, float]:
+    """The reduction of a name, and the number behind its colon; 0 without one.
+
+    Raises:
+        InputError: There is none.
+    """
+    name, colon, number = text.partition(":")
+    for example, row in REDUCTIONS.items():
+        if name == example.partition(":")[0] and bool(colon) == (row.limits is not None):
+            if row.limits is None:
+                return row, 0.0
+            if _NUMBER.fullmatch(number) and row.limits[0] <= float(number) <= row.limits[1]:
+                return row, float(number)
+    raise InputError(f"unknown value '{text}'", expected=nearest(text, REDUCTIONS))
+
+
+def ending(text: str, over: str) -> str:
+    """What stands for a reduction at the end of the names of columns.
+
+    Args:
+        text: Such as "mean" or "percentile:95".
+        over: "area" or "volume".
+    """
+    name = text.replace(":", "_")
+    return f"{over}_{name}" if reduction_of(text)[0].over else name
+
+
+def reduced_unit(column: str, unit_of_field: Callable[[str], str | None]) -> str | None:
+    """Unit of a column whose name ends in a reduction; None of others.
+
+    Args:
+        unit_of_field: Of the column of the field, its component included.
+    """
+    for example, row in REDUCTIONS.items():
+        name, colon, _ = example.partition(":")
+        over, number = "_(area|volume)" if row.over else "()", r"_[\d.]+" if colon else ""
+        found = re.search(rf"(?:_length)?{over}_{name}{number}(_[xyz]{{1,2}})?$", column)
+        unit = None if found is None else unit_of_field(column[: found.start()] + (found[2] or ""))
+        if found is not None and unit is not None:
+            measure = {"area": "m^2", "volume": "m^3"}.get(found[1], "")
+            return f"{unit} {measure}".strip() if row.unit is None else row.unit
+    return None
