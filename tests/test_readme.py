@@ -243,7 +243,7 @@ def contributed(folder: Path) -> Iterator[dict[str, Any]]:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     schemes, supports = dict(SCHEMES), dict(SUPPORTS)
     code = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    assert len(code) == 5
+    assert len(code) == 6
     names: dict[str, Any] = {}
     for number, part in enumerate(code):
         names |= vars(imported(f"contributed_{number}", part, folder))

@@ -21,6 +21,8 @@ FILES = {
     "class Spin": "model/loads/spin.py",
     "class AffineMotion": "model/supports/affine_motion.py",
     "class DriftKick": "solvers/dynamics/explicit/drift_kick.py",
+    "class Energies": "results/writers/energies.py",
+    "DEVIATION = ": "results/derived/deviation.py",
 }
 """Example to the file in which it stands."""
 ROWS = {
@@ -35,6 +37,23 @@ ROWS = {
             "from dolfin_elastic.model.supports.affine_motion import AffineMotion\n"
             'SUPPORTS["affine"] = AffineMotion\n',
         )
+    ],
+    "results/outputs.py": [
+        (
+            "from dolfin_elastic.results.writers.history import HistoryWriter\n",
+            "from dolfin_elastic.results.writers.energies import Energies\n",
+        ),
+        ('    "msh": Msh,\n', '    "energies": Energies,\n'),
+    ],
+    "results/derived/reductions.py": [
+        (
+            "from dolfin_elastic.core.types import FloatArray\n",
+            "from dolfin_elastic.results.derived.deviation import DEVIATION\n",
+        ),
+        (
+            '    "percentile:95": Reduction(_percentiles, limits=(0, 100)),\n',
+            '    "deviation": DEVIATION,\n',
+        ),
     ],
     "solvers/dynamics/schemes.py": [
         (
@@ -72,6 +91,14 @@ on = ["left", "right"]
 kind = "affine"
 gradient = [[0.2, 0, 0], [0, 0, 0], [0, 0, 0]]
 """
+MEASURED = (
+    STRETCHED
+    + """
+[output]
+formats = ["energies", "xdmf"]
+probes.side = {on = "front", values = ["deviation"]}
+"""
+)
 FALLING = """
 [mesh]
 box = {size = [1, 1, 1], cells = [1, 1, 1]}
@@ -160,6 +187,25 @@ def test_a_constraint(copy: Path) -> None:
     checked, history, _ = tried(copy, STRETCHED, moved)
     assert "affine" in checked
     assert history["strain_energy"][-1] == pytest.approx(0.5 * 1.2e6 * 0.04, rel=1e-9)
+
+
+@pytest.mark.long
+def test_an_output_and_a_quantity(copy: Path) -> None:
+    """A line of energies a step, and how unevenly u_x = 0.2 x is spread: 0.2/sqrt(12)."""
+    _, history, page = tried(copy, MEASURED)
+    found = float(history["side_displacement_deviation_x"][-1])
+    assert found == pytest.approx(0.2 / np.sqrt(12), rel=1e-9)
+    lines = (copy / "case_results/energies.txt").read_text().splitlines()
+    assert len(lines) == len(np.atleast_1d(history))
+    assert f"'strain': {history['strain_energy'][-1]:.6g}"[:12] in lines[-1]
+    assert "energies" in page
+    assert re.search(r"Side displacement deviation</td><td>x <data[^>]*>57\.74 mm<", page)
+    goal = ("--until", "deviation displacement_x on front", "1%")
+    assert "reached" in of_copy(copy, "converge", "case.toml", *goal)
+    for wrong, right in (("energy", "energies"), ("deviations", "deviation")):
+        (copy / "case.toml").write_text(MEASURED.replace(f'"{right}"', f'"{wrong}"'))
+        said = of_copy(copy, "check", "case.toml")
+        assert f"did you mean '{right}'" in said
 
 
 @pytest.mark.long

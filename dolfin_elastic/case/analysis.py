@@ -13,7 +13,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import UnusedKeys, WhenGiven, refuse_unused_keys
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.results.outputs import Output as File
+from dolfin_elastic.results.writer import Output as File
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.eigen.settings import BucklingSettings, ModalSettings
 from dolfin_elastic.solvers.linear.choice import LinearSettings

@@ -54,9 +54,8 @@ from dolfin_elastic.problem.state import (
 )
 from dolfin_elastic.results.checkpoint.checkpoints import Checkpoints
 from dolfin_elastic.results.checkpoint.lock import FolderLock
-from dolfin_elastic.results.files import writing
-from dolfin_elastic.results.outputs import FORMATS, History, Modes, Output, Summary, Xdmf
-from dolfin_elastic.results.writer import ModeWriter, Writer
+from dolfin_elastic.results.outputs import FORMATS, History, Modes, Summary, Xdmf
+from dolfin_elastic.results.writer import ModeWriter, Output, Writer
 from dolfin_elastic.results.writers.modes import clear as clear_modes
 from dolfin_elastic.results.writers.summary import SummaryWriter, mark_stopped
 from dolfin_elastic.solvers.nonlinear.contact import warn_of_untouched
@@ -468,12 +467,10 @@ def _remove_others(folder: Path, files: Sequence[Output]) -> None:
     """Removes files of an older run that this one does not overwrite. Not collective."""
     Xdmf(file=_FAILED).remove(folder)
     kinds = {type(file) for file in files}
-    for kind in FORMATS.values():
+    others: list[type[Output]] = [*FORMATS.values(), History]
+    for kind in others:
         if kind not in kinds:
             kind.model_construct().remove(folder)  # defaults need no check, which costs its schema
-    if History not in kinds:
-        with writing(folder):
-            (folder / "history.csv").unlink(missing_ok=True)
     if Modes not in kinds:
         clear_modes(folder)
 

@@ -57,8 +57,8 @@ from dolfin_elastic.results.outputs import (
     Summary,
     check_formats,
 )
-from dolfin_elastic.results.outputs import Output as File
 from dolfin_elastic.results.probes import Probe, ProbePoint, check_places
+from dolfin_elastic.results.writer import Output as File
 from dolfin_elastic.results.writer import Steps
 
 T = TypeVar("T")
@@ -481,15 +481,15 @@ class Output(Record):
             frames: Number of states whose fields are written, if `every` is not given; None: all.
             title: Title of pictures without one of their own.
         """
-        every = {"frames": frames} if self.every is None else {"every": self.every}
+        keys: dict[str, object] = {"fields": self.fields}
+        keys |= {"frames": frames} if self.every is None else {"every": self.every}
         pictures = [
             p if p.title is not None else p.model_copy(update={"title": title})
             for p in self.pictures
         ]
         found: list[File] = []
         if states:
-            written = [FORMATS[name](fields=self.fields, **every) for name in self.formats]
-            found = [*written, History()]
+            found = [*(FORMATS[name].of(keys) for name in self.formats), History()]
         if not modes:
             return [*found, *pictures, Summary()]
         drawn = [ModePicture(**{**table_of(p), "amplitude": self.amplitude}) for p in pictures]

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
@@ -20,7 +19,7 @@ from dolfin_elastic.mesh.criteria import BoundingBox
 from dolfin_elastic.mesh.selectors import Middle
 from dolfin_elastic.results.fields import check_field_names
 from dolfin_elastic.results.scene.scene import Up, View
-from dolfin_elastic.results.writer import Numbers, Steps, Writer
+from dolfin_elastic.results.writer import Numbers, Output, Steps, Writer
 from dolfin_elastic.results.writers.history import HistoryWriter
 from dolfin_elastic.results.writers.modes import ModesWriter
 from dolfin_elastic.results.writers.modes import listing as animations
@@ -44,34 +43,6 @@ _MOST_FIELDS = 4
 _FPS, _GIF = 30.0, 50.0
 _MAX_LISTED = 4
 """Number of files up to which all are listed; of more the first and the last."""
-
-
-class Output(Record):
-    """Settings of one output file.
-
-    Attributes:
-        file: Name of the file inside the results' folder.
-    """
-
-    file: str = Field(default="", min_length=1)
-
-    @abstractmethod
-    def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> Writer:
-        """Opens the output in a folder, which is made if need be. Collective.
-
-        Args:
-            saved: `Writer.restart_state` at the checkpoint from which the run continues: results
-                after it are cut off. An output that cannot be cut back begins anew.
-
-        Raises:
-            InputError: A field that the problem does not have.
-            OutputError: The folder cannot be written to.
-            RestartError: Results from before the checkpoint are missing.
-        """
-
-    def listing(self, folder: Path) -> list[str]:
-        """Its files in the results' folder, for the list at the end of a run. Not collective."""
-        return [self.file] if (folder / self.file).is_file() else []
 
 
 def _is_film(file: str) -> bool:
@@ -189,11 +160,7 @@ class FieldFile(Output):
         )
 
     def remove(self, folder: Path) -> None:
-        """Removes its files that an earlier run has left in a folder. Not collective.
-
-        Raises:
-            OutputError: They cannot be removed.
-        """
+        """See `Output.remove`."""
         self.writer.files_of(folder / self.file).remove()
 
 
@@ -232,7 +199,7 @@ class Msh(FieldFile):
     writer = MshWriter
 
 
-FORMATS: dict[str, type[FieldFile]] = {
+FORMATS: dict[str, type[Output]] = {
     "xdmf": Xdmf,
     "vtu": Vtu,
     "vtkhdf": Vtkhdf,

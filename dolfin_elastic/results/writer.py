@@ -1,16 +1,23 @@
-"""`Writer`: an open output; which states it takes, and a copy of the last one."""
+"""`Output`, settings of a file, and `Writer`, an open one; the states it takes, and the last."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated, Any, Protocol, runtime_checkable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, Self, runtime_checkable
 
 from dolfinx import fem
-from pydantic import AfterValidator
+from pydantic import AfterValidator, Field
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.schema import Record
 from dolfin_elastic.problem.state import Mode, State
+from dolfin_elastic.results.files import writing
+
+if TYPE_CHECKING:
+    from dolfin_elastic.problem.problem import Problem
 
 Numbers = Mapping[str, Any]
 """Restart state of a writer, as JSON data."""
@@ -35,6 +42,48 @@ class Writer(Protocol):
             status: "completed", "failed" or "stopped".
             error: The error that ended the run, or "on request".
         """
+
+
+class Output(Record):
+    """Settings of one output file.
+
+    Attributes:
+        file: Name of the file inside the results' folder.
+    """
+
+    file: str = Field(default="", min_length=1)
+
+    @abstractmethod
+    def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> Writer:
+        """Opens the output in a folder, which is made if need be. Collective.
+
+        Args:
+            saved: `Writer.restart_state` at the checkpoint from which the run continues: results
+                after it are cut off. An output that cannot be cut back begins anew.
+
+        Raises:
+            InputError: A field that the problem does not have.
+            OutputError: The folder cannot be written to.
+            RestartError: Results from before the checkpoint are missing.
+        """
+
+    @classmethod
+    def of(cls, keys: Mapping[str, object]) -> Self:
+        """From those of the keys `fields`, `every` and `frames` of a run that it has."""
+        return cls(**{key: value for key, value in keys.items() if key in cls.model_fields})
+
+    def remove(self, folder: Path) -> None:
+        """Removes its files that an earlier run has left in a folder. Not collective.
+
+        Raises:
+            OutputError: They cannot be removed.
+        """
+        with writing(folder):
+            (folder / self.file).unlink(missing_ok=True)
+
+    def listing(self, folder: Path) -> list[str]:
+        """Its files in the results' folder, for the list at the end of a run. Not collective."""
+        return [self.file] if (folder / self.file).is_file() else []
 
 
 @runtime_checkable

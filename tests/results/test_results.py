@@ -39,7 +39,6 @@ from dolfin_elastic.results.hdf5 import Rows
 from dolfin_elastic.results.outputs import (
     History,
     Modes,
-    Output,
     Picture,
     Summary,
     Xdmf,
@@ -52,6 +51,7 @@ from dolfin_elastic.results.scene.drawn_field import DrawnField
 from dolfin_elastic.results.scene.pictures import Appearance, Painter, _round_off, picture
 from dolfin_elastic.results.scene.scene import window
 from dolfin_elastic.results.scene.surface import Surface, gather_surface
+from dolfin_elastic.results.writer import Output
 
 
 def grids(path: Path) -> list[ET.Element]:
