@@ -173,11 +173,9 @@ def _failed(cause: str) -> ConvergenceError:
 
 
 class Pencil:
-    """Finds and counts eigenvalues of A x = value B x. Collective.
+    """Finds and counts eigenvalues of A x = value B x, both symmetric. Collective.
 
     Args:
-        A: Symmetric.
-        B: Symmetric.
         tolerance: Relative error of eigenvalues.
 
     Attributes:
