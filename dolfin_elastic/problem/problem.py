@@ -57,6 +57,7 @@ from dolfin_elastic.problem.weak_form import (
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.constraints.ties.ties import Ties
+    from dolfin_elastic.problem.history import History
 
 
 class Problem:
@@ -98,6 +99,7 @@ class Problem:
         cell: The macroscopic deformation of a periodic cell, or None.
         eigenstrains: Material's name to its growth Fg (UFL), of those that grow.
         terms: What else acts on the body, and couples nodes that share no element.
+        history: What materials that relax remember; None without any.
         nodal_loads: Forces at points and along lines, which are in no form; None without any.
         constant: Makes a UFL constant: a new value of it needs no new compilation.
         t: UFL constant with the time, used by formulas.
@@ -181,6 +183,7 @@ class Problem:
             eigenstrains=self.eigenstrains,
             quadrature_degree=quadrature_degree,
         )
+        self.history = _history(self)
         # Forms are made lazily; evaluated here, an invalid load or spring fails on construction.
         _ = self.weak_form.external, self.weak_form.restraint_works
 
@@ -255,6 +258,8 @@ class Problem:
     @property
     def linear(self) -> bool:
         """The residual is linear in u."""
+        if self.history is not None:  # affine, but with another tangent for each length of a step
+            return False
         if self.contact_pairs or any(self._follows(load) for load in self.loads):
             return False
         return self.context.linear and all(term.linear for term in self.terms)
@@ -325,6 +330,8 @@ class Problem:
             pair.set_time(t, default)
         for cavity in self.cavities:
             cavity.set_time(t, default)
+        if self.history is not None:
+            self.history.set_time(t)
 
     def impose(self, array: FloatArray, values: FloatArray) -> None:
         """Puts prescribed values into a local vector of the displacement's space. Collective.
@@ -343,6 +350,19 @@ class Problem:
     def stiffness(self) -> float:
         """Largest shear modulus of all materials at small strains [Pa]."""
         return max(shear_modulus(region.typical) for region in self.regions)
+
+
+def _history(problem: Problem) -> History | None:
+    """What the materials of a problem remember; None where none does. Collective.
+
+    Raises:
+        InputError: A periodic cell.
+    """
+    if not any(region.law.relaxes for region in problem.regions):
+        return None
+    from dolfin_elastic.problem.history import History
+
+    return History(problem.context, problem.weak_form, grows=bool(problem.eigenstrains))
 
 
 def over_step(problem: Problem) -> Problem:

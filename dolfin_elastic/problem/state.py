@@ -255,8 +255,8 @@ class RestartState:
     """All that the step after the present one depends on.
 
     Attributes:
-        fields: Name to function, the solver's own, in spaces of Lagrange or piecewise constant
-            elements: they change with the next step.
+        fields: Name to function, the solver's own, in spaces of Lagrange elements, continuous
+            or not: they change with the next step.
         numbers: The rest as JSON data: numbers, texts, lists and tables with text keys; the same
             on all ranks.
     """

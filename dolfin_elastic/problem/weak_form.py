@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import ufl
 from dolfinx import fem
@@ -24,6 +25,7 @@ from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, SplitLaw
 from dolfin_elastic.model.materials.mixed import Mixed, variance
+from dolfin_elastic.model.materials.prony import Relaxed
 from dolfin_elastic.model.supports.springs import Dashpot, ResistingSupport, Spring
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion
@@ -57,6 +59,7 @@ class WeakForm:
 
     Attributes:
         start: Internal forces are those of a time step; None: of a state.
+        relaxed: Region's name to its law over a step, of those that a `History` has put here.
     """
 
     def __init__(
@@ -74,6 +77,7 @@ class WeakForm:
         self._eigenstrains, self._quadrature_degree = eigenstrains, quadrature_degree
         self._responses: dict[str, Law | ModifiedLaw] = {}
         self.start: StepStart | None = None
+        self.relaxed: dict[str, Relaxed] = {}
 
     def F(self, w: Expr) -> Expr:
         """The 3x3 deformation gradient of a function of all unknowns."""
@@ -122,11 +126,11 @@ class WeakForm:
         present = w is self._unknowns.w and pressure is None
         if present and region.name in self._responses:
             return self._responses[region.name]
-        law: Law | Mixed = region.law
+        law: Law | ModifiedLaw = self.relaxed.get(region.name, region.law)
         if region.compliance is not None:
-            assert isinstance(region.law, SplitLaw)
             p = self._unknowns.auxiliary("pressure", w) if pressure is None else pressure
-            law = Mixed(region.law, p, region.compliance, _keeps_volume(self._context, region))
+            split, keeps = cast("SplitLaw", law), _keeps_volume(self._context, region)
+            law = Mixed(split, p, region.compliance, keeps)
         growth = self._eigenstrains.get(region.name)
         found: Law | ModifiedLaw = law if growth is None else GrownLaw(law, growth)
         if self.start is not None and derives_from_strain(region.law):
@@ -139,10 +143,7 @@ class WeakForm:
     def internal(self) -> ufl.Form:
         """Internal virtual work: the integral of P(F) : grad v, and the pressure's equation."""
         context, unknowns = self._context, self._unknowns
-        test = ufl.TestFunction(unknowns.W)
-        stretch = unknowns.auxiliary("stretch", test) if unknowns.has("stretch") else None
-        F = self.F(unknowns.w)
-        dF = gradient_variation(context.geometry, unknowns.v, context.X, stretch)
+        F, dF = self.F(unknowns.w), self._variation()
         work = sum(
             ufl.inner(self.response(region, unknowns.w).stress(F), dF)
             * self.volume(region, self.rule(region))
@@ -150,8 +151,26 @@ class WeakForm:
         )
         if not unknowns.has("pressure"):
             return work
-        q = unknowns.auxiliary("pressure", test)
+        q = unknowns.auxiliary("pressure", ufl.TestFunction(unknowns.W))
         return work + sum(self._pressure_terms(region, F, q) for region in context.regions)
+
+    def _variation(self) -> Expr:
+        """The variation of F, 3x3."""
+        context, unknowns = self._context, self._unknowns
+        test = ufl.TestFunction(unknowns.W)
+        stretch = unknowns.auxiliary("stretch", test) if unknowns.has("stretch") else None
+        return gradient_variation(context.geometry, unknowns.v, context.X, stretch)
+
+    @property
+    def relaxing(self) -> ufl.Form:
+        """Of the internal virtual work that part which relaxes."""
+        F, dF = self.F(self._unknowns.w), self._variation()
+        return sum(
+            ufl.inner(self.relaxed[region.name].branch_stress(F), dF)
+            * self.volume(region, self.rule(region))
+            for region in self._context.regions
+            if region.name in self.relaxed
+        )
 
     def _pressure_terms(self, region: MaterialRegion, F: Expr, q: Expr) -> ufl.Form:
         """The pressure's equation in a region.
@@ -289,7 +308,7 @@ class WeakForm:
 
 def derives_from_strain(law: Law) -> bool:
     """Whether the energy of a law is a function of C, so that `StepLaw` conserves it."""
-    return law.has_energy and law.frame_indifferent and not law.linear
+    return law.has_energy and law.frame_indifferent and not (law.linear or law.relaxes)
 
 
 def weak_form_over_step(form: WeakForm, start: StepStart) -> WeakForm:

@@ -123,6 +123,7 @@ SHARED = {
     "solvers/statics/test_statics.py",
     "verification/test_patch.py",
     "verification/test_rank_agreement.py",
+    "verification/test_relaxation.py",
     "verification/test_tetrahedron.py",
 }
 """Tests of what ranks share and agree upon: what three ranks can show beyond two, ranks without a

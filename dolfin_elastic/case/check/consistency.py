@@ -22,8 +22,11 @@ from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.problem.coefficients import CoefficientBinder
+from dolfin_elastic.problem.history import NO_PRONY, PERIODIC
 from dolfin_elastic.problem.material_regions import volume_modulus
 from dolfin_elastic.results.fields import FIBRE_FIELDS, FIELDS, has_fibre
+from dolfin_elastic.solvers.dynamics import settings as dynamics
+from dolfin_elastic.solvers.statics import settings as statics
 
 
 def check(case: Case, body: Body) -> tuple[str, ...]:
@@ -48,9 +51,25 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         _check_fields(case)
         case.output.check_probes(body)
         case.output.check_clips(body)
+        if any(material.law.relaxes for material in case.materials.values()):
+            _check_relaxing(case)
         if case.explicit:
             _check_explicit(case)
     return (*_notes(case), *plausibility_notes(case, body))
+
+
+def _check_relaxing(case: Case) -> None:
+    """What materials that relax do not allow.
+
+    Raises:
+        InputError: A periodic cell, or an analysis or steps in which no time passes.
+    """
+    if case.periodic is not None:
+        raise CaseError(PERIODIC, where="periodic", expected=NO_PRONY)
+    if case.dynamics is not None:
+        dynamics.refuse_relaxing(case.dynamics)
+    elif case.analysis == "statics":
+        statics.refuse_relaxing(case.statics or statics.StaticsSettings())
 
 
 def _check_explicit(case: Case) -> None:
@@ -418,6 +437,11 @@ def _notes(case: Case) -> Iterator[str]:
     for name, material in case.materials.items():
         if material.law.viscosity is not None and (rate_free := _rate_free(case)):
             yield f"materials.{key_text(name)}: viscosity does nothing in {rate_free}"
+        if material.law.relaxes and case.gives_modes:
+            yield (
+                f"materials.{key_text(name)}.prony: nothing relaxes in [{case.analysis}]: the "
+                "stiffness is that of a sudden load"
+            )
     moving = any(not support.at_rest for support in case.support)
     moving = moving or any(value != 0.0 for c in case.contact for value in c.values)
     if case.modal is not None and not case.preloaded:

@@ -24,6 +24,7 @@ from dolfin_elastic.model.kinematics import (
 )
 from dolfin_elastic.model.materials import moduli
 from dolfin_elastic.model.materials.law import SplitLaw, placeholder
+from dolfin_elastic.model.materials.prony import Relaxing
 from dolfin_elastic.model.materials.spatial import Range
 
 NEAR = 0.15
@@ -131,7 +132,7 @@ class Volumetric(SplitLaw):
         return VOLUME_STRAINS[self.volumetric].stress(*_volume(F)) * cofactor(F)
 
 
-class Isochoric(Volumetric):
+class Isochoric(Relaxing, Volumetric):
     """An isotropic law with constants of its own for the shape, and one for the volume: K or nu.
 
     Attributes:

@@ -150,6 +150,11 @@ class Law(Record):
         return found
 
     @property
+    def relaxes(self) -> bool:
+        """Its stress depends on what has been before, see `prony`."""
+        return False
+
+    @property
     def surely_stiff(self) -> bool:
         """The checks of its constants leave no negative stiffness in the undeformed body."""
         return False

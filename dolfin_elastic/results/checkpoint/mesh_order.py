@@ -24,7 +24,7 @@ class DofOrdering:
     The constructor is collective.
 
     Args:
-        V: Space of Lagrange or piecewise constant elements, also mixed or periodic.
+        V: Space of Lagrange elements, continuous or not, also mixed or periodic.
 
     Attributes:
         first: Number of the first node in this rank's run.

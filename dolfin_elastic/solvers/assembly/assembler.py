@@ -521,6 +521,8 @@ def integral(problem: Problem, form: fem.Form) -> float:
 class StrainEnergy:
     """Stored energy of the body and of its springs; not a number for a law that has none.
 
+    With it counts the work done on what relaxes, be it stored or lost already.
+
     Collective to make.
     """
 
@@ -537,12 +539,17 @@ class StrainEnergy:
         cells, others = self._parts
         stored = 0.0 if cells is None else cells.value()
         stored += 0.0 if others is None else float(fem.assemble_scalar(others))
-        return total(self._problem.body.comm, stored)
+        return total(self._problem.body.comm, stored) + sum(self.relaxing().values())
 
     @property
     def none(self) -> bool:
         """A law has no energy."""
         return self._parts is None
+
+    def relaxing(self) -> dict[str, float]:
+        """Work done on what relaxes [J] by its name; nothing where nothing does. Collective."""
+        history = self._problem.history
+        return {} if history is None else {"relaxing": history.work()}
 
     def springs(self) -> dict[str, float]:
         """Energy stored in springs [J] by its name; nothing without springs. Collective."""

@@ -20,7 +20,7 @@ from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
 from dolfin_elastic.solvers.dynamics.implicit.implicit import Implicit
 from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
 from dolfin_elastic.solvers.dynamics.schemes import ExplicitRow
-from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
+from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings, refuse_relaxing
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.nonlinear.contact import begin_motion
 from dolfin_elastic.solvers.nonlinear.scalars import refuse_scalars
@@ -52,6 +52,8 @@ class Dynamics:
         self.linear = linear or LinearSettings()
         if not self.settings.implicit:
             self._refuse_linear()
+        if problem.history is not None:
+            refuse_relaxing(self.settings)
         self.settings.row.scheme.check(problem, self.settings.scheme)
         self.petsc = {**self.linear.petsc, **(petsc or {})}
         self.velocity = fem.Function(problem.V, name="velocity")

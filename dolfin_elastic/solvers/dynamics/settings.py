@@ -222,6 +222,20 @@ class DynamicsSettings(Record):
         return _initial_values("initial_velocity", self.initial_velocity, "m/s")
 
 
+def refuse_relaxing(settings: DynamicsSettings) -> None:
+    """Refuses the schemes that take no steps over which a material could relax.
+
+    Raises:
+        InputError: The scheme is explicit, or PETSc's own.
+    """
+    if not settings.implicit or settings.scheme == "alpha2":
+        raise InputError(
+            f"the scheme '{settings.scheme}' does not compute materials that relax",
+            where="dynamics.scheme",
+            expected='"generalized-alpha", or no `prony`',
+        )
+
+
 def _refuse_tiny(key: str, step: float, end: float, share: float) -> None:
     """Refuses a step that never comes to the end.
 

@@ -82,6 +82,7 @@ class EnergyBook:
             "kinetic": kinetic,
             "total": strain + kinetic + penalties,
             **self._work.energies(kinetic, strain + penalties),
+            **self._strain.relaxing(),
             **self._strain.springs(),
             **contact,
         }

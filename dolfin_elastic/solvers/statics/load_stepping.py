@@ -155,6 +155,7 @@ class LoadStepping:
 
     def restart_state(self) -> RestartState:
         """See `Restartable`. Collective."""
+        history = self._problem.history
         fields = {"unknowns": self._problem.w, **self._multipliers()}
         numbers: dict[str, Any] = {
             "t": self._t,
@@ -166,6 +167,9 @@ class LoadStepping:
             "newton": self._newton.restart_state(),
             **self._states.restart_state(),
         }
+        if history is not None:
+            fields |= history.fields()
+            numbers["history"] = history.restart_state()
         ahead = self._jumped_to is not None and self._jumped_to[0] > self._t
         others = {"before": self._previous, "fallback": self._jumped_to if ahead else None}
         for name, other in others.items():
@@ -184,12 +188,16 @@ class LoadStepping:
         names = [name for name in ("before", "fallback") if name in numbers]
         names += ["way"] if numbers.get("arc") else []
         others = {name: fem.Function(self._problem.W) for name in names}
-        saved.fill({"unknowns": self._problem.w, **self._multipliers(), **others})
+        history = self._problem.history
+        past = {} if history is None else history.fields()
+        saved.fill({"unknowns": self._problem.w, **self._multipliers(), **others, **past})
         self._t = numbers["t"]
         self._problem.set_time(self._t, default=PROPORTIONAL)
         if self._scalars is not None and self._scalars.joined is not None:
             self._scalars.joined.put(np.array(numbers["scalars"]))
         self._problem.unknowns.w_to_u()
+        if history is not None:
+            history.restore(past, numbers["history"])
         self._sizes.restore(numbers["sizes"])
         self._jumps, self._limits = numbers["jumps"], tuple(numbers["limits"])
         self._speed.restore(numbers["speed"])
@@ -312,6 +320,8 @@ class LoadStepping:
         if left_path:
             self._sizes.begin_anew()
         self._t = goal
+        if self._problem.history is not None:
+            self._problem.history.commit()
 
     def _refusal(self, *, last: bool) -> str:
         """Why the equilibrium is not the next point of the path; empty: it is. Collective.

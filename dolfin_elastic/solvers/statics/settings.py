@@ -79,6 +79,28 @@ class StaticsSettings(Record):
         return self
 
 
+def refuse_relaxing(settings: StaticsSettings) -> None:
+    """Refuses what materials that relax do not allow: steps without a time, or of any size.
+
+    Raises:
+        InputError: Along the path of equilibria no time passes, or nobody has said how fine the
+            steps in time are.
+    """
+    if settings.method == "arc-length":
+        raise InputError(
+            "a material relaxes in time, and along a path no time passes",
+            where="statics.method",
+            expected='"load", or no `prony`',
+        )
+    if not {"steps", "max_step"} & settings.model_fields_set:
+        raise InputError(
+            "a material relaxes in time, and the steps in time are not given",
+            where="statics.steps",
+            expected="for example 100, or max_step; the load parameter is the time in seconds, up "
+            "to statics.end",
+        )
+
+
 def _unused_keys(s: StaticsSettings) -> Iterator[UnusedKeys]:
     """Keys without effect beside `steps` or with `method = "arc-length"`."""
     if s.steps is not None:

@@ -84,7 +84,7 @@ class StaticStates:
         """
         problem, assembler = self._problem, self._assembler
         stored = self._strain.energy() if stored is None else stored
-        energies = {"strain": stored, **self._strain.springs()}
+        energies = {"strain": stored, **self._strain.relaxing(), **self._strain.springs()}
         equilibrium = result.converged or t == 0.0
         self.count += 1
         if equilibrium:

@@ -23,7 +23,7 @@ from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 from dolfin_elastic.solvers.statics.load_stepping import LoadStepping, NearEnd
-from dolfin_elastic.solvers.statics.settings import FIRST, StaticsSettings
+from dolfin_elastic.solvers.statics.settings import FIRST, StaticsSettings, refuse_relaxing
 from dolfin_elastic.solvers.statics.step_size import StepSizes
 from dolfin_elastic.solvers.statics.whole_load import may_take_whole_load
 
@@ -123,6 +123,10 @@ class Statics:
                 whole=not self._asks_for_steps() and may_take_whole_load(self.problem),
             )
             owned.callback(self._forget)
+            if self.problem.history is not None and saved is None and not self._preload:
+                self.problem.history.begin()
+            if self.problem.history is not None:  # what has been on the way counts
+                near = None
             states = owned.enter_context(closing(self._stepping.run(saved, near)))
             owned.enter_context(failing_together(self.problem.body.comm))
             for state in states:
@@ -155,6 +159,8 @@ class Statics:
                 where="statics.method",
                 expected='"load"; periodic.gradient prescribes how far the cell is deformed',
             )
+        if self.problem.history is not None and not self._preload:
+            refuse_relaxing(self.settings)
 
     @property
     def tolerance(self) -> Tolerance:

@@ -70,7 +70,9 @@ def may_take_whole_load(problem: Problem) -> bool:
         return False
     if not problem.symmetric or problem.weak_form.strain_energy is None:
         return False
-    return not (problem.unknowns.stabilised or problem.eigenstrains or problem.cell is not None)
+    return problem.history is None and not (
+        problem.unknowns.stabilised or problem.eigenstrains or problem.cell is not None
+    )
 
 
 class Course:

@@ -106,6 +106,7 @@ def functions(body: Body, *, filled: bool) -> dict[str, fem.Function]:
         "linear": fem.functionspace(body.mesh, ("Lagrange", 1, (d,))),
         "quadratic": fem.functionspace(body.mesh, ("Lagrange", 2, (d,))),
         "cells": fem.functionspace(body.mesh, ("DG", 0)),
+        "history": fem.functionspace(body.mesh, ("DG", 1, (6,))),
     }
     found = {name: fem.Function(V) for name, V in spaces.items()} | {"mixed": problem.w}
     if filled:
@@ -113,6 +114,8 @@ def functions(body: Body, *, filled: bool) -> dict[str, fem.Function]:
             if name == "mixed":
                 function.sub(0).interpolate(lambda x: shape(x)[:d])
                 function.sub(1).interpolate(lambda x: shape(x)[0] + 7)
+            elif name == "history":
+                function.interpolate(lambda x: np.concatenate([shape(x), 2 * shape(x)]))
             else:
                 function.interpolate(lambda x, name=name: shape(x)[: 1 if name == "cells" else d])
             function.x.scatter_forward()

@@ -12,9 +12,10 @@ from dolfin_elastic.model.materials.isochoric import (
     stress_of_invariants,
 )
 from dolfin_elastic.model.materials.law import Isotropic
+from dolfin_elastic.model.materials.prony import Relaxing
 
 
-class NeoHookeanSplit(Isotropic, Volumetric):
+class NeoHookeanSplit(Isotropic, Relaxing, Volumetric):
     """Neo-Hookean rubber whose pressure depends on the volume alone.
 
     psi = mu/2 (I1 - 3) + K/2 g(J)^2, I1 the first invariant of J^-2/3 C; by default

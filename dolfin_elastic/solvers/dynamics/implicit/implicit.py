@@ -323,6 +323,8 @@ class Implicit:
         if ts.getConvergedReason() < 0:
             return  # TS calls this after a failed step, too
         forces = self.scheme.accept()
+        if self.problem.history is not None:
+            self.problem.history.commit()
         self._stop_at_goals()
         self.control.end_step()
         self.balance.add(forces.middle, forces.du)
@@ -381,6 +383,8 @@ class Implicit:
     def _begin(self) -> None:
         """Forces and acceleration of the initial state."""
         self.control.warn_of_passed_corners()
+        if self.problem.history is not None:
+            self.problem.history.begin()
         with stage("assemble"):
             self.problem.set_time(0.0)
             size = len(self.moving.displacement_dofs)
@@ -508,7 +512,10 @@ class Implicit:
             "audit": self.auditor.restart_state(),
             "newton": self.newton.restart_state(),
         }
-        return RestartState(self._fields(), numbers)
+        if self.problem.history is None:
+            return RestartState(self._fields(), numbers)
+        numbers["history"] = self.problem.history.restart_state()
+        return RestartState(self._fields() | self.problem.history.fields(), numbers)
 
     def _fields(self) -> dict[str, fem.Function]:
         return {
@@ -521,10 +528,14 @@ class Implicit:
 
     def restore(self, saved: SavedState) -> None:
         """See `Restartable`. Collective."""
-        saved.fill(self._fields())
+        history = self.problem.history
+        past = {} if history is None else history.fields()
+        saved.fill(self._fields() | past)
         numbers = saved.numbers
         warn_of_inexact_restart(self.scheme.not_restartable, self.options.users)
         self.auxiliary.write()
+        if history is not None:
+            history.restore(past, numbers["history"])
         self.ts.setTime(numbers["t"])
         self.ts.setStepNumber(numbers["step"])
         self.ts.setTimeStep(numbers["dt"])

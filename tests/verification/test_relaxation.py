@@ -1,0 +1,409 @@
+"""Materials that relax by a Prony series, against closed forms.
+
+G = mu, two terms; in simple shear the stress is what all branches make of it, and the volume takes
+no part.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.checkpoints import saved, through_json
+from mpi4py import MPI
+
+from dolfin_elastic import (
+    Case,
+    Dynamics,
+    LinearElastic,
+    MooneyRivlin,
+    NeoHookeanSplit,
+    Problem,
+    Statics,
+    Support,
+    Thermal,
+    Traction,
+    box_body,
+    rectangle_body,
+)
+from dolfin_elastic.case.check.consistency import check
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.problem.state import State
+from dolfin_elastic.results.checkpoint.checkpoints import newest_checkpoint
+from dolfin_elastic.solvers.eigen.modal import Modal
+
+MU = 3.0
+G, TAU = np.array([0.3, 0.2]), np.array([0.5, 0.05])
+PRONY = [{"g": float(g), "tau": f"{tau} s"} for g, tau in zip(G, TAU, strict=True)]
+FREE = "free"
+SIDES = ["left", "right", "front", "back", "bottom", "top"]
+
+
+def small(**keys: Any) -> LinearElastic:
+    return LinearElastic(mu=MU, nu=0.3, prony=PRONY, **keys)
+
+
+def large(**keys: Any) -> NeoHookeanSplit:
+    return NeoHookeanSplit(mu=MU, nu=0.3, prony=PRONY, **keys)
+
+
+def sheared(law: Any, amount: float, curve: Any, **keys: Any) -> Problem:
+    """A cube in simple shear by an amount: x moves by z."""
+    moved = Support(on=SIDES, displacement=[f"{amount}*z", 0, 0], curve=curve)
+    top = Support(on="top", displacement=[amount, 0, 0], curve=curve)  # for its reaction alone
+    body = box_body(size=(1, 1, 1), cells=(2, 2, 2))
+    return Problem(body, law, supports=[moved, top], **{"degree": 1, **keys})
+
+
+def shear_stress(state: State) -> float:
+    return float(state.reactions["top"][0])
+
+
+def judged(solver: Statics) -> list[State]:
+    states = list(solver.steps())
+    for state in states:
+        assert state.audit is not None
+        assert state.audit.verdict == "pass", state.audit.reasons
+    return states
+
+
+# --- relaxation ---
+
+
+def ramp(t: float) -> float:
+    """Stress over mu of a strain that grows as t."""
+    return float((1 - G.sum()) * t + G @ (TAU * -np.expm1(-t / TAU)))
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_ramp_and_a_hold_are_exact(degree: int) -> None:
+    """Where the strain is piecewise linear, whatever the step: here four times the shorter tau."""
+    states = judged(
+        Statics(sheared(small(), 0.01, [[0, 0], [0.4, 1], [1, 1]], degree=degree), steps=5)
+    )
+    for state in states[1:]:
+        t, rate = state.t, MU * 0.01 / 0.4
+        wanted = rate * (ramp(t) - ramp(max(t - 0.4, 0.0)))
+        assert shear_stress(state) == pytest.approx(wanted, rel=1e-12)
+
+
+def errors(stress: Callable[[int], float], wanted: float, steps: tuple[int, ...]) -> list[float]:
+    return [abs(stress(n) / wanted - 1) for n in steps]
+
+
+def slope(found: list[float]) -> float:
+    return float(np.log2(found[-2] / found[-1]))
+
+
+def test_small_shear_to_second_order() -> None:
+    """gamma = 0.01 sin 3t up to t = 1."""
+    x = 3 * TAU
+    branches = (x**2 * np.sin(3) + x * np.cos(3) - x * np.exp(-1 / TAU)) / (1 + x**2)
+    wanted = MU * 0.01 * ((1 - G.sum()) * np.sin(3) + G @ branches)
+    found = errors(
+        lambda n: shear_stress(judged(Statics(sheared(small(), 0.01, "sin(3*t)"), steps=n))[-1]),
+        float(wanted),
+        (10, 20, 40),
+    )
+    assert slope(found) == pytest.approx(2, abs=0.1)
+    assert found[-1] < 2e-3
+
+
+def large_shear(amount: float) -> float:
+    """P13 of a large shear amount sin 3t at t = 1, by the convolution with fine steps."""
+    s = np.linspace(0, 1, 200_001)
+    gamma = amount * np.sin(3 * s)
+    F = np.tile(np.eye(3), (len(s), 1, 1))
+    F[:, 0, 2] = gamma
+    C = np.swapaxes(F, 1, 2) @ F
+    inverse = np.linalg.inv(C)
+    S = MU * (np.eye(3) - np.trace(C, axis1=1, axis2=2)[:, None, None] / 3 * inverse)
+    now = np.zeros((3, 3))
+    for g, tau in zip(G, TAU, strict=True):
+        fading = np.exp(-(1 - (s[1:] + s[:-1]) / 2) / tau)
+        now += g * np.einsum("k,kij->ij", fading, np.diff(S, axis=0))
+    now -= np.sum(now * C[-1]) / 3 * inverse[-1]
+    return float((F[-1] @ ((1 - G.sum()) * S[-1] + now))[0, 2])
+
+
+@pytest.mark.parametrize(
+    "make", [large, lambda: MooneyRivlin(c10=MU / 2, c01=0, nu=0.3, prony=PRONY)]
+)
+def test_large_shear_to_second_order(make: Callable[[], Any]) -> None:
+    found = errors(
+        lambda n: shear_stress(judged(Statics(sheared(make(), 0.5, "sin(3*t)"), steps=n))[-1]),
+        large_shear(0.5),
+        (10, 20, 40),
+    )
+    assert slope(found) == pytest.approx(2, abs=0.1)
+    assert found[-1] < 3e-3
+
+
+# --- creep ---
+
+
+def test_creep_to_second_order() -> None:
+    """Under a shear traction that grows in 0.1 s and stays, y and z held."""
+    rest, tau = 0.7, 0.5 / 0.7
+    law = LinearElastic(mu=MU, nu=0.3, prony=[{"g": 0.3, "tau": 0.5}])
+
+    def under_ramp(t: float) -> float:
+        return float(t / rest + (1 - 1 / rest) * tau * -np.expm1(-t / tau))
+
+    def shear(n: int) -> float:
+        supports = [
+            Support(on=SIDES, displacement=[FREE, 0, 0]),
+            Support(on="bottom", displacement=[0, 0, 0]),
+        ]
+        load = Traction(on="top", value=[0.01, 0, 0], curve=[[0, 0], [0.1, 1], [1, 1]])
+        body = box_body(size=(1, 1, 1), cells=(2, 2, 2))
+        problem = Problem(body, law, supports=supports, loads=[load], degree=1)
+        return judged(Statics(problem, steps=n))[-1].max_displacement
+
+    wanted = 0.01 / MU / 0.1 * (under_ramp(1.0) - under_ramp(0.9))
+    found = errors(shear, wanted, (10, 20, 40))
+    assert slope(found) == pytest.approx(2, abs=0.1)
+    assert found[-1] < 1e-3
+
+
+# --- with what else a problem has ---
+
+
+def pulled(law: Any, **keys: Any) -> Problem:
+    """A bar that is pulled by 10 % in 0.2 s, half of it of a material that does not relax."""
+    body = keys.pop("body", None) or box_body(size=(2, 1, 1), cells=(2, 1, 1))
+    dim = body.dim
+    supports = [
+        Support(on="left", displacement=[0] * dim),
+        Support(
+            on="right", displacement=[0.2, *[FREE] * (dim - 1)], curve=[[0, 0], [0.2, 1], [1, 1]]
+        ),
+    ]
+    return Problem(body, law, supports=supports, **keys)
+
+
+def axisymmetric() -> Problem:
+    """A bar of revolution about y, drawn out."""
+    supports = [
+        Support(on="left", displacement=[0, FREE]),
+        Support(on="bottom", displacement=[FREE, 0]),
+        Support(on="top", displacement=[FREE, 0.1], curve=[[0, 0], [0.2, 1], [1, 1]]),
+    ]
+    body = rectangle_body(size=(1, 1), cells=(2, 2))
+    return Problem(body, large(), supports=supports, geometry="axisymmetric")
+
+
+def two_materials() -> Problem:
+    body = box_body(size=(2, 1, 1), cells=(2, 1, 1))
+    middle = body.mesh.geometry.x[body.mesh.geometry.dofmap].mean(axis=1)[:, 0]
+    regions = {"soft": np.flatnonzero(middle < 1), "hard": np.flatnonzero(middle > 1)}
+    body = body.named(regions={n: cells.astype(np.int32) for n, cells in regions.items()})
+    return pulled({"soft": large(), "hard": NeoHookeanSplit(mu=30, nu=0.3)}, body=body)
+
+
+def warmed() -> Problem:
+    """Held between two planes and warmed: the growth strains up to 0.2 s, as the pull does."""
+    law = large(expansion=1e-3)
+    return pulled(law, loads=[Thermal(value=20, curve=[[0, 0], [0.2, 1], [1, 1]])])
+
+
+PROBLEMS: dict[str, Callable[[], Problem]] = {
+    "quadratic": lambda: pulled(large()),
+    "mixed": lambda: pulled(NeoHookeanSplit(mu=MU, nu=0.4999, prony=PRONY)),
+    "incompressible": lambda: pulled(NeoHookeanSplit(mu=MU, nu=0.5, prony=PRONY)),
+    "linear, mixed": lambda: pulled(LinearElastic(mu=MU, nu=0.4999, prony=PRONY)),
+    "plane stress": lambda: pulled(
+        large(), body=rectangle_body(size=(2, 1), cells=(2, 1)), geometry="plane-stress"
+    ),
+    "axisymmetric": axisymmetric,
+    "varying": lambda: pulled(NeoHookeanSplit(mu="3 + x", nu=0.3, prony=PRONY)),
+    "two materials": two_materials,
+    "warmed": warmed,
+}
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_relaxes_and_goes_on(name: str, folder: Path) -> None:
+    """The force falls while the strain stays, the energy balances, and a restart finds the same."""
+    make = PROBLEMS[name]
+    solver, states, forces = Statics(make(), steps=5), [], []
+    for state in solver.steps():
+        states.append(state)
+        assert state.audit is not None
+        assert state.audit.verdict == "pass", state.audit.reasons
+        forces.append(np.concatenate([state.reactions[n] for n in sorted(state.reactions)]))
+        saved(MPI.COMM_WORLD, folder / str(state.step), solver.restart_state(), max(state.step, 1))
+    sizes = [float(np.linalg.norm(force)) for force in forces]
+    assert sizes[1] > 1.02 * sizes[2] > 1.02**2 * sizes[3]
+    found = newest_checkpoint(MPI.COMM_WORLD, folder / "2")
+    assert found is not None
+    again = list(Statics(make(), steps=5).steps(found))
+    assert len(again) == len(states) - 3
+    for state, force, first in zip(again, forces[3:], states[3:], strict=True):
+        here = np.concatenate([state.reactions[n] for n in sorted(state.reactions)])
+        assert here == pytest.approx(force, rel=1e-9, abs=1e-9 * sizes[1])
+        assert state.energies == pytest.approx(first.energies, rel=1e-9)
+
+
+def test_a_trial_leaves_no_trace() -> None:
+    """The stress depends on the accepted states alone: the residual is the same to the bit."""
+    problem = pulled(large())
+    solver = Statics(problem, steps=5)
+    states = solver.steps()
+    for _ in range(3):
+        next(states)
+    assert solver._stepping is not None
+    residual = solver._stepping._assembler.residual
+    problem.set_time(0.6)
+    residual.assemble()
+    before, w = residual.vector.array.copy(), problem.w.x.array.copy()
+    problem.w.x.array[:] *= 1.3
+    problem.set_time(0.9)
+    residual.assemble()
+    assert np.abs(residual.vector.array - before).max() > 1e-3
+    problem.w.x.array[:] = w
+    problem.set_time(0.6)
+    residual.assemble()
+    assert np.array_equal(residual.vector.array, before)
+    states.close()
+
+
+def test_a_smaller_step_follows_a_failed_one(caplog: pytest.LogCaptureFixture) -> None:
+    """A step that takes too many iterations is halved; the energy balances all the same."""
+    hard = pulled(NeoHookeanSplit(mu=MU, nu=0.3, prony=PRONY))
+    with caplog.at_level("INFO"):
+        states = judged(Statics(hard, max_step=0.2, first_step=0.2, max_iterations=2))
+    assert len(states) > 7
+
+
+# --- motion ---
+
+
+def swinging(n: int, **keys: Any) -> list[State]:
+    """A cube whose top is thrown sideways, n steps up to 1 s."""
+    body = box_body(size=(1, 1, 1), cells=(1, 1, 1))
+    held = Support(on="bottom", displacement=[0, 0, 0])
+    problem = Problem(body, large(density=0.5), supports=[held], degree=1)
+    velocity = ["z", 0, 0]
+    motion = Dynamics(problem, end=1, dt=1 / n, initial_velocity=velocity, **keys)
+    return list(motion.steps())
+
+
+@pytest.mark.parametrize("scheme", ["generalized-alpha", "energy-momentum", "newmark"])
+def test_motion_to_second_order(scheme: str) -> None:
+    """Of the energy, and of the balance of energy with the work on the branches."""
+    ends, off = [], []
+    for n in (40, 80, 160):
+        state = swinging(n, scheme=scheme)[-1]
+        ends.append(state.energies["strain"])
+        off.append(abs(state.energies["balance"]) / state.energies["relaxing"])
+        assert state.audit is not None
+        assert state.audit.verdict_so_far == "pass", state.audit.so_far
+    changes = np.abs(np.diff(ends))
+    assert np.log2(changes[0] / changes[1]) == pytest.approx(2, abs=0.3)
+    assert off[2] < 0.35 * off[1] or off[2] < 1e-4
+    assert off[2] < 2e-3
+
+
+def test_a_motion_goes_on() -> None:
+    body = box_body(size=(1, 1, 1), cells=(1, 1, 1))
+    held = Support(on="bottom", displacement=[0, 0, 0])
+
+    def motion() -> Dynamics:
+        problem = Problem(body, large(density=0.5), supports=[held], degree=1)
+        return Dynamics(problem, end=0.2, dt=0.02, initial_velocity=["z", 0, 0])
+
+    first, known, middle = motion(), [], None
+    for state in first.steps():
+        known.append((state.max_displacement, state.energies))
+        if state.step == 5:
+            middle = through_json(first.restart_state())
+    for state, (moved, energies) in zip(motion().steps(middle), known[6:], strict=True):
+        assert state.max_displacement == pytest.approx(moved, rel=1e-10)
+        assert state.energies == pytest.approx(energies, rel=1e-9, abs=1e-12)
+
+
+# --- where no time passes ---
+
+
+def test_modes_are_those_of_a_sudden_load() -> None:
+    def frequencies(law: Any) -> list[float]:
+        body = box_body(size=(2, 1, 1), cells=(2, 1, 1))
+        problem = Problem(body, law, supports=[Support(on="left", displacement=[0, 0, 0])])
+        return [mode.frequency for mode in Modal(problem, count=2).modes()]
+
+    plain = NeoHookeanSplit(mu=MU, nu=0.3, density=1)
+    assert frequencies(large(density=1)) == pytest.approx(frequencies(plain), rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("keys", "where"),
+    [({}, "statics.steps"), ({"method": "arc-length"}, "statics.method")],
+)
+def test_statics_refuses(keys: dict[str, Any], where: str) -> None:
+    with pytest.raises(InputError) as error:
+        list(Statics(pulled(large()), **keys).steps())
+    assert error.value.where == where
+
+
+@pytest.mark.parametrize("scheme", ["central-differences", "alpha2"])
+def test_motion_refuses(scheme: str) -> None:
+    with pytest.raises(InputError, match="materials that relax"):
+        Dynamics(pulled(large(density=1), degree=1), scheme=scheme, end=1, dt=0.1)
+
+
+@pytest.mark.parametrize(
+    ("prony", "text"),
+    [
+        ([{"g": 0.6, "tau": 1}, {"g": 0.4, "tau": 2}], "sum up to 1"),
+        ([{"g": 0.6, "tau": 0}], "tau"),
+        ([{"g": 1.2, "tau": 1}], "g"),
+        ([{"g": 0.2}], "tau"),
+    ],
+)
+def test_a_series_is_checked(prony: Any, text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        LinearElastic(E=1, nu=0.3, prony=prony)
+
+
+# --- in a case file ---
+
+CASE: dict[str, Any] = {
+    "mesh": {"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}},
+    "materials": {"gel": {"law": "yeoh", "c10": "1 MPa", "nu": 0.3, "rho": 1000, "prony": PRONY}},
+    "support": [{"on": "left", "displacement": [0, 0, 0]}],
+    "load": [{"kind": "traction", "on": "right", "value": [0, 0, 1000]}],
+}
+
+
+def test_a_series_is_read_and_written_back() -> None:
+    case = Case(**CASE)
+    (law,) = (material.law for material in case.materials.values())
+    assert [(term.g, term.tau) for term in law.prony] == list(zip(G, TAU, strict=True))
+    assert Case(**tomllib.loads(case.to_toml())).materials == case.materials
+
+
+@pytest.mark.parametrize(
+    ("tables", "text"),
+    [
+        ({}, "the steps in time are not given"),
+        ({"statics": {"method": "arc-length"}}, "along a path no time passes"),
+        ({"dynamics": {"scheme": "symplectic-euler", "end": 1}}, "materials that relax"),
+    ],
+)
+def test_check_refuses(tables: dict[str, Any], text: str) -> None:
+    case = Case(**CASE, **tables)
+    with pytest.raises(InputError, match=text):
+        check(case, case.read_body())
+
+
+def test_check_notes() -> None:
+    case = Case(**CASE, modal={"count": 2})
+    notes = check(case, case.read_body())
+    assert any("nothing relaxes in [modal]" in note for note in notes)
+    case = Case(**CASE, statics={"steps": 10})
+    assert not any("relax" in note for note in check(case, case.read_body()))
