@@ -9,6 +9,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from dolfin_elastic.cli.console import console, show_described, show_table, vector_text
+from dolfin_elastic.cli.look.show import Lengths, parts_table
 from dolfin_elastic.cli.terminal import Screen
 from dolfin_elastic.core.units import LENGTHS
 
@@ -27,15 +28,12 @@ def show_check(report: Report) -> None:
     screen.print(f"{report.case}: {title}" if title else report.case, style="bold")
     for name, text in _head(report):
         screen.tell(f"  {name:<10} {text}")
-    span = max(report.extent)
-    area, volume = ("m^2", "m^3") if report.dim == 3 else ("m", "m^2")
-    show_table(screen, _parts("surface", area, report.surfaces, span))
-    if report.edges:
-        show_table(screen, _parts("edge", "m", report.edges, span))
-    if report.points:
-        show_table(screen, _parts("point", "", report.points, span))
-    show_table(screen, _parts("region", volume, report.regions, span))
-    show_table(screen, _parts("material", volume, report.materials, span))
+    size = Lengths("m", 1.0, report.dim, max(report.extent))
+    for kind in ("surface", "edge", "point", "region", "material"):
+        rows: Sequence[PartSize] = getattr(report, f"{kind}s")
+        if rows:
+            use = "law" if kind == "material" else "used by"
+            show_table(screen, parts_table(kind, rows, size, use=use))
     show_described(screen, report.described)
     if report.loads:
         _show_loads(screen, report)
@@ -65,7 +63,7 @@ def _head(report: Report) -> list[tuple[str, str]]:
         ("memory", f"about {report.memory.total / 1e9:.2g} GB of all ranks together"),
     ]
     if whole.mass is not None:
-        middle = _place(whole.centre_of_mass, max(report.extent))
+        middle = Lengths("m", 1.0, report.dim, max(report.extent)).place(whole.centre_of_mass)
         rows.append(("mass", f"{whole.mass:.4g} kg, centre of mass {middle} m"))
     return [*rows, *(("body", _body(body, len(report.bodies))) for body in report.bodies[:5])]
 
@@ -85,30 +83,6 @@ def _body(body: FreeBody, bodies: int) -> str:
     if body.motions:
         free = f"can {', '.join(body.motions)}"
     return f"{name}{free}" + (f" (one of {bodies} that share no nodes)" if bodies > 1 else "")
-
-
-def _place(point: Sequence[float], span: float) -> str:
-    """A point with four digits; components that are tiny over the span of the body are 0."""
-    return vector_text(float(f"{x:.4g}") if abs(x) > 1e-6 * span else 0.0 for x in point)
-
-
-def _parts(kind: str, unit: str, parts: Sequence[PartSize], span: float) -> Table:
-    things = {"surface": "facets", "edge": "mesh edges", "point": "nodes"}.get(kind, "cells")
-    has_mass = any(part.mass is not None for part in parts)
-    table = Table(kind, box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column(things, justify="right")
-    if unit:
-        table.add_column(f"[{unit}]", justify="right")
-    table.add_column("centroid [m]")
-    if has_mass:
-        table.add_column("mass [kg]", justify="right")
-    table.add_column("law" if kind == "material" else "used by")
-    for part in parts:
-        mass = ["" if part.mass is None else f"{part.mass:.4g}"] if has_mass else []
-        middle = _place(part.centroid, span) if part.centroid else ""
-        size = [f"{part.measure:.4g}"] if unit else []
-        table.add_row(part.name, str(part.count), *size, middle, *mass, part.use)
-    return table
 
 
 def _show_loads(screen: Screen, report: Report) -> None:

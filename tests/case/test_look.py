@@ -61,7 +61,7 @@ def faults(found: Look) -> list[str]:
 
 
 def by_name(found: Look, kind: str = "surfaces") -> dict[str, float]:
-    return {row.name: row.size for row in getattr(found, kind)}
+    return {row.name: row.measure for row in getattr(found, kind)}
 
 
 def test_lists_of_a_cad_file(folder: Path) -> None:
@@ -94,7 +94,7 @@ def test_lists_of_a_case(folder: Path) -> None:
         "wall": "support",
     }
     assert [len(row.faces) for row in rows.values()] == [1, 1, 1]
-    assert rows["wall"].size == pytest.approx(18 * MM**2, rel=1e-9)
+    assert rows["wall"].measure == pytest.approx(18 * MM**2, rel=1e-9)
     assert rows["wall"].normal == pytest.approx((0, 0, 1), abs=1e-9)
     named = {name: face.number for face in found.faces for name in face.names}
     assert {name: row.faces[0] for name, row in rows.items()} == named

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 from mpi4py import MPI
 
@@ -39,6 +40,7 @@ from dolfin_elastic.case.check.sizes import (
     PartSize,
     lower_sizes,
     material_sizes,
+    references,
     region_sizes,
     surface_sizes,
 )
@@ -232,6 +234,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
     check_formulas(case, integrals)
     sums = load_sums(case, integrals)
     choice = _solver_choice(case, problem)
+    use = partial(references, case, body)
     return Report(
         case=case.file,
         title=case.title,
@@ -252,10 +255,10 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
         analysis=case.analysis,
         scheme=case.dynamics.scheme if case.dynamics else "",
         linear_solver="none: explicit scheme" if choice is None else choice.why,
-        surfaces=surface_sizes(case, integrals),
-        edges=lower_sizes(case, integrals, "edge"),
-        points=lower_sizes(case, integrals, "point"),
-        regions=region_sizes(case, body, integrals),
+        surfaces=surface_sizes(body, use),
+        edges=lower_sizes(body, "edge", use),
+        points=lower_sizes(body, "point", use),
+        regions=region_sizes(body, use, integrals),
         notes=(
             *mesh_notes(case, body),
             *untied_notes(case, problem),

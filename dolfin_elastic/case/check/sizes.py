@@ -1,9 +1,9 @@
-"""Size, centroid and mass of the named parts of a body."""
+"""Size, centroid, normal and mass of the named parts of a body."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,9 +13,20 @@ from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, spelling
+from dolfin_elastic.mesh.geometry.curved import (
+    PointsInCells,
+    QuadraturePoints,
+    cell_quadrature,
+    facet_quadrature,
+)
+from dolfin_elastic.mesh.geometry.simplices import prepare_facets
 from dolfin_elastic.problem.terms.edges_points import points_of
 
 WHOLE = "(whole body)"
+Use = Callable[[str, str], str]
+"""Name and kind of a part to what refers to it."""
+_CLOSED = 1e-3
+"""Length of the mean normal below which a surface has none."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +41,8 @@ class PartSize:
         use: What refers to it: "support", "contact", "tie", "periodic", names of loads and
             materials; empty if nothing does.
         centroid: Centroid in the undeformed body [m]; empty if the part is empty.
+        normal: Mean outward normal of a surface; empty where they cancel, and of others.
+        faces: CAD faces of a surface.
         mass: Mass [kg] of the whole thickness or circumference; None of a surface, and where a
             density is missing.
         centre_of_mass: [m]; on the axis of an axisymmetric body.
@@ -40,46 +53,55 @@ class PartSize:
     measure: float
     use: str
     centroid: tuple[float, ...] = ()
+    normal: tuple[float, ...] = ()
+    faces: tuple[int, ...] = ()
     mass: float | None = None
     centre_of_mass: tuple[float, ...] = ()
 
 
-def surface_sizes(case: Case, integrals: Integrals) -> tuple[PartSize, ...]:
+def surface_sizes(body: Body, use: Use) -> tuple[PartSize, ...]:
     """All named surfaces. Collective."""
-    body, sizes = integrals.body, []
+    prepare_facets(body.mesh)
+    sizes = []
     for name in sorted(body.surfaces.keys() - body.uncovered.keys()):
-        points = integrals.facets([name])
-        sums = total(body.comm, _moments(points.X, points.weights).sum(axis=0))
-        use = references(case, body, name, "surface")
-        sizes.append(PartSize(name, body.count(name), float(sums[0]), use, _centroid(sums)))
+        facets = body.owned_facets(name)
+        measure, centroid, normal = means(body, facet_quadrature(body.mesh, facets, 2))
+        faces: set[int] = set()
+        if body.faces is not None:
+            own = np.unique(body.faces.numbers_of(facets)).tolist()
+            faces = {int(n) for share in body.comm.allgather(own) for n in share if n}
+        found = PartSize(name, body.count(name), measure, use(name, "surface"), centroid, normal)
+        sizes.append(replace(found, faces=tuple(sorted(faces))))
     return tuple(sizes)
 
 
-def lower_sizes(case: Case, integrals: Integrals, kind: str) -> tuple[PartSize, ...]:
-    """All named edges, or all points but those sets of nodes that are surfaces. Collective.
+def lower_sizes(body: Body, kind: str, use: Use) -> tuple[PartSize, ...]:
+    """All named edges, or all points but for sets of nodes that are surfaces or edges. Collective.
 
     Args:
         kind: "edge" or "point".
     """
-    body, sizes = integrals.body, []
     covered = (body.surfaces.keys() | body.edges.keys()) - body.uncovered.keys()
-    names = body.edges.keys() if kind == "edge" else body.points.keys() - covered
-    for name in sorted(names):
-        points = points_of(body, kind, [name], 2 * integrals.problem.context.order)
-        sums = total(body.comm, _moments(points.X, points.weights).sum(axis=0))
+    sizes = []
+    for name in sorted(body.edges.keys() if kind == "edge" else body.points.keys() - covered):
+        points = points_of(body, kind, [name], 2)
+        measure, centroid, _ = means(body, points)
         count = int(total(body.comm, len(points.cells)))
-        use = references(case, body, name, kind)
-        sizes.append(PartSize(name, count, float(sums[0]), use, _centroid(sums)))
+        sizes.append(PartSize(name, count, measure, use(name, kind), centroid))
     return tuple(sizes)
 
 
-def region_sizes(case: Case, body: Body, integrals: Integrals) -> tuple[PartSize, ...]:
-    """The whole body, then all regions that the mesh or the case names. Collective."""
-    cells = _CellMoments(integrals)
+def region_sizes(body: Body, use: Use, integrals: Integrals | None = None) -> tuple[PartSize, ...]:
+    """The whole body, then all regions that the mesh or the case names. Collective.
+
+    Args:
+        integrals: Of the problem whose densities give masses.
+    """
+    cells = _CellMoments(body, integrals)
     return (
         cells.size(WHOLE, body.owned_cells(), ""),
         *(
-            cells.size(name, body.owned_cells(name), references(case, body, name, "region"))
+            cells.size(name, body.owned_cells(name), use(name, "region"))
             for name in sorted(body.regions)
         ),
     )
@@ -87,7 +109,7 @@ def region_sizes(case: Case, body: Body, integrals: Integrals) -> tuple[PartSize
 
 def material_sizes(integrals: Integrals) -> tuple[PartSize, ...]:
     """The cells of each material. Collective."""
-    cells = _CellMoments(integrals)
+    cells = _CellMoments(integrals.body, integrals)
     return tuple(
         cells.size(part.name, part.cells, part.law.name()) for part in integrals.problem.regions
     )
@@ -124,14 +146,16 @@ def references(case: Case, body: Body, name: str, kind: str) -> str:
 class _CellMoments:
     """Zeroth and first moments of volume and mass of each owned cell."""
 
-    def __init__(self, integrals: Integrals) -> None:
-        self._comm = integrals.body.comm
-        points = integrals.cells()
+    def __init__(self, body: Body, integrals: Integrals | None) -> None:
+        self._comm, mesh = body.comm, body.mesh
+        points = integrals.cells() if integrals else cell_quadrature(mesh, body.owned_cells(), 1)
         self._volumes = _moments(points.X, points.weights)
-        mass = integrals.full_weights(points) * integrals.density(points)
-        self._masses = _moments(points.X, mass)
-        if integrals.problem.geometry == "axisymmetric":
-            self._masses[:, 1] = 0.0  # radial moments cancel round the axis
+        self._masses = np.full_like(self._volumes, np.nan)
+        if integrals is not None:
+            mass = integrals.full_weights(points) * integrals.density(points)
+            self._masses = _moments(points.X, mass)
+            if integrals.problem.geometry == "axisymmetric":
+                self._masses[:, 1] = 0.0  # radial moments cancel round the axis
 
     def size(self, name: str, cells: IndexArray, use: str) -> PartSize:
         """Size of a set of cells. Collective.
@@ -149,9 +173,31 @@ class _CellMoments:
             float(volume[0]),
             use,
             _centroid(volume),
-            float(mass[0]) if has_mass else None,
-            _centroid(mass) if has_mass else (),
+            mass=float(mass[0]) if has_mass else None,
+            centre_of_mass=_centroid(mass) if has_mass else (),
         )
+
+
+def means(
+    body: Body, points: QuadraturePoints | PointsInCells
+) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
+    """Size, centroid [m] and mean normal of entities; empty where there is none. Collective."""
+    return mean_of(total(body.comm, moments_of(points).sum(axis=0)), body.dim)
+
+
+def moments_of(points: QuadraturePoints | PointsInCells) -> FloatArray:
+    """Integrals of 1, X and the normal N (or 0) over each entity, shape (entities, 1 + 2 dim)."""
+    N = points.N if isinstance(points, QuadraturePoints) else None
+    N = np.zeros_like(points.X) if N is None else N
+    return np.hstack([_moments(points.X, points.weights), _moments(N, points.weights)[:, 1:]])
+
+
+def mean_of(sums: FloatArray, dim: int) -> tuple[float, tuple[float, ...], tuple[float, ...]]:
+    """See `means`; of the sums of `moments_of`."""
+    normal = sums[1 + dim :] / sums[0] if sums[0] > 0 else np.zeros(dim)
+    length = float(np.linalg.norm(normal))
+    unit = tuple(float(n) for n in normal / length) if length > _CLOSED else ()
+    return float(sums[0]), _centroid(sums[: 1 + dim]), unit
 
 
 def _moments(X: FloatArray, weights: FloatArray) -> FloatArray:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
@@ -11,7 +12,8 @@ from rich.table import Table
 from dolfin_elastic.cli.console import console, show_described, show_table
 
 if TYPE_CHECKING:
-    from dolfin_elastic.case.look.listing import FaceRow, Look, PartRow
+    from dolfin_elastic.case.check.sizes import PartSize
+    from dolfin_elastic.case.look.listing import FaceRow, Look
 
 _AXES = ("x", "y", "z")
 
@@ -19,7 +21,7 @@ _AXES = ("x", "y", "z")
 def show_look(found: Look) -> None:
     """Prints the list."""
     screen = console()
-    unit = found.unit
+    unit, size = found.unit, Lengths(found.unit, found.metres, found.dim, max(found.extent))
     title = f"{found.case}: {found.source}" if found.case else found.source
     screen.tell(title, style="bold")
     sides = " x ".join(f"{side / found.metres:.4g}" for side in found.extent)
@@ -27,17 +29,11 @@ def show_look(found: Look) -> None:
     for text in found.information:
         screen.tell(f"  {text}")
     if found.faces:
-        show_table(screen, _faces(found, found.faces))
-    things = (
-        ("surface", "facets"),
-        ("region", "cells"),
-        ("edge", "mesh edges"),
-        ("point", "nodes"),
-    )
-    for kind, members in things:
-        rows: Sequence[PartRow] = getattr(found, f"{kind}s")
+        show_table(screen, _faces(found, size, found.faces))
+    for kind in ("surface", "region", "edge", "point"):
+        rows: Sequence[PartSize] = getattr(found, f"{kind}s")
         if rows:
-            show_table(screen, _parts(found, kind, members, rows))
+            show_table(screen, parts_table(kind, rows, size, directions=True))
     show_described(screen, found.described)
     if found.faces and not found.case:
         one = next((f.number for f in found.faces if f.form), found.faces[0].number)
@@ -56,7 +52,7 @@ def _table(heads: Sequence[tuple[str, bool]]) -> Table:
     return table
 
 
-def _faces(found: Look, rows: Sequence[FaceRow]) -> Table:
+def _faces(found: Look, size: Lengths, rows: Sequence[FaceRow]) -> Table:
     thing, power = ("face", "^2") if found.dim == 3 else ("curve", "")
     table = _table(
         [
@@ -74,44 +70,76 @@ def _faces(found: Look, rows: Sequence[FaceRow]) -> Table:
         table.add_row(
             str(row.number),
             row.description,
-            _size(row.area, found, found.dim - 1),
-            _place(row.centroid, found),
+            f"{row.area / found.metres ** (found.dim - 1):.4g}",
+            size.place(row.centroid),
             direction,
             ", ".join(row.names),
         )
     return table
 
 
-def _parts(found: Look, kind: str, members: str, rows: Sequence[PartRow]) -> Table:
-    power = {"surface": found.dim - 1, "region": found.dim, "edge": 1, "point": 0}[kind]
-    unit = f"[{found.unit}{f'^{power}' if power > 1 else ''}]"
-    surface, use = kind == "surface", any(row.use for row in rows)
-    faces = surface and bool(found.faces)
-    heads = [(kind, False), (members, True), *([(unit, True)] if power else [])]
-    heads += [(f"centroid [{found.unit}]", False)]
-    heads += [("normal", False)] if surface else []
-    heads += [("faces", False)] if faces else []
-    heads += [("used by", False)] if use else []
-    table = _table(heads)
+def parts_table(
+    kind: str,
+    rows: Sequence[PartSize],
+    size: Lengths,
+    *,
+    directions: bool = False,
+    use: str = "used by",
+) -> Table:
+    """A table of named parts.
+
+    Args:
+        kind: "surface", "region", "material", "edge" or "point".
+        size: Of the body, and the unit in which lengths are shown.
+        directions: Normals and CAD faces of surfaces are shown.
+    """
+    power = {"surface": size.dim - 1, "edge": 1, "point": 0}.get(kind, size.dim)
+    things = {"surface": "facets", "edge": "mesh edges", "point": "nodes"}.get(kind, "cells")
+    directions = directions and kind == "surface"
+    columns: list[tuple[str, bool, Callable[[PartSize], str]]] = [
+        (kind, False, lambda row: row.name),
+        (things, True, lambda row: str(row.count)),
+    ]
+    if power:
+        unit = f"[{size.unit}{f'^{power}' if power > 1 else ''}]"
+        columns.append((unit, True, lambda row: f"{row.measure / size.metres**power:.4g}"))
+    columns.append((f"centroid [{size.unit}]", False, lambda row: size.place(row.centroid)))
+    if directions:
+        columns.append(("normal", False, lambda row: _direction(row.normal)))
+    if directions and any(row.faces for row in rows):
+        columns.append(("faces", False, lambda row: _numbers(row.faces)))
+    if any(row.mass is not None for row in rows):
+        columns.append(
+            ("mass [kg]", True, lambda row: "" if row.mass is None else f"{row.mass:.4g}")
+        )
+    if any(row.use for row in rows):
+        columns.append((use, False, lambda row: row.use))
+    table = _table([(head, number) for head, number, _ in columns])
     for row in rows:
-        cells = [row.name, str(row.count)]
-        cells += [_size(row.size, found, power)] if power else []
-        cells += [_place(row.centroid, found)]
-        cells += [_direction(row.normal)] if surface else []
-        cells += [_numbers(row.faces)] if faces else []
-        cells += [row.use] if use else []
-        table.add_row(*cells)
+        table.add_row(*(text(row) for _, _, text in columns))
     return table
 
 
-def _size(value: float, found: Look, power: int) -> str:
-    return f"{value / found.metres**power:.4g}"
+@dataclass(frozen=True)
+class Lengths:
+    """How lengths are shown.
 
+    Attributes:
+        unit: Its name.
+        metres: Its length [m].
+        dim: Of the body.
+        span: Its longest side [m]: coordinates that are tiny beside it are 0.
+    """
 
-def _place(point: Sequence[float], found: Look) -> str:
-    span = max(found.extent)
-    parts = (f"{x / found.metres:.4g}" if abs(x) > 1e-6 * span else "0" for x in point)
-    return f"({', '.join(parts)})" if point else ""
+    unit: str
+    metres: float
+    dim: int
+    span: float
+
+    def place(self, point: Sequence[float]) -> str:
+        """A point with four digits; empty of none."""
+        parts = (f"{x / self.metres:.4g}" if abs(x) > 1e-6 * self.span else "0" for x in point)
+        return f"({', '.join(parts)})" if point else ""
 
 
 def _direction(vector: Sequence[float]) -> str:
