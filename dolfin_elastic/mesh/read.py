@@ -125,7 +125,7 @@ def stated_unit_of(path: Path) -> LengthUnit | None:
     """The unit that a CAD file, a universal file or a converted mesh states. Local."""
     suffix = path.suffix.lower()
     if suffix in XDMF:
-        from dolfin_elastic.mesh.formats.xdmf_named import unit_of_xdmf
+        from dolfin_elastic.mesh.formats.xdmf_arrays import unit_of_xdmf
 
         return unit_of_xdmf(path)
     if suffix == ".unv":

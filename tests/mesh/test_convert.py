@@ -189,12 +189,13 @@ MANY = '<Information Name="uncovered" Value="rim">many</Information>'
 DAMAGES = (
     ('Value="point"', 'Value="place"', "'tip' is a part of kind 'place'; region, surface, "),
     ('Dimensions="1 1"', 'Dimensions="x"', "an array has the Dimensions 'x'"),
-    ('Dimensions="1 1"', 'Dimensions="2 1"', r"'tip' has the shape \(1, 1\) .*\(2, 1\)"),
-    ("/point_0<", "/points<", "point 'tip' has the shape .* and the type float64"),
-    ("/point_0<", "/point_7<", "the point 'tip' cannot be read"),
-    ("/point_0<", "/far<", "the point 'tip' has points that do not exist; numbers from 0 to"),
-    ("/region_0<", "/folder<", "the region 'soft part': it cannot be read: "),
-    ("/region_0<", "/far<", "the region 'soft part': it cannot be read: '/far' has 1 rows"),
+    ('Dimensions="1 1"', 'Dimensions="2 1"', r"point_0' has the shape \(1, 1\), .*\(2, 1\)"),
+    ("/point_0<", "/points<", r"'two.h5:/points' has the shape .*\(1, 1\)"),
+    ("/point_0<", "/half<", "the cells in 'two.h5:/half' are no whole numbers"),
+    ("/point_0<", "/point_7<", "its data file 'two.h5' cannot be read: it has no array '/point_7'"),
+    ("/point_0<", "/far<", "the cells of 'tip' have points that do not exist; .* numbered from 0"),
+    ("/region_0<", "/folder<", "its data file 'two.h5' cannot be read: "),
+    ("/region_0<", "/far<", r"the array 'two.h5:/far' has the shape \(1, 1\), the text says"),
     ("<Topology", MANY + "<Topology", "facets do not cover 'many' nodes of 'rim'; a whole number"),
 )
 """What is changed in the file, and what is said of it."""
@@ -207,7 +208,7 @@ def test_damaged_files_say_where(folder: Path) -> None:
 
     def add_far_points() -> None:
         with h5py.File(folder / "two.h5", "a") as file:
-            file["far"] = np.array([[999]])
+            file["far"], file["half"] = np.array([[999]]), np.array([[0.5]])
             file.create_group("folder")
 
     made(add_far_points)
@@ -216,3 +217,22 @@ def test_damaged_files_say_where(folder: Path) -> None:
         made(partial((folder / "two.xdmf").write_text, text.replace(old, new)))
         with pytest.raises(MeshError, match=said):
             read_body(folder / "two.xdmf")
+
+
+def test_facets_of_no_cell_are_missed(folder: Path) -> None:
+    """The surface is named as one that is not whole, whatever rank reads which of its facets."""
+    made(lambda: two_boxes(folder / "two.msh", 1))
+    convert_mesh(folder / "two.msh", folder / "two.xdmf")
+    surfaces = read_body(folder / "two.xdmf").surfaces
+
+    def change() -> int:
+        with h5py.File(folder / "two.h5", "a") as file:
+            rows, x = file["surface_0"], file["points"][:]
+            rows[0] = np.argsort(x @ [1.0, 2.0, 3.0])[[0, len(x) // 2, -1]]
+            return len(rows)
+
+    count = on_root(COMM, change)
+    body = read_body(folder / "two.xdmf")
+    (lost,) = set(surfaces) - set(body.surfaces)
+    assert body.incomplete == {lost: f"1 of its {count} facets are no facets of a cell"}
+    assert any(f"not whole (left out): '{lost}' (1 of its" in note for note in body.notes)

@@ -28,7 +28,7 @@ from dolfin_elastic.mesh import (
 )
 from dolfin_elastic.mesh.distribute import build_body
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile, RawMesh, assemble
-from dolfin_elastic.mesh.geometry.simplices import edge_nodes, prepare_facets, vertex_nodes
+from dolfin_elastic.mesh.geometry.simplices import edge_nodes, prepare_facets
 from dolfin_elastic.problem.terms.edges_points import extent
 
 COMM = MPI.COMM_WORLD
@@ -291,7 +291,10 @@ def test_xdmf_tags_of_edges_and_vertices(folder: Path) -> None:
         scale=1e-3,
     )
     mesh = box.mesh
-    vertices = np.flatnonzero(np.isin(vertex_nodes(mesh), box.points["p"])).astype(np.int32)
+    mesh.topology.create_connectivity(3, 0)
+    corners = mesh.topology.connectivity(3, 0).array.reshape(-1, 4)
+    inside = np.isin(mesh.geometry.dofmap[:, :4], box.points["p"])
+    vertices = np.unique(corners[inside]).astype(np.int32)
     with XDMFFile(COMM, folder / "box.xdmf", "w") as file:
         file.write_mesh(mesh)
         for dim, name, found in ((1, "lines", box.edges["e"]), (0, "corners", vertices)):

@@ -1,4 +1,10 @@
-"""XDMF: read in parts by all ranks; with the meshtags that DOLFINx and meshio put beside.
+"""XDMF: read in parts by all ranks, with the tags that DOLFINx, meshio and `convert` put beside.
+
+Tags are integers of the cells of a grid: of the mesh itself, or of facets, edges and points.  Those
+of value v of a tag `part` are the part ``part_v``, unless the grid or the tag is marked by
+``<Information Name="part" Value="surface"/>``, as `dolfin-elastic convert` writes them: then those
+of value 1 are the part of that very name.  Further elements `Information` of the first grid hold
+the unit of length, notes, sets of nodes that facets do not cover, and parts that are not whole.
 
 Read here rather than by DOLFINx 0.9, which takes the arrays from the file that has the name of the
 `.xdmf`, whatever file the text names, and of several data of a grid always the first.
@@ -7,7 +13,7 @@ Read here rather than by DOLFINx 0.9, which takes the arrays from the file that 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -26,7 +32,6 @@ from dolfin_elastic.core.types import AnyArray, BoolArray, IndexArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import build_body, left_out, make_mesh
-from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.mesh.formats.cleaning import (
     check_distributed,
     straight,
@@ -35,19 +40,15 @@ from dolfin_elastic.mesh.formats.cleaning import (
     without,
 )
 from dolfin_elastic.mesh.formats.raw import RawMesh, assemble
-from dolfin_elastic.mesh.formats.xdmf_named import (
+from dolfin_elastic.mesh.formats.xdmf_arrays import (
     Array,
-    Names,
     check_arrays,
     dimensions,
     distributed,
     hdf_rows,
-    kind_of,
-    named,
-    names_in,
     place_of,
 )
-from dolfin_elastic.mesh.geometry.simplices import prepare_edges, vertex_nodes
+from dolfin_elastic.mesh.geometry.simplices import prepare_edges
 
 _KINDS = {
     "tetrahedron": (CellType.tetrahedron, 4),
@@ -65,6 +66,7 @@ _DIMS = {
     name: {CellType.tetrahedron: 3, CellType.triangle: 2, CellType.interval: 1}.get(kind, 0)
     for name, (kind, _) in _KINDS.items()
 }
+PARTS = ("region", "surface", "edge", "point")
 _NOWHERE = Array("", "", (0,))
 _MOST = 200  # more distinct values than this are data, not names
 
@@ -78,12 +80,14 @@ class _Tags:
         kind: Of the cells.
         cells: Nodes of each cell.
         values: One number for each cell.
+        named: The cells of value 1 are a part of that name.
     """
 
     attribute: str
     kind: str
     cells: Array
     values: Array
+    named: bool = False
 
     @property
     def dim(self) -> int:
@@ -111,8 +115,9 @@ class _Contents:
         points: Coordinates of the points, in the file's unit.
         tags: Integer data of cells and of facets, edges and points.
         data: Fields.
-        names: What `dolfin-elastic convert` has put into it.
-        notes: How it was read.
+        notes: How it was read, and what is doubtful.
+        uncovered: See `Body`.
+        incomplete: See `Body`.
     """
 
     kind: str = ""
@@ -120,8 +125,9 @@ class _Contents:
     points: Array = _NOWHERE
     tags: tuple[_Tags, ...] = ()
     data: tuple[_Data, ...] = ()
-    names: Names = field(default_factory=Names)
     notes: tuple[str, ...] = ()
+    uncovered: Mapping[str, int] = field(default_factory=dict)
+    incomplete: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def dim(self) -> int:
@@ -150,19 +156,6 @@ class _Contents:
             *(data.array for data in self.data),
         ]
 
-    def stored(self, as_they_are: Mapping[Array, Array]) -> _Contents:
-        """The same with arrays from `check_arrays`."""
-        tags = [
-            replace(t, cells=as_they_are[t.cells], values=as_they_are[t.values]) for t in self.tags
-        ]
-        return replace(
-            self,
-            cells=as_they_are[self.cells],
-            points=as_they_are[self.points],
-            tags=tuple(tags),
-            data=tuple(replace(data, array=as_they_are[data.array]) for data in self.data),
-        )
-
 
 def read_xdmf(
     path: Path,
@@ -172,9 +165,7 @@ def read_xdmf(
     dim: int | None,
     straight_cells: bool = False,
 ) -> Body:
-    """Reads a mesh and its tags; each value v of the tags `facets` becomes ``facets_v``.
-
-    Collective.  Parts of a converted mesh keep their names, see `xdmf_named`.
+    """Reads a mesh and its tags. Collective.
 
     Args:
         path: The .xdmf file, with its .h5 beside it.
@@ -193,12 +184,22 @@ def read_xdmf(
         return build_body(lambda: _by_meshio(path, dim), comm=comm, unit=unit, source=path.name)
     try:
         mesh, unused = _mesh(comm, path, contents, unit.metres)
-        body = Body(mesh, source=path.name, unit=unit, notes=contents.notes)
+        body = Body(
+            mesh,
+            source=path.name,
+            unit=unit,
+            notes=contents.notes,
+            uncovered=contents.uncovered,
+            incomplete=contents.incomplete,
+        )
         if len(unused):
             said = unused_text(len(unused), contents.points.rows)
             body = replace(body, information=(*body.information, said))
-        body = named(_tagged(body, path, contents, unused), path, contents.names)
-        fields = {data.name: _field(body, path, data, unused) for data in contents.data}
+        body = _tagged(body, path, contents, unused)
+        fields = {}
+        for data in contents.data:
+            what, left = f"the field '{data.name}'", unused if data.centre == "point" else None
+            fields[data.name] = distributed(body, data.centre, path, data.array, what, left)
         return replace(body, fields=fields)
     except MeshError as error:
         raise error.at(path.name) from None
@@ -212,8 +213,6 @@ def _mesh(comm: MPI.Comm, path: Path, contents: _Contents, scale: float) -> tupl
     order = 1 if width == contents.dim + 1 else 2
     check_distributed(comm, cells, len(x), contents.dim)
     unused = unused_points(comm, cells, len(x))
-    if contents.names.parts:  # converted meshes have none; their parts are by the file's numbers
-        unused = unused[:0]
     first = _first_row(comm, contents.points.rows)
     x = x[~np.isin(np.arange(first, first + len(x)), unused)]
     bad = int(np.count_nonzero(~np.isfinite(x).all(axis=1)))
@@ -253,9 +252,9 @@ def _share(comm: MPI.Comm, path: Path, array: Array) -> AnyArray:
 def _contents(path: Path) -> _Contents:
     try:
         found = _in(read_xml(path), path)
-        return (
-            found.stored(check_arrays(path, found.arrays(), found.names)) if found.kind else found
-        )
+        if found.kind:
+            check_arrays(path, found.arrays())
+        return found
     except ElementTree.ParseError as error:
         raise MeshError(f"this is no XML file: {error}", where=path.name) from None
     except MeshError as error:
@@ -285,12 +284,47 @@ def _in(root: ElementTree.Element, path: Path) -> _Contents:
     plain = all(item.get("Format") == "HDF" for item in root.iter("DataItem"))
     if kind not in _DIMS or not plain or cells is None or points is None or not _width(main):
         return _Contents()
-    tags = [t for g in grids if _kind(g) in _DIMS and not kind_of(g) for t in _tags(g)]
+    tags = [t for g in grids if _kind(g) in _DIMS for t in _tags(g)]
     data = _data(main, [g for g in root.iter("Grid") if g.find("Topology") is None])
     found = _topology(kind, cells)
+    said = [*_information(main)]
     return _Contents(
-        kind, found, Array.of(points), tuple(tags), tuple(data), names_in(root), tuple(notes)
+        kind,
+        found,
+        Array.of(points),
+        tuple(tags),
+        tuple(data),
+        (*notes, *(value for name, value, _ in said if name == "note")),
+        {value: _count(value, text) for name, value, text in said if name == "uncovered"},
+        {value: text for name, value, text in said if name == "incomplete"},
     )
+
+
+def _information(element: ElementTree.Element) -> Iterator[tuple[str, str, str]]:
+    """Name, value and text of what is said of a grid or an attribute."""
+    for one in element.findall("Information"):
+        yield one.get("Name", ""), one.get("Value", ""), one.text or ""
+
+
+def _is_named(element: ElementTree.Element) -> bool:
+    """Whether a grid or an attribute is a part with a name."""
+    for key, kind, _ in _information(element):
+        if key == "part" and kind not in PARTS:
+            raise MeshError(
+                f"'{element.get('Name')}' is a part of kind '{kind}'", expected=", ".join(PARTS)
+            )
+        if key == "part":
+            return True
+    return False
+
+
+def _count(name: str, text: str) -> int:
+    """Number of nodes of a set that facets do not cover."""
+    if not text.strip().isdecimal():
+        raise MeshError(
+            f"facets do not cover '{text}' nodes of '{name}'", expected="a whole number of nodes"
+        )
+    return int(text)
 
 
 def _topology(kind: str, item: ElementTree.Element) -> Array:
@@ -328,7 +362,7 @@ def _others(
     left = []
     for grid in others:
         same = _texts(grid, "Geometry") in (_texts(main, "Geometry"), [])
-        if kind_of(grid) or (same and _is_part(main, grid)):
+        if same and _is_part(main, grid):
             continue
         if main in blocks or same:
             raise MeshError(
@@ -368,7 +402,7 @@ def _tags(grid: ElementTree.Element) -> list[_Tags]:
     cells = grid.find("Topology/DataItem")
     for attribute in grid.findall("Attribute"):
         item = attribute.find("DataItem")
-        if item is None or cells is None or kind_of(attribute) or _kind(grid) not in _DIMS:
+        if item is None or cells is None or _kind(grid) not in _DIMS:
             continue
         kind = item.get("NumberType", item.get("DataType", "Int"))
         if attribute.get("Center") == "Cell" and kind in ("Int", "UInt", "Char", "UChar"):
@@ -376,7 +410,8 @@ def _tags(grid: ElementTree.Element) -> list[_Tags]:
             values = Array.of(item)
             if values.shape not in ((topology.rows,), (topology.rows, 1)):
                 continue
-            found.append(_Tags(attribute.get("Name", ""), _kind(grid), topology, values))
+            name, named = attribute.get("Name", ""), _is_named(grid) or _is_named(attribute)
+            found.append(_Tags(name, _kind(grid), topology, values, named))
     return found
 
 
@@ -407,15 +442,6 @@ def _one(attribute: ElementTree.Element, usual: str) -> _Data | None:
 def _rows(grid: ElementTree.Element, part: str) -> int:
     item = grid.find(f"{part}/DataItem")
     return dimensions(item)[0] if item is not None else 0
-
-
-def _field(body: Body, path: Path, data: _Data, unused: IntArray) -> MeshField:
-    """Reads a field on rank 0, in pieces. Collective."""
-    try:
-        left = unused if data.centre == "point" else None
-        return distributed(body, data.centre, path, data.array, left)
-    except MeshError as error:
-        raise MeshError(f"the field '{data.name}': {error}") from None
 
 
 def _kind(grid: ElementTree.Element) -> str:
@@ -492,67 +518,109 @@ def _by_meshio(path: Path, dim: int | None) -> RawMesh:
 def _tagged(body: Body, path: Path, contents: _Contents, unused: IntArray) -> Body:
     incomplete: dict[str, str] = {}
     for tags in contents.tags:
-        parts, lost = _parts(body.mesh, path, tags, contents.points.rows, unused)
+        parts, lost = _parts(body, path, tags, contents, unused)
+        incomplete |= lost
         low = contents.dim - tags.dim
         kind = "points" if tags.dim == 0 else {0: "regions", 1: "surfaces"}.get(low, "edges")
-        if kind == "points":
-            nodes = vertex_nodes(body.mesh)
-            parts = {name: np.sort(nodes[vertices]) for name, vertices in parts.items()}
-        body = body.named(**{kind: {n: rows for n, rows in parts.items() if n not in lost}})
-        incomplete |= lost
-    if not incomplete:
-        return body
+        whole = {n: rows for n, rows in parts.items() if n not in {*lost, *contents.incomplete}}
+        body = body.named(**{kind: whole})
+    incomplete |= contents.incomplete
     notes = (*body.notes, *left_out(incomplete))
-    return replace(body, incomplete={**body.incomplete, **incomplete}, notes=notes)
+    return replace(body, incomplete=incomplete, notes=notes)
 
 
 def _parts(
-    mesh: Mesh, path: Path, tags: _Tags, points: int, unused: IntArray
+    body: Body, path: Path, tags: _Tags, contents: _Contents, unused: IntArray
 ) -> tuple[dict[str, IndexArray], dict[str, str]]:
-    """Name to local entities, and to what is missing of it. Collective.
+    """Name to local entities, of points nodes; and to what is missing of it. Collective.
 
     Args:
         path: The `.xdmf` file.
-        points: How many the file has.
-        unused: Those that the mesh is without.
+        unused: Points that the mesh is without.
     """
-    if tags.dim == 1 and mesh.topology.dim == 3:
+    mesh, lost = body.mesh, dict[str, str]()
+    if tags.cells == contents.cells:
+        what = f"the region '{tags.attribute}'"
+        local = distributed(body, "cell", path, tags.values, what).values[:, 0]
+        found = {v: np.flatnonzero(local == v).astype(np.int32) for v in _values(mesh.comm, local)}
+    else:
+        cells = _cells(mesh.comm, path, tags.kind, tags.cells)
+        numbers: IndexArray = _share(mesh.comm, path, tags.values).reshape(-1).astype(np.int32)
+        _check_nodes(mesh, cells, tags, contents.points.rows)
+        gone = np.asarray(np.isin(cells, unused).any(axis=1))
+        lost = _lost(mesh.comm, tags, numbers, gone)
+        cells, numbers = without(cells[~gone], unused), numbers[~gone]
+        values = _values(mesh.comm, numbers)
+        if tags.dim == 0:
+            found = _nodes(mesh, cells[:, 0], numbers, values)
+        else:
+            found = _entities(mesh, tags.dim, cells, numbers, values)
+        if tags.named:
+            lost |= _missing(mesh, tags, numbers, found)
+    if tags.named:
+        return {tags.attribute: found[1]} if 1 in found else {}, lost
+    return {f"{tags.attribute}_{value}": rows for value, rows in found.items()}, lost
+
+
+def _values(comm: MPI.Comm, numbers: AnyArray) -> list[int]:
+    """Different numbers of all ranks; none of them if they are data, not names. Collective."""
+    values = np.unique(np.concatenate(comm.allgather(np.unique(numbers)[: _MOST + 1])))
+    return [int(value) for value in values] if len(values) <= _MOST else []
+
+
+def _nodes(
+    mesh: Mesh, points: IntArray, numbers: IndexArray, values: Sequence[int]
+) -> dict[int, IndexArray]:
+    """Local nodes of each value. Collective.
+
+    Args:
+        points: This rank's share, by their rows in the file.
+        numbers: Value of each.
+    """
+    rows, every = (np.concatenate(mesh.comm.allgather(part)) for part in (points, numbers))
+    own = mesh.geometry.input_global_indices
+    return {v: np.flatnonzero(np.isin(own, rows[every == v])).astype(np.int32) for v in values}
+
+
+def _entities(
+    mesh: Mesh, dim: int, cells: IntArray, numbers: IndexArray, values: Sequence[int]
+) -> dict[int, IndexArray]:
+    """Local edges, facets or cells of each value, those that ranks share on all. Collective."""
+    if dim == 1 and mesh.topology.dim == 3:
         prepare_edges(mesh)
-    if tags.dim < mesh.topology.dim:
-        mesh.topology.create_connectivity(tags.dim, mesh.topology.dim)
-    mesh.topology.create_connectivity(tags.dim, 0)
-    cells = _cells(mesh.comm, path, tags.kind, tags.cells)
-    numbers: IndexArray = _share(mesh.comm, path, tags.values).reshape(-1).astype(np.int32)
-    _check_nodes(mesh, cells, tags, points)
-    gone = np.asarray(np.isin(cells, unused).any(axis=1))
-    lost = _lost(mesh.comm, tags.attribute, numbers, gone)
-    cells, numbers = without(cells[~gone], unused), numbers[~gone]
-    entities, values = distribute_entity_data(mesh, tags.dim, cells, numbers)
-    found = meshtags_from_entities(mesh, tags.dim, graph.adjacencylist(entities), values)
-    present = np.unique(np.concatenate(mesh.comm.allgather(np.unique(found.values))))
-    if len(present) > _MOST:
-        return {}, {}
-    parts = {
-        f"{tags.attribute}_{value}": _shared(mesh, tags.dim, found.find(value)) for value in present
-    }
-    return parts, lost
+    if dim < mesh.topology.dim:
+        mesh.topology.create_connectivity(dim, mesh.topology.dim)
+    mesh.topology.create_connectivity(dim, 0)
+    entities, at = distribute_entity_data(mesh, dim, cells, numbers)
+    found = meshtags_from_entities(mesh, dim, graph.adjacencylist(entities), at)
+    return {value: _shared(mesh, dim, found.find(value)) for value in values}
 
 
-def _lost(comm: MPI.Comm, name: str, numbers: IndexArray, gone: BoolArray) -> dict[str, str]:
+def _missing(
+    mesh: Mesh, tags: _Tags, numbers: IndexArray, found: Mapping[int, IndexArray]
+) -> dict[str, str]:
+    """What is missing of a named part whose members are none of the mesh. Collective."""
+    if tags.dim == 0:
+        return {}
+    own = found.get(1, np.empty(0, np.int32)) < mesh.topology.index_map(tags.dim).size_local
+    here, count = total(mesh.comm, np.array([np.count_nonzero(own), np.sum(numbers == 1)]))
+    things = "facets" if tags.dim == mesh.topology.dim - 1 else "edges"
+    text = f"{count - here} of its {count} {things} are no {things} of a cell"
+    return {tags.attribute: text} if here < count else {}
+
+
+def _lost(comm: MPI.Comm, tags: _Tags, numbers: IndexArray, gone: BoolArray) -> dict[str, str]:
     """Name to what a part has lost with points that no cell uses. Collective.
 
     Args:
-        comm: The ranks.
         numbers: Of this rank's share of their cells.
     """
-    values = np.unique(np.concatenate(comm.allgather(np.unique(numbers[gone]))))
-    if len(values) > _MOST:
-        return {}
     found = {}
-    for value in values:
+    for value in _values(comm, numbers[gone]):
         mine = np.array([np.sum(gone & (numbers == value)), np.sum(numbers == value)])
         count, every = total(comm, mine)
-        found[f"{name}_{value}"] = f"{count} of its {every} members belong to no cell"
+        name = tags.attribute if tags.named else f"{tags.attribute}_{value}"
+        found[name] = f"{count} of its {every} members belong to no cell"
     return found
 
 

@@ -153,20 +153,6 @@ def edge_nodes(mesh: Mesh, edges: IndexArray) -> IndexArray:
     return np.asarray(np.take_along_axis(nodes, np.array(EDGE_ENDS)[local], axis=1))
 
 
-def vertex_nodes(mesh: Mesh) -> IndexArray:
-    """Geometry node at each local vertex. Collective.
-
-    Vertices have numbers of their own in the topology.
-    """
-    d = mesh.topology.dim
-    mesh.topology.create_connectivity(d, 0)
-    cells = mesh.topology.connectivity(d, 0).array.reshape(-1, d + 1)
-    index = mesh.topology.index_map(0)
-    found = np.full(index.size_local + index.num_ghosts, -1, dtype=np.int32)
-    found[cells.ravel()] = mesh.geometry.dofmap[:, : d + 1].ravel()
-    return found
-
-
 def node_cells(mesh: Mesh, nodes: IndexArray) -> tuple[IndexArray, IndexArray]:
     """The first local cell with each geometry node, and the node's local index in it. Local.
 
