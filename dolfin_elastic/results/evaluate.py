@@ -224,7 +224,7 @@ class StateSource:
         """See `FieldSource`."""
         forces = self._out_of_balance("residual")
         conditions = self.evaluator.problem.dirichlet
-        forces[conditions.owned] = 0.0
+        forces[conditions.dofs[conditions.dofs < len(forces)]] = 0.0
         if (skew := conditions.skew) is not None:
             rows = forces.reshape(-1, self.evaluator.problem.body.dim)
             nodes = skew.nodes[: skew.count]

@@ -184,7 +184,6 @@ class SectionForces:
         found = {}
         for name, (sides, nodes, about) in self._cuts.items():
             self._inside.x.array[: len(sides)] = sides == 1
-            self._inside.x.scatter_forward()
             vector = fem.assemble_vector(form)
             vector.scatter_reverse(la.InsertMode.add)
             force = -vector.array[dofs].reshape(-1, dim)[nodes]
