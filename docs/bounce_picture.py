@@ -14,7 +14,7 @@ from dolfinx.plot import vtk_mesh
 from dolfin_elastic import read_case
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.scene._draw import colour_map
+from dolfin_elastic.results.scene.colour_bar import colour_map
 
 ROOT = Path(__file__).resolve().parent.parent
 TIMES = (0.0, 0.006, 0.014, 0.021, 0.028, 0.044)

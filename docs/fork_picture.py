@@ -12,7 +12,7 @@ import pyvista as pv
 from dolfinx.plot import vtk_mesh
 
 from dolfin_elastic import read_case
-from dolfin_elastic.results.scene._draw import colour_map
+from dolfin_elastic.results.scene.colour_bar import colour_map
 
 ROOT = Path(__file__).resolve().parent.parent
 WORDS = {4: "the tone", 3: "twisting", 2: "swaying"}

@@ -18,7 +18,7 @@ from dolfin_elastic import read_case
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.probes import Probe
-from dolfin_elastic.results.scene._draw import colour_map
+from dolfin_elastic.results.scene.colour_bar import colour_map
 
 ROOT = Path(__file__).resolve().parent.parent
 MOMENTS = (0.0, 0.15, 0.25, 0.455)

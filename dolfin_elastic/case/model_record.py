@@ -10,24 +10,12 @@ import numpy as np
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check.loads import LoadSum
-from dolfin_elastic.core.parallel import largest_row, total
+from dolfin_elastic.case.glyphs import glyphs_of
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.petsc_options import PetscOptions
-from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body, extent
 from dolfin_elastic.mesh.geometry.curved import cell_volumes, facet_areas
-from dolfin_elastic.mesh.geometry.simplices import (
-    edge_nodes,
-    facet_corners,
-    outward_normals,
-    prepare_edges,
-    prepare_facets,
-)
-
-SAMPLES = 24
-"""Places that are noted of a surface or edge."""
-_DIGITS = 6
-_SAME = 1e-12
-"""Distance over the size of the body that is round-off."""
+from dolfin_elastic.mesh.geometry.simplices import prepare_facets
 
 
 def model_record(
@@ -54,6 +42,7 @@ def model_record(
         },
         "parts": {name: found for name in sorted(names) if (found := _part(body, name))},
         "loads": [asdict(row) for row in sums],
+        "glyphs": [one.plain() for one in glyphs_of(case, body, sums)],
         "warnings": list(notes),
         "petsc": dict(petsc),
     }
@@ -66,47 +55,9 @@ def _volume(body: Body) -> float:
 
 
 def _part(body: Body, name: str) -> dict[str, object]:
-    """Size and some places of a surface, edge or point; empty for a region. Collective."""
+    """Kind and size of a surface, edge or point; empty for a region. Collective."""
     if name in body.surfaces:
         prepare_facets(body.mesh)
-        facets = body.owned_facets(name)
-        places = facet_corners(body.mesh, facets).mean(axis=1)
-        normals = outward_normals(body.mesh, facets)
-        areas = facet_areas(body.mesh, facets)
-        return {
-            "kind": "surface",
-            "area": float(total(body.comm, float(np.sum(areas)))),
-            **_samples(body, np.hstack([places, normals])),
-        }
-    if name in body.edges:
-        prepare_edges(body.mesh)
-        ends = body.mesh.geometry.x[edge_nodes(body.mesh, body.owned_edges(name))]
-        return {"kind": "edge", **_samples(body, ends.mean(axis=1))}
-    if name in body.points:
-        places = body.mesh.geometry.x[body.owned_points(name), : body.dim]
-        return {"kind": "point", **_samples(body, places)}
-    return {}
-
-
-def _samples(body: Body, rows: FloatArray) -> dict[str, object]:
-    """Rows that are spread over all: places [m], of surfaces with the outward normal. Collective.
-
-    Each is the farthest in space from those before, the first that nearest to the origin, so that
-    they are the same on any number of ranks.
-    """
-    comm, x = body.comm, rows[:, : body.dim]
-    size, away, shown = max(extent(body)), np.full(len(rows), np.inf), list[list[float]]()
-    while len(shown) < SAMPLES:
-        found = largest_row(comm, away, lambda some: x[some], least=_SAME * size)
-        if found is None or found.value <= _SAME * size:
-            break
-        row = comm.bcast(rows[found.row].tolist() if comm.rank == found.rank else None, found.rank)
-        away = np.minimum(away, np.linalg.norm(x - np.array(row[: body.dim]), axis=1))
-        shown.append([_plain(value, size) for value in row[: body.dim]])
-        shown[-1] += [_plain(value, 1.0) for value in row[body.dim :]]
-    return {"places": shown}
-
-
-def _plain(value: float, size: float) -> float:
-    """A number without digits that round-off has made."""
-    return float(f"{value:.{_DIGITS}g}") if abs(value) > _SAME * size else 0.0
+        areas = facet_areas(body.mesh, body.owned_facets(name))
+        return {"kind": "surface", "area": float(total(body.comm, float(np.sum(areas))))}
+    return next(({"kind": kind} for kind in ("edge", "point") if name in body.parts[kind]), {})

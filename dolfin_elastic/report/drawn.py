@@ -14,17 +14,19 @@ from dolfin_elastic.core.si_text import number, quantity
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.core.units import to_si
 from dolfin_elastic.mesh.geometry.simplices import qualities, signed_volumes
-from dolfin_elastic.report.scene import Marks, Scene, View, chosen_frames, node_values, surface_of
-from dolfin_elastic.report.words import Table, part_names
+from dolfin_elastic.report.scene import Viewed, chosen_frames, node_values, surface_of
+from dolfin_elastic.report.words import Table
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.finished.xdmf import Frame, read_frames, read_grid
+from dolfin_elastic.results.scene.edges import sharp_edges
+from dolfin_elastic.results.scene.scene import Frame as State
+from dolfin_elastic.results.scene.scene import Glyphs, Scene
 
 if TYPE_CHECKING:
     import pyvista
 
 _FAILED = "failed_state.xdmf"
 _MOST_MODES = 12
-_PUSHES = ("pressure", "cavity")
 
 
 def drawn_frames(run: FinishedRun) -> list[tuple[str, Frame]]:
@@ -58,7 +60,7 @@ def _label(run: FinishedRun, t: float) -> str:
     return f"t = {quantity(t, 's')}" if run.moving else f"load factor {number(t)}"
 
 
-def scene_of(run: FinishedRun, frames: Sequence[tuple[str, Frame]]) -> Scene | None:
+def scene_of(run: FinishedRun, frames: Sequence[tuple[str, Frame]]) -> Viewed | None:
     """The scene; None where nothing can be drawn.
 
     Args:
@@ -70,27 +72,24 @@ def scene_of(run: FinishedRun, frames: Sequence[tuple[str, Frame]]) -> Scene | N
     if not frames:
         return None
     grid = read_grid(run.folder, frames[-1][1])
-    nodes, triangles, edges, before = surface_of(grid)
+    nodes, triangles, before = surface_of(grid)
     if not len(triangles):
         return None
     chosen = [frames[k] for k in chosen_frames(len(frames), len(nodes))]
-    points = np.asarray(grid.points, dtype=np.float64)
-    views = []
+    points, shown = np.asarray(grid.points, dtype=np.float64), []
     for label, frame in chosen:
-        shown = grid if frame is frames[-1][1] else read_grid(run.folder, frame)
-        if np.array_equal(shown.points, points):  # else the run went on with other ranks
-            views.append(_view(label, shown, nodes, _allowable(run.case)))
-    dim = frames[-1][1].dim
-    return Scene(
-        points=points[nodes],
-        triangles=triangles,
-        edges=edges,
-        views=tuple(views),
-        plane=dim == 2,
-        modes=bool(run.summary.get("modes")),
-        of=before,
-        marks=tuple(_marks(run, points[nodes])),
+        one = grid if frame is frames[-1][1] else read_grid(run.folder, frame)
+        if np.array_equal(one.points, points):  # else the run went on with other ranks
+            shown.append(_frame(label, one, nodes, _allowable(run.case)))
+    scene = Scene(
+        points[nodes],
+        triangles,
+        sharp_edges(points[nodes], triangles),
+        tuple(shown),
+        frames[-1][1].dim == 2,
+        glyphs=tuple(Glyphs.of(row) for row in run.model.get("glyphs") or ()),
     )
+    return Viewed(scene, bool(run.summary.get("modes")), before)
 
 
 def _allowable(case: Table) -> float | None:
@@ -106,9 +105,9 @@ def _allowable(case: Table) -> float | None:
         return None
 
 
-def _view(
+def _frame(
     label: str, grid: pyvista.UnstructuredGrid, nodes: IntArray, allowable: float | None
-) -> View:
+) -> State:
     values = {name: v[nodes] for name, v in node_values(grid, allowable).items()}
     u = np.zeros((grid.n_points, 3))
     if "displacement" in grid.point_data:
@@ -116,95 +115,7 @@ def _view(
         u[:, : given.shape[1]] = given
     u = u[nodes]
     u[~np.isfinite(u)] = 0.0
-    return View(label, u, {**values, "displacement": np.linalg.norm(u, axis=1)})
-
-
-# --- supports and loads ---
-
-
-def _marks(run: FinishedRun, points: FloatArray) -> Iterator[Marks]:
-    """Arrows of what the run has noted places of."""
-    parts = run.model.get("parts") or {}
-    sums = run.model.get("loads") or []
-    for k, row in enumerate(run.case.get("support") or []):
-        rows = _places(parts, part_names(row))
-        if len(rows):
-            yield _held(f"support {k}", rows, points)
-    for k, row in enumerate(run.case.get("load") or []):
-        force = next(
-            (s.get("force") for s in sums if str(s.get("load", "")).startswith(f"load[{k}]")), None
-        )
-        rows = _places(parts, part_names(row))
-        if found := _acting(f"load {k}", row, rows, force, points):
-            yield found
-
-
-def _places(parts: Table, on: Sequence[str]) -> FloatArray:
-    """Places, and for surfaces normals, shape (n, 6); normals of others are 0."""
-    found = []
-    for name in on:
-        for row in (parts.get(name) or {}).get("places") or []:
-            numbers = [float(value) for value in row]
-            dim = 2 if len(numbers) in (2, 4) else 3
-            x, normal = numbers[:dim], numbers[dim:]
-            found.append([*x, *[0.0] * (3 - dim), *normal, *[0.0] * (3 - len(normal))])
-    return np.array(found).reshape(-1, 6)
-
-
-def _held(name: str, rows: FloatArray, points: FloatArray) -> Marks:
-    """Wedges that point at the surface from outside."""
-    inward = -rows[:, 3:]
-    inward[~inward.any(axis=1)] = (0.0, 1.0, 0.0) if np.ptp(points[:, 2]) == 0 else (0.0, 0.0, 1.0)
-    return Marks(name, False, _nearest(rows[:, :3], points), inward, (False,) * len(rows))
-
-
-def _acting(
-    name: str,
-    table: Table,
-    rows: FloatArray,
-    force: Sequence[float] | None,
-    points: FloatArray,
-) -> Marks | None:
-    """Arrows along a load; one in the middle of the body for a load on the whole of it."""
-    along = np.zeros(3)
-    if force is not None:
-        along[: min(len(force), 3)] = force[:3]
-    follows = str(table.get("kind")) in _PUSHES
-    if follows and len(rows):
-        pushes = _sign(table)
-        return Marks(
-            name,
-            True,
-            _nearest(rows[:, :3], points),
-            -pushes * rows[:, 3:],
-            (pushes < 0,) * len(rows),
-        )
-    if not along.any():
-        return None
-    if not len(rows) and "at" in table:
-        return None
-    if not len(rows):
-        return Marks(name, True, np.array([-1]), along[None], (True,))
-    directions = np.tile(along, (len(rows), 1))
-    away = np.einsum("ij,ij->i", rows[:, 3:], directions) >= 0
-    return Marks(
-        name, True, _nearest(rows[:, :3], points), directions, tuple(bool(x) for x in away)
-    )
-
-
-def _sign(table: Table) -> float:
-    """-1 of suction."""
-    for key in ("value", "pressure"):
-        text = str(table.get(key, "")).strip()
-        if text.startswith("-"):
-            return -1.0
-    return 1.0
-
-
-def _nearest(places: FloatArray, points: FloatArray) -> IntArray:
-    from scipy.spatial import cKDTree
-
-    return np.asarray(cKDTree(points).query(places)[1], dtype=np.int64)
+    return State(label, u, {**values, "displacement": np.linalg.norm(u, axis=1)})
 
 
 # --- the mesh ---

@@ -15,6 +15,7 @@ import numpy as np
 
 from dolfin_elastic.case.toml import toml_text
 from dolfin_elastic.core import __version__
+from dolfin_elastic.core.errors import DrawingError
 from dolfin_elastic.core.files.regular import irregular, read_regular
 from dolfin_elastic.core.si_text import counted, listed, number, quantity, size, vector
 from dolfin_elastic.report import balance, contents
@@ -22,8 +23,8 @@ from dolfin_elastic.report.charts import Axis, histogram
 from dolfin_elastic.report.drawn import drawn_frames, mesh_quality, scene_of
 from dolfin_elastic.report.laws import materials_of
 from dolfin_elastic.report.page import json_text, render
-from dolfin_elastic.report.scene import FIRST, Scene, packed
-from dolfin_elastic.report.still import Camera, colour_table
+from dolfin_elastic.report.scene import Viewed, packed
+from dolfin_elastic.report.still import stills
 from dolfin_elastic.report.words import Table, analysis_of, what_was_computed
 from dolfin_elastic.results.files import replace_text
 from dolfin_elastic.results.finished.run import FinishedRun
@@ -37,8 +38,6 @@ _PICTURES = 1_500_000
 """Bytes of the run's own pictures in it, where there is room for them."""
 _REST = 1_500_000
 """Letters of a page without pictures: the viewer has 580 000, charts and case the others."""
-_STILLS = 3
-"""Fields of which there are fixed pictures."""
 _HASHED = 2_000_000_000
 """Bytes of a file up to which it gets a checksum."""
 _CASE = 200_000
@@ -131,43 +130,42 @@ def _audited(summary: Table) -> str:
 # --- pictures ---
 
 
-def _palette(scene: Scene | None) -> dict[str, str]:
+def _palette(viewed: Viewed | None) -> dict[str, str]:
     """Support or load to its colour."""
     found: dict[str, str] = {}
-    for marks in scene.marks if scene is not None else ():
-        colours = _LOADS if marks.load else _SUPPORTS
-        found[marks.name] = colours[int(marks.name.split()[-1]) % len(colours)]
+    for glyphs in viewed.scene.glyphs if viewed is not None else ():
+        colours = _LOADS if glyphs.load else _SUPPORTS
+        found[glyphs.key] = colours[int(glyphs.key.split()[-1]) % len(colours)]
     return found
 
 
-def _pictures(scene: Scene | None, palette: Mapping[str, str]) -> dict[str, object]:
-    if scene is None:
-        return {"scene": None, "stills": [], "held": "", "palette": {}, "drawn": "", "left_out": ()}
-    camera = Camera(scene, palette)
-    varied = [one for one in scene.fields if one.name in FIRST and one.high > one.low]
-    stills = [(shown.title, camera.picture(shown)) for shown in varied[:_STILLS]]
-    held = Camera(scene, palette, marks=True).picture() if scene.marks else ""
-    table = colour_table()
-    count, of = len(scene.triangles), scene.of
+def _pictures(viewed: Viewed | None, palette: Mapping[str, str]) -> dict[str, object]:
+    found: dict[str, object] = {"stills": [], "held": "", "palette": palette, "not_drawn": ""}
+    if viewed is None:
+        return {**found, "scene": None, "drawn": "", "left_out": ()}
+    try:
+        found["stills"], found["held"] = stills(viewed, palette)
+    except DrawingError as error:
+        found["not_drawn"] = str(error)
+        log.warning("the page has no fixed pictures: %s", error)
+    count, of = len(viewed.scene.triangles), viewed.of
     return {
-        "scene": packed(scene, table, palette),
-        "stills": stills or [("", camera.picture())],
-        "held": held,
-        "palette": palette,
-        "left_out": scene.left_out,
+        **found,
+        "scene": packed(viewed, palette),
+        "left_out": viewed.left_out,
         "drawn": f"drawn with {count} of {of} triangles of its surface" if count < of else "",
-        "still_label": scene.views[scene.last].label,
-        "still_scale": _scale_text(scene),
+        "still_label": viewed.frame.label,
+        "still_scale": _scale_text(viewed),
     }
 
 
-def _scale_text(scene: Scene) -> str:
-    if scene.modes:
+def _scale_text(viewed: Viewed) -> str:
+    if viewed.modes:
         return "the size of a mode has no meaning"
     return (
         "deformation in true scale"
-        if scene.scale == 1
-        else f"deformation {number(scene.scale)} times"
+        if viewed.scale == 1
+        else f"deformation {number(viewed.scale)} times"
     )
 
 
@@ -248,11 +246,11 @@ def _key_figures(run: FinishedRun, longest: float) -> list[tuple[str, contents.V
     return found
 
 
-def _extent(run: FinishedRun, scene: Scene | None) -> list[float]:
+def _extent(run: FinishedRun, viewed: Viewed | None) -> list[float]:
     """Sides of the body [m]."""
-    if scene is not None:
-        sides = np.ptp(scene.points, axis=0)
-        return [float(side) for side in (sides[:2] if scene.plane else sides)]
+    if viewed is not None:
+        sides = np.ptp(viewed.scene.points, axis=0)
+        return [float(side) for side in (sides[:2] if viewed.scene.plane else sides)]
     return [float(x) for x in (run.model.get("mesh") or {}).get("extent") or []]
 
 

@@ -34,8 +34,8 @@ from dolfin_elastic.results.writers.xdmf import XdmfWriter
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body
     from dolfin_elastic.problem.problem import Problem
+    from dolfin_elastic.results.scene.appearance import Appearance
     from dolfin_elastic.results.scene.clip import Clip
-    from dolfin_elastic.results.scene.pictures import Appearance
     from dolfin_elastic.results.scene.series import Limits
 
 
@@ -429,7 +429,7 @@ class Picture(Output):
 
     def appearance(self, body: Body) -> Appearance:
         """How the pictures show the body. Collective."""
-        from dolfin_elastic.results.scene.pictures import Appearance
+        from dolfin_elastic.results.scene.appearance import Appearance
         from dolfin_elastic.results.scene.series import Limits
 
         return Appearance(

@@ -17,8 +17,8 @@ from dolfin_elastic.cli import console
 from dolfin_elastic.cli.look.show import show_look
 from dolfin_elastic.core.errors import DrawingError
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.results.scene import body_picture as draw
-from dolfin_elastic.results.scene.body import Scene
+from dolfin_elastic.results.scene import series
+from dolfin_elastic.results.scene.scene import Picture
 
 COMM = MPI.COMM_WORLD
 MM = 1e-3
@@ -159,7 +159,7 @@ def test_picture_of_a_case(folder: Path) -> None:
         ]
 
     shape, pixels = on_root(COMM, counts)
-    assert shape[1] == 2200 and shape[0] > 1000
+    assert shape[1] == 3000 and shape[0] > 1000
     assert all(count > 150 for count in pixels)
 
 
@@ -167,7 +167,7 @@ def test_without_a_picture_the_list_still_comes(folder: Path, monkeypatch) -> No
     def fail(*_: object) -> None:
         raise DrawingError("cannot draw a picture: no display; pyvista and Xvfb are needed")
 
-    monkeypatch.setattr(draw, "draw_scene", fail)
+    monkeypatch.setattr(series, "draw_pictures", fail)
     found = look_at(case(folder), picture=folder / "look.png")
     text = "no picture: cannot draw a picture: no display; pyvista and Xvfb are needed"
     assert faults(found) == [text]
@@ -177,11 +177,11 @@ def test_without_a_picture_the_list_still_comes(folder: Path, monkeypatch) -> No
 @pytest.mark.parametrize(("value", "up"), [("", "z"), ("value = [0, -9.81, 0]\n", "y")])
 def test_up_is_against_the_weight(folder: Path, monkeypatch, value: str, up: str) -> None:
     """As in the pictures of the case's results."""
-    drawn: list[Scene] = []
-    monkeypatch.setattr(draw, "draw_scene", lambda scene, file: drawn.append(scene))
+    drawn: list[list[Picture]] = []
+    monkeypatch.setattr(series, "draw_pictures", lambda user, sides, file: drawn.append(sides))
     text = CASE.replace('kind = "gravity"\n', f'kind = "gravity"\n{value}')
     look_at(case(folder, text), picture=folder / "look.png")
-    assert [scene.up for scene in drawn] == [up] * (COMM.rank == 0)
+    assert [[one.up for one in sides] for sides in drawn] == [[up] * 2] * (COMM.rank == 0)
 
 
 def test_lists_of_a_finished_mesh(folder: Path) -> None:

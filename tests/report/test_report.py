@@ -10,6 +10,7 @@ import json
 import math
 import os
 import re
+from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
@@ -21,29 +22,26 @@ import pytest
 from dolfin_elastic import Case, run
 from dolfin_elastic.case.described import described_tables
 from dolfin_elastic.cli.tools.report import _write
-from dolfin_elastic.core.errors import InputError, OutputError, SolveError
+from dolfin_elastic.core.errors import DrawingError, InputError, OutputError, SolveError
 from dolfin_elastic.model.describe import Setting
-from dolfin_elastic.report import pdf
+from dolfin_elastic.report import pdf, still
 from dolfin_elastic.report.balance import balance_of, supports_of
 from dolfin_elastic.report.charts import Axis, Line, line_chart
 from dolfin_elastic.report.contents import history_charts, last_values
-from dolfin_elastic.report.depth import Window, look
 from dolfin_elastic.report.laws import _constants
 from dolfin_elastic.report.page import json_text
 from dolfin_elastic.report.report import LARGEST, _command, _own_pictures, _room, write_report
 from dolfin_elastic.report.scene import (
     MOST_TRIANGLES,
-    Scene,
-    Shown,
-    View,
+    Viewed,
     chosen_frames,
     node_values,
     packed,
 )
-from dolfin_elastic.report.still import Camera, _colours, colour_table
 from dolfin_elastic.report.words import small_strains
 from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.scene._draw import colour_map
+from dolfin_elastic.results.scene.colour_bar import colour_map
+from dolfin_elastic.results.scene.scene import Frame, Glyphs, Scene
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror='alert(2)'>&amp;\"`"
 BOX = {"box": {"size": [4, 1, 1], "cells": [4, 1, 1]}}
@@ -285,9 +283,9 @@ def test_large_surface() -> None:
     kept = chosen_frames(500, count)
     assert kept[-1] == 499
     values = {"von_mises": points[:, 0] * 1e6, "displacement": points[:, 1]}
-    views = tuple(View(f"{k}", points * 0.1, values) for k in kept)
-    scene = Scene(points, triangles, triangles[:, :2], views)
-    text = json_text(packed(scene, np.zeros((256, 4), np.uint8), {}))
+    frames = tuple(Frame(f"{k}", points * 0.1, values) for k in kept)
+    scene = Scene(points, triangles, triangles[:, :2], frames)
+    text = json_text(packed(Viewed(scene), {}))
     assert len(text) < 0.75 * LARGEST
 
 
@@ -295,14 +293,14 @@ def test_scene_keeps_its_numbers() -> None:
     """What the viewer unpacks is within 16 bits of what was packed; small motion is scaled up."""
     points = np.array([[0.0, 0, 0], [2, 0, 0], [0, 1, 0]])
     u = np.array([[0.0, 0, 0], [0, 0, 1e-4], [0, 0, -3e-5]])
-    view = View("1", u, {"von_mises": np.array([1e6, 3e6, np.nan])})
-    scene = Scene(points, np.array([[0, 1, 2]]), np.array([[0, 1]]), (view,))
-    assert scene.scale == 1000  # 0.1 of 2
-    found = packed(scene, np.zeros((256, 4), np.uint8), {})
+    one = Frame("1", u, {"von_mises": np.array([1e6, 3e6, np.nan])})
+    viewed = Viewed(Scene(points, np.array([[0, 1, 2]]), np.array([[0, 1]]), (one,)))
+    assert viewed.scale == 1000  # 0.1 of 2
+    found = packed(viewed, {})
     (frame,) = found["frames"]  # type: ignore[misc]
     back = np.frombuffer(base64.b64decode(frame["u"]), "<i2").reshape(-1, 3) / 32767 * 1e-4
     assert back == pytest.approx(u, abs=1e-4 / 32767)
-    (shown,) = scene.fields
+    (shown,) = viewed.fields
     assert (shown.low, shown.high, shown.unit) == (0.0, 3e6, "MPa")
     raw = np.frombuffer(base64.b64decode(frame["values"]["von_mises"]), "<u2")
     assert raw[:2] / 65534 == pytest.approx([1 / 3, 1], abs=1e-5)
@@ -313,80 +311,59 @@ def test_nodes_without_a_value_are_no_zeros() -> None:
     """A material without an allowable stress has no safety factor, and is grey."""
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
     values = {"safety_factor": np.array([np.nan, 2.0, 5.0, 1.0])}
-    view = View("end", np.zeros((4, 3)), values)
+    frame = Frame("end", np.zeros((4, 3)), values)
     triangles = np.array([[0, 1, 2], [1, 3, 2]])
-    scene = Scene(points, triangles, triangles[:, :2], (view,), plane=True)
-    data: Any = packed(scene, np.zeros((256, 4), dtype=np.uint8), {})
+    scene = Scene(points, triangles, triangles[:, :2], (frame,), plane=True)
+    data: Any = packed(Viewed(scene), {})
     assert data["fields"][0]["least"]
     raw = np.frombuffer(base64.b64decode(data["frames"][0]["values"]["safety_factor"]), "<u2")
     assert raw[0] == 65535
     assert raw[1:] / 65534 == pytest.approx([0.4, 1.0, 0.2], abs=1e-4)
-    seen = values["safety_factor"][triangles].mean(axis=1)
-    colours = _colours(seen, scene.fields[0])
-    assert np.ptp(colours[0]) < 0.1 < np.ptp(colours[1])
 
 
 def test_colours_of_a_run() -> None:
     """Those of the pictures that `run` draws; a small safety factor is red, a large stress too."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    frame = Frame("", np.zeros((3, 3)), {"von_mises": points[:, 0]})
+    data: Any = packed(Viewed(Scene(points, np.array([[0, 1, 2]]), frames=(frame,))), {})
+    table = np.frombuffer(base64.b64decode(data["colours"]), np.uint8).reshape(256, 4)
+    assert np.array_equal(table, np.rint(255 * colour_map()(np.arange(256))))
     for turned in (False, True):
-        wanted = np.rint(255 * colour_map(warm_first=turned)(np.arange(256)))
-        assert np.array_equal(colour_table(warm_first=turned), wanted)
-    ends = np.array([0.0, 5.0])
-    stress = Shown("von_mises", "", 0.0, 5.0, 1.0, "Pa")
-    safety = Shown("safety_factor", "", 0.0, 5.0, 1.0, "")
-    assert _colours(ends, stress)[1, 0] > 0.7 > 0.4 > _colours(ends, stress)[0, 0]
-    assert _colours(ends, safety)[0, 0] > 0.7 > 0.4 > _colours(ends, safety)[1, 0]
+        red = colour_map(warm_first=turned)(np.array([0, 255]))[:, 0]
+        assert red[int(not turned)] > 0.7 > 0.4 > red[int(turned)]
 
 
-def test_what_the_body_hides() -> None:
-    """Of two squares behind each other the nearer one is seen, whatever their order and size.
-
-    A line on the rear one is seen where it looks out, and one on the front one as a whole.
-    """
-    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
-    flat = np.concatenate([2 * square, square + 0.5])
-    depth = np.repeat([0.0, 1.0], 4)
-    halves = np.array([[0, 1, 2], [0, 2, 3]])
-    window = Window(np.zeros(2), 0.01, (200, 200))
-    triangles = np.concatenate([halves, halves + 4])
-    x = 0.01 * (np.arange(200) + 0.5)
-    front = (np.abs(x[:, None] - 1) < 0.5) & (np.abs(x[None] - 1) < 0.5)
-    for order in ([0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]):
-        seen = look(flat, depth, triangles[order], window)
-        assert np.array_equal(np.array(order)[seen.triangle] >= 2, front)
-        assert np.array_equal(seen.depth, np.where(front, 1.0, 0.0))
-    # Values of the corners are linear between them.
-    which, shares = seen.weights(flat, triangles[order])
-    places = np.einsum("pi,pij->pj", shares, flat[triangles[order][which]])
-    np.testing.assert_allclose(places[:, 0], np.tile(x, 200), atol=1e-12)
-    np.testing.assert_allclose(places[:, 1], np.repeat(x, 200), atol=1e-12)
-    ends = np.array([[[0.0, 1.0], [2.0, 1.0]], [[0.5, 0.5], [1.5, 0.5]]])
-    pieces, clear = seen.pieces(ends, np.array([[0.0, 0.0], [1.0, 1.0]]), 1e-3)
-    along = pieces.mean(axis=1)
-    rear = along[:, 1] == 1.0
-    hidden = np.abs(along[:, 0] - 1) < 0.5
-    near = np.abs(np.abs(along[:, 0] - 1) - 0.5) < 0.03  # a piece is 3 pixels long
-    assert np.array_equal(clear[rear & ~near], ~hidden[rear & ~near])
-    assert clear[~rear].all()
+def test_glyphs_stand_where_they_act() -> None:
+    """At the nearest nodes, with which they move; those of the whole body in its middle."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    frame = Frame("", np.zeros((3, 3)), {"displacement": points[:, 0]})
+    along, tails = np.array([[0.0, 0, 1]]), np.array([True])
+    glyphs = Glyphs("load 0", "", True, points[1:2] + 0.1, along, tails)
+    every = (glyphs, replace(glyphs, key="load 1", inside=True))
+    scene = Scene(points, np.array([[0, 1, 2]]), frames=(frame,), glyphs=every)
+    data: Any = packed(Viewed(scene), {"load 0": "red", "load 1": "blue"})
+    assert [(one["at"], one["colour"]) for one in data["glyphs"]] == [([1], "red"), ([-1], "blue")]
+    again = Glyphs.of(json.loads(json.dumps(glyphs.plain())))
+    np.testing.assert_allclose(again.places, glyphs.places, rtol=1e-6)
+    assert again.ends(1.0)[0].tolist() == pytest.approx(
+        np.array([[1.1, 0.1, 0.1], [1.1, 0.1, 0.21]])
+    )
 
 
-def test_rear_rims_are_hidden() -> None:
-    """Of a block the edges that meet in the corner that is turned away are not drawn."""
-    corners = np.array([[i, j, k] for k in (0, 1) for j in (0, 1) for i in (0, 1)], dtype=float)
-    sides = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
-    triangles = np.array([half for a, b, c, d in sides for half in ([a, b, c], [a, c, d])])
-    edges = np.array([[i, i | bit] for i in range(8) for bit in (1, 2, 4) if not i & bit])
-    view = View("", np.zeros((8, 3)), {"displacement": corners[:, 0]})
-    camera = Camera(Scene(corners, triangles, edges, (view,)), {})
-    pieces, clear = camera.lines()
-    # The eye is at (+, -, +): the corner (0, 1, 0) is hidden, number 2.
-    behind = [list(edge) for edge in edges.tolist() if 2 in edge]
-    assert len(behind) == 3
-    flat = camera.flat
-    for a, b in edges:
-        middle = (flat[a] + flat[b]) / 2
-        nearest = np.argmin(np.linalg.norm(pieces.mean(axis=1) - middle, axis=1))
-        assert clear[nearest] == ([a, b] not in behind)
+def test_without_pictures_the_viewer_stays(
+    folders: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where no display can be started the page says so."""
+
+    def fail(*_: object) -> None:
+        raise DrawingError("cannot draw a picture: no display")
+
+    monkeypatch.setattr(still, "draw_pictures", fail)
+    page, _ = page_of(folders("statics"), tmp_path / "page.html")
+    assert "There are no fixed pictures: cannot draw a picture: no display." in page.text
+    assert not page.all("img")
+    assert json.loads(page.inside["script"][0])["frames"]
+    check_policy(page)
 
 
 def test_fields_that_are_offered() -> None:
@@ -408,7 +385,8 @@ def test_fields_that_are_offered() -> None:
     np.testing.assert_allclose(values["von_mises"], tension[:, 0], rtol=1e-12)
     np.testing.assert_allclose(values["safety_factor"], [8, 4, 8 / 3, 2], rtol=1e-12)
     triangles = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
-    scene = Scene(points, triangles, triangles[:, :2], (View("", 0 * points, values),))
+    frame = Frame("", 0 * points, values)
+    scene = Viewed(Scene(points, triangles, triangles[:, :2], (frame,)))
     assert [shown.name for shown in scene.fields] == [
         *("von_mises", "displacement", "safety_factor"),
         *("cauchy_stress", "max_principal_stress"),
@@ -428,13 +406,13 @@ def test_fields_without_room_are_named() -> None:
     triangles = np.arange(3 * MOST_TRIANGLES).reshape(-1, 3) % count
     names = ["tresca", "pressure", "jacobian", "von_mises", "displacement"]
     values = {name: points[:, 0] * (1 + k) for k, name in enumerate(names)}
-    views = tuple(View(f"{k}", points * 0.1, values) for k in chosen_frames(500, count))
-    scene = Scene(points, triangles, triangles[:, :2], views)
+    frames = tuple(Frame(f"{k}", points * 0.1, values) for k in chosen_frames(500, count))
+    scene = Viewed(Scene(points, triangles, triangles[:, :2], frames))
     assert [shown.name for shown in scene.fields] == ["von_mises", "displacement"]
     assert scene.left_out == ("tresca", "pressure", "det F")
-    text = json_text(packed(scene, np.zeros((256, 4), np.uint8), {}))
+    text = json_text(packed(scene, {}))
     assert len(text) < 0.75 * LARGEST
-    (one,) = (Scene(points, triangles, triangles[:, :2], views[:1]) for _ in range(1))
+    one = Viewed(Scene(points, triangles, triangles[:, :2], frames[:1]))
     assert len(one.fields) == 5  # there is room with one state
 
 

@@ -44,13 +44,14 @@ from dolfin_elastic.results.outputs import (
     Xdmf,
 )
 from dolfin_elastic.results.scene import colour_bar, pictures, renderer, scene
-from dolfin_elastic.results.scene._draw import _lines, _silhouette, _without_jagged, colour_map
+from dolfin_elastic.results.scene.appearance import Appearance
 from dolfin_elastic.results.scene.clip import Clip
-from dolfin_elastic.results.scene.colour_bar import make_colour_bar
+from dolfin_elastic.results.scene.colour_bar import ColourBar, colour_map, make_colour_bar
 from dolfin_elastic.results.scene.drawn_field import DrawnField
-from dolfin_elastic.results.scene.pictures import Appearance, Painter, _round_off, picture
+from dolfin_elastic.results.scene.edges import no_chance, silhouette
+from dolfin_elastic.results.scene.pictures import Painter, _round_off, picture
 from dolfin_elastic.results.scene.scene import window
-from dolfin_elastic.results.scene.surface import Surface, gather_surface
+from dolfin_elastic.results.scene.surface import gather_surface
 from dolfin_elastic.results.writer import Output
 
 
@@ -554,25 +555,21 @@ def test_sections(clips: list[Clip], low: float, high: float, area: float, edges
         painter.close()
     assert len(found) == (problem.body.comm.rank == 0)
     for one in found:
-        x = one["points"]
+        x, u = one.scene.points, one.frame.u
         assert low - 1e-5 <= x[:, 0].min() < x[:, 0].max() <= high + 1e-5
         # Between points of a section h = 1/2 apart u is linear: |u''| h^2/8 = 0.4/32.
-        np.testing.assert_allclose(one["u"], displacement(x.T).T, atol=0.0125)
-        corners = x[one["triangles"]]
+        np.testing.assert_allclose(u, displacement(x.T).T, atol=0.0125)
+        corners = x[one.scene.triangles]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         assert np.linalg.norm(across, axis=1).sum() / 2 == pytest.approx(area, rel=1e-4)
         # The camera shows what is drawn, undeformed and deformed, and nothing beside it.
-        seen = window(np.vstack([x, x + one["scale"] * one["u"]]), str(one["view"]))
-        np.testing.assert_allclose(one["window"], seen, rtol=0, atol=1e-12)
+        seen = window(np.vstack([x, x + one.scale * u]), one.view)
+        np.testing.assert_allclose(one.seen, seen, rtol=0, atol=1e-12)
         # What is left is a box: its edges are drawn, the rims of the sections among them, and
         # nothing that the triangles of a section would add.
-        lines = _lines(one)
-        assert lines.compute_cell_sizes(area=False, volume=False)["Length"].sum() == pytest.approx(
-            edges, rel=1e-4
-        )
-        np.testing.assert_allclose(
-            lines.point_data["u"], displacement(np.asarray(lines.points).T).T, atol=0.0125
-        )
+        lines = x[one.scene.edges]
+        lengths = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)
+        assert lengths.sum() == pytest.approx(edges, rel=1e-4)
 
 
 @pytest.mark.parametrize(("aside", "turn", "kept"), [(0, 45, 60), (0.05, 45, 0), (0.05, 90, 60)])
@@ -584,15 +581,11 @@ def test_zigzags_of_rounded_bodies_are_no_edges(aside: float, turn: float, kept:
         turn: Of the surface at the ring [degrees].
         kept: Edges that are left.
     """
-    import pyvista
-
     around, i = np.linspace(0, 2 * np.pi, 60, endpoint=False), np.arange(60)
     radius = 1 - aside * (i % 2)
     ring = np.stack([radius * np.cos(around), radius * np.sin(around), 0 * around], axis=1)
-    lines = np.stack([0 * i + 2, i, (i + 1) % 60], axis=1)
-    edges = pyvista.PolyData(ring, lines=lines.ravel()).connectivity()
-    edges.cell_data["turn"] = np.full(60, float(turn))
-    assert _without_jagged(edges, 0.28).n_cells == kept
+    pairs = np.stack([i, (i + 1) % 60], axis=1)
+    assert no_chance(ring, pairs, np.full(60, float(turn)), 2.8).sum() == kept
 
 
 def test_silhouettes_have_no_short_lines() -> None:
@@ -611,10 +604,9 @@ def test_silhouettes_have_no_short_lines() -> None:
     turned = triangles.copy()
     turned[inner] = turned[inner][::-1]
     for t in (triangles, turned):
-        data = {"points": x, "u": 0 * x, "scale": 1.0, "triangles": t, "value": x[:, 0]}
-        data["back"] = np.array([0.0, 0.0, 1.0])
-        assert _silhouette(data, 0.0, deformed=True).n_cells == 240 + 3 * int(t is turned)
-        assert _silhouette(data, 0.25, deformed=True).n_cells == 240
+        back = np.array([0.0, 0.0, 1.0])
+        assert len(silhouette(x, t, back, 0.0)) == 240 + 3 * int(t is turned)
+        assert len(silhouette(x, t, back, 0.25 * body.length)) == 240
 
 
 def test_a_new_run_removes_old_pictures(folder: Path) -> None:
@@ -771,21 +763,16 @@ def test_headlines_of_pictures() -> None:
     assert pictures._headline(moving, Appearance()) == ("t = 0.05 s   |   deformation \u00d7 1")
 
 
-def colour_data(problem: Problem, field: str, surface: Surface) -> dict[str, Any]:
-    """What the drawing process is told of the colours of some values."""
-    values = surface.values["value"][:, 0]
-    tensor = FIELDS[field].shape == "tensor"
-    return scene.colours(values, values, field, FIELDS[field].unit, tensor=tensor)
+def bar_of(field: str, values: Sequence[float]) -> ColourBar:
+    """The colour bar of some values."""
+    tensor, x = FIELDS[field].shape == "tensor", np.array(values)
+    return scene.bar_of(x, x, field, FIELDS[field].unit, tensor=tensor)
 
 
 def test_labels_of_colour_bars() -> None:
     """A tensor has one colour at a point: its norm."""
-    surface = Surface(
-        np.zeros((1, 3)), np.zeros((3, 3)), {"value": np.array([[1.0], [2e3], [5e4]])}
-    )
-    problem = make_problem(2)
     names = ("cauchy_stress", "von_mises", "jacobian", "displacement", "error")
-    labels = [colour_data(problem, field, surface)["label"] for field in names]
+    labels = [bar_of(field, [1.0, 2e3, 5e4]).label for field in names]
     assert labels == [
         "Cauchy stress\nnorm of the tensor\n[kPa]",
         "von Mises stress\n[kPa]",
@@ -804,10 +791,9 @@ def test_labels_of_colour_bars() -> None:
 )
 def test_safety_factors_from_zero_to_five(values: list[float], label: str) -> None:
     """Up to 1000, the largest one, all that matters had one colour; in all pictures one is red."""
-    surface = Surface(np.zeros((1, 3)), np.zeros((3, 3)), {"value": np.array(values)[:, None]})
-    data = colour_data(make_problem(2), "safety_factor", surface)
-    np.testing.assert_allclose(data["ticks"], (0, 1, 2, 3, 4, 5), rtol=1e-12)
-    assert data["label"] == label and data["reversed"]
+    bar = bar_of("safety_factor", values)
+    np.testing.assert_allclose(bar.ticks, (0, 1, 2, 3, 4, 5), rtol=1e-12)
+    assert bar.label == label and bar.reversed
 
 
 def test_colours_that_show_edges_and_shades() -> None:

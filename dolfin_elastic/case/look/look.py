@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case, read_case
+from dolfin_elastic.case.check.integrals import Integrals
+from dolfin_elastic.case.check.loads import load_sums
 from dolfin_elastic.case.check.sizes import references
 from dolfin_elastic.case.described import described
+from dolfin_elastic.case.glyphs import glyphs_of
 from dolfin_elastic.case.look.listing import Look, listing
-from dolfin_elastic.case.look.scene import Drawn, drawn_of
 from dolfin_elastic.core.errors import DrawingError, InputError, MeshError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh import Body, read_body
 from dolfin_elastic.model.loads.forces import Gravity
-from dolfin_elastic.results.scene.body import Scene, gather_scene
-from dolfin_elastic.results.scene.scene import Up, up_against
+from dolfin_elastic.results.scene import series
+from dolfin_elastic.results.scene.body import body_scene, patch_colour
+from dolfin_elastic.results.scene.obstacles import Reach, obstacles_beside
+from dolfin_elastic.results.scene.renderer import RENDERER
+from dolfin_elastic.results.scene.scene import Glyphs, Obstacle, Picture, Scene, Up, up_against
+
+_CONTACT = "#b9a8dc"
 
 
 def look_at(
@@ -43,9 +52,15 @@ def look_at(
     def use(name: str, kind: str) -> str:
         return "" if case is None else references(case, body, name, kind)
 
+    glyphs: tuple[Glyphs, ...] = ()
     # Without the names of the case nothing of it has a place.
-    drawn = Drawn() if case is None or notes else drawn_of(case, body)
-    notes = (*notes, *drawn.notes)
+    placed = case if not notes else None
+    if placed is not None:
+        try:
+            integrals = Integrals(placed.make_problem(body), placed.mesh.metres_thick(body))
+            glyphs = glyphs_of(placed, body, load_sums(placed, integrals))
+        except InputError as error:
+            notes = (f"the case has a fault, so that loads and supports may be missing: {error}",)
     found = listing(body, case="" if case is None else case.file, use=use, notes=notes)
     if case is not None:
         found = replace(found, described=described(case, body))
@@ -53,13 +68,12 @@ def look_at(
         return found
     # Of a plane body regions are drawn; surfaces are its outline.
     named = found.surfaces if body.dim == 3 else found.regions[1:]
-    legend = {row.name: row.use for row in named}
-    title = found.case or body.source
-    scene = gather_scene(body, title, legend)
-    if scene is not None:
-        up = _up(case, body)
-        scene = replace(scene, symbols=drawn.symbols, obstacles=drawn.obstacles, up=up)
-    why = on_root(comm, lambda: _why_not_drawn(scene, picture))
+    scene = body_scene(body, [row.name for row in named])
+    if scene is not None and placed is not None:
+        scene = replace(scene, glyphs=glyphs, obstacles=_obstacles(placed, body, scene))
+    legend = tuple((row.name, row.use, patch_colour(i)) for i, row in enumerate(named))
+    title, up = found.case or body.source, _up(case, body)
+    why = on_root(comm, lambda: _why_not_drawn(scene, title, up, legend, picture))
     if why:
         return replace(found, notes=(*found.notes, f"no picture: {why}"))
     return replace(found, picture=str(picture))
@@ -94,13 +108,30 @@ def _body(
     return bare.read_body(comm), (f"without the names of the case: {named}",)
 
 
-def _why_not_drawn(scene: Scene | None, picture: Path) -> str:
-    """Why the picture could not be drawn; empty: it was. On rank 0."""
-    from dolfin_elastic.results.scene.body_picture import draw_scene
+def _obstacles(case: Case, body: Body, scene: Scene) -> tuple[Obstacle, ...]:
+    """As they stand at the start, those that fit the body. On rank 0."""
+    reach, found = Reach(), []
+    reach.take(scene.points)
+    for index, contact in enumerate(case.contact):
+        shape = contact.obstacle.in_metres(body.unit.metres)
+        named = f"'{contact.name}'" if contact.name else f"with {', '.join(contact.surfaces)}"
+        with suppress(InputError):
+            shape.check(body.dim, axisymmetric=case.mesh.geometry == "axisymmetric")
+            found.append((f"contact[{index}] {named}", shape, np.zeros(3)))
+    return obstacles_beside(found, reach, body.dim, _CONTACT)
 
+
+def _why_not_drawn(
+    scene: Scene | None, title: str, up: Up, legend: tuple[tuple[str, str, str], ...], file: Path
+) -> str:
+    """Draws a body, a solid from two sides; why it could not be, empty: it was. On rank 0."""
     assert scene is not None
+    shown = Picture(scene, "z" if scene.plane else "isometric", up, title=title, legend=legend)
+    sides = [shown] if scene.plane else [shown, replace(shown, behind=True)]
     try:
-        draw_scene(scene, picture)
+        series.draw_pictures(scene, sides, file)
     except DrawingError as error:
         return str(error)
+    finally:
+        RENDERER.release(scene)
     return ""

@@ -18,14 +18,14 @@ from dolfin_elastic.core.startup.libraries import start
 if TYPE_CHECKING:
     from dolfin_elastic.core.types import FloatArray
     from dolfin_elastic.results.finished.curves import Curves
-    from dolfin_elastic.results.finished.draw import Look
     from dolfin_elastic.results.finished.run import FinishedRun
+    from dolfin_elastic.results.scene.appearance import Appearance
     from dolfin_elastic.results.scene.clip import Clip
-    from dolfin_elastic.results.scene.scene import Up
+    from dolfin_elastic.results.scene.scene import Up, View
     from dolfin_elastic.results.scene.series import Limits
 
 _FILMS = (".mp4", ".gif")
-_VIEWS = ("isometric", "x", "y", "z", "-x", "-y", "-z")
+_VIEWS: tuple[View, ...] = ("isometric", "x", "y", "z", "-x", "-y", "-z")
 _OUTPUT = "png, mp4 or gif; of curves png, csv, svg or pdf."
 _NUMBERS = ("history.csv", "modes.csv", "results.csv", "converge.csv", "converge.png")
 """Files of a run with the suffixes of what is written here; its pictures are named in the case."""
@@ -120,17 +120,18 @@ def plot(
             file = output or folder / f"plot_{given[0]}.png"
             _write_curves(run, found, file, f"--{given[0]}")
         else:
-            _check_view(view)
+            seen_from = _view(view)
             _check_positive("--scale", scale, "--scale 20", zero=True)
-            look = _look(field, view, _axis(up), scale, limits, clip, plain, run, step)
-            _draw(run, look, step, output, fps, speed)
+            look = _look(seen_from, _axis(up), scale, limits, clip, plain=plain)
+            _draw(run, _fields(run, field, step), look, step, output, fps, speed)
 
     on_root(MPI.COMM_WORLD, work)
 
 
 def _draw(
     run: FinishedRun,
-    look: Look,
+    fields: list[str],
+    look: Appearance,
     step: int,
     output: Path | None,
     fps: float,
@@ -139,7 +140,7 @@ def _draw(
     from dolfin_elastic.results.finished.draw import draw, film
     from dolfin_elastic.results.outputs import check_frames
 
-    file = output or run.folder / f"plot_{'_'.join(look.fields)}.png"
+    file = output or run.folder / f"plot_{'_'.join(fields)}.png"
     _check_apart(run, file)
     # Also of a picture, for which they are nothing: who gives them expects them to be obeyed.
     _check_positive("--fps", fps, "--fps 25")
@@ -149,9 +150,9 @@ def _draw(
         check_frames(fps, "--fps")
     if file.suffix in _FILMS:
         look = replace(look, marks=False)
-        film(run, look, file, fps=fps, speed=speed or (1.0 if run.moving else 0.2))
+        film(run, fields, look, file, fps=fps, speed=speed or (1.0 if run.moving else 0.2))
     elif file.suffix == ".png":
-        draw(run, look, file, step)
+        draw(run, fields, look, file, step)
     else:
         raise InputError(
             f"'{file.name}' is neither picture nor film",
@@ -163,23 +164,20 @@ def _draw(
 
 
 def _look(
-    field: list[str] | None,
-    view: str,
+    view: View,
     up: Up | None,
     scale: float,
     limits: Limits | None,
     clip: list[str] | None,
+    *,
     plain: bool,
-    run: FinishedRun,
-    step: int,
-) -> Look:
-    from dolfin_elastic.results.finished.draw import Look
+) -> Appearance:
+    from dolfin_elastic.results.scene.appearance import Appearance
     from dolfin_elastic.results.scene.series import Limits
 
-    return Look(
-        _fields(run, field, step),
-        view,
+    return Appearance(
         scale,
+        view,
         limits=limits or Limits(),
         marks=not plain,
         obstacles=not plain,
@@ -204,11 +202,11 @@ def _check_positive(option: str, value: float, example: str, *, zero: bool = Fal
         )
 
 
-def _check_view(view: str) -> None:
-    if view not in _VIEWS:
-        raise InputError(
-            f"there is no view '{view}'", where="--view", expected=nearest(view, _VIEWS)
-        )
+def _view(name: str) -> View:
+    for view in _VIEWS:
+        if name == view:
+            return view
+    raise InputError(f"there is no view '{name}'", where="--view", expected=nearest(name, _VIEWS))
 
 
 def _axis(name: str | None) -> Up | None:

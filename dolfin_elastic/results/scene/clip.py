@@ -6,15 +6,16 @@ Rank 0 alone; what is cut is the surface, and the cells that the planes run thro
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dolfin_elastic.core.compat import surface_of
 from dolfin_elastic.core.startup.elsewhere import elsewhere
-from dolfin_elastic.core.types import AnyArray, FloatArray
-from dolfin_elastic.results.scene.scene import Scene, axes_of
+from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IntArray
+from dolfin_elastic.results.scene.edges import sharp_edges, sides
+from dolfin_elastic.results.scene.scene import axes_of
 from dolfin_elastic.results.scene.surface import Surface
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ _ASIDE = 1e-6
 """Distance of a section from where it is asked for, over the body's length."""
 _SLIVER = 1e-5
 """Distance of points of a section that are one, over the body's length."""
+_IN_PLANE = 1e-5
+"""Distance from a clip plane of what lies in it, over the body's length."""
 _OF_CELLS, _NODES = "of_cells", "nodes"
 _WHOLE = 1 - 1e-9
 
@@ -52,32 +55,88 @@ class Clip:
         return bool(axes_of(view, up)[0][self.axis] >= 0) if self.above is None else self.above
 
 
-def sections(
-    surface: pyvista.PolyData,
-    cells: pyvista.DataSet,
-    clips: Sequence[Clip],
-    view: str,
-    up: str = "z",
-) -> pyvista.PolyData:
-    """What planes leave of a surface, with the sections; of triangles, without any if all goes.
+def clipped(
+    surface: Surface, cells: Surface | None, clips: Sequence[Clip], view: str, up: str = "z"
+) -> Surface:
+    """A surface as planes leave it, with its sections and edges; without triangles if all goes.
+
+    Edges are found on the whole surface, and the rims of sections where the planes cut that:
+    triangles of sections have corners and gaps by chance, which are no edges of the body.
 
     Args:
-        cells: Those that the planes cut, or all of them.
+        surface: Its values have the displacement "u".
+        cells: Those that the planes cut, or all, as `gather_cells` gives them; None of a plane
+            body, which has no sections.
         view: See `scene.View`.
         up: Axis that is up.
     """
-    parts = [surface]
-    planes = _planes(surface.length, clips, view, up)
-    for normal, origin, _ in planes:
-        parts.append(cells.slice(normal, origin=origin).triangulate() if cells.n_cells else cells)
+    edges = sharp_edges(surface.points, surface.triangles)
+    if not clips:
+        return replace(surface, edges=edges)
+    with elsewhere():
+        import pyvista as pv
+
+    skin = pv.PolyData(surface.points, np.insert(surface.triangles, 0, 3, axis=1).ravel())
+    _attach(skin, surface)
+    inside = pv.UnstructuredGrid()
+    if cells is not None and len(cells.triangles):
+        nodes = cells.triangles.shape[1]
+        kind = pv.CellType.TETRA if nodes == 4 else pv.CellType.QUADRATIC_TETRA
+        rows = np.insert(cells.triangles, 0, nodes, axis=1).ravel()
+        inside = pv.UnstructuredGrid(rows, np.full(len(cells.triangles), kind), cells.points)
+        _attach(inside, cells)
+    planes, length = _planes(skin.length, clips, view, up), skin.length
+    cuts = [
+        inside.slice(n, origin=x).triangulate() if inside.n_cells else inside for n, x, _ in planes
+    ]
+    parts = [surface_of(one).triangulate() for one in _left([skin, *cuts], planes) if one.n_cells]
+    parts = [_without_slivers(part, _SLIVER * length) for part in parts]
+    first, *others = [part for part in parts if part.n_cells] or [pv.PolyData()]
+    left = first.append_polydata(*others) if others else first
+    if not left.n_cells:
+        none = np.zeros((0, 3))
+        return Surface(none.astype(np.int64), none, dict.fromkeys(surface.values, none))
+    x, t = np.asarray(left.points, dtype=float), left.faces.reshape(-1, 4)[:, 1:].astype(np.int64)
+    in_plane = np.array([np.abs((x - at) @ n) < _IN_PLANE * length for n, at, _ in planes])
+    lines = skin.copy()
+    lines.faces, lines.lines = np.empty(0, dtype=int), np.insert(edges, 0, 2, axis=1).ravel()
+    rims = _left([lines, *(skin.slice(n, origin=at) for n, at, _ in planes)], planes)
+    rims = [rim.extract_geometry() for rim in rims if rim.n_cells]
+    starts = len(x) + np.cumsum([0, *(rim.n_points for rim in rims)])
+    pairs = [rim.lines.reshape(-1, 3)[:, 1:] + at for rim, at in zip(rims, starts, strict=False)]
+    drawn = [left, *rims]
+    return Surface(
+        t,
+        np.concatenate([np.asarray(one.points, dtype=float) for one in drawn]),
+        {k: np.concatenate([_columns(one.point_data[k]) for one in drawn]) for k in surface.values},
+        None if surface.of_cells is None else np.asarray(left.cell_data[_OF_CELLS]),
+        np.concatenate(
+            [np.asarray(left.point_data[_NODES]) > _WHOLE, np.zeros(int(starts[-1]) - len(x), bool)]
+        ),
+        np.concatenate([_meetings(t, in_plane), *pairs]).astype(np.int64),
+        np.asarray(~in_plane[:, t].all(axis=2).any(axis=0)),
+    )
+
+
+def _left(
+    parts: Sequence[pyvista.DataSet], planes: Sequence[tuple[FloatArray, FloatArray, bool]]
+) -> list[pyvista.DataSet]:
+    """What planes leave of a surface, and of what lies in each of them."""
+    found = list(parts)
     for i, (normal, origin, above) in enumerate(planes):
-        for j, part in enumerate(parts):
+        for j, part in enumerate(found):
             if j != i + 1 and part.n_cells:
-                left = part.clip(normal=normal, origin=origin, invert=above)
-                parts[j] = surface_of(left).triangulate()
-    parts = [_without_slivers(part, _SLIVER * surface.length) for part in parts if part.n_cells]
-    first, *others = [part for part in parts if part.n_cells] or [surface.__class__()]
-    return first.append_polydata(*others) if others else first
+                found[j] = part.clip(normal=normal, origin=origin, invert=above)
+    return found
+
+
+def _meetings(t: IntArray, in_plane: BoolArray) -> IntArray:
+    """Lines along which sections meet, as pairs of points."""
+    rows: list[IntArray] = [np.zeros((0, 2), dtype=np.int64)]
+    for i in range(len(in_plane) - 1):
+        pairs = sides(t[in_plane[i][t].all(axis=1)])[0]
+        rows.append(pairs[in_plane[i + 1 :][:, pairs].all(axis=2).any(axis=0)])
+    return np.concatenate(rows)
 
 
 def _planes(
@@ -90,40 +149,6 @@ def _planes(
         (np.eye(3)[c.axis], (c.at + aside) * np.eye(3)[c.axis], c.takes_above(view, up))
         for c in clips
     ]
-
-
-def whole_scene(
-    points: FloatArray,
-    triangles: AnyArray,
-    u: FloatArray,
-    clips: Sequence[Clip],
-    view: str,
-    up: str = "z",
-) -> Scene:
-    """What the drawing process is told of a body before it is cut.
-
-    Its edges are found on the whole surface, and the rims of sections where the planes cut that:
-    triangles of sections have corners and gaps by chance, which are no edges of the body.
-
-    Args:
-        points: Of the whole surface [m], shape (n, 3).
-        triangles: Of it, shape (m, 3).
-        u: Displacement of its points [m], shape (n, 3).
-        view: See `scene.View`.
-        up: Axis that is up.
-    """
-    if not clips:
-        return {}
-    length = float(np.linalg.norm(np.ptp(points, axis=0)))
-    normals, origins, above = zip(*_planes(length, clips, view, up), strict=True)
-    return {
-        "whole_points": points,
-        "whole_triangles": triangles,
-        "whole_u": u,
-        "plane_normals": np.array(normals),
-        "plane_origins": np.array(origins),
-        "plane_above": np.array(above),
-    }
 
 
 def _without_slivers(part: pyvista.PolyData, size: float) -> pyvista.PolyData:
@@ -144,42 +169,6 @@ def _without_slivers(part: pyvista.PolyData, size: float) -> pyvista.PolyData:
     longest = np.max([np.linalg.norm(side, axis=1) for side in (b - a, c - b, a - c)], axis=0)
     wide = area > size * longest
     return part if wide.all() else surface_of(part.extract_cells(np.flatnonzero(wide)))
-
-
-def clipped(
-    surface: Surface, cells: Surface | None, clips: Sequence[Clip], view: str, up: str = "z"
-) -> Surface:
-    """A gathered surface as planes leave it.
-
-    Args:
-        surface: From `gather_surface`.
-        cells: From `gather_cells`; None of a plane body, which has no sections.
-        view: See `scene.View`.
-        up: Axis that is up.
-    """
-    with elsewhere():
-        import pyvista as pv
-
-    skin = pv.PolyData(surface.points, np.insert(surface.triangles, 0, 3, axis=1).ravel())
-    _attach(skin, surface)
-    inside = pv.UnstructuredGrid()
-    if cells is not None and len(cells.triangles):
-        nodes = cells.triangles.shape[1]
-        kind = pv.CellType.TETRA if nodes == 4 else pv.CellType.QUADRATIC_TETRA
-        rows = np.insert(cells.triangles, 0, nodes, axis=1).ravel()
-        inside = pv.UnstructuredGrid(rows, np.full(len(cells.triangles), kind), cells.points)
-        _attach(inside, cells)
-    left = sections(skin, inside, clips, view, up)
-    if not left.n_cells:
-        none = np.zeros((0, 3))
-        return Surface(none.astype(np.int64), none, dict.fromkeys(surface.values, none))
-    return Surface(
-        left.faces.reshape(-1, 4)[:, 1:].astype(np.int64),
-        np.asarray(left.points, dtype=float),
-        {k: _columns(left.point_data[k]) for k in surface.values},
-        None if surface.of_cells is None else np.asarray(left.cell_data[_OF_CELLS]),
-        np.asarray(left.point_data[_NODES]) > _WHOLE,
-    )
 
 
 def _attach(data: pyvista.DataSet, surface: Surface) -> None:

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dolfin_elastic.core.startup.elsewhere import elsewhere
 from dolfin_elastic.core.types import AnyArray
+
+if TYPE_CHECKING:
+    from matplotlib.colors import ListedColormap
 
 INTERVALS = 5
 """Number of intervals between ticks at the most."""
 _APART = 0.06
 EQUAL = 1e-9
 """Relative difference below which values count as equal."""
+_TURBO = (0.12, 0.9)
+"""Part of the colour map: its ends are nearly black."""
 _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"))
 _PREFIXED = ("Pa", "J/m^3", "m", "N", "m/s", "m/s^2", "J", "N m", "s")
 
@@ -27,12 +34,25 @@ class ColourBar:
         factor: SI values over those on the bar.
         unit: Unit on the bar, with a prefix.
         form: Format of the ticks, for printf.
+        label: Above it.
+        reversed: Small values are warm.
     """
 
     ticks: tuple[float, ...]
     factor: float
     unit: str
     form: str
+    label: str = ""
+    reversed: bool = False
+
+
+def colour_map(*, warm_first: bool = False) -> ListedColormap:
+    """Blue, green, yellow, red, none of them dark, so that edges and shades are seen on all."""
+    with elsewhere():
+        from matplotlib import colormaps
+        from matplotlib.colors import ListedColormap
+    shades = colormaps["turbo"](np.linspace(*_TURBO, 256))
+    return ListedColormap(shades[::-1] if warm_first else shades)
 
 
 def make_colour_bar(

@@ -9,8 +9,8 @@ import numpy as np
 from dolfin_elastic.core.shapes.box import Box
 from dolfin_elastic.core.shapes.shapes import Shape
 from dolfin_elastic.core.shapes.triangles import whole
-from dolfin_elastic.core.types import FloatArray, IntArray
-from dolfin_elastic.results.scene.scene import Scene
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.results.scene.scene import OBSTACLE, Obstacle
 
 
 class Reach:
@@ -29,24 +29,17 @@ class Reach:
         self.high = np.maximum(self.high, points.max(axis=0))
 
 
-def obstacle_scene(obstacles: Sequence[tuple[Shape, FloatArray]], reach: Reach, dim: int) -> Scene:
-    """What a picture is told of obstacles: where they would be at rest, and their shifts.
-
-    In a series all pictures show as much of them as the one with the longest reach.
+def obstacles_beside(
+    shapes: Sequence[tuple[str, Shape, FloatArray]], reach: Reach, dim: int, colour: str = OBSTACLE
+) -> tuple[Obstacle, ...]:
+    """Obstacles as large as the body has reached so far.
 
     Args:
-        obstacles: Each with its displacement [m], `dim` components.
+        shapes: What stands beside each, its shape in metres and its displacement [m], `dim`
+            components.
     """
-    points: list[FloatArray] = [np.zeros((0, 3))]
-    shifts: list[FloatArray] = [np.zeros((0, 3))]
-    triangles: list[IntArray] = [np.zeros((0, 3), dtype=np.int64)]
-    for obstacle, shift in obstacles:
-        x, found = obstacle.drawn(Box(reach.low, reach.high), dim)
-        triangles.append(found + sum(map(len, points)))
-        points.append(x)
-        shifts.append(np.tile(whole(shift), (len(x), 1)))
-    return {
-        "obstacle_points": np.concatenate(points),
-        "obstacle_triangles": np.concatenate(triangles),
-        "obstacle_shift": np.concatenate(shifts),
-    }
+    near = Box(reach.low, reach.high)
+    return tuple(
+        Obstacle(name, *shape.drawn(near, dim), whole(shift), colour)
+        for name, shape, shift in shapes
+    )

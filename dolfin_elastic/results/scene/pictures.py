@@ -11,7 +11,7 @@ import math
 import re
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,20 +21,22 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.errors import InputError, OutputError, nearest
 from dolfin_elastic.core.parallel import agree, on_root
+from dolfin_elastic.core.shapes.shapes import Shape
 from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import extent, span
 from dolfin_elastic.model.loads.forces import Gravity
 from dolfin_elastic.problem.material_regions import shear_modulus
 from dolfin_elastic.problem.state import Mode, State, plain
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import make_folder, writing
-from dolfin_elastic.results.scene.clip import Clip, clipped, whole_scene
+from dolfin_elastic.results.scene.appearance import CATEGORIES, DEFAULT, Appearance, picture_of
 from dolfin_elastic.results.scene.drawn_field import DrawnField, with_ghosts
-from dolfin_elastic.results.scene.obstacles import Reach, obstacle_scene
+from dolfin_elastic.results.scene.obstacles import Reach
 from dolfin_elastic.results.scene.renderer import RENDERER
-from dolfin_elastic.results.scene.scene import Scene, Up, View, label_of, up_against, window
-from dolfin_elastic.results.scene.series import FILMS, Limits, Series, film_times
-from dolfin_elastic.results.scene.surface import Surface, gather_cells, gather_surface
+from dolfin_elastic.results.scene.scene import Picture, View, up_against
+from dolfin_elastic.results.scene.series import FILMS, Series, film_times
+from dolfin_elastic.results.scene.surface import gather_cells, gather_surface
 from dolfin_elastic.results.writer import LastState, Numbers, StepInterval
 
 if TYPE_CHECKING:
@@ -46,35 +48,6 @@ _STATICS = 0.2
 """Share of the load that a second of a film shows, if the user does not say."""
 _SLEEP = 0.02
 """Seconds between two looks for the end of the drawing."""
-_CATEGORIES = ("material", "region")
-"""Fields of numbers that stand for names: drawn in distinct colours with a legend."""
-
-
-@dataclass(frozen=True)
-class Appearance:
-    """How a picture shows the body.
-
-    Attributes:
-        scale: Magnification of the displacement.
-        view: Axis along which the body is seen; plane bodies are always seen from the front.
-        title: Text above the body, before load or time.
-        limits: Ends of the colours.
-        marks: The largest value is marked, of safety factors the smallest.
-        obstacles: The rigid obstacles of contacts are drawn, too.
-        up: Axis that is up; None: the one against which weight acts, else z.
-        clips: Planes that take away a part.
-        film: They are frames of a film: of a motion without the undeformed body.
-    """
-
-    scale: float = 1.0
-    view: View = "isometric"
-    title: str = ""
-    limits: Limits = field(default_factory=Limits)
-    marks: bool = True
-    obstacles: bool = True
-    up: Up | None = None
-    clips: Sequence[Clip] = ()
-    film: bool = False
 
 
 @dataclass(frozen=True)
@@ -102,7 +75,7 @@ def check_drawable(name: str) -> str:
         InputError: There is no such field, or it is the same in all states and has no names.
     """
     allowed = [
-        name for name, row in FIELDS.items() if name in _CATEGORIES or row.formula or not row.fixed
+        name for name, row in FIELDS.items() if name in CATEGORIES or row.formula or not row.fixed
     ]
     if name not in FIELDS:
         raise InputError(f"there is no field '{name}'", expected=nearest(name, allowed))
@@ -165,7 +138,7 @@ class PictureWriter:
         every: int | None = None,
         fields: Sequence[str] = ("von_mises",),
         saved: Numbers | None = None,
-        appearance: Appearance = Appearance(),
+        appearance: Appearance = DEFAULT,
         film: Film = Film(),
     ) -> None:
         self.path, self._appearance = path, appearance
@@ -262,7 +235,7 @@ class ModePictureWriter:
         path: Path,
         *,
         amplitude: float,
-        appearance: Appearance = Appearance(),
+        appearance: Appearance = DEFAULT,
     ) -> None:
         self.path, self._appearance = path, appearance
         self._u, self._w = fem.Function(problem.V), fem.Function(problem.W)
@@ -396,7 +369,7 @@ class Painter:
     def _paint(
         self,
         number: int,
-        panels: Sequence[Scene],
+        panels: Sequence[Picture],
         file: Path,
         appearance: Appearance,
         series: Series | None,
@@ -409,83 +382,56 @@ class Painter:
             if series is None:
                 whole.close()
 
-    def panels(self, state: State, appearance: Appearance) -> list[Scene]:
-        """What a picture shows of each field: arrays on rank 0, nothing elsewhere. Collective."""
+    def panels(self, state: State, appearance: Appearance) -> list[Picture]:
+        """A picture of each field on rank 0, none elsewhere. Collective."""
         every = [self._panel(drawn, state, appearance) for drawn in self._drawn]
         return [panel for panel in every if panel is not None]
 
-    def _panel(self, drawn: DrawnField, state: State, appearance: Appearance) -> Scene | None:
+    def _panel(self, drawn: DrawnField, state: State, appearance: Appearance) -> Picture | None:
         grid = drawn.grid
         u = state.u.x.array.reshape(-1, self.dim)
         fields, of_cells = {"u": np.pad(u, ((0, 0), (0, 3 - self.dim)))}, None
-        if drawn.name in _CATEGORIES:
+        names = self._names(drawn.name)
+        if names:
             cells = grid.mesh.topology.index_map(grid.mesh.topology.dim)
             of_cells = with_ghosts(cells, drawn.values(state))[:, 0].astype(np.int64)
+            of_cells += drawn.name == "region"  # -1: none
         else:
             fields["value"] = drawn.at_nodes(state)
         linear = ("value",) if drawn.linear else ()
-        surface, cells = gather_surface(grid, fields, of_cells, linear=linear), None
+        surface, cut = gather_surface(grid, fields, of_cells, linear=linear), None
         if appearance.clips and self.dim == 3:
             planes = [(clip.axis, clip.at) for clip in appearance.clips]
-            cells = gather_cells(grid, fields, planes, of_cells)
+            cut = gather_cells(grid, fields, planes, of_cells)
         if surface is None:
             return None
-        view, up = ("z" if self.dim == 2 else appearance.view), appearance.up or self._up
-        whole = surface
-        if appearance.clips:
-            surface = clipped(whole, cells, appearance.clips, view, up)
-        drawn_part = surface if len(surface.points) else whole  # `Series.add` refuses nothing
-        moved = drawn_part.points + appearance.scale * drawn_part.values["u"]
-        self._reach.take(moved)
-        return {
-            "points": surface.points,
-            "triangles": surface.triangles,
-            "u": surface.values["u"],
-            "scale": appearance.scale,
-            "view": view,
-            "up_axis": up,
-            "outline": not (appearance.film and state.v is not None),
-            "window": window(np.vstack([drawn_part.points, moved]), view, up),
-            "title": _headline(state, appearance),
-            "plane": self.dim == 2,
-            **whole_scene(
-                whole.points, whole.triangles, whole.values["u"], appearance.clips, view, up
-            ),
-            **self._values(drawn, surface),
-            **(self._obstacles() if appearance.obstacles else {}),
-        }
+        moving = appearance.film and state.v is not None
+        return picture_of(
+            surface,
+            cut,
+            replace(appearance, up=appearance.up or self._up),
+            self._reach,
+            drawn.name,
+            plane=self.dim == 2,
+            title=_headline(state, appearance),
+            shown=drawn.shown,
+            names=names,
+            noise=self._noise[drawn.name],
+            obstacles=self._obstacles(),
+            outline=not moving,
+        )
 
-    def _values(self, drawn: DrawnField, surface: Surface) -> Scene:
-        """Values with what the colour bar needs of their field, or names."""
-        if surface.of_cells is not None:
-            first, names = self._names(drawn.name)
-            return {
-                "value": surface.of_cells - first,
-                "names": names,
-                "label": label_of(drawn.name),
-            }
-        field = FIELDS[drawn.name]
-        return {
-            "value": drawn.shown(surface.values["value"])[:, 0],
-            "field": drawn.name,
-            "unit": field.unit,
-            "noise": self._noise[drawn.name],
-            "tensor": field.shape == "tensor",
-            **({} if surface.nodes is None else {"nodes": surface.nodes}),
-        }
-
-    def _obstacles(self) -> Scene:
-        pairs = [
-            (pair.contact.obstacle, np.asarray(pair.shift.value))
+    def _obstacles(self) -> list[tuple[str, Shape, FloatArray]]:
+        return [
+            (pair.label, pair.contact.obstacle, np.asarray(pair.shift.value))
             for pair in self.problem.contact_pairs
         ]
-        return obstacle_scene(pairs, self._reach, self.dim)
 
-    def _names(self, field: str) -> tuple[int, list[str]]:
-        """Number of the first name of a field of names, and all names."""
+    def _names(self, field: str) -> list[str]:
+        """Names that the numbers of a field stand for; none if they stand for themselves."""
         if field == "material":
-            return 0, [part.name for part in self.problem.regions]
-        return -1, ["no region", *sorted(self.problem.body.regions)]
+            return [part.name for part in self.problem.regions]
+        return ["no region", *sorted(self.problem.body.regions)] if field == "region" else []
 
 
 def _headline(state: State, appearance: Appearance) -> str:

@@ -1,4 +1,4 @@
-"""The process that draws pictures (`_draw.py`), and the X display it draws on.
+"""The process that draws pictures (`draw.py`), and the X display it draws on.
 
 Starting both takes far longer than drawing: they are shared by all pictures of the program.  They
 end by themselves if the program dies: the process when its input ends, the display when its last
@@ -24,7 +24,14 @@ from typing import IO, cast
 from dolfin_elastic.core.errors import DrawingError, OutputError
 from dolfin_elastic.core.startup.elsewhere import EMPTY
 
-_PROGRAM = Path(__file__).with_name("_draw.py")
+_PROGRAM = f"""
+import sys
+sys.path.insert(0, {str(Path(__file__).parents[3])!r})
+from dolfin_elastic.core.startup.libraries import stay_without
+stay_without()
+from dolfin_elastic.results.scene.draw import main
+main()
+"""
 log = logging.getLogger("dolfin_elastic")
 
 _START = 30
@@ -36,11 +43,11 @@ _TIMEOUT = 300
 class Renderer:
     """The drawing process with its display.  Not collective: on rank 0."""
 
-    def __init__(self, script: Path = _PROGRAM) -> None:
+    def __init__(self) -> None:
         self._display, environment = _display()
         self._output = cast(IO[str], tempfile.TemporaryFile("w+", encoding="utf-8"))  # noqa: SIM115
         self._process = subprocess.Popen(
-            [sys.executable, "-P", str(script)],
+            [sys.executable, "-P", "-c", _PROGRAM],
             env=environment,
             cwd=EMPTY,  # matplotlib would read a matplotlibrc of the current folder
             stdin=subprocess.PIPE,
@@ -54,7 +61,7 @@ class Renderer:
         """Draws one picture.
 
         Args:
-            data: Files with surfaces, see `_draw.py`; several are drawn side by side.
+            data: Files of pictures, see `scene.save`; several are drawn side by side.
             drawn: The PNG file.
 
         Raises:

@@ -1,22 +1,327 @@
-"""What the drawing process is told of one picture; plain numbers only.
+"""`Scene`: a body with its states, and what is drawn beside it; `Picture`: how it is seen.
 
-A run and `plot`, which reads a finished one, make their pictures of the same parts: the colours of
-the values, the camera, the mark at the largest value.
+Plain numbers, which the drawing process reads from files: MPI is not known here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
 from textwrap import fill
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 import numpy as np
 
-from dolfin_elastic.core.types import AnyArray, FloatArray
-from dolfin_elastic.results.scene.colour_bar import make_colour_bar
+from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IntArray
+from dolfin_elastic.results.scene.colour_bar import ColourBar, make_colour_bar
 
-Scene: TypeAlias = dict[str, Any]
-"""Arrays, texts and numbers of one picture by name, as `_draw.py` reads them from a file."""
+SIZE = (1500, 1100)
+"""Pixels of a picture."""
+OBSTACLE, GREY = "#aab4be", "#c3c9d0"
+"""Colours of obstacles, and of a body without others."""
+_NO_EDGES = np.zeros((0, 2), dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A deformed state, or a mode.
+
+    Attributes:
+        label: Its load, time or frequency.
+        u: Displacements of the points [m], shape (n, 3).
+        values: Name of a field to its values at the points [SI], shape (n,); NaN: there is none.
+    """
+
+    label: str
+    u: FloatArray
+    values: Mapping[str, FloatArray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Triangles of one colour with one label.
+
+    Attributes:
+        names: Surfaces, regions or materials that they belong to.
+        face: Number of their CAD face, or 0.
+        colour: As matplotlib reads it.
+    """
+
+    names: tuple[str, ...]
+    face: int = 0
+    colour: str = ""
+
+
+@dataclass(frozen=True)
+class Glyphs:
+    """Cones of a support, or arrows of a load, on the undeformed body.
+
+    Attributes:
+        key: What they belong to: "support 0", "load 1" ...
+        label: What stands beside them.
+        load: Of a load; otherwise of a support.
+        places: [m], shape (n, 3).
+        along: Unit vectors, of supports into the body, shape (n, 3).
+        tails: Which of them begin at their place, shape (n,); the others end there.
+        colour: As matplotlib reads it.
+        inside: Of a load on the volume: drawn over the body.
+    """
+
+    key: str
+    label: str
+    load: bool
+    places: FloatArray
+    along: FloatArray
+    tails: BoolArray
+    colour: str = ""
+    inside: bool = False
+
+    def plain(self) -> dict[str, object]:
+        """Lists and texts, for JSON; numbers of six digits."""
+        lists = {name: _digits(getattr(self, name)) for name in ("places", "along")}
+        return {**asdict(self), **lists, "tails": self.tails.tolist()}
+
+    @classmethod
+    def of(cls, row: Mapping[str, Any]) -> Glyphs:
+        """From `plain`."""
+        places, along = (np.array(row[k], dtype=float).reshape(-1, 3) for k in ("places", "along"))
+        arrays = {"places": places, "along": along, "tails": np.array(row["tails"], dtype=bool)}
+        return cls(**{**row, **arrays})
+
+    def length(self, size: float) -> float:
+        """Of each [m].
+
+        Args:
+            size: Diagonal of the body [m].
+        """
+        return size * ((0.2 if self.inside else 0.11) if self.load else 0.035)
+
+    def ends(self, size: float) -> FloatArray:
+        """Begin and end of each [m], shape (n, 2, 3).
+
+        Args:
+            size: Diagonal of the body [m].
+        """
+        step = self.length(size) * self.along
+        begin = np.where(self.tails[:, None], self.places, self.places - step)
+        return np.stack([begin, begin + step], axis=1)
+
+
+def _digits(rows: FloatArray) -> list[list[float]]:
+    return [[float(f"{x:.6g}") for x in row] for row in rows]
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A rigid obstacle.
+
+    Attributes:
+        name: What stands beside it.
+        points: Where they would be at rest [m], shape (n, 3).
+        triangles: Shape (m, 3).
+        shift: Its displacement [m], shape (3,).
+        colour: As matplotlib reads it.
+    """
+
+    name: str
+    points: FloatArray
+    triangles: IntArray
+    shift: FloatArray
+    colour: str = OBSTACLE
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A surface of a plane body.
+
+    Attributes:
+        label: Its name or number.
+        named: It has a name.
+        pieces: Three points along each of its facets [m], shape (n, 3, 3).
+    """
+
+    label: str
+    named: bool
+    pieces: FloatArray
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A body with its states, and what is beside it.
+
+    Attributes:
+        points: Undeformed [m], shape (n, 3); those of edges alone are among them.
+        triangles: Numbers of points, counter-clockwise seen from outside, shape (m, 3).
+        edges: Lines between pairs of points, see `sharp_edges`, shape (k, 2).
+        frames: At least one.
+        plane: The body is plane.
+        nodes: Which points are nodes of the mesh, shape (n,); None: all.
+        skin: Which triangles are no sections, shape (m,); None: all.
+        patch: Number of each triangle's patch, shape (m,); None: there are no patches.
+        patches: What they are.
+        glyphs: Of supports and loads.
+        obstacles: Of contacts.
+        curves: Surfaces of a plane body.
+    """
+
+    points: FloatArray
+    triangles: IntArray
+    edges: IntArray = field(default_factory=_NO_EDGES.copy)
+    frames: tuple[Frame, ...] = ()
+    plane: bool = False
+    nodes: BoolArray | None = None
+    skin: BoolArray | None = None
+    patch: IntArray | None = None
+    patches: tuple[Patch, ...] = ()
+    glyphs: tuple[Glyphs, ...] = ()
+    obstacles: tuple[Obstacle, ...] = ()
+    curves: tuple[Curve, ...] = ()
+
+    @property
+    def patches_of(self) -> IntArray:
+        """Number of each triangle's patch, shape (m,)."""
+        assert self.patch is not None
+        return self.patch
+
+    @property
+    def diagonal(self) -> float:
+        """Of the box around the undeformed body [m]."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0))) or 1.0
+
+
+@dataclass(frozen=True)
+class Picture:
+    """How a scene is seen; its last frame is drawn.
+
+    Attributes:
+        scene: What is seen.
+        view: One of `DIRECTIONS`.
+        up: Axis that is up in it.
+        behind: It is seen from the opposite side.
+        title: Above the body.
+        field: That of the colours; empty: those of the patches, else grey.
+        unit: SI unit of the field.
+        tensor: The norm of a tensor is shown.
+        noise: Values below this are round-off.
+        label: Above the names of the patches.
+        legend: Names of patches, what they are for and their colours; where there is one, labels
+            stand where they are seen.
+        scale: Magnification of the displacement.
+        outline: The undeformed edges are drawn.
+        bare: Nothing stands beside the body.
+        window: What the camera has to show, see `window`; None: all of the scene.
+        bar: The colour bar, of pictures with a field.
+        mark: Place of the marked value [m], shape (3,), or None.
+        mark_text: Beside it.
+    """
+
+    scene: Scene
+    view: str = "isometric"
+    up: str = "z"
+    behind: bool = False
+    title: str = ""
+    field: str = ""
+    unit: str = ""
+    tensor: bool = False
+    noise: float = 0.0
+    label: str = ""
+    legend: tuple[tuple[str, str, str], ...] | None = None
+    scale: float = 1.0
+    outline: bool = True
+    bare: bool = False
+    window: FloatArray | None = None
+    bar: ColourBar | None = None
+    mark: FloatArray | None = None
+    mark_text: str = ""
+
+    @property
+    def frame(self) -> Frame:
+        """The state that is drawn."""
+        return self.scene.frames[-1]
+
+    @property
+    def moved(self) -> FloatArray:
+        """Points where they are drawn [m], shape (n, 3)."""
+        return self.scene.points + self.scale * self.frame.u
+
+    @property
+    def axes(self) -> FloatArray:
+        """Unit vectors to the right, up and to the camera, rows."""
+        back, right, top = axes_of(self.view, self.up)
+        return np.stack([-right, top, -back] if self.behind else [right, top, back])
+
+    @property
+    def beside(self) -> bool:
+        """Something stands beside the body: a colour bar, or names."""
+        return not self.bare and self.legend is None
+
+    @property
+    def room(self) -> tuple[float, float]:
+        """Shares of the picture's width and height that the body may fill."""
+        return (0.74, 0.8) if self.beside else (0.94, 0.94)
+
+    @property
+    def seen(self) -> FloatArray:
+        """The window, or that around body and glyphs, see `window`."""
+        if self.window is not None:
+            return self.window
+        ends = [one.ends(self.scene.diagonal).reshape(-1, 3) for one in self.scene.glyphs]
+        every = np.vstack([self.scene.points, self.moved, *ends]) @ self.axes.T
+        margin = 0.015 * self.scene.diagonal * bool(ends)  # of cones that are seen from the side
+        return np.array([every.min(axis=0) - margin, every.max(axis=0) + margin])
+
+
+_KINDS = {
+    one.__name__: one for one in (Picture, ColourBar, Scene, Frame, Patch, Glyphs, Obstacle, Curve)
+}
+
+
+def save(path: Path, picture: Picture) -> None:
+    """Writes a picture into a file, with numbers of half the length, which show no difference."""
+    arrays: dict[str, AnyArray] = {}
+    words = _written(picture, arrays)
+    text = np.frombuffer(json.dumps(words).encode(), dtype=np.uint8)
+    with path.open("wb") as file:
+        np.savez(file, **{**arrays, "words": text})  # type: ignore[arg-type]
+
+
+def load(path: Path) -> Picture:
+    """Reads a picture that `save` has written."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    found = _read(json.loads(arrays["words"].tobytes()), arrays)
+    assert isinstance(found, Picture)
+    return found
+
+
+def _written(value: Any, arrays: dict[str, AnyArray]) -> Any:
+    if isinstance(value, np.ndarray):
+        short = {"f": np.float32, "i": np.int32}.get(value.dtype.kind, value.dtype)
+        arrays[f"array{len(arrays)}"] = value.astype(short)
+        return {"array": f"array{len(arrays) - 1}"}
+    if is_dataclass(value):
+        rows = {one.name: _written(getattr(value, one.name), arrays) for one in fields(value)}
+        return {"class": type(value).__name__, "fields": rows}
+    if isinstance(value, Mapping):
+        return {"pairs": [[key, _written(one, arrays)] for key, one in value.items()]}
+    return [_written(one, arrays) for one in value] if isinstance(value, tuple) else value
+
+
+def _read(value: Any, arrays: Mapping[str, AnyArray]) -> Any:
+    if isinstance(value, list):
+        return tuple(_read(one, arrays) for one in value)
+    if not isinstance(value, dict):
+        return value
+    if "array" in value:
+        found = arrays[value["array"]]
+        return found.astype({"f": np.float64, "i": np.int64}.get(found.dtype.kind, found.dtype))
+    if "pairs" in value:
+        return {key: _read(one, arrays) for key, one in value["pairs"]}
+    return _KINDS[value["class"]](**{k: _read(v, arrays) for k, v in value["fields"].items()})
+
+
 View = Literal["isometric", "x", "y", "z", "-x", "-y", "-z"]
 Up = Literal["x", "y", "z"]
 AXES: tuple[Up, Up, Up] = ("x", "y", "z")
@@ -67,7 +372,7 @@ def label_of(field: str) -> str:
     return _LABELS.get(field, field.replace("_", " "))
 
 
-def colours(
+def bar_of(
     values: FloatArray,
     spread: FloatArray,
     field: str,
@@ -76,8 +381,8 @@ def colours(
     noise: float = 0.0,
     ends: tuple[float, float] | None = None,
     tensor: bool = False,
-) -> Scene:
-    """Values with ticks and label of the colour bar.
+) -> ColourBar:
+    """The colour bar of some values.
 
     Args:
         values: Shown at the points [SI], shape (n,).
@@ -93,36 +398,29 @@ def colours(
     text = f"[{found.unit}]" if found.unit else ""
     if tensor:
         text = f"norm of the tensor\n{text}"
-    if small and len(values) and np.nanmax(values) > found.ticks[-1]:
+    if small and len(values) and np.nanmax(values) / found.factor > found.ticks[-1]:
         text = f"{found.ticks[-1]:g} and more alike"
-    return {
-        "value": values / found.factor,
-        "ticks": found.ticks,
-        "reversed": small,
-        "form": found.form,
-        "label": f"{fill(label_of(field), _LINE)}\n{text}".strip(),
-    }
+    label = f"{fill(label_of(field), _LINE)}\n{text}".strip()
+    return replace(found, label=label, reversed=small)
 
 
-def mark(points: FloatArray, data: Scene, *, small: bool) -> Scene:
-    """Place and text of the mark at the largest value, or where small ones matter at the smallest.
+def marked(picture: Picture) -> Picture:
+    """A picture with a mark at the largest value, or where small ones matter at the smallest.
 
-    Args:
-        points: Where the points are drawn, shape (n, 3).
-        data: From `colours`; with `nodes`, shape (n,), only these points count: between them
-            quadratic interpolation overshoots.
+    Of nodes only: between them quadratic interpolation overshoots.
     """
-    values = np.asarray(data["value"], dtype=float)
-    if "nodes" in data:
-        values = np.where(data["nodes"], values, np.nan)
+    bar, nodes = picture.bar, picture.scene.nodes
+    assert bar is not None
+    values = picture.frame.values[picture.field] / bar.factor
+    if nodes is not None:
+        values = np.where(nodes, values, np.nan)
     if not np.isfinite(values).any():
-        return {}
-    at = int(np.nanargmin(values) if small else np.nanargmax(values))
-    if abs(values[at]) <= _NOTHING * np.abs(data["ticks"]).max():
-        return {}
-    unit = str(data["label"]).rpartition("[")[2].rstrip("]") if "[" in data["label"] else ""
-    word = "min" if small else "max"
-    return {"mark": points[at], "mark_text": f"{word} {values[at]:.4g} {unit}".strip()}
+        return picture
+    at = int(np.nanargmin(values) if bar.reversed else np.nanargmax(values))
+    if abs(values[at]) <= _NOTHING * np.abs(bar.ticks).max():
+        return picture
+    text = f"{'min' if bar.reversed else 'max'} {values[at]:.4g} {bar.unit}".strip()
+    return replace(picture, mark=picture.moved[at], mark_text=text)
 
 
 def up_against(weights: Iterable[Sequence[object]]) -> Up:
@@ -175,15 +473,3 @@ def joined_windows(windows: Sequence[AnyArray]) -> FloatArray:
     """The smallest window that contains all of these."""
     every = np.array(windows)
     return np.array([every[:, 0].min(axis=0), every[:, 1].max(axis=0)])
-
-
-def camera(view: str, up: str, seen: FloatArray) -> Scene:
-    """The camera's directions and what it has to show.
-
-    Args:
-        view: One of `DIRECTIONS`.
-        up: Axis that is up.
-        seen: From `window`.
-    """
-    back, right, top = axes_of(view, up)
-    return {"back": back, "right": right, "up": top, "window": seen}

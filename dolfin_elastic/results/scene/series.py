@@ -10,18 +10,25 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from dolfin_elastic.core.errors import OutputError
 from dolfin_elastic.core.files.regular import fresh
-from dolfin_elastic.core.types import AnyArray, FloatArray
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.files import writing
-from dolfin_elastic.results.scene import scene as scenes
 from dolfin_elastic.results.scene.renderer import RENDERER
-from dolfin_elastic.results.scene.scene import Scene
+from dolfin_elastic.results.scene.scene import (
+    Obstacle,
+    Picture,
+    bar_of,
+    joined_windows,
+    load,
+    marked,
+    save,
+)
 
 FILMS = (".mp4", ".gif")
 """Suffixes of films."""
@@ -64,10 +71,10 @@ class Series:
         self._ends: list[tuple[float, float] | None] = []
         self._windows: list[FloatArray] = []
         self._drawn: dict[Path, tuple[int, _Drawn]] = {}
-        self._floor: AnyArray = np.zeros((0, 3))
+        self._floor: Sequence[Obstacle] = ()
 
-    def add(self, number: int, panels: Sequence[Scene]) -> None:
-        """Keeps what one picture shows; see `Painter.scene`.
+    def add(self, number: int, panels: Sequence[Picture]) -> None:
+        """Keeps what one picture shows.
 
         Args:
             panels: What is seen side by side.
@@ -75,14 +82,14 @@ class Series:
         Raises:
             OutputError: Nothing of the body is seen, or it cannot be kept.
         """
-        if not all(len(panel["triangles"]) for panel in panels):
+        if not all(len(panel.scene.triangles) for panel in panels):
             raise OutputError("the clip planes leave nothing of the body")
         self._take(panels)
         if self._folder is not None:
             with writing(self._folder):
                 self._folder.mkdir(parents=True, exist_ok=True)
                 for i, panel in enumerate(panels):
-                    np.savez(fresh(self._folder / f"{number:08d}_{i}.npz"), **_small(panel))
+                    save(fresh(self._folder / f"{number:08d}_{i}.npz"), panel)
 
     def numbers(self) -> list[int]:
         """Steps whose scenes are kept, in their order."""
@@ -99,15 +106,15 @@ class Series:
                 for file in files:
                     file.unlink()
             else:
-                self._take([_load(file) for file in files])
+                self._take([load(file) for file in files])
 
-    def _take(self, panels: Sequence[Scene]) -> None:
+    def _take(self, panels: Sequence[Picture]) -> None:
         """Widens range, camera and floor to what a picture shows."""
-        self._windows.append(scenes.joined_windows([panel["window"] for panel in panels]))
+        self._windows.append(joined_windows([panel.seen for panel in panels]))
         found = [_ends(panel, self._limits) for panel in panels]
         before = self._ends or [None] * len(found)
         self._ends = [_wider(a, b) for a, b in zip(before, found, strict=True)]
-        floor = np.asarray(panels[0].get("obstacle_points", self._floor))
+        floor = panels[0].scene.obstacles
         if _size(floor) >= _size(self._floor):
             self._floor = floor
 
@@ -115,7 +122,7 @@ class Series:
         assert self._folder is not None
         return sorted(self._folder.glob(f"{number:08d}_?.npz"))
 
-    def draw(self, number: int, panels: Sequence[Scene], file: Path) -> None:
+    def draw(self, number: int, panels: Sequence[Picture], file: Path) -> None:
         """Draws a picture with the range and the camera of all scenes so far.
 
         Args:
@@ -125,17 +132,18 @@ class Series:
         Raises:
             OutputError: It cannot be drawn or written.
         """
-        draw_scenes(self, [self._finished(panel, i) for i, panel in enumerate(panels)], file)
+        draw_pictures(self, [self._finished(panel, i) for i, panel in enumerate(panels)], file)
         self._drawn[file] = number, self._present()
 
     def _present(self) -> _Drawn:
-        window = scenes.joined_windows(self._windows)
+        window = joined_windows(self._windows)
         return _Drawn(tuple(self._ends), tuple(window.ravel().tolist()))
 
-    def _finished(self, panel: Scene, index: int) -> Scene:
-        window = scenes.joined_windows(self._windows)
-        if "obstacle_shift" in panel:
-            panel = {**panel, "obstacle_points": self._floor + panel["obstacle_shift"]}
+    def _finished(self, panel: Picture, index: int) -> Picture:
+        window, own = joined_windows(self._windows), panel.scene.obstacles
+        if own:
+            moved = (replace(a, shift=b.shift) for a, b in zip(self._floor, own, strict=True))
+            panel = replace(panel, scene=replace(panel.scene, obstacles=tuple(moved)))
         return finished(panel, self._ends[index], self._limits, window, marks=self._marks)
 
     def redraw(self) -> None:
@@ -143,7 +151,7 @@ class Series:
         now = self._present() if self._windows else None
         for file, (number, before) in self._drawn.items():
             if before != now and (files := self._files(number)) and file.exists():
-                self.draw(number, [_load(one) for one in files], file)
+                self.draw(number, [load(one) for one in files], file)
 
     def film(self, file: Path, times: Sequence[float], numbers: Sequence[int], fps: float) -> None:
         """Draws all kept scenes and joins them to a film in even time.
@@ -163,7 +171,7 @@ class Series:
             for frame, index in enumerate(chosen):
                 if index not in drawn:
                     drawn[index] = Path(scratch) / f"drawn_{index:08d}.png"
-                    panels = [_load(one) for one in self._files(numbers[index])]
+                    panels = [load(one) for one in self._files(numbers[index])]
                     self.draw(numbers[index], panels, drawn[index])
                 (Path(scratch) / f"frame_{frame:08d}.png").symlink_to(drawn[index])
             encode(Path(scratch) / "frame_%08d.png", file, fps)
@@ -251,59 +259,51 @@ def encode(frames: Path, file: Path, fps: float) -> None:
 
 
 def finished(
-    panel: Scene,
+    picture: Picture,
     ends: tuple[float, float] | None,
     limits: Limits,
     window: FloatArray,
     *,
     marks: bool,
-) -> Scene:
-    """A scene as the drawing process reads it.
+) -> Picture:
+    """A picture with its colour bar and camera.
 
     Args:
-        panel: See `Painter.scene`.
         ends: Smallest and largest value that the bar has to show [SI].
         window: What the camera has to show, see `scene.window`.
     """
-    found = {**panel, **scenes.camera(str(panel["view"]), str(panel.get("up_axis", "z")), window)}
-    if "names" in panel:
-        return found
-    field, values = str(panel["field"]), np.asarray(panel["value"], dtype=float)
-    given = ends if limits.ends is not None else None
-    spread = np.array(ends if ends is not None else (np.nan, np.nan))
-    found |= scenes.colours(
-        values,
-        spread,
-        field,
-        str(panel["unit"]),
-        noise=float(panel["noise"]),
-        ends=given,
-        tensor=bool(panel["tensor"]),
+    picture = replace(picture, window=window)
+    if not picture.field:
+        return picture
+    bar = bar_of(
+        picture.frame.values[picture.field],
+        np.array(ends if ends is not None else (np.nan, np.nan)),
+        picture.field,
+        picture.unit,
+        noise=picture.noise,
+        ends=ends if limits.ends is not None else None,
+        tensor=picture.tensor,
     )
-    if marks:
-        if "nodes" in panel:
-            found["nodes"] = panel["nodes"]
-        places = panel["points"] + float(panel["scale"]) * panel["u"]
-        found |= scenes.mark(places, found, small=field in scenes.SMALL_MATTERS)
-    return found
+    picture = replace(picture, bar=bar)
+    return marked(picture) if marks else picture
 
 
-def draw_scenes(user: object, panels: Sequence[Scene], file: Path) -> None:
-    """Draws a picture.
+def draw_pictures(user: object, pictures: Sequence[Picture], file: Path) -> None:
+    """Draws pictures side by side.
 
     Args:
         user: Who draws, see `SharedRenderer`.
-        panels: What is seen side by side, see `finished`.
         file: The PNG file.
 
     Raises:
-        OutputError: It cannot be drawn or written.
+        DrawingError: There is nothing that draws.
+        OutputError: It cannot be written.
     """
     with writing(file), tempfile.TemporaryDirectory() as scratch:
-        data = [Path(scratch) / f"{i}.npz" for i in range(len(panels))]
+        data = [Path(scratch) / f"{i}.npz" for i in range(len(pictures))]
         drawn = Path(scratch) / "picture.png"
-        for path, panel in zip(data, panels, strict=True):
-            np.savez(path, **panel)
+        for path, picture in zip(data, pictures, strict=True):
+            save(path, picture)
         RENDERER.draw(user, data, drawn)
         file.parent.mkdir(parents=True, exist_ok=True)
         draft = file.with_name(f".{file.name}.part")
@@ -311,11 +311,11 @@ def draw_scenes(user: object, panels: Sequence[Scene], file: Path) -> None:
         draft.replace(file)
 
 
-def _ends(panel: Scene, limits: Limits) -> tuple[float, float] | None:
+def _ends(picture: Picture, limits: Limits) -> tuple[float, float] | None:
     """Smallest and largest value that the colour bar has to show; None where there is none."""
-    if "names" in panel:
+    if not picture.field:
         return None
-    values = np.asarray(panel["value"], dtype=float)
+    values = picture.frame.values[picture.field]
     values = values[np.isfinite(values)]
     if limits.ends is not None and not limits.share:
         return limits.ends
@@ -325,8 +325,10 @@ def _ends(panel: Scene, limits: Limits) -> tuple[float, float] | None:
     return float(low), float(high)
 
 
-def _size(points: AnyArray) -> float:
-    return float(np.ptp(points, axis=0).sum()) if len(points) else 0.0
+def _size(obstacles: Sequence[Obstacle]) -> float:
+    if not obstacles:
+        return 0.0
+    return float(np.ptp(np.concatenate([one.points for one in obstacles]), axis=0).sum())
 
 
 def _wider(
@@ -335,19 +337,3 @@ def _wider(
     if a is None or b is None:
         return a or b
     return min(a[0], b[0]), max(a[1], b[1])
-
-
-def _small(panel: Scene) -> Scene:
-    """A scene with numbers of half the length, which show no difference."""
-    return {key: _short(np.asarray(value)) for key, value in panel.items()}
-
-
-def _short(array: AnyArray) -> AnyArray:
-    if array.ndim and array.dtype == np.float64:
-        return array.astype(np.float32)
-    return array.astype(np.int32) if array.ndim and array.dtype == np.int64 else array
-
-
-def _load(file: Path) -> Scene:
-    with np.load(file) as found:
-        return dict(found)

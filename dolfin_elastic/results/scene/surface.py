@@ -7,15 +7,17 @@ stress that falls to zero, as on the neutral axis of a beam, would not be seen.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from dolfinx import fem
-from dolfinx.mesh import Mesh, exterior_facet_indices
+from dolfinx.common import IndexMap
+from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
-from dolfin_elastic.core.types import AnyArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.mesh.geometry.simplices import boundary_facets, cells_beside_facets
 from dolfin_elastic.results.grid import Grid
 
 _CORNERS = 3
@@ -40,8 +42,10 @@ class Surface:
         triangles: Numbers of `points`, shape (n, 3), counter-clockwise seen from outside.
         points: Reference configuration [m], shape (m, 3).
         values: Name to values at the points, shape (m, columns).
-        of_cells: Values of the cells behind the triangles, shape (n,), or None.
+        of_cells: Values of the cells behind the triangles, shape (n, ...), or None.
         nodes: Which points are nodes, shape (m,), or None: all of them.
+        edges: Lines between pairs of points, shape (k, 2).
+        skin: Which triangles are no sections, shape (n,), or None: all of them.
     """
 
     triangles: AnyArray
@@ -49,30 +53,38 @@ class Surface:
     values: dict[str, AnyArray]
     of_cells: AnyArray | None = None
     nodes: AnyArray | None = None
+    edges: AnyArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    skin: AnyArray | None = None
 
 
 def gather_surface(
-    grid: Grid,
+    grid: Grid | Mesh,
     values: dict[str, AnyArray],
     of_cells: AnyArray | None = None,
     *,
     linear: Collection[str] = (),
+    of_faces: Callable[[IndexArray], AnyArray] | None = None,
 ) -> Surface | None:
     """The body's surface on rank 0, None on the others. Collective.
 
     The surface of a plane body are all its cells.
 
     Args:
+        grid: Or a mesh, whose nodes are those of its geometry.
         values: Name to values at the local points (ghosts included), shape (points, columns);
             between them they follow the shape functions of the displacement.
         of_cells: Values of the local cells (ghosts included), shape (cells,), or None.
         linear: Names of values that are linear between neighbouring nodes instead.
+        of_faces: Local facets, in a plane cells, to values in place of those of cells.
     """
-    faces, cells = _faces(grid)
+    nodes = _nodes(grid)
+    faces, cells, facets = _faces(nodes)
     used, local = np.unique(faces, return_inverse=True)
-    numbers = grid.V.dofmap.index_map.local_to_global(used.astype(np.int32))
-    points = grid.V.tabulate_dof_coordinates()[used]
+    numbers = nodes.index_map.local_to_global(used.astype(np.int32))
+    points = nodes.x[used]
     mine = None if of_cells is None else of_cells[cells]
+    if of_faces is not None:
+        mine = of_faces(facets)
     own = (
         local.reshape(faces.shape),
         numbers,
@@ -80,8 +92,8 @@ def gather_surface(
         {k: v[used] for k, v in values.items()},
         mine,
     )
-    parts = _to_root(grid.mesh.comm, own)
-    return _divided(_joined(parts), linear) if grid.mesh.comm.rank == 0 else None
+    parts = _to_root(nodes.mesh.comm, own)
+    return divided(_joined(parts), linear) if nodes.mesh.comm.rank == 0 else None
 
 
 def gather_cells(
@@ -118,6 +130,25 @@ def gather_cells(
     return _joined(parts) if grid.mesh.comm.rank == 0 else None
 
 
+@dataclass(frozen=True)
+class _Nodes:
+    """Nodes of a space or of a mesh's geometry: local cells, their layout, numbers and places."""
+
+    mesh: Mesh
+    cells: AnyArray
+    layout: Any
+    index_map: IndexMap
+    x: AnyArray
+
+
+def _nodes(grid: Grid | Mesh) -> _Nodes:
+    if isinstance(grid, Mesh):
+        g = grid.geometry
+        return _Nodes(grid, g.dofmap, g.cmap.create_dof_layout(), g.index_map(), g.x)
+    of, x = grid.V.dofmap, grid.V.tabulate_dof_coordinates()
+    return _Nodes(grid.mesh, of.list, of.dof_layout, of.index_map, x)
+
+
 def _to_root(comm: MPI.Comm, own: _Share) -> list[_Share]:
     return comm.gather(own) or []
 
@@ -141,7 +172,7 @@ def _joined(parts: list[_Share]) -> Surface:
 # --- division of faces ---
 
 
-def _divided(faces: Surface, linear: Collection[str]) -> Surface:
+def divided(faces: Surface, linear: Collection[str]) -> Surface:
     """Faces divided into triangles.
 
     Args:
@@ -151,7 +182,7 @@ def _divided(faces: Surface, linear: Collection[str]) -> Surface:
     nodes = faces.triangles
     least = 1 if nodes.shape[1] == _CORNERS else 2
     n = least
-    while n < 8 and len(nodes) * (2 * n) ** 2 <= _MOST_TRIANGLES:
+    while n < 8 and (least > 1 or faces.values) and len(nodes) * (2 * n) ** 2 <= _MOST_TRIANGLES:
         n *= 2
     lattice = _lattice(n)
     numbers = _numbered(nodes[:, :_CORNERS], lattice, n)
@@ -173,7 +204,7 @@ def _divided(faces: Surface, linear: Collection[str]) -> Surface:
         new.reshape(numbers.shape)[:, pieces].reshape(-1, _CORNERS),
         between(faces.points, smooth),
         {k: between(v, kinked if k in linear else smooth) for k, v in faces.values.items()},
-        None if faces.of_cells is None else np.repeat(faces.of_cells, len(pieces)),
+        None if faces.of_cells is None else np.repeat(faces.of_cells, len(pieces), axis=0),
         smooth.max(axis=1)[place] > 1 - _AT_NODE,
     )
 
@@ -255,33 +286,20 @@ def _hat_functions(x: AnyArray, nodes: int) -> AnyArray:
 # --- faces ---
 
 
-def _faces(grid: Grid) -> tuple[AnyArray, AnyArray]:
-    """Local nodes of this rank's faces, shape (n, 3 or 6), and the cell of each."""
-    if grid.mesh.topology.dim == 2:
-        own = np.arange(grid.own_cells)
-        return _upward(grid.V, grid.V.dofmap.list[own]), own
-    cells, sides = _outer_sides(grid.mesh)
-    nodes = np.array([sorted(grid.V.dofmap.dof_layout.entity_closure_dofs(2, i)) for i in range(4)])
-    faces = np.take_along_axis(grid.V.dofmap.list[cells], nodes[sides], axis=1)
-    return _outward(grid.V, faces, grid.V.dofmap.list[cells, sides]), cells
-
-
-def _outward(V: fem.FunctionSpace, faces: AnyArray, opposite: AnyArray) -> AnyArray:
-    """Orients faces outward.
-
-    Args:
-        V: The space whose nodes the faces have.
-        faces: Shape (n, 3 or 6).
-        opposite: The corner of each face's cell that is not on the face, shape (n,).
-    """
-    x = V.tabulate_dof_coordinates()
-    behind = x[faces[:, 0]] - x[opposite]
-    return _turned(faces, np.einsum("ij,ij->i", _normals(x, faces), behind) < 0)
-
-
-def _upward(V: fem.FunctionSpace, faces: AnyArray) -> AnyArray:
-    """Orients the cells of a plane body so that their normals are +z."""
-    return _turned(faces, _normals(V.tabulate_dof_coordinates(), faces)[:, 2] < 0)
+def _faces(nodes: _Nodes) -> tuple[AnyArray, AnyArray, IndexArray]:
+    """Nodes of this rank's faces, shape (n, 3 or 6), the cell of each and its own local number."""
+    x, mesh = nodes.x, nodes.mesh
+    if mesh.topology.dim == 2:
+        own = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
+        faces = nodes.cells[own]  # seen from above
+        return _turned(faces, _normals(x, faces)[:, 2] < 0), own, own
+    facets = boundary_facets(mesh)
+    cells, sides = cells_beside_facets(mesh, facets)
+    closure = np.array([sorted(nodes.layout.entity_closure_dofs(2, i)) for i in range(4)])
+    faces = np.take_along_axis(nodes.cells[cells], closure[sides], axis=1)
+    behind = x[faces[:, 0]] - x[nodes.cells[cells, sides]]  # seen from outside
+    inward = np.einsum("ij,ij->i", _normals(x, faces), behind) < 0
+    return _turned(faces, inward), cells, facets
 
 
 def _normals(x: AnyArray, faces: AnyArray) -> AnyArray:
@@ -297,12 +315,34 @@ def _turned(faces: AnyArray, which: AnyArray) -> AnyArray:
     return faces
 
 
-def _outer_sides(mesh: Mesh) -> tuple[AnyArray, AnyArray]:
-    """Cells of the owned boundary facets, and the facets' local numbers in them. Collective."""
-    mesh.topology.create_connectivity(2, 3)
-    mesh.topology.create_connectivity(3, 2)
-    facets = exterior_facet_indices(mesh.topology)
-    around = mesh.topology.connectivity(2, 3)
-    cells = around.array[around.offsets[facets]]
-    sides = mesh.topology.connectivity(3, 2).array.reshape(-1, 4)[cells]
-    return cells, np.argmax(sides == facets[:, None], axis=1)
+_FACES = {
+    3: [[0, 1, 2]],
+    4: [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]],
+    6: [[0, 1, 2, 4, 5, 3]],
+    10: [[0, 2, 1, 5, 4, 6], [0, 1, 3, 8, 7, 4], [1, 2, 3, 9, 8, 5], [0, 3, 2, 9, 6, 7]],
+}
+"""Number of nodes of a cell of VTK to those of its faces, which look outwards: three corners, then
+the nodes in the middle of the sides opposite of them."""
+
+
+def outer_faces(cells: IntArray, x: FloatArray) -> tuple[IntArray, IntArray]:
+    """Faces that belong to one cell, seen from outside, and their cells. Not collective.
+
+    Args:
+        cells: Nodes of triangles or tetrahedra in VTK's order, shape (n, 3, 4, 6 or 10).
+        x: Places of the nodes, shape (m, 3).
+
+    Returns:
+        Shapes (k, 3 or 6) and (k,).
+    """
+    parts = _FACES[cells.shape[1]]
+    faces = np.concatenate([cells[:, face] for face in parts])
+    of = np.tile(np.arange(len(cells)), len(parts))
+    if len(parts) == 1:
+        return _turned(faces, _normals(x, faces)[:, 2] < 0), of
+    # Cells may run either way round.
+    mirrored = np.linalg.det(x[cells[:, 1:4]] - x[cells[:, :1]]) < 0
+    corners = np.sort(faces[:, :_CORNERS], axis=1)
+    _, first, count = np.unique(corners, axis=0, return_index=True, return_counts=True)
+    outer = np.sort(first[count == 1])
+    return _turned(faces[outer], mirrored[of[outer]]), of[outer]

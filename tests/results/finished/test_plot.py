@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,12 +26,14 @@ from dolfin_elastic.results.finished.curves import (
     line,
     write_csv,
 )
-from dolfin_elastic.results.finished.draw import Look, draw, film
+from dolfin_elastic.results.finished.draw import draw, film
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.outputs import History, Summary, Xdmf
 from dolfin_elastic.results.scene import renderer
+from dolfin_elastic.results.scene.appearance import Appearance
 from dolfin_elastic.results.scene.clip import Clip
 from dolfin_elastic.results.scene.colour_bar import prefixed
+from dolfin_elastic.results.scene.scene import Picture, load
 
 
 @pytest.fixture
@@ -145,7 +146,7 @@ def test_no_film_of_modes_alone(folder: Path) -> None:
     """They have no steps."""
     (folder / "summary.json").write_text("{}")
     with pytest.raises(InputError, match="it holds no fields of steps"):
-        film(FinishedRun(folder), Look(["displacement"]), folder / "a.mp4", fps=30, speed=1)
+        film(FinishedRun(folder), ["displacement"], Appearance(), folder / "a.mp4", fps=30, speed=1)
 
 
 def test_ranges_as_those_of_pictures() -> None:
@@ -164,40 +165,41 @@ def test_what_a_picture_is_told(
     run: FinishedRun, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The surface that clip planes leave, with its section; the obstacle where it has moved to."""
-    told: list[dict[str, Any]] = []
+    told: list[Picture] = []
 
     def drawing(user: object, data: Sequence[Path], file: Path) -> None:
-        with np.load(data[0]) as found:
-            told.append(dict(found))
+        told.append(load(data[0]))
         file.touch()
 
     monkeypatch.setattr(renderer.RENDERER, "draw", drawing)
     for clips in ((), (Clip(0, 0.7),), (Clip(0, 0.7), Clip(2, 0.6, above=False))):
-        draw(run, Look(["displacement"], clips=clips), folder / "a.png")
+        draw(run, ["displacement"], Appearance(clips=clips), folder / "a.png")
     areas = [area(one) for one in told]
     # Of the box 2 x 1 x 1, what is left of 0.7 x 1 x 1, and of 0.7 x 1 x 0.4.
     np.testing.assert_allclose(areas, [10.0, 4.8, 2 * (0.7 + 0.28 + 0.4)], rtol=1e-5)
-    points, values = told[1]["points"], told[1]["value"]
+    points, values = told[1].scene.points, told[1].frame.values["displacement"]
     inside = np.linalg.norm(displacement(points.T), axis=0)
     # Faces are straight between the points of divided faces and sections.
-    assert np.abs(values - 1e3 * inside).max() < 10
-    np.testing.assert_allclose(told[0]["obstacle_points"][:, 0], 2.4)
-    assert str(told[0]["title"]) == "A beam   |   load 100 %   |   deformation \u00d7 1"
+    assert np.abs(values - inside).max() < 0.01
+    (obstacle,) = told[0].scene.obstacles
+    np.testing.assert_allclose((obstacle.points + obstacle.shift)[:, 0], 2.4)
+    assert told[0].title == "A beam   |   load 100 %   |   deformation \u00d7 1"
     with pytest.raises(
         InputError, match="--clip: the plane x = -1 m misses the body; between 0 and 2 m"
     ):
-        draw(run, Look(["displacement"], clips=[Clip(0, -1.0)]), folder / "a.png")
+        draw(run, ["displacement"], Appearance(clips=[Clip(0, -1.0)]), folder / "a.png")
     both = [Clip(0, 0.7, above=True), Clip(0, 0.8, above=False)]
     said = "--clip: nothing of the body is left; planes that leave a part of it, x = 0 to 2, y = 0"
     with pytest.raises(InputError, match=said):
-        draw(run, Look(["displacement"], clips=both), folder / "a.png")
+        draw(run, ["displacement"], Appearance(clips=both), folder / "a.png")
 
 
 def test_a_plain_picture_holds_nothing_but_the_body(run: FinishedRun, folder: Path) -> None:
     """No title above it, no axes beside it; else there are both."""
     for bare in (True, False):
         file = folder / f"{bare}.png"
-        draw(run, Look(["displacement"], marks=False, obstacles=False, bare=bare, view="-y"), file)
+        look = Appearance(marks=False, obstacles=False, bare=bare, view="-y")
+        draw(run, ["displacement"], look, file)
         pixels = np.asarray(Image.open(file).convert("RGB")).astype(int)
         height, width = pixels.shape[:2]
         # The background is the same along each row.
@@ -212,8 +214,8 @@ def test_a_plain_picture_holds_nothing_but_the_body(run: FinishedRun, folder: Pa
         assert (coloured[-1] > 0.95 * width) == bare
 
 
-def area(one: dict[str, Any]) -> float:
-    corners = one["points"][one["triangles"]]
+def area(one: Picture) -> float:
+    corners = one.scene.points[one.scene.triangles]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return float(np.linalg.norm(across, axis=1).sum() / 2)
 

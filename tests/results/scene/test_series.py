@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,50 +19,43 @@ from PIL import Image
 
 from dolfin_elastic.core.errors import InputError, OutputError
 from dolfin_elastic.core.shapes.shapes import CylinderObstacle, Plane, Shape, SphereObstacle
-from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.results.outputs import Picture, limits_of
 from dolfin_elastic.results.scene import renderer, series
-from dolfin_elastic.results.scene.obstacles import Reach, obstacle_scene
-from dolfin_elastic.results.scene.scene import axes_of, up_against, window
+from dolfin_elastic.results.scene.colour_bar import ColourBar
+from dolfin_elastic.results.scene.obstacles import Reach, obstacles_beside
+from dolfin_elastic.results.scene.scene import Frame, Scene, axes_of, load, up_against
+from dolfin_elastic.results.scene.scene import Picture as Panel
 from dolfin_elastic.results.scene.series import Limits, Series, encode, film_times, frames_at
 
 
-def scene_of(values: Sequence[float], shift: float = 0.0) -> dict[str, Any]:
+def scene_of(values: Sequence[float], shift: float = 0.0, nodes: BoolArray | None = None) -> Panel:
     """One triangle with these stresses at its corners."""
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    u = np.full((3, 3), shift)
-    return {
-        "points": points,
-        "triangles": np.array([[0, 1, 2]]),
-        "u": u,
-        "scale": 1.0,
-        "view": "z",
-        "window": window(np.vstack([points, points + u]), "z"),
-        "title": "",
-        "plane": True,
-        "value": np.array(values),
-        "field": "von_mises",
-        "unit": "Pa",
-        "noise": 0.0,
-        "tensor": False,
-    }
+    frame = Frame("", np.full((3, 3), shift), {"von_mises": np.array(values, dtype=float)})
+    scene = Scene(points, np.array([[0, 1, 2]]), frames=(frame,), plane=True, nodes=nodes)
+    return Panel(scene, "z", field="von_mises", unit="Pa")
 
 
 @pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Panel]:
     """What the drawing process would be told, in the order of the pictures."""
-    told: list[dict[str, Any]] = []
+    told: list[Panel] = []
 
     def draw(user: object, data: Sequence[Path], file: Path) -> None:
-        with np.load(data[0]) as found:
-            told.append(dict(found))
+        told.append(load(data[0]))
         Image.new("RGB", (64, 48), (len(told), 0, 0)).save(file)
 
     monkeypatch.setattr(renderer.RENDERER, "draw", draw)
     return told
 
 
-def test_one_range_and_one_camera_over_a_series(folder: Path, drawn: list[dict[str, Any]]) -> None:
+def bar_in(picture: Panel) -> ColourBar:
+    assert picture.bar is not None
+    return picture.bar
+
+
+def test_one_range_and_one_camera_over_a_series(folder: Path, drawn: list[Panel]) -> None:
     """The first picture is drawn again when a later one needs more; the last one is not."""
     pictures = Series(Limits(), marks=True, folder=folder / ".frames")
     for number, (values, shift) in enumerate((([0, 1e6, 2e6], 0.0), ([0, 1e6, 8e6], 0.5))):
@@ -70,15 +64,17 @@ def test_one_range_and_one_camera_over_a_series(folder: Path, drawn: list[dict[s
         pictures.draw(number, [panel], folder / f"{number}.png")
     pictures.redraw()
     pictures.close()
-    assert [list(one["ticks"]) for one in drawn] == [[0, 0.5, 1, 1.5, 2], *[[0, 2, 4, 6, 8]] * 2]
-    assert np.array_equal(drawn[2]["window"], drawn[1]["window"])
-    assert not np.array_equal(drawn[0]["window"], drawn[1]["window"])
-    assert str(drawn[2]["mark_text"]) == "max 2 MPa"
-    np.testing.assert_allclose(drawn[1]["mark"], (0.5, 1.5, 0.5))
+    ticks = [list(bar_in(one).ticks) for one in drawn]
+    assert ticks == [[0, 0.5, 1, 1.5, 2], *[[0, 2, 4, 6, 8]] * 2]
+    assert np.array_equal(drawn[2].seen, drawn[1].seen)
+    assert not np.array_equal(drawn[0].seen, drawn[1].seen)
+    assert drawn[2].mark_text == "max 2 MPa"
+    assert drawn[1].mark is not None
+    np.testing.assert_allclose(drawn[1].mark, (0.5, 1.5, 0.5))
     assert not (folder / ".frames").exists()
 
 
-def test_series_of_a_run_that_is_restarted(folder: Path, drawn: list[dict[str, Any]]) -> None:
+def test_series_of_a_run_that_is_restarted(folder: Path, drawn: list[Panel]) -> None:
     """Scenes before the checkpoint count for range and film, later ones are gone."""
     before = Series(Limits(), marks=False, folder=folder / ".frames")
     for number in (1, 2, 3):
@@ -88,7 +84,7 @@ def test_series_of_a_run_that_is_restarted(folder: Path, drawn: list[dict[str, A
     after.forget_after(2)
     assert after.numbers() == [1, 2]
     after.draw(2, [scene_of([0, 0, 1e6])], folder / "a.png")
-    assert drawn[0]["ticks"][-1] == 2
+    assert bar_in(drawn[0]).ticks[-1] == 2
 
 
 @pytest.mark.parametrize(
@@ -168,28 +164,30 @@ def test_planes_that_cut_nothing(clip: Any, message: str) -> None:
         Picture(clip=clip).clips(make_problem(2, cells=1).body)
 
 
-def test_the_floor_of_a_series_stays(folder: Path, drawn: list[dict[str, Any]]) -> None:
+def test_the_floor_of_a_series_stays(folder: Path, drawn: list[Panel]) -> None:
     """As large as the whole way of the body needs, in every picture, and where its obstacle is."""
     reach, pictures = Reach(), Series(Limits(), marks=False, folder=folder / ".frames")
     for number, shift in enumerate((0.0, 3.0)):
         panel = scene_of([0, 1, 2], shift)
-        reach.take(panel["points"] + panel["u"])
-        panel |= obstacle_scene([(Plane(axis="z", at=-1.0), np.array([0, 0, shift]))], reach, 3)
+        reach.take(panel.moved)
+        floor = ("", Plane(axis="z", at=-1.0), np.array([0, 0, shift]))
+        beside = obstacles_beside([floor], reach, 3)
+        panel = replace(panel, scene=replace(panel.scene, obstacles=beside))
         pictures.add(number, [panel])
         pictures.draw(number, [panel], folder / f"{number}.png")
     pictures.redraw()
-    first, last = drawn[2]["obstacle_points"], drawn[1]["obstacle_points"]
+    (first,), (last,) = ([o.points + o.shift for o in drawn[i].scene.obstacles] for i in (2, 1))
     np.testing.assert_allclose(last - first, np.tile([0, 0, 3.0], (4, 1)))
     np.testing.assert_allclose(first[:, 2], -1.0)
 
 
-def test_marks_stand_at_nodes(folder: Path, drawn: list[dict[str, Any]]) -> None:
+def test_marks_stand_at_nodes(folder: Path, drawn: list[Panel]) -> None:
     """Between nodes a quadratic field overshoots what the run has found; films have no marks."""
     pictures = Series(Limits(), marks=True)
-    panel = scene_of([1e6, 9e6, 2e6]) | {"nodes": np.array([True, False, True])}
+    panel = scene_of([1e6, 9e6, 2e6], nodes=np.array([True, False, True]))
     pictures.add(0, [panel])
     pictures.draw(0, [panel], folder / "a.png")
-    assert str(drawn[0]["mark_text"]) == "max 2 MPa"
+    assert drawn[0].mark_text == "max 2 MPa"
     body = make_problem(2, cells=1).body
     assert [Picture(file=f).appearance(body).marks for f in ("a.png", "a.mp4")] == [True, False]
 
@@ -209,7 +207,7 @@ def test_a_film_is_read_back(folder: Path, name: str, fps: float) -> None:
 
 
 @needs_ffmpeg
-def test_a_film_of_a_run_in_even_time(folder: Path, drawn: list[dict[str, Any]]) -> None:
+def test_a_film_of_a_run_in_even_time(folder: Path, drawn: list[Panel]) -> None:
     """Of uneven states; those that come faster than frames are not all drawn."""
     problem = make_problem(2, cells=1)
     writer = Picture(file="fall.mp4", field="displacement", fps=10, speed=0.5).open(problem, folder)
@@ -220,7 +218,7 @@ def test_a_film_of_a_run_in_even_time(folder: Path, drawn: list[dict[str, Any]])
     found = probe(folder / "fall.mp4")
     assert int(found["nb_read_frames"]) == 11  # 0.5 s at half the speed, both ends shown
     assert [path.name for path in folder.iterdir()] == ["fall.mp4"]
-    shown = {str(one["title"]).split("   |   ")[0] for one in drawn}
+    shown = {one.title.split("   |   ")[0] for one in drawn}
     assert shown == {f"t = {t:g} s" for t in (0.0, 0.05, 0.1, 0.3, 0.5)}
 
 
@@ -298,8 +296,8 @@ def test_obstacles_are_drawn_where_the_gap_is_zero(obstacle: Shape) -> None:
     shift = np.array([0.1, -0.2, 0.3])
     reach = Reach()
     reach.take(np.array([-np.ones(3), np.ones(3)]))
-    scene: dict[str, Any] = {**obstacle_scene([(obstacle, shift)], reach, 3)}
-    x, triangles = scene["obstacle_points"] + scene["obstacle_shift"], scene["obstacle_triangles"]
+    (beside,) = obstacles_beside([("", obstacle, shift)], reach, 3)
+    x, triangles = beside.points + beside.shift, beside.triangles
     gap, normal = obstacle.gap([*(x - shift).T], float, np.sqrt)
     assert np.abs(gap).max() < 1e-12
     corners = x[triangles]
