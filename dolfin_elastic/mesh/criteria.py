@@ -114,7 +114,6 @@ def not_found(
     """Error of a selector that finds nothing: counts, and the smallest distances. Collective.
 
     Args:
-        comm: The ranks of the mesh.
         tests: The selector's criteria, each evaluated for all n facets, edges, nodes or cells.
         owned: Which of them this rank owns, shape (n,).
         searched_in: What was searched, in the plural: "facets of the surface".

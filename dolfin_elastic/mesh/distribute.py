@@ -64,9 +64,7 @@ def build_body(
 
     Args:
         read: Called on rank 0 only.
-        comm: The ranks that share the mesh.
         unit: Unit of length of the file.
-        source: The file, for messages.
         permutation: The node order of quadratic cells: `cpp.io.perm_vtk` or `perm_gmsh`.
 
     Raises:
@@ -209,7 +207,6 @@ def make_mesh(comm: MPI.Comm, cells: IntArray, x: FloatArray, order: int) -> Mes
     """Distributes cells without ghosts, and creates the facets. Collective.
 
     Args:
-        comm: The ranks that share the mesh.
         cells: This rank's share of the cells, in DOLFINx's node order.
         x: This rank's share of the points, in metres, shape (n, 2) or (n, 3).
         order: Geometric degree, 1 or 2.
@@ -323,13 +320,7 @@ def _entities(
 
 
 def _candidates(mesh: Mesh, nodes: IntArray, dim: int) -> tuple[IndexArray, IntArray]:
-    """Local facets or edges all vertices of which are in a set of points, and these vertices.
-
-    Collective.
-
-    Args:
-        nodes: Points by their rows in the file.
-    """
+    """Local facets or edges whose vertices are all in a set of rows of the file. Collective."""
     facets = dim == mesh.topology.dim - 1
     if not facets:
         prepare_edges(mesh)
@@ -344,11 +335,7 @@ def _candidates(mesh: Mesh, nodes: IntArray, dim: int) -> tuple[IndexArray, IntA
 
 
 def _points(mesh: Mesh, named: Mapping[str, IntArray]) -> dict[str, IndexArray]:
-    """Local geometry nodes of each name, also shared ones, sorted. Not collective.
-
-    Args:
-        named: Name to rows of the file's points; the same on all ranks.
-    """
+    """Local geometry nodes of each name, from the same rows of the file on all ranks. Local."""
     rows = np.asarray(mesh.geometry.input_global_indices)
     return {
         name: np.flatnonzero(np.isin(rows, nodes)).astype(np.int32)

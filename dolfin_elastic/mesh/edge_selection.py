@@ -33,10 +33,6 @@ _SHARP = 30.0
 def pick_edges(body: Body, space: BoundingBox, selector: EdgeSelector) -> IndexArray:
     """Local mesh edges, owned and ghost, that a selector means. Collective.
 
-    Args:
-        space: Its bounding box and unit of length.
-        selector: All its keys must hold.
-
     Raises:
         MeshError: The body is plane, a name does not exist, or nothing is found.
     """

@@ -52,7 +52,6 @@ def box_body(
         size: Lengths of the edges, in units of `scale` metres.
         cells: Number of little cubes (squares) along each edge.
         origin: The corner with the smallest coordinates; a missing third number is 0.
-        comm: The ranks that share the mesh.
         scale: Metres per unit of length.
 
     Raises:
@@ -95,7 +94,6 @@ def rectangle_body(
     Args:
         size: Lengths of both edges, in units of `scale` metres.
         cells: Number of squares along each edge, of two triangles each.
-        comm: The ranks that share the mesh.
         scale: Metres per unit of length.
 
     Raises:
@@ -146,15 +144,7 @@ def _check(size: Sequence[float], cells: Sequence[int], origin: Sequence[float])
 
 
 def _check_extremes(size: Sequence[float], scale: float) -> None:
-    """Refuses boxes at which DOLFINx fails, or whose sides cannot be told apart.
-
-    Args:
-        size: Lengths of the edges, in units of `scale` metres.
-        scale: Metres per unit of length.
-
-    Raises:
-        MeshError: An edge is much shorter than others.
-    """
+    """Refuses boxes at which DOLFINx fails, or whose sides cannot be told apart."""
     if min(size) * scale < _SHORTEST or min(size) < _THINNEST * max(size):
         raise MeshError(
             f"an edge of {min(size) * scale:.3g} m is too short",
@@ -188,7 +178,6 @@ def _partitioner(comm: MPI.Comm, count: Sequence[int]) -> Callable[..., object] 
     No graph of its cells is made: that takes two fifths of the time of the whole mesh.
 
     Args:
-        comm: The ranks.
         count: Number of little cubes (squares) along each edge.
 
     Returns:
@@ -242,12 +231,7 @@ def _largest_share(count: IntArray, parts: int) -> int:
 
 
 def _bisected(cubes: IntArray, count: IntArray, parts: int) -> IndexArray:
-    """Part of each cube of a box that is bisected across its longest edge, again and again.
-
-    Args:
-        cubes: Place of each along each edge, shape (n, dim).
-        count: Number of cubes along each edge, shape (dim,).
-    """
+    """Part of each cube, given by its place along each edge, of a box that is bisected."""
     found = np.zeros(len(cubes), dtype=np.int32)
     if parts == 1:
         return found

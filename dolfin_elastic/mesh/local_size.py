@@ -119,7 +119,6 @@ class CadSizes:
         """The places as `formats/cad/sizes.py` takes them. Local.
 
         Args:
-            faces: Of the file.
             bodies: Name of a body to its numbers.
             model: Metres per unit of length of Gmsh's model.
             seconds: Time that Gmsh may take [s].
@@ -207,11 +206,7 @@ class CadSizes:
         return chosen
 
     def _searched(self, name: str, of: str, faces: CadFaces) -> set[int]:
-        """Faces of the part in which a surface is searched: the file's, or one that stands before.
-
-        Raises:
-            MeshError: There is none.
-        """
+        """Faces of the part in which a surface is searched: one before it, or of the file."""
         every = list((self.surfaces or {}).items())
         before = dict(every[: [key for key, _ in every].index(name)])
         found = CadSizes(surfaces=before)._faces(of, faces)
@@ -236,7 +231,6 @@ def _count(place: LocalField, size: float, faces: CadFaces, model: float) -> flo
         place: As `CadSizes.for_gmsh` returns it; bodies count as nothing, and are left to Gmsh's
             limit of time.
         size: In units of the model, as the place.
-        faces: Of the file.
         model: Metres per unit.
     """
     d = faces.dim
@@ -255,12 +249,7 @@ def _count(place: LocalField, size: float, faces: CadFaces, model: float) -> flo
 
 
 def _check_count(count: float, seconds: float, faces: CadFaces, where: str) -> None:
-    """Refuses sizes that give too many cells.
-
-    Args:
-        seconds: Time that Gmsh may take [s].
-        faces: Of the file.
-    """
+    """Refuses more cells than Gmsh can make, in all or in its time [s]."""
     most = min(MOST_CELLS, CELLS_A_SECOND * seconds)
     if count <= most:
         return

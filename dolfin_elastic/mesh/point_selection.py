@@ -17,10 +17,6 @@ from dolfin_elastic.mesh.selectors import PointSelector
 def pick_points(body: Body, space: BoundingBox, selector: PointSelector) -> IndexArray:
     """Local geometry nodes, owned and ghost, that a selector means. Collective.
 
-    Args:
-        space: Its bounding box and unit of length.
-        selector: All its keys must hold.
-
     Raises:
         MeshError: A name does not exist, or nothing is found.
     """

@@ -49,7 +49,6 @@ def read_body(
     Args:
         path: .msh; .xdmf; .inp, .unv, .vtu, .vtk, .med, .mesh and whatever else meshio reads;
             .geo, .step, .brep or .iges, which Gmsh meshes on the fly.
-        comm: The ranks that share the mesh.
         scale: Metres per unit of length of the file; None: the unit that the file states (STEP,
             IGES and .unv), else 1.
         size: Size of the elements in the file's unit, or a text with a unit; only for CAD files.
@@ -161,12 +160,6 @@ def check_file(
 ) -> None:
     """Refuses a file that cannot be a mesh, or for which an option makes no sense. Local.
 
-    Args:
-        path: The file.
-        size: See `read_body`.
-        curved: See `read_body`.
-        join: See `read_body`.
-
     Raises:
         MeshError: With what would be right.
     """
@@ -225,9 +218,7 @@ def reader(
     """How one rank reads a file, and the node order of its quadratic cells.
 
     Args:
-        path: The file.
         cad: Meshes it, if it is a CAD file.
-        permission: What Gmsh may do.
     """
     suffix = path.suffix.lower()
     if suffix == ".msh":

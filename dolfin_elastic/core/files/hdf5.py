@@ -68,7 +68,6 @@ def opened(path: Path, *, virtual: bool = False, checked: bool = False) -> Itera
     """Opens a file for reading, after all in it has been looked at. Not collective.
 
     Args:
-        path: The file.
         virtual: Virtual arrays may be in it, as in the files that this program writes.
         checked: It has been looked at before.
 
@@ -142,7 +141,6 @@ def read_rows(
     """Some rows of an array of numbers. Not collective.
 
     Args:
-        path: The file.
         stop: The row after the last one; None: all of them.
         checked: `opened` has looked at this file before, perhaps on another rank.
 
@@ -160,7 +158,6 @@ def rows_of(file: h5py.File, name: str, start: int = 0, stop: int | None = None)
     """As `read_rows`, of a file from `opened`.
 
     Args:
-        file: The open file.
         stop: The row after the last one; None: all of them.
     """
     data = _array(file, name)
@@ -190,15 +187,7 @@ def _array(file: h5py.File, name: str) -> h5py.Dataset:
 
 
 def _arrays(root: h5py.h5g.GroupID, size: int, *, virtual: bool) -> Iterator[_Stored]:
-    """All arrays and attributes of a file.
-
-    Args:
-        root: The open file.
-        size: Its size [byte].
-
-    Raises:
-        UnsafeHdf5Error: A link leads out of the file, or an array is stored outside.
-    """
+    """All arrays and attributes of a file; refuses links that lead out of it, and outer storage."""
     import h5py
 
     waiting, known = [("/", root)], set[int]()
@@ -251,11 +240,7 @@ def _stored(data: h5py.h5d.DatasetID, name: str, size: int) -> _Stored:
 
 
 def _item(kind: h5py.h5t.TypeID, size: int) -> tuple[int, bool]:
-    """Bytes of one entry in memory, and whether they vary: then they are at most those of the file.
-
-    Args:
-        size: Of the file [byte].
-    """
+    """Bytes of one entry in memory; if they vary, at most `size`, those of the file, and True."""
     import h5py
 
     varies = kind.detect_class(h5py.h5t.VLEN) or (
@@ -275,11 +260,7 @@ def _attributes(one: h5py.h5i.ObjectID, name: str, size: int) -> Iterator[_Store
 
 
 def _check_size(stored: _Stored, size: int) -> None:
-    """Compares an array with the size of the file [byte].
-
-    Raises:
-        UnsafeHdf5Error: The file cannot hold it.
-    """
+    """Refuses an array that a file of this size [byte] cannot hold."""
     most = max(_SMALL, (_COMPRESSION if stored.packed else 1) * size)
     if max(stored.size, stored.chunk) > most:
         raise UnsafeHdf5Error(

@@ -53,9 +53,6 @@ def free_together(comm: MPI.Comm) -> float:
     """Memory [byte] that is free for ranks of which each needs as much. Collective.
 
     Ranks on one machine share what is free there.
-
-    Args:
-        comm: The ranks.
     """
     machine = comm.Split_type(MPI.COMM_TYPE_SHARED)
     mine = free_memory() / machine.size
@@ -69,7 +66,6 @@ def check_memory(
     """Refuses a mesh before the kernel ends the program for want of memory. Collective.
 
     Args:
-        comm: The ranks that share the mesh.
         elements: How many there are or would be, on all ranks.
         each: Memory that an element takes [byte].
 

@@ -36,7 +36,6 @@ def open_regular(path: Path, flags: int) -> int:
     """Opens a file that is neither link, pipe nor device. Not collective.
 
     Args:
-        path: The file.
         flags: Of `os.open`, in addition to those that keep it here.
 
     Returns:
@@ -62,9 +61,6 @@ def open_regular(path: Path, flags: int) -> int:
 def fresh(path: Path) -> Path:
     """Makes an empty file that is nobody else's, in place of what has the name. Not collective.
 
-    Args:
-        path: The file.
-
     Returns:
         The same.
 
@@ -81,7 +77,6 @@ def read_regular(path: Path, most: int) -> bytes:
     """The content of a file that is neither link, pipe nor device. Not collective.
 
     Args:
-        path: The file.
         most: Bytes that it may have.
 
     Raises:

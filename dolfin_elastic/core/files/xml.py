@@ -27,9 +27,6 @@ class _RootReached(Exception):  # noqa: N818 (no error)
 def read_xml(path: Path) -> ElementTree.Element:
     """The root of a document. Not collective.
 
-    Args:
-        path: The file.
-
     Raises:
         ElementTree.ParseError: It is no XML file, or has definitions of its own.
         OSError: It cannot be read.

@@ -47,9 +47,7 @@ def compile_c(
     """Compiles the functions of a file in `core.native`, or takes them from the cache. Collective.
 
     Args:
-        comm: The ranks.
         sizes: Macros that it uses, by name.
-        jit_options: From `options`.
         kernel: The header "kernel.h", where it includes one.
 
     Raises:

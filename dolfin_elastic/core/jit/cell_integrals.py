@@ -106,7 +106,6 @@ class CellIntegrals:
     Args:
         form: Of one test function in the space of the unknowns, or of none; it has no coefficient
             but the unknowns.
-        jit_options: From `options`.
     """
 
     def __init__(self, form: fem.Form, w: fem.Function, jit_options: JitOptions) -> None:
@@ -165,7 +164,6 @@ class CellExpression:
 
     Args:
         points: Of the reference cell, shape (points, dim).
-        jit_options: From `options`.
         loops: What is to be done with it; by default it can only be evaluated, and else not,
             where it has a kernel.
 
@@ -255,13 +253,7 @@ def _loops_over_cells(
     many: bool,
     loops: Loops | None = None,
 ) -> CFunctions:
-    """The loops for a kernel. Collective.
-
-    Args:
-        jit_options: From `options`.
-        many: There are so many cells that lanes pay.
-        loops: Which; by default those of cells.c.
-    """
+    """The loops for a kernel, by default of cells.c; `many` cells pay for lanes. Collective."""
     _, corners, _, _, dofs = _elements(w)
     sizes = {"NG": corners.shape[1], "NW": dofs.shape[1], "BS": w.function_space.dofmap.bs}
     file, further = loops or ("cells.c", {})

@@ -162,7 +162,6 @@ def compile_forms(
 
     Args:
         comm: The ranks of the forms' mesh.
-        jit_options: From `options`.
 
     Returns:
         The forms ready to be assembled.
@@ -192,7 +191,6 @@ def compile_expression(
         comm: The ranks of the expression's mesh.
         expression: UFL expression of any shape.
         points: Points of the reference cell, shape (n, dim).
-        jit_options: From `options`.
 
     Raises:
         Exception: What the form compiler raised on any rank.
@@ -258,7 +256,6 @@ def find_on_all_ranks(
     each looks for itself: ranks on other machines may have folders of their own.
 
     Args:
-        comm: The ranks.
         folders: From `roots`.
         wanted: Name of each form, by all that its code depends on, to what compiles it.
     """
@@ -375,9 +372,6 @@ def on_all_ranks(comm: MPI.Comm, make: Callable[[], T]) -> T:
     """Calls a function on every rank, which is not collective; all raise the error of any.
 
     Collective.
-
-    Args:
-        comm: The ranks.
     """
     error: Exception | None = None
     made: T | None = None
@@ -390,11 +384,7 @@ def on_all_ranks(comm: MPI.Comm, make: Callable[[], T]) -> T:
 
 
 def _made_of(folder: Path, make: Callable[[], T]) -> tuple[T, Library]:
-    """A compiled object of DOLFINx, and the library that it is in. Not collective.
-
-    Args:
-        make: Makes it of what `jit.ffcx_jit` returns.
-    """
+    """A compiled object of DOLFINx, made of what `jit.ffcx_jit` returns, and its library. Local."""
     library = load_library(folder)
     with _given(library):
         return make(), library

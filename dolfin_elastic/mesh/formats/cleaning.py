@@ -122,11 +122,7 @@ def _used(raw: RawMesh) -> RawMesh:
 
 
 def _restricted(raw: RawMesh, used: BoolArray, why: str) -> RawMesh:
-    """The mesh without some points; parts that lose members with them are not whole.
-
-    Args:
-        used: Whether each point remains.
-    """
+    """The mesh with the points in use; parts that lose members with others are not whole."""
     new = np.cumsum(used) - 1
     kept: dict[str, dict[str, IntArray]] = {"surfaces": {}, "edges": {}, "nodes": {}}
     incomplete = dict(raw.incomplete)
@@ -214,11 +210,7 @@ def _branching(raw: RawMesh) -> RawMesh:
 
 
 def _hinged(raw: RawMesh, here: IntArray, there: IntArray) -> RawMesh:
-    """Notes pieces that share nodes and no facet.
-
-    Args:
-        here: A cell beside each facet inside.
-    """
+    """Notes pieces that share nodes and no facet, from the cells on both sides of inner facets."""
     corners = _corners(raw)
     pieces, label = connected_components(len(corners), np.stack([here, there], axis=1))
     if pieces == 1:
@@ -262,11 +254,7 @@ def _pieces(raw: RawMesh) -> RawMesh:
 
 
 def _same_places(raw: RawMesh, piece: IntArray) -> IntArray:
-    """Vertices that are where one of another piece is, one of each place.
-
-    Args:
-        piece: Number of the piece of each point, shape (N,).
-    """
+    """Vertices that are where one of another piece is, one of each place."""
     nodes = np.unique(_corners(raw))
     near = 1e-9 * np.linalg.norm(np.ptp(raw.points[nodes], axis=0))
     places = np.round(raw.points[nodes] / near)
@@ -282,7 +270,6 @@ def check_distributed(comm: MPI.Comm, cells: IntArray, points: int, dim: int) ->
     Collective.
 
     Args:
-        comm: The ranks that read.
         cells: This rank's share of the cells (global points, vertices first).
         points: Number of points in this rank's share.
         dim: 2 or 3.
@@ -311,7 +298,6 @@ def unused_points(comm: MPI.Comm, cells: IntArray, points: int) -> IntArray:
     """Global numbers of the points that no cell uses, sorted, the same on all ranks. Collective.
 
     Args:
-        comm: The ranks that read.
         cells: This rank's share of the cells, which `check_distributed` has looked at.
         points: Number of points in this rank's share.
     """
@@ -348,10 +334,7 @@ def _out_of_range(cells: IntArray, points: int) -> MeshError | None:
 
 
 def _repeated(comm: MPI.Comm, rows: IntArray, most: int) -> int:
-    """Number of different rows that occur more than `most` times, of those sent to this rank.
-
-    Collective.  Equal rows are sent to the same rank.
-    """
+    """Number of rows that occur more than `most` times, each on one rank. Collective."""
     target = rows.sum(axis=1) % comm.size
     parts = comm.alltoall([rows[target == rank] for rank in range(comm.size)])
     _, counts = np.unique(np.concatenate(parts), axis=0, return_counts=True)

@@ -71,7 +71,6 @@ def convert_mesh(
     Args:
         path: A finished mesh of any format of `read_body`.
         target: The .xdmf file; its arrays go into a .h5 file beside it.
-        comm: The ranks.
 
     Raises:
         MeshError: It is no finished mesh, cannot be read, or is not fit for use; or the target
@@ -113,12 +112,7 @@ def _no_cad() -> MeshFile:
 
 
 def _check_target(path: Path, target: Path, *, force: bool) -> None:
-    """Refuses what is no finished mesh, or need not be converted, and files that exist.
-
-    Args:
-        target: The new file.
-        force: It may exist.
-    """
+    """Refuses what is no finished mesh, or need not be converted, and files that exist."""
     if is_cad(path):
         raise MeshError(
             "a CAD file has no mesh yet",
@@ -156,16 +150,7 @@ def _check_target(path: Path, target: Path, *, force: bool) -> None:
 
 
 def _write(raw: RawMesh, path: Path, unit: LengthUnit | None, permutation: Permutation) -> None:
-    """Writes a mesh with its names, see `formats/xdmf.py`. Local: one rank writes.
-
-    Args:
-        path: The `.xdmf` file; its arrays go into a file `.h5` beside it.
-        unit: Unit of length that its own file states, or None.
-        permutation: The node order of its quadratic cells: `cpp.io.perm_vtk` or `perm_gmsh`.
-
-    Raises:
-        OutputError: A file cannot be written.
-    """
+    """Writes a mesh with its names and unit, see `formats/xdmf.py`. Local: one rank writes."""
     import h5py
 
     data = path.with_suffix(".h5")

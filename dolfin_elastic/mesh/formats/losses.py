@@ -23,9 +23,6 @@ _HARMLESS = re.compile(
 def check_warnings(text: str, path: Path) -> None:
     """Refuses a file of which meshio has left something out.
 
-    Args:
-        path: The file.
-
     Raises:
         MeshError: It is about nodes or elements.
     """
@@ -51,9 +48,6 @@ def check_before(path: Path) -> None:
 
 def check_cells(path: Path, cells: int) -> None:
     """Compares the number of cells with that which a legacy VTK file states. Local.
-
-    Args:
-        path: The file.
 
     Raises:
         MeshError: They differ.

@@ -297,9 +297,6 @@ _BEFORE = re.compile(rb"\s*(?:\$Comments\b.*?\$EndComments\s*)*", re.DOTALL)
 def mesh_alone(data: bytes) -> bytes:
     """The file from its header on: by its first line Gmsh takes it for a mesh, or for a script.
 
-    Args:
-        data: The file.
-
     Raises:
         MeshError: There is no header.
     """
@@ -383,13 +380,7 @@ def _elements2(numbers: _Numbers, binary: bool) -> Iterator[_Run]:
 
 
 def _run(words: IntArray, width: int, alike: list[int], most: int, whole: bool) -> IntArray:
-    """Leading rows of equal type and number of tags.
-
-    Args:
-        words: Numbers of the section from the first row on.
-        alike: Columns that must agree with the first row.
-        whole: All `most` rows must be there.
-    """
+    """Leading rows that agree with the first one in some columns; `whole`: all `most` are there."""
     rows = words[: min(most, len(words) // width) * width].reshape(-1, width)
     if len(rows) == 0 or (whole and len(rows) < most):
         raise MeshError("section $Elements ends too early or is damaged")
@@ -474,12 +465,7 @@ def _named(
 
 
 def _rows(tags: IntArray, order: IntArray, nodes: IntArray) -> IntArray:
-    """Rows of `points` for tags of nodes.
-
-    Args:
-        order: Permutation that sorts `tags`.
-        nodes: Tags to look up, any shape.
-    """
+    """Rows of `points` for tags of nodes of any shape; `order` sorts the tags of all."""
     if len(tags) == 0:
         raise MeshError("the mesh has no points")
     at = np.searchsorted(tags, nodes, sorter=order)

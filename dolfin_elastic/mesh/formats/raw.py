@@ -205,8 +205,6 @@ def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh
     elements of one node the points; data of points are left out where cells have data of that name.
 
     Args:
-        found: Content of the file.
-        source: The file, for messages.
         dim: 2 or 3 to choose the elements; by default the highest found.
 
     Raises:
@@ -257,11 +255,7 @@ def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh
 
 
 def _of_faces(below: Sequence[Block], rows: Callable[[Block], Array]) -> dict[int, Array]:
-    """Number of a CAD face to rows of its facets.
-
-    Args:
-        below: Elements one dimension lower than the cells.
-    """
+    """Number of a CAD face to rows of its facets."""
     found: dict[int, list[Array]] = {}
     for block in below:
         if block.entity:
@@ -371,11 +365,7 @@ def _from_points(
 
 
 def _midsides(solid: Sequence[Block], dim: int, facets: IntArray) -> IntArray:
-    """Midside nodes of facets, shape (F, sides); of linear cells (F, 0).
-
-    Args:
-        facets: Vertices, sorted, shape (F, dim).
-    """
+    """Midside nodes of facets, sorted vertices: shape (F, sides); of linear cells (F, 0)."""
     if solid[0].nodes.shape[1] == dim + 1:
         return np.empty((len(facets), 0), dtype=np.int64)
     columns = _MIDSIDES[: solid[0].nodes.shape[1] - dim - 1]

@@ -99,12 +99,7 @@ def read_vtu(path: Path) -> MeshFile:
 
 
 class _File:
-    """One file.
-
-    Args:
-        name: Of the file, for messages.
-        content: All of its bytes.
-    """
+    """One file."""
 
     def __init__(self, name: str, content: bytes) -> None:
         self._name = name
@@ -187,11 +182,7 @@ class _File:
         return found
 
     def _array(self, array: ElementTree.Element, rows: int, columns: int) -> AnyArray:
-        """Numbers of an array, flat.
-
-        Raises:
-            MeshError: It is damaged, or does not have as many numbers as it must.
-        """
+        """As many numbers of an array as it must have, flat."""
         name, kind = array.get("Name", "Points"), array.get("type", "")
         if kind not in _TYPES:
             raise MeshError(f"the array '{name}' is of the unknown type '{kind}'")

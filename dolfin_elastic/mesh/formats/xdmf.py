@@ -169,7 +169,6 @@ def read_xdmf(
 
     Args:
         path: The .xdmf file, with its .h5 beside it.
-        comm: The ranks that share the mesh.
         unit: Unit of length of the file.
         dim: 2 or 3 to choose the elements; by default the highest dimension.
         straight_cells: Quadratic cells are read as straight ones, on one rank.
@@ -328,11 +327,7 @@ def _count(name: str, text: str) -> int:
 
 
 def _topology(kind: str, item: ElementTree.Element) -> Array:
-    """The nodes of the cells of a grid.
-
-    Raises:
-        MeshError: They are not as many to a cell as its kind has.
-    """
+    """The nodes of the cells of a grid, as many to a cell as its kind has."""
     array, width = Array.of(item), _KINDS[kind][1]
     if len(array.shape) == 1 and array.rows % width == 0:
         array = replace(array, shape=(array.rows // width, width))
@@ -347,11 +342,7 @@ def _topology(kind: str, item: ElementTree.Element) -> Array:
 def _others(
     root: ElementTree.Element, main: ElementTree.Element, others: list[ElementTree.Element]
 ) -> list[str]:
-    """Notes on grids with cells that are not read.
-
-    Raises:
-        MeshError: One is a further part of the body.
-    """
+    """Notes on grids with cells that are not read; refuses further parts of the body."""
     blocks = {
         grid
         for collection in root.iter("Grid")
@@ -390,7 +381,6 @@ def is_shared(path: Path, dim: int | None) -> bool:
     """Whether all ranks read a file in shares. Local.
 
     Args:
-        path: The .xdmf file.
         dim: See `read_xdmf`.
     """
     return _contents(path).shared(dim)
@@ -457,11 +447,7 @@ def _width(grid: ElementTree.Element) -> int:
 
 
 def _data_files(path: Path, root: ElementTree.Element) -> list[str]:
-    """The HDF5 files that the text names.
-
-    Raises:
-        MeshError: One is not there, or the text names files of another kind.
-    """
+    """The HDF5 files that the text names, which are beside it."""
     found = {}
     for item in root.iter("DataItem"):
         if item.get("Format") == "Binary":
@@ -479,12 +465,7 @@ def _data_files(path: Path, root: ElementTree.Element) -> list[str]:
 
 
 def _check_binary(path: Path, named: Path) -> None:
-    """Refuses an array in a raw file other than beside the `.xdmf`.
-
-    Args:
-        path: The `.xdmf` file.
-        named: The raw file, which meshio looks for in the current folder.
-    """
+    """Refuses a raw file, which meshio looks for in the current folder, but beside the `.xdmf`."""
     beside = path.parent / named.name
     if why_no_file(beside, sys.maxsize) or not beside.is_file():
         fault = f"its data file '{named}' is not beside it"
@@ -532,12 +513,7 @@ def _tagged(body: Body, path: Path, contents: _Contents, unused: IntArray) -> Bo
 def _parts(
     body: Body, path: Path, tags: _Tags, contents: _Contents, unused: IntArray
 ) -> tuple[dict[str, IndexArray], dict[str, str]]:
-    """Name to local entities, of points nodes; and to what is missing of it. Collective.
-
-    Args:
-        path: The `.xdmf` file.
-        unused: Points that the mesh is without.
-    """
+    """Name to local entities, of points nodes; and to what is missing of it. Collective."""
     mesh, lost = body.mesh, dict[str, str]()
     if tags.cells == contents.cells:
         what = f"the region '{tags.attribute}'"
@@ -571,12 +547,7 @@ def _values(comm: MPI.Comm, numbers: AnyArray) -> list[int]:
 def _nodes(
     mesh: Mesh, points: IntArray, numbers: IndexArray, values: Sequence[int]
 ) -> dict[int, IndexArray]:
-    """Local nodes of each value. Collective.
-
-    Args:
-        points: This rank's share, by their rows in the file.
-        numbers: Value of each.
-    """
+    """Local nodes of each value of points, by their rows in the file. Collective."""
     rows, every = (np.concatenate(mesh.comm.allgather(part)) for part in (points, numbers))
     own = mesh.geometry.input_global_indices
     return {v: np.flatnonzero(np.isin(own, rows[every == v])).astype(np.int32) for v in values}
@@ -610,11 +581,7 @@ def _missing(
 
 
 def _lost(comm: MPI.Comm, tags: _Tags, numbers: IndexArray, gone: BoolArray) -> dict[str, str]:
-    """Name to what a part has lost with points that no cell uses. Collective.
-
-    Args:
-        numbers: Of this rank's share of their cells.
-    """
+    """Name to what a part has lost with points that no cell uses. Collective."""
     found = {}
     for value in _values(comm, numbers[gone]):
         mine = np.array([np.sum(gone & (numbers == value)), np.sum(numbers == value)])

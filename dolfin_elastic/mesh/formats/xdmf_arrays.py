@@ -61,7 +61,6 @@ def check_arrays(path: Path, arrays: Iterable[Array]) -> None:
     """Looks at the files of arrays, and at whether they are as the text states. Local.
 
     Args:
-        path: The `.xdmf` file.
         arrays: All that are to be read.
 
     Raises:
@@ -119,7 +118,6 @@ def hdf_rows(file: Path, array: Array, start: int = 0, stop: int | None = None) 
     """Some rows of an array in a file that `check_arrays` has looked at. Local.
 
     Args:
-        file: The `.xdmf` file.
         stop: The row after the last one; None: all of them.
 
     Returns:
@@ -148,7 +146,6 @@ def distributed(
 
     Args:
         body: Read from the same file.
-        file: The `.xdmf` file.
         what: The field, for messages.
         unused: Rows of the file that the mesh is without, sorted; None: it has all of them.
 

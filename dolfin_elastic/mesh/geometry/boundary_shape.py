@@ -107,11 +107,7 @@ class BoundaryShape:
         self.smooth = np.where(self.exact, np.abs(exact - np.pi) < EDGE, self.smooth)
 
     def _interior_angles(self, frames: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Interior angle at each edge of the facets, and whether two facets meet there. Collective.
-
-        Args:
-            frames: Outward normal and direction into the facet, shape (facets, d, 6).
-        """
+        """Interior angle at each edge of the facets, and whether two meet there. Collective."""
         rows = np.concatenate([frames, np.ones((*frames.shape[:2], 1))], axis=2)
         sums = self._ridges.of_rows(rows)
         normal, inward, count = sums[..., :3], sums[..., 3:6], sums[..., 6]
@@ -256,11 +252,7 @@ class BoundaryShape:
 
 
 def _spread(normals: FloatArray) -> FloatArray:
-    """Largest angle between the unit normals of each facet, shape (facets,); NaN of unknown ones.
-
-    Args:
-        normals: Shape (facets, n, d).
-    """
+    """Largest angle between the n unit normals of each facet; NaN of unknown ones."""
     found = np.zeros(len(normals))
     for i in range(normals.shape[1]):
         for j in range(i):
@@ -291,14 +283,7 @@ def facet_ridges(dim: int, local: IndexArray) -> tuple[IntArray, IndexArray]:
 
 
 def _frames(mesh: Mesh, cells: IndexArray, local: IndexArray) -> FloatArray:
-    """Outward normal and direction into the facet at the middle of each edge of facets. Local.
-
-    Args:
-        cells: The cell of each facet.
-
-    Returns:
-        Shape (facets, d, 6).
-    """
+    """Outward normal and direction into the facet at its edges, shape (facets, d, 6). Local."""
     d = mesh.topology.dim
     found = np.zeros((len(cells), d, 6))
     for facet in range(d + 1):
@@ -315,16 +300,7 @@ def _frames(mesh: Mesh, cells: IndexArray, local: IndexArray) -> FloatArray:
 def _frame(
     nodes: FloatArray, degree: int, facet: int, ridge: tuple[int, ...], other: int
 ) -> FloatArray:
-    """Outward normal and direction into the facet at the middle of an edge of cells.
-
-    Args:
-        nodes: Geometry nodes of the cells, shape (cells, nodes, dim).
-        facet: Local facet.
-        ridge: Corners of one of its edges; in the plane one corner.
-
-    Returns:
-        Shape (cells, 6).
-    """
+    """As `_frames`, at one edge of one facet of cells by their nodes, shape (cells, 6)."""
     dim = nodes.shape[2]
     corners = np.concatenate([np.zeros((1, dim)), np.eye(dim)])
     middle = corners[list(ridge)].mean(axis=0)
@@ -343,12 +319,7 @@ def _frame(
 
 
 def _exact_frames(normals: FloatArray, x: FloatArray) -> FloatArray:
-    """As `_frames`, from the exact normals at the corners; NaN where these are not known. Local.
-
-    Args:
-        normals: Shape (facets, d, d).
-        x: The corners [m], shape (facets, d, d).
-    """
+    """As `_frames`, from the exact normals at the corners; NaN where these are not known."""
     d = normals.shape[1]
     found = np.zeros((len(normals), d, 6))
     for k in range(d):

@@ -120,17 +120,7 @@ def _in_own_cells(
 
 
 def _reference_coordinates(mesh: Mesh, nodes: FloatArray, point: FloatArray) -> FloatArray:
-    """Reference coordinates of a point in each of some cells, by Newton's method.
-
-    One iteration where cells are straight.
-
-    Args:
-        nodes: Shape (cells, nodes, d).
-        point: Shape (d,).
-
-    Returns:
-        Shape (cells, d); not finite where the iteration fails.
-    """
+    """Reference coordinates of a point in cells, by Newton; not finite where that fails."""
     d = nodes.shape[2]
     local = np.full((len(nodes), d), 1 / (d + 1))
     degree = mesh.geometry.cmap.degree

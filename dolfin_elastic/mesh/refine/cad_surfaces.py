@@ -266,12 +266,7 @@ def _from_owners(space: fem.FunctionSpace, x: FloatArray) -> None:
 
 
 def _restore_folded(body: Body, space: fem.FunctionSpace, x: FloatArray, moved: FloatArray) -> int:
-    """Puts nodes of cells back that would be flat or fold; returns how many. Collective.
-
-    Args:
-        x: Their places before [m].
-        moved: Their places afterwards [m], which are changed.
-    """
+    """Puts nodes of cells back that would be flat or fold, in `moved`; how many. Collective."""
     order, d = int(body.mesh.geometry.cmap.degree), body.dim
     points = np.concatenate([lagrange(d, order).points, quadrature_rule(d, 4)[0]])
     cells, index = space.dofmap.list, space.dofmap.index_map

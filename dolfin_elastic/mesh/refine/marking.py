@@ -24,7 +24,6 @@ def bulk(comm: MPI.Comm, indicators: FloatArray, share: float) -> IndexArray:
     Anal. 33 (1996) 1106.
 
     Args:
-        comm: The ranks.
         indicators: Squares of the error of this rank's owned cells, shape (cells,).
         share: Of the sum, between 0 and 1.
 

@@ -55,13 +55,7 @@ def _marks(parts: Parts, count: int) -> AnyArray:
 
 
 def _named(parts: Parts, marks: AnyArray, members: AnyArray) -> dict[str, IndexArray]:
-    """Name to its members.
-
-    Args:
-        marks: Whether a cell, or one of its facets, edges or nodes, has each name, shape
-            (..., parts).
-        members: Local numbers of these, shape (...).
-    """
+    """Name to its members, by marks of shape (..., parts) for local numbers of shape (...)."""
     return {
         name: np.unique(members[marks[..., column] > 0]).astype(np.int32)
         for column, name in enumerate(parts)
@@ -155,14 +149,7 @@ def carry_surface(
 
 
 def _entities_within(d: int, dim: int, corners: FloatArray) -> AnyArray:
-    """Which facet or edge of the parent each facet or edge of a finer cell lies in.
-
-    Args:
-        corners: Barycentric coordinates of the cells' corners, shape (cells, d + 1, d + 1).
-
-    Returns:
-        Shape (cells, own entity, parent's entity).
-    """
+    """Whether each entity of a finer cell lies in each of its parent, (cells, own, parent's)."""
     entities: list[Any] = basix.topology(_SHAPES[d])[dim]
     zero = corners == 0.0
     found = np.zeros((len(corners), len(entities), len(entities)), dtype=bool)

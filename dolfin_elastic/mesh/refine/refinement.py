@@ -34,7 +34,6 @@ class CellLinks:
     Only rows that a rank needs are sent to it.
 
     Args:
-        comm: The ranks.
         count: Cells that this rank had.
         wanted: For each cell that it has now, the global number it had: those of rank 0 first, then
             those of rank 1 ...

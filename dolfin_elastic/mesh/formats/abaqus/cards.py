@@ -131,9 +131,6 @@ def _is_whole(word: str) -> bool:
 def read_cards(path: Path, depth: int = 0) -> Iterator[Card]:
     """Keywords of a file, and of those that it includes, in their order.
 
-    Args:
-        path: The file.
-
     Raises:
         MeshError: A file that is included does not exist, or includes itself.
     """

@@ -47,11 +47,7 @@ class Picked:
 
 
 class Facets:
-    """Facets of the elements of a file.
-
-    Args:
-        elements: All elements.
-    """
+    """Facets of the elements of a file."""
 
     def __init__(self, elements: Sequence[Elements]) -> None:
         self._elements = elements

@@ -86,11 +86,7 @@ class _Deck:
     types: Counter[str] = field(default_factory=Counter)
 
     def add(self, sets: dict[str, list[IntArray]], name: str, numbers: IntArray) -> None:
-        """Adds members to a set.
-
-        Args:
-            name: Of the set, as written.
-        """
+        """Adds members to a set."""
         self.names.setdefault(name.upper(), name)
         sets.setdefault(name.upper(), []).append(numbers)
 

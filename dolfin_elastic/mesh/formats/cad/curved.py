@@ -31,7 +31,6 @@ def follow_curves(
     Args:
         dim: 2 or 3.
         curved: None: only if a face of the body is curved.
-        lengths: The user's unit.
 
     Returns:
         What has been done, and notes on what is doubtful.

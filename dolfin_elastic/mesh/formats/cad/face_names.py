@@ -27,7 +27,6 @@ def face_names(gmsh: ModuleType, path: Path, scale: float) -> tuple[dict[Entity,
 
     Args:
         gmsh: Gmsh with the file's shapes as they are in it.
-        path: The file.
         scale: Units of the model per unit of the file.
 
     Returns:
@@ -63,11 +62,7 @@ def _same(sizes: Sequence[FloatArray], other: Sequence[FloatArray], near: float)
 
 
 def _sizes(faces: Sequence[FloatArray]) -> list[FloatArray]:
-    """Distances between the different corners of each face, sorted, and between the faces.
-
-    Args:
-        faces: Corners of each face, shape (n, 3).
-    """
+    """Distances between the different corners of each face, sorted, and between the faces."""
     corners = [np.unique(np.round(face, 12), axis=0) for face in faces]
     away = [np.linalg.norm(x[:, None] - x[None], axis=2) for x in corners]
     within_faces = [np.sort(d[np.triu_indices(len(d), 1)]) for d in away]
@@ -82,11 +77,7 @@ def _corners(gmsh: ModuleType, face: Entity) -> FloatArray:
 
 
 class _Step:
-    """The entities of a STEP file (ISO 10303-21) that describe faces.
-
-    Args:
-        text: The file.
-    """
+    """The entities of a STEP file (ISO 10303-21) that describe faces."""
 
     def __init__(self, text: str) -> None:
         found = re.finditer(r"#(\d+)\s*=\s*([A-Z_]+)\s*\(((?:'[^']*'|[^';])*)\)\s*;", text)

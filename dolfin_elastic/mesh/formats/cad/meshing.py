@@ -47,7 +47,6 @@ def load_file(
         gmsh: Gmsh with an empty model.
         dim: 2 or 3; None: 3 where there are volumes.
         join: Bodies that touch share the nodes there.
-        lengths: The user's unit.
 
     Returns:
         Remarks, and the dimension of the body.
@@ -85,11 +84,9 @@ def mesh_model(
     """Meshes the current model. Local.
 
     Args:
-        name: Of its file.
         size: Size of the elements, see `read.mesh_cad`.
         local: Smaller sizes in places, see `sizes.set_sizes`.
         curved: Whether cells follow curved surfaces.
-        lengths: The user's unit.
 
     Raises:
         MeshError: It cannot be meshed.

@@ -172,11 +172,7 @@ class GmshProcess:
 
 
 def notes_of(permission: Permission) -> list[str]:
-    """What the user must know of how Gmsh is kept here; nothing where it is confined, or trusted.
-
-    Args:
-        permission: What Gmsh may do.
-    """
+    """What the user must know of how Gmsh is kept; nothing where it is confined, or trusted."""
     if permission.trusted or landlock.version() > 0:
         return []
     return [
@@ -193,9 +189,7 @@ def gmsh_process(
     """Starts Gmsh with copies of a file and of those that it reads; ends it afterwards. Local.
 
     Args:
-        path: The file.
         files: Path relative to the file's folder, and content; of a trusted one they are not used.
-        permission: What it may do.
 
     Yields:
         Gmsh, and the folder into which it writes.

@@ -51,7 +51,6 @@ def mesh_cad(
         join: Bodies that touch share the nodes there; a .geo file joins its bodies itself.
         stated: Unit that the file states.
         unit: Unit that is taken for it, for messages; by default the same, or m.
-        permission: What Gmsh may do.
 
     Raises:
         MeshError: Gmsh cannot read or mesh the file, or it asks for more than a mesh.
@@ -84,12 +83,7 @@ def mesh_cad(
 
 
 def _with_normals(block: Block, dim: int, normals: Mapping[int, FloatArray]) -> Block:
-    """A block of facets with the normals of its face.
-
-    Args:
-        block: Elements of any dimension.
-        normals: Number of a face to its normals.
-    """
+    """A block of facets with the normals of its face."""
     found = normals.get(block.entity) if block.dim == dim - 1 else None
     return (
         block if found is None or len(found) != len(block.nodes) else replace(block, normals=found)
@@ -98,10 +92,6 @@ def _with_normals(block: Block, dim: int, normals: Mapping[int, FloatArray]) -> 
 
 def convert_msh(path: Path, permission: Permission) -> MeshFile:
     """Reads a .msh file of an old version. Local: one rank reads.
-
-    Args:
-        path: The file.
-        permission: What Gmsh may do.
 
     Raises:
         MeshError: Gmsh cannot read it.
@@ -170,9 +160,6 @@ class CadModel:
 @contextmanager
 def open_model(path: Path, permission: Permission) -> Iterator[CadModel]:
     """The model of a CAD file, which is not meshed. Local.
-
-    Args:
-        permission: What Gmsh may do.
 
     Raises:
         MeshError: Gmsh cannot read it.

@@ -83,7 +83,6 @@ def import_shapes(gmsh: ModuleType, path: Path, *, join: bool, lengths: Lengths)
     Args:
         gmsh: Gmsh with an empty model.
         join: Bodies that touch share their faces afterwards.
-        lengths: The user's unit.
 
     Raises:
         MeshError: Its faces enclose no solid.
@@ -147,14 +146,7 @@ def _is_flat(gmsh: ModuleType) -> bool:
 
 
 def _sew(gmsh: ModuleType, source: str, lengths: Lengths) -> list[str]:
-    """Sews faces into solids.
-
-    Returns:
-        How it was done.
-
-    Raises:
-        MeshError: They enclose none.
-    """
+    """Sews faces into solids, or refuses those that enclose none; how it was done."""
     occ, faces = gmsh.model.occ, gmsh.model.getEntities(2)
     edges = _edges(gmsh)
     groups = _connected(faces, edges.values())
@@ -209,12 +201,7 @@ def _edges(gmsh: ModuleType) -> dict[tuple[int, ...], list[Entity]]:
 
 
 def _connected(faces: Sequence[Entity], edges: Iterable[Sequence[Entity]]) -> list[list[Entity]]:
-    """Groups of faces that are connected by edges.
-
-    Args:
-        faces: All faces.
-        edges: For each edge the faces that have it.
-    """
+    """Groups of faces that are connected by edges, of which each is given by its faces."""
     group = {face: face for face in faces}
 
     def root(face: Entity) -> Entity:
@@ -242,9 +229,6 @@ def _join(
     lengths: Lengths,
 ) -> tuple[dict[Entity, str], dict[Entity, str]]:
     """Makes the bodies share the faces where they touch (BooleanFragments).
-
-    Args:
-        lengths: The user's unit.
 
     Returns:
         Names of bodies and of faces afterwards; what two had in common has both, in two lines.
@@ -305,12 +289,7 @@ def _fragments(
 
 
 def _gaps(gmsh: ModuleType, names: Mapping[Entity, Sequence[str]], lengths: Lengths) -> list[str]:
-    """Notes on bodies that almost touch: no shared face joins them, nor one of others.
-
-    Args:
-        gmsh: Gmsh with the bodies, those that touch joined.
-        lengths: The user's unit.
-    """
+    """Notes on bodies that almost touch: no shared face joins them, nor one of others."""
     dim, most = next(iter(names))[0], _ALMOST * diagonal(gmsh)
     around = [
         [(dim, int(tag)) for tag in gmsh.model.getAdjacencies(*face)[0]]
@@ -359,9 +338,6 @@ def touching(gmsh: ModuleType, lengths: Lengths, advice: str) -> list[str]:
     """Notes on bodies of the current model that touch without sharing a face. Local.
 
     A copy of the bodies is joined: what they share then and not before is where they touch.
-
-    Args:
-        lengths: The user's unit.
     """
     bodies = gmsh.model.getEntities(3) or gmsh.model.getEntities(2)
     if len(bodies) < 2 or any(b not in gmsh.model.occ.getEntities(b[0]) for b in bodies):

@@ -51,7 +51,6 @@ def set_sizes(
         local: For each place its `size`, and `faces` or `bodies` (numbers), `sphere` (centre and
             radius) or `box` (smallest, then largest coordinates), in units of the model.
         whole: Size of all other cells, in units of the model.
-        name: Of the file.
 
     Raises:
         MeshError: The file has fields of its own.

@@ -189,11 +189,7 @@ class _Worker:
         load(self._gmsh, self._path)
 
     def _ask(self, name: str, arguments: list[list[float] | int]) -> object:
-        """The result of a function of the model.
-
-        Args:
-            name: One of `ASKED_OF_MODEL`.
-        """
+        """The result of a function of the model, one of `ASKED_OF_MODEL`."""
         assert name in ASKED_OF_MODEL
         converted = [np.array(a) if isinstance(a, list) else a for a in arguments]
         return getattr(self._gmsh.model, name)(*converted)

@@ -110,12 +110,7 @@ def read_entries(path: Path) -> Iterator[Entry]:
 
 
 def _continue(entry: Entry | None, line: _Line, name: str, fields: list[str], mark: str) -> None:
-    """Adds the fields of a line to the entry that it continues.
-
-    Args:
-        entry: The entry before.
-        mark: Last field of the line before.
-    """
+    """Adds the fields of a line to the entry whose last field was the mark."""
     if entry is None:
         raise line.error("this line continues none")
     own, wanted = (text.lstrip("+*").strip().upper() for text in (name, mark))
@@ -171,11 +166,7 @@ def _bulk(path: Path) -> Iterator[_Line]:
 
 
 def _lines(path: Path, depth: int = 0) -> Iterator[_Line]:
-    """Lines that are neither blank nor comments, those of included files in their place.
-
-    Args:
-        path: The file.
-    """
+    """Lines that are neither blank nor comments, those of included files in their place."""
     if depth > _DEEPEST:
         raise MeshError(
             "INCLUDE goes round in a circle",
