@@ -82,6 +82,16 @@ def test_triangles_lie_on_the_surface(shape: Shape) -> None:
         assert np.abs(gap).min() < 1e-12
 
 
+def test_a_sphere_has_no_edges() -> None:
+    """Each side belongs to two triangles with an area: nothing is drawn there, at poles neither."""
+    near = Box(np.full(3, -1.0), np.ones(3))
+    x, triangles = SphereObstacle(center=[0, 0, 0], radius=1).drawn(near, 3)
+    a, b, c = np.moveaxis(x[triangles], 1, 0)
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).min() > 1e-6
+    pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    assert (np.unique(pairs, axis=0, return_counts=True)[1] == 2).all()
+
+
 def test_lengths_beside_a_mesh() -> None:
     """Bare numbers in its unit, texts as they are; what is left out stays so."""
     shape = SphereObstacle(center=[1, "2 cm", 3.0], radius="4 mm")

@@ -47,4 +47,11 @@ def revolved(
     i, j = (k.ravel() for k in np.meshgrid(np.arange(m - 1), np.arange(n), indexing="ij"))
     here, beside = i * n + j, i * n + (j + 1) % n
     lower = np.stack([here, beside, beside + n], axis=1)
-    return rings.reshape(-1, 3), np.vstack([lower, np.stack([here, beside + n, here + n], axis=1)])
+    triangles = np.vstack([lower, np.stack([here, beside + n, here + n], axis=1)])
+    # A circle without radius is one point, else edges of triangles without area look sharp.
+    point = np.arange(m * n).reshape(m, n)
+    axial = radii <= 1e-9 * np.max(radii)
+    point[axial] = point[axial][:, :1]
+    corners = point.ravel()[triangles]
+    flat = (corners == np.roll(corners, 1, axis=1)).any(axis=1)
+    return rings.reshape(-1, 3), corners[~flat]
