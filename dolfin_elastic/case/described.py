@@ -9,8 +9,14 @@ from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.model_tables import READERS
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.describe import Setting
 from dolfin_elastic.model.loads import Load
+from dolfin_elastic.model.supports.displacement import Restraint
+from dolfin_elastic.model.tie import Tie
+
+_UNREADABLE = (InputError, ArithmeticError, KeyError, TypeError, ValueError)
+"""What the tables of strangers may raise."""
 
 
 @dataclass(frozen=True)
@@ -54,20 +60,18 @@ def _rows(lists: Mapping[str, Sequence[object]], setting: Setting) -> Iterator[D
     for key, rows in lists.items():
         for i, row in enumerate(rows):
             try:
-                record = READERS[key](row)
-            except InputError:
-                yield from _unread(f"{key}[{i}]", row)
-                continue
-            on = record.parts if isinstance(record, Load) else record.surfaces
-            label = str(getattr(record, "label", "+".join(on)))
-            follows = isinstance(record, Load) and record.follower
-            follows = follows and not (setting.linear and getattr(record, "linearises", False))
-            yield Described(f"{key}[{i}]", label, on, record.describe(setting), follows)
+                yield _read(f"{key}[{i}]", READERS[key](row), setting)
+            except _UNREADABLE:
+                table = row if isinstance(row, Mapping) else {}
+                on = table.get("on") or ()
+                on = tuple(map(str, on if isinstance(on, list | tuple) else [on]))
+                label = str(table.get("name") or "+".join(on))
+                yield Described(f"{key}[{i}]", label, on, str(table.get("kind") or key))
 
 
-def _unread(key: str, row: object) -> Iterator[Described]:
-    if isinstance(row, Mapping):
-        on = row.get("on") or ()
-        parts = tuple(map(str, on if isinstance(on, list | tuple) else [on]))
-        text = str(row.get("kind") or key.partition("[")[0])
-        yield Described(key, str(row.get("name") or "+".join(parts)), parts, text)
+def _read(key: str, record: Restraint | Load | Contact | Tie, setting: Setting) -> Described:
+    if not isinstance(record, Load):
+        return Described(key, record.label, record.surfaces, record.describe(setting))
+    label = str(getattr(record, "label", "+".join(record.parts)))
+    follows = record.follower and not (setting.linear and record.linearises)
+    return Described(key, label, record.parts, record.describe(setting), follows)

@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -177,9 +178,7 @@ def make_material_regions(
         for name, law in laws.items()
     }
     typical = {name: b.typical for name, b in bound.items()}
-    written = {f"materials.{n}": law for n, law in typical.items() if law.written}
-    if written:
-        check_user_energies(written, body.comm)
+    check_user_energies({f"materials.{n}": law for n, law in typical.items()}, body.comm)
     fields = plan(typical, formulation, degree, plane_stress=geometry == "plane-stress")
     if fields.mixed:
         log.info("unknowns: %s", describe(fields, degree))
@@ -383,9 +382,7 @@ def young(law: Law) -> float:
 
 
 def check_user_energies(laws: Mapping[str, Law], comm: MPI.Comm) -> None:
-    """Checks the energies that users wrote, each once, before a run starts.
-
-    Collective.
+    """Checks the energies that users wrote, each once, before a run starts. Collective.
 
     Args:
         laws: Dotted key of a material to its law.
@@ -394,15 +391,13 @@ def check_user_energies(laws: Mapping[str, Law], comm: MPI.Comm) -> None:
     Raises:
         InputError: On every rank, with the key and the first check that fails.
     """
-    from dolfin_elastic.model.materials.user import UserEnergy
-    from dolfin_elastic.model.point.checks import check_energy
-
     for key, law in laws.items():
         # Constants that vary in space have no values yet: after binding their means are checked.
-        if not isinstance(law, UserEnergy) or law.checked or law.spatial_constants():
+        if not law.written or law.spatial_constants():
             continue
+        from dolfin_elastic.model.point.checks import check_energy
+
         try:
-            on_root(comm, lambda law=law: check_energy(law))  # type: ignore[misc]
+            on_root(comm, partial(check_energy, law))
         except InputError as error:
             raise within(key, error) from None
-        law.mark_checked()

@@ -42,7 +42,7 @@ def supports_of(run: FinishedRun) -> list[Acting]:
     most = max((abs(x) for row in reactions.values() for x in row), default=0.0)
     return [
         Acting(
-            names(row.on) if row.label == "+".join(row.on) else f"{row.label}: {names(row.on)}",
+            _where(row),
             _colour(row, "support"),
             row.text,
             _area(run, row),
@@ -52,6 +52,12 @@ def supports_of(run: FinishedRun) -> list[Acting]:
         for row in rows_of(run)
         if not row.key.startswith("load")
     ]
+
+
+def _where(row: Described) -> str:
+    """Its parts, after its own name."""
+    own = row.label.removeprefix("tie_") != "+".join(row.on)
+    return f"{row.label}: {names(row.on)}" if own else names(row.on)
 
 
 def _moment(run: FinishedRun, label: str, force: float) -> str:

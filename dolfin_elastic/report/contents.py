@@ -11,10 +11,7 @@ import numpy as np
 from dolfin_elastic.core.si_text import number, percent, quantity, scaled_unit
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.report.charts import Axis, Line, line_chart
-from dolfin_elastic.report.words import (
-    Table,
-    analysis_of,
-)
+from dolfin_elastic.report.words import Table, analysis_of
 from dolfin_elastic.results.finished.run import FinishedRun
 
 _ROWS = 60
@@ -101,6 +98,9 @@ _EXTREMES = {
 }
 
 
+_ELSEWHERE = {"von_mises": "elsewhere", "safety_factor": "safety_factor_elsewhere"}
+
+
 def extremes_of(summary: Table, size: float) -> list[Extreme]:
     """The largest values of the last state; none of a run that has reached no step.
 
@@ -116,30 +116,19 @@ def extremes_of(summary: Table, size: float) -> list[Extreme]:
         if value is None:
             continue
         peak = _peak(summary, name)
-        same = peak is not None and peak.get("value") == row.get("value")
-        trust, remark = _trust(peak) if peak is not None and same else ("", "")
-        on = str(peak.get("surface", "")) if peak is not None and same else ""
-        found.append(Extreme(title, value, place_text(row, size, on), trust, remark))
-        found += _elsewhere(summary, name, size)
+        peak = peak if peak.get("value") == row.get("value") else {}
+        where = place_text(row, size, str(peak.get("surface", "")))
+        found.append(Extreme(title, value, where, *(_trust(peak) if peak else ())))
+        other = _peak(summary, _ELSEWHERE.get(name, ""))  # away from where it is unbounded
+        if (value := Value.of(other.get("value"), unit)) is not None:
+            where = place_text(other, size, str(other.get("surface", "")))
+            found.append(Extreme(f"{title} elsewhere", value, where, *_trust(other)))
     return found
 
 
-def _peak(summary: Table, name: str) -> Table | None:
+def _peak(summary: Table, name: str) -> Table:
     found = (summary.get("error") or {}).get(name)
-    return found if isinstance(found, Mapping) else None
-
-
-def _elsewhere(summary: Table, name: str, size: float) -> list[Extreme]:
-    """The largest value away from where it is unbounded."""
-    key = {"von_mises": "elsewhere", "safety_factor": "safety_factor_elsewhere"}.get(name)
-    other = _peak(summary, key) if key else None
-    if other is None:
-        return []
-    title, unit = _EXTREMES[name]
-    value = Value.of(other.get("value"), unit)
-    text = f"{title} elsewhere"
-    where = place_text(other, size, str(other.get("surface", "")))
-    return [Extreme(text, value, where, *_trust(other))] if value is not None else []
+    return found if isinstance(found, Mapping) else {}
 
 
 def _trust(peak: Table) -> tuple[str, str]:
@@ -189,7 +178,8 @@ class LastValue:
     values: tuple[tuple[str, Value], ...]
 
 
-_ELSEWHERE = ("reaction_", "momentum_", "angular_momentum_", "balance_")
+_OTHERWISE = ("reaction_", "momentum_", "angular_momentum_", "balance_")
+"""Beginnings of columns that other sections show."""
 
 
 def last_values(run: FinishedRun) -> list[LastValue]:
@@ -200,39 +190,23 @@ def last_values(run: FinishedRun) -> list[LastValue]:
     names = [
         name
         for name in history
-        if not name.startswith(_ELSEWHERE) and not name.endswith("_energy") and name not in _TITLES
+        if not name.startswith(_OTHERWISE) and not name.endswith("_energy") and name not in _TITLES
     ]
     probes = (run.case.get("output") or {}).get("probes") or {}
     found = []
     for title, columns in _groups(names):
         what = ": displacement" if columns[0].rpartition("_")[0] in probes else ""
-        values = [(name, float(history[name][-1])) for name in columns]
-        unit = run.units.get(columns[0], "")
-        most = max((abs(value) for _, value in values if math.isfinite(value)), default=0.0)
-        factor, shown = scaled_unit(most, unit)
-        rows = tuple(
-            (_component(name, len(columns)), Value(value, _shown(value, factor, shown, most)))
-            for name, value in values
-        )
-        found.append(LastValue(title + what, rows))
+        numbers = [float(history[name][-1]) for name in columns]
+        most = max((abs(x) for x in numbers if math.isfinite(x)), default=0.0)
+        factor, unit = scaled_unit(most, run.units.get(columns[0], ""))
+        rows = []
+        for name, x in zip(columns, numbers, strict=True):
+            text = "0" if abs(x) <= 1e-9 * most else number(x / factor)
+            last = name.rpartition("_")[2]  # with one column the title says all but an axis
+            axis = last if last in _AXES or len(columns) > 1 else ""
+            rows.append((axis, Value(x, f"{text} {unit}" if unit and math.isfinite(x) else text)))
+        found.append(LastValue(title + what, tuple(rows)))
     return found
-
-
-def _component(column: str, count: int) -> str:
-    """The axis of a column of several; with one column the title says all but an axis."""
-    last = column.rpartition("_")[2]
-    return last if last in _AXES or count > 1 else ""
-
-
-def _shown(value: float, factor: float, unit: str, largest: float) -> str:
-    """A component in the unit of all, round-off as 0."""
-    if not math.isfinite(value):
-        return number(value)
-    text = number(value / factor) if abs(value) > 1e-9 * largest else "0"
-    return f"{text} {unit}" if unit else text
-
-
-# --- supports, loads, reactions ---
 
 
 # --- history ---
@@ -302,18 +276,15 @@ def _groups(columns: Sequence[str]) -> list[tuple[str, list[str]]]:
         if name in _NOT_DRAWN:
             continue
         stem, _, last = name.rpartition("_")
+        stem = stem if stem and last in _AXES else name
         if name in _TITLES:
             title = _TITLES[name]
         elif name.endswith("_energy"):
             title = "Energies"
-        elif stem.startswith("reaction_") and last in _AXES:
+        elif stem != name and stem.startswith("reaction_"):
             title = f"Reaction of {stem.removeprefix('reaction_')}"
-        elif stem and last in _AXES:
-            title = stem.replace("_", " ")
-            title = title[:1].upper() + title[1:]
         else:
-            title = name.replace("_", " ")
-            title = title[:1].upper() + title[1:]
+            title = stem[:1].upper() + stem[1:].replace("_", " ")
         found.setdefault(title, []).append(name)
     return list(found.items())
 
@@ -405,10 +376,8 @@ def steps_of(run: FinishedRun) -> Steps | None:
         for name, title, unit in wanted
         if name in history and (name != "krylov" or _worth(history[name]))
     ]
-    count = len(history["step"])
-    kept = list(range(count))
-    if count > _ROWS:
-        kept = [*kept[: _ROWS // 3], *kept[-(_ROWS - _ROWS // 3) :]]
+    count, first = len(history["step"]), _ROWS // 3
+    kept = [k for k in range(count) if k < first or k >= count - (_ROWS - first)]
     rows = tuple(
         tuple(quantity(float(values[k]), unit) for _, unit, values in columns) for k in kept
     )
@@ -439,19 +408,15 @@ def modes_of(run: FinishedRun) -> list[ModeRow]:
     """The modes of a run."""
     found, whole = [], run.summary.get("whole") or {}
     for row in run.summary.get("modes") or []:
-        buckling = row.get("kind") == "buckling"
-        value = Value.of(
-            row.get("load_factor") if buckling else row.get("frequency"), "" if buckling else "Hz"
-        )
+        key, unit = ("load_factor", "") if row.get("kind") == "buckling" else ("frequency", "Hz")
         shares = [
-            (key, percent(float(row.get(f"effective_{key}") or 0.0) / whole[key]))
-            for key in whole
-            if whole[key] and math.isfinite(whole[key])
+            (axis, percent(float(row.get(f"effective_{axis}") or 0.0) / mass))
+            for axis, mass in whole.items()
+            if mass and math.isfinite(mass)
         ]
         name = f": {row['name']}" if row.get("name") else ""
-        found.append(
-            ModeRow(int(row.get("mode", 0)), f"{row.get('kind', '')}{name}", value, tuple(shares))
-        )
+        kind, value = f"{row.get('kind', '')}{name}", Value.of(row.get(key), unit)
+        found.append(ModeRow(int(row.get("mode", 0)), kind, value, tuple(shares)))
     return found
 
 
@@ -512,8 +477,7 @@ def audit_of(run: FinishedRun) -> Checked:
 
 
 def _audit_lines(audit: Table, summary: Table) -> Iterator[str]:
-    names_of = {"balance_force": "forces", "balance_moment": "moments"}
-    for key, what in names_of.items():
+    for key, what in (("balance_force", "forces"), ("balance_moment", "moments")):
         if isinstance(audit.get(key), int | float):
             yield f"Of all {what} together {number(float(audit[key]), 2)} is left (0 is balance)."
     work, stored = audit.get("external_work"), audit.get("stored_energy")

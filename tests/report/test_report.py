@@ -611,6 +611,7 @@ def test_tables_that_cannot_be_read() -> None:
     assert [(row.key, row.label, row.on, row.text) for row in found] == [
         ("load[0]", "3", ("3",), "no kind"),
         ("load[1]", "n", ("a", "b"), "load"),
+        ("load[2]", "", (), "load"),
     ]
 
 

@@ -23,7 +23,7 @@ from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.problem.history import NO_PRONY, PERIODIC
-from dolfin_elastic.problem.material_regions import volume_modulus
+from dolfin_elastic.problem.material_regions import check_user_energies, volume_modulus
 from dolfin_elastic.results.fields import FIBRE_FIELDS, FIELDS, has_fibre
 from dolfin_elastic.solvers.dynamics import settings as dynamics
 from dolfin_elastic.solvers.statics import settings as statics
@@ -330,11 +330,8 @@ def _check_mode_pictures(case: Case) -> None:
 
 def _check_energies(materials: Mapping[str, Material], body: Body) -> None:
     """Energies that users have written pass the checks. Collective."""
-    written = {f"materials.{key_text(n)}": m.law for n, m in materials.items() if m.law.written}
-    if written:
-        from dolfin_elastic.problem.material_regions import check_user_energies
-
-        check_user_energies(written, body.comm)
+    laws = {f"materials.{key_text(name)}": item.law for name, item in materials.items()}
+    check_user_energies(laws, body.comm)
 
 
 def _check_materials(materials: Mapping[str, Material], body: Body) -> None:
