@@ -146,7 +146,6 @@ def distributed(
 
     Args:
         body: Read from the same file.
-        what: The field, for messages.
         unused: Rows of the file that the mesh is without, sorted; None: it has all of them.
 
     Raises:

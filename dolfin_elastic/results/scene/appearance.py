@@ -73,13 +73,8 @@ def picture_of(
             stand for names these are `of_cells`.
         cells: Those that the planes cut, or all; None of a plane body.
         reach: Of the body in all states so far.
-        name: Of the field.
-        title: Above the body.
         shown: Components at points to what is shown, shape (n, 1).
-        names: What numbers stand for.
-        noise: Values below this are round-off.
         obstacles: See `obstacles_beside`.
-        outline: The undeformed edges are drawn.
     """
     view, up = "z" if plane else look.view, look.up or "z"
     left = clipped(surface, cells, look.clips, view, up)

@@ -91,7 +91,6 @@ def silhouette(x: FloatArray, triangles: IntArray, back: FloatArray, least: floa
     lines around them are left out.
 
     Args:
-        back: Direction to the camera.
         least: Length of the shortest line [m].
 
     Returns:
