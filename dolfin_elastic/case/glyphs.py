@@ -18,7 +18,7 @@ from dolfin_elastic.model.loads import Load, LoadPoints
 from dolfin_elastic.problem.terms.edges_points import points_of
 from dolfin_elastic.results.scene.scene import Glyphs
 
-_MOST = 14
+SAMPLES = 14
 """Glyphs on a part."""
 _DIGITS = 6
 _SAME = 1e-12
@@ -101,7 +101,7 @@ def _spread(body: Body, rows: FloatArray) -> FloatArray:
     """
     comm, d, x = body.comm, body.dim, rows[:, : body.dim]
     size, away, found = max(extent(body)), np.full(len(rows), np.inf), list[list[float]]()
-    while len(found) < _MOST:
+    while len(found) < SAMPLES:
         far = largest_row(comm, away, lambda some: x[some], least=_SAME * size)
         if far is None or far.value <= _SAME * size:
             break

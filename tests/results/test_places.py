@@ -18,7 +18,8 @@ from dolfin_elastic import (
     Traction,
     box_body,
 )
-from dolfin_elastic.case.model_record import SAMPLES, model_record
+from dolfin_elastic.case.glyphs import SAMPLES
+from dolfin_elastic.case.model_record import model_record
 from dolfin_elastic.core.parallel import largest_row
 from dolfin_elastic.mesh.geometry.simplices import facet_corners, prepare_facets
 from dolfin_elastic.results.quantity import Extremes
@@ -115,7 +116,7 @@ def test_nothing_counts() -> None:
 
 
 def test_places_of_parts() -> None:
-    """Those of a surface with more facets than are noted: spread, and found without the ranks."""
+    """Glyphs of a surface with more facets than these: spread, and found without the ranks."""
     case = Case.from_dict(
         {
             "mesh": {"box": {"size": [1, 1, 1], "cells": [6, 6, 6]}},
@@ -124,18 +125,18 @@ def test_places_of_parts() -> None:
         }
     )
     body = case.read_body(WORLD)
-    parts = model_record(case, body, (), (), {})["parts"]
-    places = np.array(parts["left"]["places"])
-    assert places.shape == (SAMPLES, 6)
-    assert places[:, 3:] == pytest.approx(np.tile([-1.0, 0, 0], (SAMPLES, 1)))
+    (row,) = model_record(case, body, (), (), {})["glyphs"]
+    places = np.array(row["places"])
+    assert places.shape == (SAMPLES, 3)
+    assert np.array(row["along"]) == pytest.approx(np.tile([1.0, 0, 0], (SAMPLES, 1)))
     facets = np.concatenate(WORLD.allgather(centres(body)))
     kept = [int(np.argmin(keys(facets)))]
     while len(kept) < SAMPLES:
         away = np.linalg.norm(facets[:, None] - facets[kept], axis=2).min(axis=1)
         far = np.flatnonzero(away > away.max() * (1 - 1e-9))
         kept.append(int(far[np.argmin(keys(facets[far]))]))
-    assert places[:, :3] == pytest.approx(facets[kept], abs=1e-6)
-    gaps = [np.linalg.norm(places[:k, :3] - places[k, :3], axis=1).min() for k in range(1, SAMPLES)]
+    assert places == pytest.approx(facets[kept], abs=1e-6)
+    gaps = [np.linalg.norm(places[:k] - places[k], axis=1).min() for k in range(1, SAMPLES)]
     assert all(one >= other - 1e-5 for one, other in pairwise(gaps))
 
 
