@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +17,6 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.files import hdf5
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.mesh.fields import as_columns
-from dolfin_elastic.mesh.formats.losses import check_before, check_cells, check_warnings
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def read_meshio(path: Path) -> MeshFile:
         for name, values in mesh.point_data.items()
         if name != "point_tags" and is_number(np.asarray(values))
     }
-    check_cells(path, sum(len(block.nodes) for block in blocks))
+    _check_cells(path, sum(len(block.nodes) for block in blocks))
     return MeshFile(points, blocks, point_sets=sets, point_data=data)
 
 
@@ -98,7 +98,7 @@ def _read(path: Path) -> meshio.Mesh:
 
     if hdf5.is_hdf5(path):
         check_hdf5(path, path.name)
-    check_before(path)
+    _check_before(path)
     output = io.StringIO()
     try:
         with ExitStack() as stack:
@@ -120,7 +120,7 @@ def _read(path: Path) -> meshio.Mesh:
             expected="formats: .msh, .xdmf, .inp, .unv, .vtu, .vtk, .med, .mesh, .bdf; "
             ".geo, .step, .brep",
         ) from None
-    check_warnings(output.getvalue(), path)
+    _check_warnings(output.getvalue(), path)
     return mesh
 
 
@@ -207,3 +207,122 @@ def _tagged(tags: IntArray | None, names: Mapping[int, Sequence[str]]) -> dict[s
         for name in groups:
             _add(sets, name, np.flatnonzero(np.asarray(tags) == value))
     return sets
+
+
+# --- what meshio 5.3 would leave out in silence, or tell where nobody reads it ---
+
+_HARMLESS = re.compile(
+    r"Experimental file format|legacy format|deprecated|tag data|Appending zeros|Comment with #"
+    r"|know (?:Gmf|keyword )(?:Corners|Ridges|Required\w+|Normals?\w*|Tangents?\w*|SubDomain\w+"
+    r"|\w+OnGeometric\w+|Identifier|Geometry)\b"
+)
+"""Warnings of meshio about names, features and formats, not about nodes or elements."""
+
+
+def _check_warnings(text: str, path: Path) -> None:
+    """Refuses a file of which meshio has left nodes or elements out."""
+    for warning in re.split(r"Warning:", " ".join(text.split()))[1:]:
+        if not _HARMLESS.search(warning):
+            raise MeshError(
+                f"meshio leaves a part of it out: {warning.strip()[:300]}",
+                where=path.name,
+                expected="save the mesh in another format, for example .msh or .vtu",
+            )
+
+
+def _check_before(path: Path) -> None:
+    """Refuses what meshio passes over in formats where it reads the first of several."""
+    check = _CHECKS.get(path.suffix.lower())
+    if check is not None:
+        check(path)
+
+
+def _check_cells(path: Path, cells: int) -> None:
+    """Refuses another number of cells than a legacy VTK file states."""
+    if path.suffix.lower() != ".vtk":
+        return
+    stated = re.search(rb"^CELL_TYPES[ \t]+(\d+)", path.read_bytes(), re.MULTILINE | re.IGNORECASE)
+    if stated and int(stated[1]) != cells:
+        raise MeshError(f"{cells} cells are read, CELL_TYPES states {int(stated[1])}")
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Number and text of each line."""
+    with path.open(encoding="latin-1") as file:
+        for number, line in enumerate(file, start=1):
+            yield number, line.strip()
+
+
+def _check_med(path: Path) -> None:
+    """Coordinates of MED are taken as rectangular ones, whatever the attribute REP says."""
+    if not hdf5.is_hdf5(path):
+        return
+    with hdf5.opened(path) as file:
+        for mesh in file.get("ENS_MAA", {}).values():
+            system = int(mesh.attrs.get("REP", 0))
+            if system:
+                kind = {1: "cylindrical", 2: "spherical"}.get(system, f"of the kind {system}")
+                raise MeshError(
+                    f"its coordinates are {kind} (REP = {system})",
+                    where=path.name,
+                    expected="rectangular coordinates",
+                )
+
+
+def _check_cgns(path: Path) -> None:
+    """Of CGNS the first zone of the first base is read."""
+    if not hdf5.is_hdf5(path):
+        return
+    with hdf5.opened(path) as file:
+        zones = [name for base in file.values() for name in _groups(base)]
+        sections = _groups(file["Base/Zone1"]) if "Base/Zone1" in file else []
+        elements = [name for name in sections if "ElementConnectivity" in file["Base/Zone1"][name]]
+    if len(zones) > 1 or len(elements) > 1:
+        raise MeshError(
+            f"it has {len(zones)} zones with {len(elements)} sections of elements",
+            where=path.name,
+            expected="one zone with one section",
+        )
+
+
+def _groups(group: object) -> list[str]:
+    import h5py
+
+    if not isinstance(group, h5py.Group):
+        return []
+    return [name for name, one in group.items() if isinstance(one, h5py.Group)]
+
+
+def _check_tecplot(path: Path) -> None:
+    """Of Tecplot the first zone is read."""
+    zones = [number for number, line in _lines(path) if line.upper().startswith("ZONE")]
+    if len(zones) > 1:
+        raise MeshError(
+            "a second ZONE is not read", where=f"{path.name}:{zones[1]}", expected="one zone"
+        )
+
+
+def _check_su2(path: Path) -> None:
+    """Of SU2 all zones are read as one with the numbers of each."""
+    for number, line in _lines(path):
+        key, _, value = line.partition("=")
+        if key.strip().upper() == "NZONE" and value.strip() != "1":
+            raise MeshError(
+                "several zones are not read", where=f"{path.name}:{number}", expected="one zone"
+            )
+
+
+def _check_vtk(path: Path) -> None:
+    """Of legacy VTK the last grid is read."""
+    if path.read_bytes().upper().count(b"\nDATASET ") > 1:
+        raise MeshError("it has several grids", where=path.name, expected="one DATASET")
+
+
+_CHECKS: dict[str, Callable[[Path], None]] = {
+    ".med": _check_med,
+    ".cgns": _check_cgns,
+    ".dat": _check_tecplot,
+    ".tec": _check_tecplot,
+    ".su2": _check_su2,
+    ".vtk": _check_vtk,
+}

@@ -72,21 +72,24 @@ class CadFace:
             dim: Of the body: an area is one of dimension dim - 1.
         """
 
-        def length(key: str) -> float | None:
-            return None if data[key] is None else scale * float(data[key])
+        def number(key: str, power: int) -> float | None:
+            return None if data[key] is None else float(data[key]) * scale**power
+
+        def row(values: Sequence[Any], factor: float = 1.0) -> tuple[float, ...]:
+            return tuple(factor * float(x) for x in values)
 
         return CadFace(
             number=int(data["number"]),
             kind=str(data["kind"]),
             form=str(data["form"]),
-            area=None if data["area"] is None else float(data["area"]) * scale ** (dim - 1),
-            centroid=tuple(scale * float(x) for x in data["centroid"]),
-            radius=length("radius"),
-            major=length("major"),
-            angle=None if data["angle"] is None else float(data["angle"]),
-            axis=tuple(float(x) for x in data["axis"]),
-            samples=tuple(tuple(scale * float(x) for x in row) for row in data["samples"]),
-            normals=tuple(tuple(float(x) for x in row) for row in data["normals"]),
+            area=number("area", dim - 1),
+            centroid=row(data["centroid"], scale),
+            radius=number("radius", 1),
+            major=number("major", 1),
+            angle=number("angle", 0),
+            axis=row(data["axis"]),
+            samples=tuple(row(values, scale) for values in data["samples"]),
+            normals=tuple(row(values) for values in data["normals"]),
             names=tuple(str(name) for name in data["names"]),
         )
 
@@ -138,22 +141,10 @@ def describe_faces(gmsh: ModuleType, dim: int) -> list[dict[str, object]]:
                 centroid = list(gmsh.model.occ.getCenterOfMass(*entity))
         groups = gmsh.model.getPhysicalGroupsForEntity(*entity)
         names = [gmsh.model.getPhysicalName(dim - 1, int(group)) for group in groups]
-        found.append(
-            {
-                "number": tag,
-                "kind": shape.kind,
-                "form": form,
-                "area": area,
-                "centroid": centroid,
-                "radius": shape.radius,
-                "major": shape.major,
-                "angle": shape.angle,
-                "axis": shape.axis.tolist(),
-                "samples": shape.samples.tolist(),
-                "normals": np.nan_to_num(shape.normals).tolist(),
-                "names": [name for name in names if name],
-            }
-        )
+        own = {key: getattr(shape, key) for key in ("kind", "radius", "major", "angle")}
+        own |= {key: np.nan_to_num(getattr(shape, key)) for key in ("axis", "samples", "normals")}
+        own |= {"number": tag, "form": form, "area": area, "centroid": centroid}
+        found.append({**own, "names": [name for name in names if name]})
     return found
 
 
