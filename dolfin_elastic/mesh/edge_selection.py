@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from dolfinx import la
 
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
@@ -119,13 +119,7 @@ class _FacetsBeside:
             facets: Each on exactly one rank.
             values: Of each, shape (facets, columns).
         """
-        width = values.shape[1]
-        sums = la.vector(self._mesh.topology.index_map(1), width)
-        rows = sums.array.reshape(-1, width)
-        np.add.at(rows, self._edges[facets], values[:, None, :])
-        sums.scatter_reverse(la.InsertMode.add)
-        sums.scatter_forward()
-        return rows
+        return summed(self._mesh.topology.index_map(1), self._edges[facets], values[:, None, :])
 
     def count(self, facets: IndexArray) -> IndexArray:
         """Number of facets at each local edge."""

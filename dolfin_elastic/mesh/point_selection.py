@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from dolfinx import la
 
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.ghosts import marked
 from dolfin_elastic.core.parallel import first_of, total
-from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.core.types import BoolArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.mesh.criteria import BoundingBox, fulfilled, not_found, place_criteria
 from dolfin_elastic.mesh.geometry.simplices import edge_nodes, facet_nodes, prepare_facets
@@ -97,10 +97,4 @@ def vertices_of(body: Body, name: str) -> BoolArray:
     if "surface" in kinds:
         prepare_facets(body.mesh)
         found.append(facet_nodes(body.mesh, body.surfaces[name]).ravel())
-    nodes = np.concatenate(found)
-    marks = la.vector(body.mesh.geometry.index_map(), 1)
-    values: FloatArray = marks.array
-    values[nodes] = 1.0
-    marks.scatter_reverse(la.InsertMode.add)
-    marks.scatter_forward()
-    return np.asarray(values > 0)
+    return marked(body.mesh.geometry.index_map(), np.concatenate(found))

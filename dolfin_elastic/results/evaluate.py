@@ -14,6 +14,7 @@ from dolfinx import fem, la
 from dolfinx.mesh import exterior_facet_indices
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.problem.state import State
@@ -84,10 +85,7 @@ class NodalNormals:
         outward = x[self._nodes].mean(axis=1) - x[self._opposite]
         turned = np.einsum("fpi,fi->f", areas, outward) < 0
         areas[turned] *= -1.0
-        work = la.vector(self._V.dofmap.index_map, 3)
-        table = work.array.reshape(-1, 3)
-        np.add.at(table, self._nodes, areas)
-        work.scatter_reverse(la.InsertMode.add)
+        table = summed(self._V.dofmap.index_map, self._nodes, areas)
         own = table[: self._V.dofmap.index_map.size_local]
         lengths = np.linalg.norm(own, axis=1, keepdims=True)
         return np.asarray(own / np.where(lengths > 0, lengths, 1.0))

@@ -7,10 +7,11 @@ cells are numbered over all ranks, rank after rank; each rank has those that it 
 from __future__ import annotations
 
 import numpy as np
-from dolfinx import cpp, fem, la
+from dolfinx import cpp, fem
 from dolfinx.mesh import CellType
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.mesh.geometry.simplices import cell_corners, signed_volumes
 from dolfin_elastic.results.hdf5 import Rows
@@ -105,18 +106,6 @@ class Grid:
             local[mirrored] = local[mirrored][:, _MIRRORED[self.nodes_per_cell]]
         return np.asarray(local)
 
-    def with_ghosts(self, values: FloatArray) -> FloatArray:
-        """Values of the owned points and, behind them, those of this rank's ghosts. Collective.
-
-        Args:
-            values: Of the owned points, shape (n, columns).
-        """
-        work = la.vector(self.V.dofmap.index_map, values.shape[1])
-        table = work.array.reshape(-1, values.shape[1])
-        table[: self.own_points] = values
-        work.scatter_forward()
-        return np.asarray(table)
-
     def rows(self, centre: str, values: AnyArray) -> Rows:
         """This rank's values as rows of an array over all ranks. Not collective.
 
@@ -149,12 +138,5 @@ def to_nodes(V: fem.FunctionSpace, values: FloatArray) -> FloatArray:
     """
     weights = np.abs(signed_volumes(cell_corners(V.mesh))[: len(values)])
     columns = np.column_stack([values * weights[:, None], weights])
-    work = la.vector(V.dofmap.index_map, columns.shape[1])
-    nodes = V.dofmap.list[: len(values)]
-    sums = work.array.reshape(-1, columns.shape[1])
-    for j in range(columns.shape[1]):
-        share = np.repeat(columns[:, j], nodes.shape[1])
-        sums[:, j] = np.bincount(nodes.ravel(), share, minlength=len(sums))
-    work.scatter_reverse(la.InsertMode.add)
-    work.scatter_forward()
+    sums = summed(V.dofmap.index_map, V.dofmap.list[: len(values)], columns[:, None])
     return np.asarray(sums[:, :-1] / sums[:, -1:])

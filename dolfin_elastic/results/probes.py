@@ -7,11 +7,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Self
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 from pydantic import Field as Key
 from pydantic import field_validator, model_validator
 
 from dolfin_elastic.core.errors import InputError, MeshError, nearest
+from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.schema import Record, within
 from dolfin_elastic.core.timing import stage
@@ -444,14 +445,11 @@ class _CellFields:
     def _at_corners(self, kernel: CellKernel, cells: IndexArray) -> FloatArray:
         """Means at the local corners, shape (corners, columns); 0 away from these cells."""
         width = len(kernel.columns)
-        sums = la.vector(self.corners.index_map, width + 1)
-        table = sums.array.reshape(-1, width + 1)
+        weighted = np.empty((0, self.fit.shape[0], width + 1))
         if len(cells):
             fitted = np.einsum("cs,nsw->ncw", self.fit, kernel(cells))
             ones = np.ones((*fitted.shape[:2], 1))
             weighted = np.concatenate([fitted, ones], axis=2) * self.volumes[cells, None, None]
-            np.add.at(table, self.corners.list[cells], weighted)
-        sums.scatter_reverse(la.InsertMode.add)
-        sums.scatter_forward()
+        table = summed(self.corners.index_map, self.corners.list[cells], weighted)
         weights = table[:, -1:]
         return np.asarray(table[:, :-1] / np.where(weights > 0, weights, 1.0))

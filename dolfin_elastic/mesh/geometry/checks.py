@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from dolfinx import la
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.mesh.body import Body
@@ -138,11 +138,8 @@ def folded_facets(mesh: Mesh) -> IntArray:
     d = mesh.topology.dim
     sides = _sides(mesh)
     around = mesh.topology.connectivity(d, d - 1).array.reshape(-1, d + 1)
-    sums = la.vector(mesh.topology.index_map(d - 1), 1)
-    np.add.at(sums.array, around.ravel(), sides.ravel())
-    sums.scatter_reverse(la.InsertMode.add)
-    sums.scatter_forward()
-    return np.asarray((np.abs(sums.array[around]) > 1.5).sum(axis=1))
+    sums = summed(mesh.topology.index_map(d - 1), around, sides[..., None])[:, 0]
+    return np.asarray((np.abs(sums[around]) > 1.5).sum(axis=1))
 
 
 def _sides(mesh: Mesh) -> FloatArray:

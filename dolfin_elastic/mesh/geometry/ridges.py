@@ -7,9 +7,10 @@ of all edges of the mesh, most of which are inside of a body that is made of one
 from __future__ import annotations
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 from dolfinx.mesh import Mesh
 
+from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.parallel import RankExchange
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.simplices import EDGE_ENDS, boundary_facets, outward_normals
@@ -26,11 +27,8 @@ def ridge_angles(mesh: Mesh) -> FloatArray:
     mesh.topology.create_connectivity(d - 1, d - 2)
     ridges = mesh.topology.connectivity(d - 1, d - 2).array.reshape(-1, d)[facets]
     index = mesh.topology.index_map(d - 2)
-    sums = la.vector(index, d + 1)  # of the normals, and how many
     rows = np.column_stack([outward_normals(mesh, facets), np.ones(len(facets))])
-    np.add.at(sums.array.reshape(-1, d + 1), ridges, rows[:, None, :])
-    sums.scatter_reverse(la.InsertMode.add)
-    owned = sums.array.reshape(-1, d + 1)[: index.size_local]
+    owned = summed(index, ridges, rows[:, None, :])[: index.size_local]  # normals, and how many
     between = owned[owned[:, d] == 2, :d]
     # Two unit normals at an angle a have a sum of length 2 cos(a/2).
     return np.asarray(2 * np.arccos(np.minimum(np.linalg.norm(between, axis=1) / 2, 1.0)))

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from typing import TypeVar, cast
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 from dolfinx.common import IndexMap
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.ghosts import marked, with_ghosts
 from dolfin_elastic.core.parallel import agree, total
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.body import Body, CadSource, span
@@ -235,11 +236,9 @@ def _links(
 def _shared(space: fem.FunctionSpace, links: _NodeSurfaces) -> _NodeSurfaces:
     """Adds the surfaces that other ranks have found for shared nodes. Collective."""
     index = space.dofmap.index_map
-    marks = la.vector(index, 1)
-    marks.array[index.size_local :] = 1.0
-    marks.scatter_reverse(la.InsertMode.add)
-    marks.scatter_forward()
-    shared = [node for node in links if marks.array[node] > 0]
+    ghosts = np.arange(index.num_ghosts) + index.size_local
+    marks = marked(index, ghosts)
+    shared = [node for node in links if marks[node]]
     numbers = index.local_to_global(np.array(shared, dtype=np.int32))
     sent = {int(n): links[node] for n, node in zip(numbers, shared, strict=True)}
     for rank, received in enumerate(space.mesh.comm.allgather(sent)):
@@ -259,10 +258,8 @@ def _merge(
 
 def _from_owners(space: fem.FunctionSpace, x: FloatArray) -> None:
     """Overwrites the rows of ghosts by those of their owners. Collective."""
-    copy = la.vector(space.dofmap.index_map, x.shape[1])
-    copy.array[:] = x.reshape(-1)
-    copy.scatter_forward()
-    x[:] = copy.array.reshape(x.shape)
+    index = space.dofmap.index_map
+    x[:] = with_ghosts(index, x[: index.size_local])
 
 
 def _restore_folded(body: Body, space: fem.FunctionSpace, x: FloatArray, moved: FloatArray) -> int:
@@ -279,10 +276,6 @@ def _restore_folded(body: Body, space: fem.FunctionSpace, x: FloatArray, moved: 
         bad = (after / mean).min(axis=1, initial=np.inf) < limit
         if not total(body.comm, int(np.count_nonzero(bad))):
             return int(stay)
-        marks = la.vector(index, 1)
-        marks.array[np.unique(cells[bad])] = 1.0
-        marks.scatter_reverse(la.InsertMode.add)
-        marks.scatter_forward()
-        back = (marks.array > 0) & (moved != x).any(axis=1)
+        back = marked(index, cells[bad]) & (moved != x).any(axis=1)
         moved[back] = x[back]
         stay += total(body.comm, int(np.count_nonzero(back[: index.size_local])))

@@ -154,17 +154,14 @@ def _of_part(body: Body, name: str, where: str) -> BoolArray:
 
 def _touching(body: Body, name: str) -> BoolArray:
     """Owned cells that have a vertex on a surface, also those of other ranks. Collective."""
-    from dolfinx import la
+    from dolfin_elastic.core.ghosts import marked
 
     mesh = body.mesh
     prepare_facets(mesh)
     d = mesh.topology.dim
     mesh.topology.create_connectivity(d - 1, 0)
     mesh.topology.create_connectivity(d, 0)
-    marks = la.vector(mesh.topology.index_map(0), 1)
     links = mesh.topology.connectivity(d - 1, 0).array.reshape(-1, d)
-    marks.array[np.unique(links[body.surface(name)])] = 1.0
-    marks.scatter_reverse(la.InsertMode.add)
-    marks.scatter_forward()
+    marks = marked(mesh.topology.index_map(0), links[body.surface(name)])
     vertices = mesh.topology.connectivity(d, 0).array.reshape(-1, d + 1)
-    return np.asarray((marks.array[vertices[body.owned_cells()]] > 0).any(axis=1))
+    return np.asarray(marks[vertices[body.owned_cells()]].any(axis=1))

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 import basix
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 from dolfinx.mesh import exterior_facet_indices
 
 from dolfin_elastic.core.compat import integration_entities, interpolation_points
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, span
@@ -68,19 +69,14 @@ def surface_normals(body: Body, V: fem.FunctionSpace, name: str) -> SurfaceNorma
     check_outside(body, name, "support")
     shares, nodes = _shares(body, V, facets)
     dim, index_map = body.dim, V.dofmap.index_map
-    sums = la.vector(index_map, dim + 1)
-    rows = sums.array.reshape(-1, dim + 1)
-    np.add.at(rows[:, :dim], nodes, shares)
-    np.add.at(rows[:, dim], nodes, np.linalg.norm(shares, axis=1))
-    sums.scatter_reverse(la.InsertMode.add)
-    sums.scatter_forward()
+    areas = np.linalg.norm(shares, axis=1, keepdims=True)
+    rows = summed(index_map, nodes, np.hstack([shares, areas]))
     mean = total(body.comm, shares.sum(axis=0))
     length = float(np.linalg.norm(mean))
-    whole = total(body.comm, float(np.linalg.norm(shares, axis=1).sum()))
+    whole = total(body.comm, float(areas.sum()))
     mean = unit_normals(mean[None] / length)[0] if length > FLAT * whole else np.zeros(dim)
     found = np.flatnonzero(rows[:, dim] > 0.0).astype(np.int32)
-    spread = np.linalg.norm(shares, axis=1, keepdims=True) * mean - shares
-    off = np.linalg.norm(spread, axis=1) / np.maximum(np.linalg.norm(shares, axis=1), 1e-300)
+    off = np.linalg.norm(areas * mean - shares, axis=1) / np.maximum(areas[:, 0], 1e-300)
     flat = largest(body.comm, float(np.max(off, initial=0.0))) < FLAT
     heights = V.tabulate_dof_coordinates()[found, :dim] @ mean
     low = smallest(body.comm, float(np.min(heights, initial=np.inf)))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 
+from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
@@ -48,11 +49,9 @@ def _step(body: Body, values: FloatArray, cells: IndexArray) -> float:
     mesh, dim = body.mesh, body.dim
     prepare_facets(mesh)
     facets = mesh.topology.connectivity(dim, dim - 1).array.reshape(-1, dim + 1)[cells]
-    sums = la.vector(mesh.topology.index_map(dim - 1), 3)
-    table = sums.array.reshape(-1, 3)
     logs = np.log(np.maximum(values, np.finfo(np.float64).tiny))
-    np.add.at(table, facets, np.stack([np.ones_like(logs), logs, logs**2], axis=1)[:, None])
-    sums.scatter_reverse(la.InsertMode.add)
+    rows = np.stack([np.ones_like(logs), logs, logs**2], axis=1)[:, None]
+    table = summed(mesh.topology.index_map(dim - 1), facets, rows)
     count, s, q = table[: mesh.topology.index_map(dim - 1).size_local].T
     square = np.where(count == 2, 2 * q - s**2, 0.0).max(initial=0.0)
     return float(np.exp(np.sqrt(max(largest(body.comm, float(square)), 0.0))))

@@ -17,10 +17,11 @@ from functools import cached_property
 
 import numpy as np
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size
@@ -341,12 +342,9 @@ def _at_nodes(
     d = body.dim
     own = facets[facets < body.mesh.topology.index_map(d - 1).size_local]
     beside, local = cells_beside_facets(body.mesh, own)
-    sums = [la.vector(S.dofmap.index_map, 1) for _ in range(2)]
     eps = penalty.x.array[penalty.function_space.dofmap.list[beside, 0]]
     closure = [S.dofmap.dof_layout.entity_closure_dofs(d - 1, i) for i in range(d + 1)]
     nodes = S.dofmap.list[beside[:, None], np.array(closure, dtype=np.int32)[local]]
-    for k, value in enumerate((np.ones(len(own)), 1 / eps)):
-        np.add.at(sums[k].array, nodes, value[:, None])
-        sums[k].scatter_reverse(la.InsertMode.add)
-    count, inverse = (vector.array for vector in sums)
+    rows = np.column_stack([np.ones(len(own)), 1 / eps])[:, None]
+    count, inverse = summed(S.dofmap.index_map, nodes, rows).T
     return np.asarray(np.divide(count, inverse, out=np.ones_like(count), where=inverse > 0))

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from dolfinx import la
 
+from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.mesh.body import Body, span
@@ -48,12 +48,10 @@ def boundary_edges(body: Body, surfaces: Sequence[str]) -> IndexArray:
     topology.create_connectivity(dim - 1, dim - 2)
     edges_of = topology.connectivity(dim - 1, dim - 2)
     index_map = topology.index_map(dim - 2)
-    count = la.vector(index_map, 1)
     facets = np.unique(np.concatenate([body.owned_facets(name) for name in surfaces]))
-    for facet in facets:
-        count.array[edges_of.links(facet)] += 1.0
-    count.scatter_reverse(la.InsertMode.add)  # ranks share edges, but each facet counts once
-    return np.flatnonzero(count.array[: index_map.size_local] == 1.0).astype(np.int32)
+    edges = edges_of.array.reshape(-1, dim)[facets]  # a simplex has dim facets
+    count = summed(index_map, edges, np.ones((1, 1)))  # ranks share edges, but no facet twice
+    return np.flatnonzero(count[: index_map.size_local, 0] == 1.0).astype(np.int32)
 
 
 @dataclass

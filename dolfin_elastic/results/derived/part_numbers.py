@@ -18,10 +18,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 
 from dolfin_elastic.core.compat import integration_entities
 from dolfin_elastic.core.errors import InputError, MeshError
+from dolfin_elastic.core.ghosts import marked, with_ghosts
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.schema import within
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
@@ -192,7 +193,7 @@ class PartNumbers:
         rows = {} if self._evaluator is None else self._evaluator(state)
         grid = None if self._evaluator is None else self._evaluator.grid
         nodal = {
-            name: grid.with_ghosts(np.asarray(values, dtype=np.float64))
+            name: with_ghosts(self.problem.V.dofmap.index_map, values)
             for name, values in rows.items()
             if grid is not None and FIELDS[name].centre == "node"
         }
@@ -309,10 +310,8 @@ def members(problem: Problem, kind: str, part: str | None, centre: str) -> Index
     if kind != "region":
         nodes = part_nodes(body, V, part)
         return np.asarray(nodes[nodes < owned], dtype=np.int32)
-    marks = la.vector(V.dofmap.index_map, 1)
-    marks.array[V.dofmap.list[body.owned_cells(part)]] = 1.0
-    marks.scatter_reverse(la.InsertMode.add)
-    return np.flatnonzero(marks.array[:owned]).astype(np.int32)
+    nodes = V.dofmap.list[body.owned_cells(part)]
+    return np.flatnonzero(marked(V.dofmap.index_map, nodes)[:owned]).astype(np.int32)
 
 
 def check_surface(body: Body, name: str, where: str = "") -> None:

@@ -24,6 +24,7 @@ from dolfinx import fem, la
 from pydantic import field_validator, model_validator
 
 from dolfin_elastic.core.errors import InputError, MeshError
+from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.schema import Record, within
@@ -150,11 +151,7 @@ class SectionForces:
 
     def _shared(self, sides: AnyArray) -> IndexArray:
         dofmap = self.problem.V.dofmap
-        touched = la.vector(dofmap.index_map, 2)
-        rows = touched.array.reshape(-1, 2)
-        for column, sign in enumerate((1, -1)):
-            rows[np.unique(dofmap.list[: len(sides)][sides == sign]), column] = 1.0
-        touched.scatter_reverse(la.InsertMode.add)
+        rows = summed(dofmap.index_map, dofmap.list[: len(sides)], _both(sides)[:, None])
         return np.flatnonzero((rows[: self._own] > 0).all(axis=1)).astype(np.int32)
 
     def _form(self, moving: bool) -> fem.Form:
@@ -279,12 +276,7 @@ class _Facets:
         return np.asarray((marks[self.corners, 0] > 0).any(axis=1))
 
     def _sum(self, d: int, entities: AnyArray, rows: FloatArray) -> FloatArray:
-        vector = la.vector(self._maps[d], rows.shape[1])
-        values = vector.array.reshape(-1, rows.shape[1])
-        np.add.at(values, entities, rows)
-        vector.scatter_reverse(la.InsertMode.add)
-        vector.scatter_forward()
-        return np.array(values)
+        return summed(self._maps[d], entities, rows)
 
 
 def _both(sides: AnyArray) -> FloatArray:

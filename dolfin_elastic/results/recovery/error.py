@@ -42,9 +42,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import ufl
-from dolfinx import fem, la
+from dolfinx import fem
 from ufl.core.expr import Expr
 
+from dolfin_elastic.core.ghosts import with_ghosts
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import boundary_shape
@@ -147,8 +148,7 @@ class ErrorEstimator:
         own = len(problem.body.owned_cells())
         cells, elastic, in_cells = np.zeros((3, own))
         found, errors = [], np.zeros((len(self._regions), V.dofmap.index_map.size_local))
-        difference = la.vector(V.dofmap.index_map, 1)
-        largest = difference.array[: errors.shape[1]]
+        largest = np.zeros(errors.shape[1])
         for number, region in enumerate(self._regions):
             of = region()
             chosen = region.part.cells
@@ -156,7 +156,6 @@ class ErrorEstimator:
             found.append((region.part, of.recovered))
             errors[number] = of.at_nodes
             largest[:] = np.fmax(largest, von_mises(of.difference))
-        difference.scatter_forward()
         stress = NodalStress.of(V, found)
         sums = np.array([cells.sum(), elastic.sum(), _cut_off(problem, elastic)])
         within, stored, geometry = total(problem.body.comm, sums)
@@ -170,7 +169,7 @@ class ErrorEstimator:
             in_cells,
             stress,
             errors[stress.region, np.arange(errors.shape[1])],
-            difference.array,
+            with_ghosts(V.dofmap.index_map, largest[:, None])[:, 0],
         )
 
 

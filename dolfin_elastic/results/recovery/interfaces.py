@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from dolfinx import la
 
+from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.ridges import cell_ridges
 from dolfin_elastic.mesh.geometry.simplices import cell_corners
@@ -107,12 +107,10 @@ def _touch_several(problem: Problem, vertices: IndexArray) -> BoolArray:
         vertices: Of the local cells, shape (cells, corners).
     """
     width = len(problem.regions)
-    work = la.vector(problem.body.mesh.topology.index_map(0), width)
-    table = work.array.reshape(-1, width)
+    rows = np.zeros((len(vertices), 1, width))
     for region, part in enumerate(problem.regions):
-        table[vertices[part.cells].ravel(), region] = 1.0
-    work.scatter_reverse(la.InsertMode.add)
-    work.scatter_forward()
+        rows[part.cells, :, region] = 1.0
+    table = summed(problem.body.mesh.topology.index_map(0), vertices, rows)
     return np.asarray(np.count_nonzero(table, axis=1) > 1)
 
 

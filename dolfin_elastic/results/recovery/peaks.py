@@ -7,8 +7,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 
+from dolfin_elastic.core.ghosts import marked, with_ghosts
 from dolfin_elastic.core.parallel import largest_row, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.core.units import stress_unit
@@ -426,14 +427,9 @@ def _local_maxima(V: fem.FunctionSpace, values: FloatArray) -> BoolArray:
     Args:
         values: Of the owned nodes.
     """
-    work = la.vector(V.dofmap.index_map, 1)
-    work.array[: len(values)] = values
-    work.scatter_forward()
+    local = with_ghosts(V.dofmap.index_map, values[:, None])[:, 0]
     cells = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
     nodes = V.dofmap.list[:cells]
-    of_cells = work.array[nodes]
+    of_cells = local[nodes]
     below = of_cells < of_cells.max(axis=1, initial=-np.inf, keepdims=True) * (1 - _EQUAL)
-    marks = la.vector(V.dofmap.index_map, 1)
-    marks.array[nodes[below]] = 1.0
-    marks.scatter_reverse(la.InsertMode.add)
-    return np.asarray(marks.array[: len(values)] == 0)
+    return ~marked(V.dofmap.index_map, nodes[below])[: len(values)]

@@ -35,6 +35,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from dolfinx import fem, la
 
+from dolfin_elastic.core.ghosts import summed, with_ghosts
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import boundary_shape, cell_size
@@ -81,10 +82,8 @@ class SingularPlaces:
 
     def widened(self, V: fem.FunctionSpace) -> BoolArray:
         """Nodes in cells that have a node near any of them, shape (nodes,). Collective."""
-        work = la.vector(V.dofmap.index_map, 1)
-        work.array[: len(self.near)] = self.anywhere
-        work.scatter_forward()
-        return np.asarray(_with_neighbours(V, work.array[:, None])[:, 0])
+        anywhere = with_ghosts(V.dofmap.index_map, self.anywhere[:, None])
+        return np.asarray(_with_neighbours(V, anywhere)[:, 0])
 
     def reason(self, node: int) -> str:
         """Why the stress is singular near an owned node; empty if it is not."""
@@ -141,11 +140,7 @@ def _with_neighbours(V: fem.FunctionSpace, table: FloatArray) -> BoolArray:
     marked = np.any(table > 0, axis=1)
     nodes = nodes[np.any(np.asarray(marked)[nodes], axis=1)]  # few cells have any
     touched = (table[nodes] > 0).any(axis=1)
-    work = la.vector(V.dofmap.index_map, table.shape[1])
-    near = work.array.reshape(table.shape)
-    for column in range(table.shape[1]):
-        near[nodes[touched[:, column]].reshape(-1), column] = 1.0
-    work.scatter_reverse(la.InsertMode.add)
+    near = summed(V.dofmap.index_map, nodes, touched[:, None].astype(np.float64))
     return np.asarray(near[: V.dofmap.index_map.size_local] > 0)
 
 

@@ -27,6 +27,7 @@ from ufl.checks import is_cellwise_constant
 from ufl.classes import Grad
 from ufl.core.expr import Expr
 
+from dolfin_elastic.core.ghosts import marked
 from dolfin_elastic.core.jit import compile_expression
 from dolfin_elastic.core.jit.cell_integrals import CellExpression
 from dolfin_elastic.core.parallel import total
@@ -110,11 +111,8 @@ def cells_around(
     dofmap = fem.functionspace(problem.body.mesh, ("Lagrange", 1)).dofmap
     chosen = np.asarray(sorted(cells), dtype=np.int32)
     for _ in range(rings):
-        marks = la.vector(dofmap.index_map, 1)
-        marks.array[dofmap.list[chosen].reshape(-1)] = 1.0
-        marks.scatter_reverse(la.InsertMode.add)
-        marks.scatter_forward()
-        near = (marks.array[dofmap.list[region.cells]] > 0).any(axis=1)
+        nodes = marked(dofmap.index_map, dofmap.list[chosen])
+        near = nodes[dofmap.list[region.cells]].any(axis=1)
         chosen = np.asarray(region.cells[near])
     return chosen
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from dolfinx import la
-from dolfinx.common import IndexMap
 
+from dolfin_elastic.core.ghosts import with_ghosts
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
@@ -85,19 +84,3 @@ class DrawnField:
         if components.shape[1] > 1:
             components = np.linalg.norm(components, axis=1, keepdims=True)
         return components
-
-
-def with_ghosts(index_map: IndexMap, values: AnyArray) -> AnyArray:
-    """Values of owned points or cells, completed by those of ghosts. Collective.
-
-    Args:
-        values: Shape (owned, columns).
-
-    Returns:
-        Shape (owned and ghosts, columns).
-    """
-    work = la.vector(index_map, values.shape[1])
-    rows = work.array.reshape(-1, values.shape[1])
-    rows[: len(values)] = values
-    work.scatter_forward()
-    return rows.copy()

@@ -20,6 +20,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import InputError, OutputError, nearest
+from dolfin_elastic.core.ghosts import with_ghosts
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.shapes.shapes import Shape
 from dolfin_elastic.core.timing import stage
@@ -31,7 +32,7 @@ from dolfin_elastic.problem.state import Mode, State, plain
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import make_folder, writing
 from dolfin_elastic.results.scene.appearance import CATEGORIES, DEFAULT, Appearance, picture_of
-from dolfin_elastic.results.scene.drawn_field import DrawnField, with_ghosts
+from dolfin_elastic.results.scene.drawn_field import DrawnField
 from dolfin_elastic.results.scene.obstacles import Reach
 from dolfin_elastic.results.scene.renderer import RENDERER
 from dolfin_elastic.results.scene.scene import Picture, View, up_against

@@ -22,6 +22,7 @@ from functools import cached_property
 import numpy as np
 
 from dolfin_elastic.core.files.regular import fresh
+from dolfin_elastic.core.ghosts import with_ghosts
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.problem.state import State, plain
@@ -77,7 +78,9 @@ class VtuWriter(IndexedSeries):
             if FIELDS[name].centre == "cell":
                 cells[name] = _plain_columns(part.values)
             else:
-                points[name] = _plain_columns(self._evaluate.grid.with_ghosts(part.values)[used])
+                points[name] = _plain_columns(
+                    with_ghosts(self._evaluate.grid.V.dofmap.index_map, part.values)[used]
+                )
         ghosts = used >= self._evaluate.grid.own_points
         points[GHOSTS] = np.where(ghosts, _DUPLICATE, 0).astype(np.uint8)
         return points, cells
