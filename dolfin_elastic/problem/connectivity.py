@@ -33,7 +33,7 @@ class ConnectedBodies:
 
     def __init__(self, problem: Problem) -> None:
         self._body, self.comm = problem.body, problem.body.comm
-        self._ties = problem.ties
+        self._ties = problem.constraints.ties
         dofmap = problem.unknowns.U.dofmap
         self._plain = np.asarray(problem.V.dofmap.list)
         self._dofs, self._map = np.asarray(dofmap.list), dofmap.index_map

@@ -13,7 +13,6 @@ from dolfinx.fem import Constant, Function
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core import jit
-from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.contact import Contact
@@ -25,13 +24,13 @@ from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.supports.springs import Dashpot, ResistingSupport, Spring
 from dolfin_elastic.model.tie import Tie
 from dolfin_elastic.model.values import OnSurfaces, depends_on_time
-from dolfin_elastic.problem.constraints.dirichlet import DirichletConditions
 from dolfin_elastic.problem.constraints.normals import (
     Projections,
     check_outside,
     spring_directions,
 )
 from dolfin_elastic.problem.constraints.periodic.unit_cell import Cell, Fluctuation, make_cell
+from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.context import FormContext, Measures
 from dolfin_elastic.problem.eigenstrain import eigenstrains
 from dolfin_elastic.problem.material_regions import (
@@ -56,7 +55,6 @@ from dolfin_elastic.problem.weak_form import (
 )
 
 if TYPE_CHECKING:
-    from dolfin_elastic.problem.constraints.ties.ties import Ties
     from dolfin_elastic.problem.history import History
 
 
@@ -93,9 +91,8 @@ class Problem:
         context: Measures, fields and amplitudes from which loads and supports make their forms.
         weak_form: The sum of virtual-work terms.
         regions: The materials, each on its cells.
-        dirichlet: Prescribed displacements.
+        constraints: Prescribed displacements, and those that follow others.
         contact_pairs: The contacts on this body.
-        ties: Which displacements follow others; None without ties.
         cell: The macroscopic deformation of a periodic cell, or None.
         eigenstrains: Material's name to its growth Fg (UFL), of those that grow.
         terms: What else acts on the body, and couples nodes that share no element.
@@ -166,14 +163,9 @@ class Problem:
         )
         self.context = FormContext(body, self.unknowns, self.regions, self.measures, self.geometry)
         self.constant, self.t, self.X = self.context.constant, self.context.t, self.context.X
-        self.dirichlet = DirichletConditions(
-            body, self.V, self.supports, places=self.places, axis=axisymmetric, pinned=pinned
+        self.constraints = Constraints(
+            body, self.V, self.supports, ties, places=self.places, axis=axisymmetric, pinned=pinned
         )
-        self.ties: Ties | None = None
-        if ties:
-            from dolfin_elastic.problem.constraints.ties.ties import Ties  # and all of scipy.sparse
-
-            self.ties = Ties(body, self.V, ties, self.dirichlet, axisymmetric=axisymmetric)
         self._make_rare_terms(contacts)
         self.weak_form = WeakForm(
             self.context,
@@ -250,7 +242,7 @@ class Problem:
         # The stretch out of the plane enlarges the loaded area, but has no equation with the load.
         if not load.conservative_if_edge_fixed or self.unknowns.has("stretch"):
             return False
-        return follower_pressure_has_potential(self.body, self.dirichlet, load.parts)
+        return follower_pressure_has_potential(self.body, self.constraints, load.parts)
 
     def _follows(self, load: Load) -> bool:
         return load.follower and not (load.linearises and self.context.linear)
@@ -276,7 +268,7 @@ class Problem:
         They may have scalar unknowns, and have results that are numbers.
         """
         turned = any(support.kind == "rotation" for support in self.supports)
-        rigid = self.dirichlet.rigid_motions
+        rigid = self.constraints.rigid_motions
         return bool(self.cavities or rigid or turned or self.cell is not None)
 
     @property
@@ -322,7 +314,7 @@ class Problem:
         self.context.set_time(t, default)
         if self.nodal_loads is not None:
             self.nodal_loads.set_time(t, default)
-        self.dirichlet.set_time(t, default)
+        self.constraints.set_time(t, default)
         if self.cell is not None:
             self.cell.set_time(t, default)
             self.unknowns.w_to_u()
@@ -332,19 +324,6 @@ class Problem:
             cavity.set_time(t, default)
         if self.history is not None:
             self.history.set_time(t)
-
-    def impose(self, array: FloatArray, values: FloatArray) -> None:
-        """Puts prescribed values into a local vector of the displacement's space. Collective.
-
-        Tied entries follow them.
-
-        Args:
-            array: Displacement, velocity or acceleration, whose owned entries are changed.
-            values: See `DirichletConditions.impose`.
-        """
-        self.dirichlet.impose(array, values)
-        if self.ties is not None:
-            self.ties.extend(array)
 
     @cached_property
     def stiffness(self) -> float:
@@ -393,7 +372,7 @@ def conserves(problem: Problem) -> bool:
 def parts_held(problem: Problem) -> dict[str, list[str]]:
     """Label of supports, springs, contacts and ties to the parts that they act on."""
     contacts = [pair.contact for pair in problem.contact_pairs]
-    ties = [] if problem.ties is None else problem.ties.given
+    ties = [] if problem.constraints.ties is None else problem.constraints.ties.given
     found: dict[str, list[str]] = defaultdict(list)
     every: list[OnSurfaces] = [*problem.supports, *contacts, *ties]
     for holder in every:

@@ -221,12 +221,10 @@ class StateSource:
     def residual(self) -> AnyArray:
         """See `FieldSource`."""
         forces = self._out_of_balance("residual")
-        conditions = self.evaluator.problem.dirichlet
+        conditions = self.evaluator.problem.constraints
         forces[conditions.dofs[conditions.dofs < len(forces)]] = 0.0
-        if (skew := conditions.skew) is not None:
-            rows = forces.reshape(-1, self.evaluator.problem.body.dim)
-            nodes = skew.nodes[: skew.count]
-            rows[nodes] = skew.free_part(rows[nodes])
+        if conditions.skewed:
+            forces = conditions.free_part(forces)
         return self._padded(forces)
 
     def _out_of_balance(self, name: str) -> AnyArray:
@@ -239,9 +237,8 @@ class StateSource:
         force = fem.assemble_vector(self.evaluator.residual)
         force.scatter_reverse(la.InsertMode.add)
         problem = self.evaluator.problem
-        if problem.ties is not None:
-            moves = problem.unknowns.displacement_dofs
-            force.array[moves] = problem.ties.collect(force.array[moves])
+        moves = problem.unknowns.displacement_dofs
+        force.array[moves] = problem.constraints.collect(force.array[moves])
         force.scatter_forward()  # nodes of periodic faces may be unknowns of another rank
         places = self.evaluator.problem.unknowns.mixed_dofs
         return np.asarray(force.array[places(np.arange(self._own(), dtype=np.int32))])

@@ -104,7 +104,7 @@ def columns_of_moments(points: ReferencePoints, problem: Problem) -> list[Column
     """
     found: list[ColumnsOfMoment] = []
     # Those of rigid surfaces are columns in any case.
-    taken = {f"moment_{motion.label}" for motion in problem.dirichlet.rigid_motions}
+    taken = {f"moment_{motion.label}" for motion in problem.constraints.rigid_motions}
     for label, named in points.items():
         _check_label(label, problem)
         for name, point in named.items():
@@ -137,7 +137,7 @@ def _check_label(label: str, problem: Problem) -> None:
             where=where,
             expected=nearest(label, held) if held else "nothing holds the body: write [[support]]",
         )
-    if label in {motion.label for motion in problem.dirichlet.rigid_motions}:
+    if label in {motion.label for motion in problem.constraints.rigid_motions}:
         raise InputError(
             f"history.csv has moment_{label} of the rigid surface already",
             where=where,

@@ -397,7 +397,7 @@ def test_time_moves_loads_and_supports():
         assert dot(problem, forces.ravel(), np.outer(ones, [0, 1]).ravel()) == pytest.approx(
             10 * t, abs=1e-13
         )
-        held = problem.dirichlet
+        held = problem.constraints
         assert (
             body.comm.allreduce(
                 float(held.values.x.array[held.owned].max(initial=-1.0)), op=MPI.MAX

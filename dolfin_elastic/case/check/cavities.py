@@ -57,12 +57,12 @@ def _open(load: Cavity, problem: Problem) -> bool:
     rims are not judged.
     """
     body, dim = problem.body, problem.body.dim
-    if problem.dirichlet.skew is not None or problem.cell is not None:
+    if problem.constraints.skewed or problem.cell is not None:
         return False
     origin = np.zeros(dim)
     origin[: len(load.origin_components)] = [float(x or 0.0) for x in load.origin_components]  # type: ignore[arg-type]
-    held = np.zeros(len(problem.dirichlet.values.x.array), dtype=bool)
-    held[problem.dirichlet.dofs] = True
+    held = np.zeros(len(problem.constraints.values.x.array), dtype=bool)
+    held[problem.constraints.dofs] = True
     axisymmetric, open_edges = problem.geometry == "axisymmetric", 0
     for edge in boundary_edges(body, load.parts):
         points, nodes = _edge_nodes(problem, int(edge))

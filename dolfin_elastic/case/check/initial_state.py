@@ -89,17 +89,18 @@ def contact_gaps(case: Case, problem: Problem) -> tuple[ContactGap, ...]:
 
 def tie_information(problem: Problem) -> tuple[str, ...]:
     """How much of which surfaces is tied, and over which gap. Local."""
-    power = "m^2" if problem.body.dim == 3 else "m"
+    power, ties = "m^2" if problem.body.dim == 3 else "m", problem.constraints.ties
     return tuple(
         f"tie '{tied.label}': {tied.covered:.4g} {power}, gap at most "
         f"{tied.gap if tied.gap > _ROUND_OFF * tied.size else 0.0:.3g} m, which is kept"
-        for tied in ([] if problem.ties is None else problem.ties.surfaces)
+        for tied in (() if ties is None else ties.surfaces)
     )
 
 
 def tie_notes(case: Case, problem: Problem) -> Iterator[str]:
     """Ties of which a part lies opposite nothing. Local."""
-    for i, tied in enumerate([] if problem.ties is None else problem.ties.surfaces):
+    ties = problem.constraints.ties
+    for i, tied in enumerate(() if ties is None else ties.surfaces):
         tie, free = case.tie[i], 1 - tied.covered / tied.area
         if free > _UNTIED:
             yield (
@@ -182,7 +183,7 @@ def _reach(case: Case, problem: Problem) -> float:
         return np.inf
     end, default = _end(case)
     times = [end * i / (TIMES - 1) for i in range(TIMES)]
-    values = problem.dirichlet.values_at(times, default)
+    values = problem.constraints.values_at(times, default)
     far = max((float(np.abs(row).max(initial=0.0)) for row in values), default=0.0)
     return span(problem.body) + largest(problem.body.comm, far)
 
@@ -233,7 +234,7 @@ def check_supports(case: Case, problem: Problem) -> None:
     if all(support.at_rest for support in problem.supports):
         return
     end, default = _end(case)
-    prescribed = problem.dirichlet
+    prescribed = problem.constraints
     for t in np.linspace(0.0, end, TIMES):
         prescribed.set_time(float(t), default)
         prescribed.check_finite()

@@ -121,7 +121,7 @@ def _load_sum(case: Case, index: int, load: Load, integrals: Integrals) -> LoadS
 
 def _rigid_sums(case: Case, problem: Problem) -> Iterator[LoadSum]:
     """Resultants of the forces and moments prescribed on rigid surfaces."""
-    motions, dim = {m.label: m for m in problem.dirichlet.rigid_motions}, problem.body.dim
+    motions, dim = {m.label: m for m in problem.constraints.rigid_motions}, problem.body.dim
     for index, support in enumerate(case.support):
         if not isinstance(support, Rigid) or not any(x != 0.0 for x in support.action(dim)):
             continue

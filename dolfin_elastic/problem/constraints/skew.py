@@ -41,7 +41,7 @@ class SkewDofs:
     row: IntArray
 
 
-class SkewConstraints:
+class SkewNodes:
     """Nodes at which n_k . u = g_k is prescribed for up to `dim` directions n_k.
 
     Where a new direction depends on the others, the later support holds.  With N of rows n_k and
@@ -56,9 +56,7 @@ class SkewConstraints:
 
     Attributes:
         nodes: Local nodes, owned ones first, sorted.
-        count: How many of them this rank owns.
-        P: Projections, of shape (nodes, dim, dim).
-        target: N+ g at the present time [m], of shape (nodes, dim).
+        rows: All entries of the owned ones, of shape (nodes, dim), and P there.
     """
 
     def __init__(
@@ -66,7 +64,7 @@ class SkewConstraints:
     ) -> None:
         nodes = [component.nodes for component in components]
         self.nodes = np.unique(np.concatenate([np.empty(0, dtype=np.int32), *nodes]))
-        self.count = int(np.sum(self.nodes < size))
+        own = self.nodes[self.nodes < size]
         self._x, self._dim = x, dim
         shape = (len(self.nodes), dim, dim)
         self._rows, self._basis = np.zeros(shape), np.zeros(shape)
@@ -75,8 +73,8 @@ class SkewConstraints:
         # The last support first: where directions depend on one another, it gets the row.
         self._dofs = [self._add(component) for component in reversed(components)]
         self._lift = np.linalg.pinv(self._rows) if len(self.nodes) else np.zeros(shape)
-        self.P = self._lift @ self._rows
-        self.target = np.zeros(shape[:2])
+        entries = (own[:, None] * dim + np.arange(dim)).astype(np.int32)
+        self.rows = entries, (self._lift @ self._rows)[: len(own)]
 
     def _add(self, component: PrescribedComponent) -> SkewDofs:
         """Gives a component its rows, at nodes where its direction is a new one.
@@ -99,45 +97,33 @@ class SkewConstraints:
         self._filled[where] += 1
         return SkewDofs(component, chosen, where, row)
 
-    def set_time(self, t: float, default: Amplitude) -> None:
-        """Sets the target of time t. Not collective.
+    def at(self, t: float, default: Amplitude) -> FloatArray:
+        """N+ g at time t [m], of shape (nodes, dim). Not collective.
 
         Args:
             t: Time [s], or load parameter.
             default: Amplitude where the user gave none.
         """
-        goals = np.zeros(self.target.shape)
+        goals = np.zeros((len(self.nodes), self._dim))
         for s in self._dofs:
             goals[s.where, s.row] = s.component.values(self._x, t, default)[s.chosen]
-        self.target[:] = np.einsum("nik,nk->ni", self._lift, goals)
-
-    def constrained_part(self, values: FloatArray) -> FloatArray:
-        """The part of vectors in the space of the prescribed directions.
-
-        Args:
-            values: At the owned skew nodes, of shape (count, dim).
-        """
-        return np.asarray(np.einsum("nij,nj->ni", self.P[: len(values)], values))
-
-    def free_part(self, values: FloatArray) -> FloatArray:
-        """The part of vectors that the constraints leave free; see `constrained_part`."""
-        return np.asarray(values - self.constrained_part(values))
+        return np.asarray(np.einsum("nik,nk->ni", self._lift, goals))
 
     def reactions(
-        self, out: FloatArray
+        self, forces: FloatArray
     ) -> Iterator[tuple[PrescribingSupport | RigidMotion, IndexArray, FloatArray]]:
         """Each support's forces, component by component: owned nodes, forces of shape (nodes, dim).
 
         Args:
-            out: Forces out of balance at the owned nodes [N], of shape (count, dim).
+            forces: Out of balance, owned entries of the displacement [N].
         """
-        along = np.einsum("nik,ni->nk", self._lift[: self.count], out)
+        places, _ = self.rows
+        along = np.einsum("nik,ni->nk", self._lift[: len(places)], forces[places])
         for s in self._dofs:
             if s.component.support is not None:
-                own = s.where < self.count
+                own = s.where < len(places)
                 at = s.where[own], s.row[own]
-                forces = along[at][:, None] * self._rows[at]
-                yield s.component.support, self.nodes[s.where[own]], forces
+                yield s.component.support, self.nodes[at[0]], along[at][:, None] * self._rows[at]
 
 
 def check_rigid_surfaces(

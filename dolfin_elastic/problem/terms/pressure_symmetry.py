@@ -21,14 +21,14 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.mesh.body import Body, span
 from dolfin_elastic.model.amplitude import RAMP
-from dolfin_elastic.problem.constraints.dirichlet import DirichletConditions
+from dolfin_elastic.problem.constraints.rows import Constraints
 
 _MOMENTS = (0.3141, 0.8314)
 """Load parameters at which prescribed values are compared."""
 
 
 def follower_pressure_has_potential(
-    body: Body, dirichlet: DirichletConditions, surfaces: Sequence[str]
+    body: Body, constraints: Constraints, surfaces: Sequence[str]
 ) -> bool:
     """Whether supports fix a surface's edge so that uniform pressure has a potential. Collective.
 
@@ -36,7 +36,7 @@ def follower_pressure_has_potential(
         surfaces: Names of the surfaces that together are loaded.
     """
     edges = boundary_edges(body, surfaces)
-    supports = _Supports(body, dirichlet)
+    supports = _Supports(body, constraints)
     free = sum(not supports.make_symmetric(edge) for edge in edges)
     return not total(body.comm, int(free))
 
@@ -59,11 +59,11 @@ class _Supports:
     """The constraints that supports put on edges. Collective to make."""
 
     body: Body
-    dirichlet: DirichletConditions
+    constraints: Constraints
 
     def __post_init__(self) -> None:
         mesh, dim = self.body.mesh, self.body.dim
-        V = self.dirichlet.values.function_space
+        V = self.constraints.values.function_space
         mesh.topology.create_connectivity(dim - 2, dim)
         mesh.topology.create_connectivity(dim, dim - 2)
         self._cells = mesh.topology.connectivity(dim - 2, dim)
@@ -71,10 +71,10 @@ class _Supports:
         self._dofmap, self._nodes = V.dofmap, mesh.geometry.dofmap
         self._layout = mesh.geometry.cmap.create_dof_layout()
         self._tolerance = 1e-9 * span(self.body)
-        entries = np.zeros(len(self.dirichlet.values.x.array), dtype=bool)
-        entries[self.dirichlet.dofs] = True
+        entries = np.zeros(len(self.constraints.values.x.array), dtype=bool)
+        entries[self.constraints.dofs] = True
         self._fixed = entries.reshape(-1, dim)
-        values = self.dirichlet.values_at(_MOMENTS, RAMP)
+        values = self.constraints.values_at(_MOMENTS, RAMP)
         self._values = [value.reshape(-1, dim) for value in values]
 
     def make_symmetric(self, edge: int) -> bool:

@@ -25,10 +25,9 @@ from dolfin_elastic.problem.state import Moment
 from dolfin_elastic.problem.terms.term import Blocks, Term, blocks_of
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
-from dolfin_elastic.solvers.assembly.matrix import BilinearForm, TangentMatrix
+from dolfin_elastic.solvers.assembly.matrix import BilinearForm, ConstrainedMatrix, TangentMatrix
 from dolfin_elastic.solvers.assembly.node_blocks import NodeBlocks
 from dolfin_elastic.solvers.assembly.symmetric.matrix import SymmetricMatrix, can_be_halved
-from dolfin_elastic.solvers.assembly.tied import TiedMatrix
 from dolfin_elastic.solvers.assembly.two_stage.form import TwoStageForm, tangent_form
 
 
@@ -116,6 +115,11 @@ class Reactions:
             forces.scatter_reverse(la.InsertMode.add)
             yield term.label, forces.array[: self._dofs.size]
 
+    @property
+    def labels(self) -> list[str]:
+        """Of springs, dashpots, contact pairs and terms."""
+        return [*self._restraints, *(term.label for term in self._dofs.problem.terms)]
+
     def restraints(self, without: Collection[str] = ()) -> FloatArray:
         """Nodal forces of springs, dashpots and contact pairs, owned entries [N]."""
         found = (forces for label, forces in self._restraining() if label not in without)
@@ -140,9 +144,9 @@ class Reactions:
 class Tangent:
     """The tangent of a problem, with ones on the diagonal of prescribed dofs. Collective.
 
-    Fixed pressures have the pivots of `ConstrainedDofs.level` there, of their own sign.  At skew
-    nodes it is Q K Q + s P, see `SkewProjection`, where s is of the size of K: round-off
-    of K would drown P otherwise.
+    Fixed pressures have the pivots of `ConstrainedDofs.level` there, of their own sign.  Where
+    constraints combine entries it is T^T K T + s E, see `ConstrainedMatrix`, with s of the size of
+    K: round-off of K would drown E otherwise.
 
     Args:
         dofs: The unknowns and what is prescribed of them.
@@ -157,12 +161,10 @@ class Tangent:
 
     def __init__(self, dofs: ConstrainedDofs, form: BilinearForm, *, iterated: bool) -> None:
         self._dofs, self.form = dofs, form
-        self._tied: TiedMatrix | None = None
         self.blocks: NodeBlocks | None = None
         if dofs.problem.terms and blocks_of(dofs.problem.terms) is not None:
             self.blocks = NodeBlocks(dofs, self._blocks_of_terms)
         self._shift: float | None = None
-        self._scale = 0.0
         with stage("assemble"):
             self._assembled: TangentMatrix | SymmetricMatrix
             if iterated and isinstance(form, TwoStageForm) and can_be_halved(dofs, form):
@@ -177,18 +179,14 @@ class Tangent:
         return found
 
     def _by_entries(self) -> TangentMatrix:
-        dofs, skew = self._dofs, self._dofs.skew
+        dofs = self._dofs
         fixed = None if dofs.level is None else (dofs.fixed_pressures, dofs.level.pivots)
-        if skew is None:
-            return TangentMatrix(self.form, fixed=fixed)
-        return TangentMatrix(self.form, dofs.skew_dofs, skew.P[: skew.count], fixed=fixed)
+        return TangentMatrix(self.form, fixed=fixed)
 
     def _take(self, matrix: PETSc.Mat) -> None:
-        self.matrix, dofs, self._pattern = matrix, self._dofs, 0
-        if dofs.ties is not None:
-            self._tied = TiedMatrix(dofs.problem, self.matrix, dofs.displacement_dofs)
-            self.matrix = self._tied.matrix
-        self._of_forms = self.matrix
+        dofs, self._pattern = self._dofs, 0
+        self._constrained = ConstrainedMatrix(dofs.problem, dofs, matrix, dofs.displacement_dofs)
+        self.matrix = self._of_forms = self._constrained.matrix
         if self.blocks is not None and not isinstance(self._assembled, SymmetricMatrix):
             self.matrix = self._of_forms.copy()
         self._mark()
@@ -206,7 +204,7 @@ class Tangent:
         if isinstance(self._assembled, SymmetricMatrix):
             old, self._assembled = self._assembled, self._by_entries()
             self._take(self._assembled.petsc)
-            self._renew(0.0)
+            self._renew()
             old.destroy()
 
     @contextmanager
@@ -232,24 +230,21 @@ class Tangent:
         Args:
             x: The unknowns, from `ConstrainedDofs.origin`.
             shift: Factor of the inertia in the form, by which linear tangents differ.
-            unit: The factor s of P at skew nodes; by default of the size of the tangent [N/m].
+            unit: The factor s of E; by default of the size of the tangent [N/m].
         """
         with stage("assemble"):
             self._dofs.put(x)
             if self._dofs.problem.linear and shift == self._shift:
                 return
-            if unit is None and self._dofs.skew is not None:
-                unit = self.scale()
-            self._renew(unit or 0.0)
+            self._renew(unit)
             self._shift = shift
 
-    def _renew(self, unit: float) -> None:
+    def _renew(self, unit: float | None = None) -> None:
         if isinstance(self._assembled, SymmetricMatrix):
             self._assembled.assemble()
             return
-        self._assembled.assemble(self._dofs.bcs, unit=unit)
-        if self._tied is not None:
-            self._tied.renew()
+        self._assembled.assemble(self._dofs.bcs)
+        self._constrained.renew(unit)
         if self.blocks is not None:
             self._add_blocks(self.blocks)
 
@@ -265,14 +260,10 @@ class Tangent:
 
     def scale(self) -> float:
         """Mean size of the tangent's diagonal at the first call, a power of two [N/m]."""
-        if self._scale == 0.0:
-            self._renew(0.0)
+        if self._constrained.scale == 0.0:
+            self._renew()
             self.invalidate()
-            diagonal = self.matrix.getDiagonal()
-            mean = float(diagonal.norm(PETSc.NormType.NORM_1)) / diagonal.getSize()
-            diagonal.destroy()
-            self._scale = 2.0 ** np.round(np.log2(mean)) if 0.0 < mean < np.inf else 1.0
-        return self._scale
+        return self._constrained.scale
 
     def shift_diagonal(self, share: float) -> None:
         """Adds a share of its size to the diagonal of free dofs."""
@@ -294,8 +285,7 @@ class Tangent:
             self.matrix.destroy()
         if self.blocks is not None:
             self.blocks.destroy()
-        if self._tied is not None:
-            self._tied.destroy()
+        self._constrained.destroy()
         self._assembled.destroy()
 
 
@@ -329,7 +319,7 @@ class Residual:
         self._dofs, self.work, self._tangent, self._reactions = dofs, work, tangent, reactions
         self._parts: tuple[CellIntegrals | None, fem.Form | None] | None = None
         self.vector, self._lift = dofs.ghosted_vector(), dofs.ghosted_vector()
-        self.tied_nodal: FloatArray = np.zeros(0 if dofs.ties is None else len(dofs.ties.tied))
+        self.tied_nodal: FloatArray = np.zeros(len(dofs.tied_dofs))
         self.free_norm = self.reaction_norm = self.restraint_norm = self.gap = 0.0
 
     @property
@@ -350,8 +340,8 @@ class Residual:
         self._reactions.add_point_loads(self.vector.array, -1.0)
         self._reactions.add_terms(self.vector.array)
         self.vector.scatter_reverse(la.InsertMode.add)
-        if self._dofs.ties is not None:
-            self.tied_nodal = self.owned[self._dofs.displacement_dofs][self._dofs.ties.tied]
+        if self._dofs.tied:
+            self.tied_nodal = self.owned[self._dofs.tied_dofs]
             self.owned[:] = self._dofs.collect(self.owned)
 
     def evaluate(self, x: PETSc.Vec, f: PETSc.Vec, *, target: FloatArray | None = None) -> None:
@@ -359,7 +349,7 @@ class Residual:
 
         Args:
             x: The unknowns, from `ConstrainedDofs.origin`; the problem takes them over.
-            target: Prescribed values as of `DirichletConditions.targets`; None: the problem's.
+            target: Prescribed values as of `Constraints.targets`; None: the problem's.
         """
         with stage("assemble"):
             self._dofs.put(x)
@@ -370,26 +360,25 @@ class Residual:
         """The residual with Dirichlet conditions, from `vector` as it was assembled.
 
         Args:
-            target: Prescribed values as of `DirichletConditions.targets`; None: the problem's.
+            target: Prescribed values as of `Constraints.targets`; None: the problem's.
         """
         dofs = self._dofs
         with stage("assemble"):
             differences = dofs.differences(target)
             out = dofs.balanced(self.owned)
-            self._measure(out, *differences)
+            self._measure(out, differences)
             if self.gap > 0.0 and np.isfinite(self.free_norm):
                 dofs.lift(self._tangent.form, differences, self._lift, self._tangent.blocks)
                 # A support that turns keeps the volume, but its chord does not: the rest of a fixed
                 # pressure's row would change the volume of the cells around that one.
                 out = out + dofs.balanced(dofs.collect(self._lift.array[: dofs.size]))
-            f.array_w[:] = out
-            f.array_w[dofs.prescribed_dofs] = differences[0]
+            f.array_w[:] = dofs.free_part(out)
+            f.array_w[dofs.prescribed_dofs] = differences[dofs.prescribed_dofs]
             f.array_w[dofs.fixed_pressures] = 0.0  # the sum of the other rows, which are zero
-            if dofs.skew is not None:
-                free = dofs.skew.free_part(out[dofs.skew_dofs])
-                f.array_w[dofs.skew_dofs] = free + self._tangent.scale() * differences[1]
+            if dofs.skewed:
+                f.array_w[dofs.skew_dofs] += self._tangent.scale() * differences[dofs.skew_dofs]
 
-    def _measure(self, out: FloatArray, difference: FloatArray, along: FloatArray) -> None:
+    def _measure(self, out: FloatArray, differences: FloatArray) -> None:
         """Norms of the residual before it is lifted."""
         with np.errstate(over="ignore", invalid="ignore"):
             reactions = self._dofs.constrained_part(out)
@@ -398,8 +387,7 @@ class Residual:
         sums = comm.allreduce(np.array(squares), op=MPI.SUM)
         self.free_norm, self.reaction_norm = (float(value) for value in np.sqrt(sums))
         # NaN would come out of a maximum on some ranks only.
-        difference = np.append(difference, along)
-        gap = float(np.max(np.nan_to_num(np.abs(difference), nan=np.inf), initial=0.0))
+        gap = float(np.max(np.nan_to_num(np.abs(differences), nan=np.inf), initial=0.0))
         self.gap = float(comm.allreduce(gap, op=MPI.MAX))
         self.restraint_norm = self._reactions.restraint_norm()
 
@@ -595,7 +583,8 @@ class SupportForces:
         x = self._X
         if self._moves:
             x = x + self._problem.u.x.array[: x.size].reshape(x.shape)
-        resultants: dict[str, FloatArray] = {}
+        labels = (*self._problem.constraints.labels, *self._assembler.reactions.labels)
+        resultants: dict[str, FloatArray] = {label: np.zeros(self._dim) for label in labels}
         moments = {label: np.zeros(3 if self._dim == 3 else 1) for label in self._about}
         forces = self._assembler.residual.owned if forces is None else forces
         for label, nodes, acting in self._acting(forces):
@@ -615,24 +604,9 @@ class SupportForces:
 
     def _acting(self, forces: FloatArray) -> Iterator[tuple[str, IndexArray, FloatArray]]:
         """Label, owned nodes, and forces on them of this rank, shape (nodes, dim)."""
-        nodal = np.array(forces[self._assembler.displacement_dofs])
-        dirichlet, ties = self._problem.dirichlet, self._problem.ties
-        for label, dofs in dirichlet.reaction_dofs.items():
-            yield label, dofs // self._dim, self._along(dofs, nodal[dofs])
-        if (skew := dirichlet.skew) is not None:
-            out = nodal.reshape(-1, self._dim)[skew.nodes[: skew.count]]
-            for support, nodes, along in skew.reactions(out):
-                yield support.label, nodes, along
-        for label, rows in self._assembler.reactions.by_label().items():
+        a, nodal = self._assembler, forces[self._assembler.displacement_dofs]
+        for holder, nodes, acting in a.problem.constraints.reactions(nodal, a.residual.tied_nodal):
+            yield holder.label, nodes, acting
+        for label, rows in a.reactions.by_label().items():
             nodes = np.flatnonzero(np.any(rows != 0.0, axis=1)).astype(np.int32)
             yield label, nodes, rows[nodes]
-        if ties is not None:
-            nodal[ties.tied] = self._assembler.residual.tied_nodal
-            for label, dofs, passed in ties.passed_forces(nodal):
-                yield label, dofs // self._dim, self._along(dofs, passed)
-
-    def _along(self, dofs: IndexArray, values: FloatArray) -> FloatArray:
-        """Values of entries as vectors along their axes, shape (entries, dim)."""
-        found = np.zeros((len(dofs), self._dim))
-        found[np.arange(len(dofs)), dofs % self._dim] = values
-        return found

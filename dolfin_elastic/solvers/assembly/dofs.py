@@ -10,6 +10,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.problem.constraints.rows import Rows
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm
 from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
@@ -22,8 +23,8 @@ class Multiplied(Protocol):
         """Its product with owned entries of a direction [m], of the same shape. Collective."""
 
 
-class ConstrainedDofs:
-    """Owned dofs of a problem's unknowns, with its Dirichlet conditions. Collective to make.
+class ConstrainedDofs(Rows):
+    """Owned dofs of a problem's unknowns, with their constraints. Collective to make.
 
     Args:
         problem: Whose unknowns; its `w` and `u` are changed by `put`.
@@ -34,10 +35,6 @@ class ConstrainedDofs:
         comm: Its ranks.
         size: Dofs that this rank owns.
         displacement_dofs: Those that belong to the displacement, in the displacement's order.
-        prescribed_dofs: Those that are prescribed.
-        skew: Nodes whose prescribed directions are not along the axes; None if no rank has any.
-        ties: Which displacements follow others; None without ties.
-        skew_dofs: All components at the owned ones of these nodes, of shape (nodes, dim).
         level: The bodies whose pressure is known up to a constant; None without any.
         fixed_pressures: Those that `level` fixes.
         bcs: DOLFINx's conditions at `prescribed_dofs` and `fixed_pressures`, ghosts included.
@@ -48,42 +45,32 @@ class ConstrainedDofs:
 
     def __init__(self, problem: Problem, *, displacement_fixed: bool = False) -> None:
         self.problem, self.comm = problem, problem.body.comm
-        dirichlet, unknowns = problem.dirichlet, problem.unknowns
+        constraints, unknowns = problem.constraints, problem.unknowns
         self._map, self._bs = problem.W.dofmap.index_map, problem.W.dofmap.index_map_bs
         self._dim = problem.body.dim
         self.size = self._map.size_local * self._bs
         self.origin: FloatArray = np.zeros(self.size)
         self.displacement_dofs = unknowns.displacement_dofs
-        self._prescribed = dirichlet.owned
-        self.prescribed_dofs = unknowns.mixed_dofs(dirichlet.owned)
-        self.skew = None if displacement_fixed else dirichlet.skew
-        nodes = np.empty(0, np.int32) if self.skew is None else self.skew.nodes
-        self.ties = None if displacement_fixed else problem.ties
-        entries = (nodes[:, None] * self._dim + np.arange(self._dim)).astype(np.int32)
-        self.skew_dofs = unknowns.mixed_dofs(entries[: 0 if self.skew is None else self.skew.count])
+        every = np.arange(len(self.displacement_dofs), dtype=np.int32)
+        self._of_displacement = Rows(every) if displacement_fixed else constraints
+        super().__init__(*self._of_displacement.at(unknowns.mixed_dofs))
+        local = np.arange(len(problem.u.x.array) if displacement_fixed else 0, dtype=np.int32)
+        combined = constraints.nodes_combined() if self.combined else local[:0]
         if problem.w is problem.u:
-            self._values, self.bcs = dirichlet.values, dirichlet.bcs
-            lifted: list[fem.DirichletBC] = [fem.dirichletbc(self._values, nodes)]
-            if self.ties is not None:
-                lifted.append(fem.dirichletbc(self._values, self.ties.nodes))
+            self._values, self.bcs = constraints.values, constraints.bcs
+            lifted = fem.dirichletbc(self._values, combined)
         else:
             self._values = fem.Function(problem.W)
-            every = np.arange(len(problem.u.x.array), dtype=np.int32)
-            self.bcs = [self._condition(every if displacement_fixed else dirichlet.dofs)]
-            lifted = [self._condition(entries.reshape(-1))]
-            if self.ties is not None:
-                tied = self.ties.nodes[:, None] * self._dim + np.arange(self._dim)
-                lifted.append(self._condition(tied.reshape(-1).astype(np.int32)))
+            self.bcs = [self._condition(local if displacement_fixed else constraints.dofs)]
+            entries = (combined[:, None] * self._dim + np.arange(self._dim)).astype(np.int32)
+            lifted = self._condition(entries.reshape(-1))
+        self._lifted_bcs = [*self.bcs, lifted] if self.combined else self.bcs
         self.level = self._find_level()
         self.fixed_pressures: IndexArray = np.empty(0, dtype=np.int32)
         if self.level is not None:
             self.fixed_pressures = self.level.pinned_owned
-            self.bcs = [*self.bcs, fem.dirichletbc(self._values, self.level.pinned)]
-        plain = self.skew is None and self.ties is None
-        self._lifted_bcs = self.bcs if plain else self.bcs + lifted
-        if displacement_fixed:
-            self.prescribed_dofs = self.displacement_dofs
-            self._prescribed = np.arange(len(self.displacement_dofs), dtype=np.int32)
+            pinned = fem.dirichletbc(self._values, self.level.pinned)
+            self.bcs, self._lifted_bcs = [*self.bcs, pinned], [*self._lifted_bcs, pinned]
 
     def _find_level(self) -> PressureLevel | None:
         """Looks for enclosed bodies where a material is incompressible. Collective."""
@@ -140,55 +127,29 @@ class ConstrainedDofs:
         own = self.problem.w.x.array[: self.size] - self.origin
         return float(self.comm.allreduce(float(np.max(np.abs(own), initial=0.0)), op=MPI.MAX))
 
-    # --- ties ---
-
-    def extend(self, unknowns: FloatArray) -> None:
-        """Makes tied displacements follow the others. Collective.
-
-        Args:
-            unknowns: Owned entries of all unknowns, of their rates or of a step, or more behind.
-        """
-        if self.ties is not None:
-            u = unknowns[self.displacement_dofs]
-            self.ties.extend(u)
-            unknowns[self.displacement_dofs] = u
-
-    def collect(self, forces: FloatArray) -> FloatArray:
-        """Nodal forces with those on tied nodes moved to what these follow. Collective.
-
-        Args:
-            forces: Owned entries of all unknowns [N].
-        """
-        if self.ties is None:
-            return forces
-        found = forces.copy()
-        found[self.displacement_dofs] = self.ties.collect(forces[self.displacement_dofs])
-        return found
-
     # --- what is prescribed ---
 
-    def differences(self, target: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Displacement minus its prescribed value [m], at prescribed dofs and at skew nodes.
+    def differences(self, target: FloatArray | None = None) -> FloatArray:
+        """Displacement minus its prescribed value [m], where and along what is prescribed, else 0.
 
         Args:
-            target: Prescribed values as of `DirichletConditions.targets`; None: the problem's.
+            target: Prescribed values as of `Constraints.targets`; None: the problem's.
 
         Returns:
-            At `prescribed_dofs`, and along the prescribed directions at `skew_dofs`, (nodes, dim).
+            Owned entries of all unknowns.
         """
-        dirichlet, x = self.problem.dirichlet, self.problem.w.x.array
-        if self.skew is None:
-            goal = dirichlet.values.x.array[self._prescribed] if target is None else target
-            return x[self.prescribed_dofs] - goal, np.zeros((0, self._dim))
-        target = dirichlet.targets if target is None else target
-        goal, along = np.split(target, [len(self._prescribed)])
-        rows = self.skew.constrained_part(x[self.skew_dofs])
-        return x[self.prescribed_dofs] - goal, rows - along.reshape(-1, self._dim)
+        g = self.problem.constraints.values.x.array if target is None else target
+        found = self.constrained_part(self.problem.w.x.array[: self.size])
+        given = self._of_displacement
+        found[self.prescribed_dofs] -= g[given.prescribed_dofs]
+        if self.skewed:
+            found[self.skew_dofs] -= g[given.skew_dofs]
+        return found
 
     def lift(
         self,
         form: BilinearForm,
-        differences: tuple[FloatArray, FloatArray],
+        differences: FloatArray,
         out: la.Vector,
         blocks: Multiplied | None = None,
     ) -> None:
@@ -203,9 +164,7 @@ class ConstrainedDofs:
         saved = values.x.array.copy()
         try:
             values.x.array[:] = w
-            moved = np.zeros(self.size)
-            moved[self.prescribed_dofs] = differences[0]
-            moved[self.skew_dofs] = differences[1]
+            moved = differences.copy()
             self.extend(moved)
             values.x.array[: self.size] -= moved
             values.x.scatter_forward()
@@ -217,20 +176,10 @@ class ConstrainedDofs:
         finally:
             values.x.array[:] = saved
 
-    def constrained_part(self, vector: FloatArray) -> FloatArray:
-        """The part of owned entries that Dirichlet conditions prescribe; of forces, reactions."""
-        part = np.zeros(self.size)
-        part[self.prescribed_dofs] = vector[self.prescribed_dofs]
-        if self.skew is not None:
-            part[self.skew_dofs] = self.skew.constrained_part(vector[self.skew_dofs])
-        return part
-
     def remove_constrained(self, step: PETSc.Vec) -> None:
         """Removes the constrained components of an increment of the unknowns. Not collective.
 
         Those of fixed pressures, too.
         """
-        step.array_w[self.prescribed_dofs] = 0.0
+        step.array_w[:] = self.free_part(step.array_r)
         step.array_w[self.fixed_pressures] = 0.0
-        if self.skew is not None:
-            step.array_w[self.skew_dofs] = self.skew.free_part(step.array_r[self.skew_dofs])

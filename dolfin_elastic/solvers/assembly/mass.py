@@ -11,8 +11,7 @@ from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
-from dolfin_elastic.solvers.assembly.matrix import BilinearForm, TangentMatrix
-from dolfin_elastic.solvers.assembly.tied import TiedMatrix
+from dolfin_elastic.solvers.assembly.matrix import BilinearForm, ConstrainedMatrix, TangentMatrix
 from dolfin_elastic.solvers.messages import linear
 from dolfin_elastic.solvers.petsc.options import ksp_reason
 
@@ -30,7 +29,7 @@ def initial_acceleration(assembler: Assembler, prescribed: FloatArray, a: fem.Fu
 
     Args:
         assembler: Of the moving body; its residual is assembled without inertia.
-        prescribed: Prescribed accelerations [m/s^2], like `DirichletConditions.targets`.
+        prescribed: Prescribed accelerations [m/s^2], like `Constraints.targets`.
         a: Receives the acceleration [m/s^2].
 
     Raises:
@@ -38,29 +37,23 @@ def initial_acceleration(assembler: Assembler, prescribed: FloatArray, a: fem.Fu
     """
     problem, size = assembler.problem, len(assembler.displacement_dofs)
     a.x.array[:] = 0.0
-    problem.impose(a.x.array, prescribed)
+    problem.constraints.impose(a.x.array, prescribed)
     a.x.scatter_forward()
     rows = (
         assembler.residual.vector.array[assembler.displacement_dofs] + _inertia(problem, a)[:size]
     )
-    if problem.ties is not None:
-        rows = problem.ties.collect(rows)
-    plain = _matrix(problem)
-    tied = None if problem.ties is None else TiedMatrix(problem, plain.petsc, np.arange(size))
-    matrix = plain.petsc
-    if tied is not None:
-        tied.renew()
-        matrix = tied.matrix
+    constraints, (plain, constrained) = problem.constraints, _matrix(problem)
+    matrix = constrained.matrix
     x, b = matrix.createVecs()
-    b.array_w[:] = -free(problem, rows)
+    b.array_w[:] = -constraints.free_part(constraints.collect(rows))
     ksp = PETSc.KSP().create(problem.body.comm)
     ksp.setType("cg")
     ksp.getPC().setType("jacobi")
     ksp.setOperators(matrix)
     ksp.setTolerances(rtol=TOLERANCE, atol=1e-300, max_it=5000)
     ksp.solve(b, x)
-    reason, found = ksp.getConvergedReason(), free(problem, x.array_r)
-    for thing in (ksp, x, b, plain, *([] if tied is None else [tied])):
+    reason, found = ksp.getConvergedReason(), constraints.free_part(x.array_r)
+    for thing in (ksp, x, b, constrained, plain):
         thing.destroy()
     # Round-off may keep it just above the tolerance: only a breakdown is a fault.
     if reason < 0 and reason != PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT:
@@ -68,8 +61,7 @@ def initial_acceleration(assembler: Assembler, prescribed: FloatArray, a: fem.Fu
             f"the initial acceleration cannot be found: {linear(ksp_reason(reason))[0]}",
             advice="is every density positive, and are all initial values finite?",
         )
-    if problem.ties is not None:
-        problem.ties.extend(found)
+    constraints.extend(found)
     a.x.array[:size] += found
     a.x.scatter_forward()
 
@@ -79,16 +71,17 @@ def mass_diagonal(assembler: Assembler) -> PETSc.Vec:
 
     The caller destroys it.
     """
-    matrix, out = _matrix(assembler.problem), assembler.create_vector()
-    diagonal = matrix.petsc.getDiagonal()
-    out.array_w[assembler.displacement_dofs] = free(assembler.problem, diagonal.array_r)
-    diagonal.destroy()
-    matrix.destroy()
+    (plain, constrained), out = _matrix(assembler.problem, 0.0), assembler.create_vector()
+    diagonal = constrained.matrix.getDiagonal()
+    out.array_w[assembler.displacement_dofs] = diagonal.array_r
+    out.array_w[assembler.prescribed_dofs] = 0.0
+    for thing in (diagonal, constrained, plain):
+        thing.destroy()
     return out
 
 
 def prescribed_acceleration(problem: Problem, h: float) -> FloatArray:
-    """Second derivative of what is prescribed at time 0 [m/s^2], as `DirichletConditions.targets`.
+    """Second derivative of what is prescribed at time 0 [m/s^2], as `Constraints.targets`.
 
     By differences forward in time, of second order.  Not collective.
 
@@ -96,14 +89,14 @@ def prescribed_acceleration(problem: Problem, h: float) -> FloatArray:
         problem: Its time is 0 afterwards.
         h: Step of the differences [s].
     """
-    values = problem.dirichlet.targets_at(k * h for k in range(4))
+    values = problem.constraints.targets_at(k * h for k in range(4))
     problem.set_time(0.0)
     found = (2 * values[0] - 5 * values[1] + 4 * values[2] - values[3]) / h**2
     return np.asarray(np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0))
 
 
 def prescribed_rates(problem: Problem, t: float, h: float) -> tuple[FloatArray, FloatArray]:
-    """Velocity [m/s], acceleration [m/s^2] of what is prescribed, as `DirichletConditions.targets`.
+    """Velocity [m/s], acceleration [m/s^2] of what is prescribed, as `Constraints.targets`.
 
     By central differences: the velocity over h/4, the acceleration as the difference of velocities
     half a step before and after, so that over all steps it sums up to the change of velocity,
@@ -117,23 +110,12 @@ def prescribed_rates(problem: Problem, t: float, h: float) -> tuple[FloatArray, 
 
     def velocity(at: float) -> FloatArray:
         times = (max(time, 0.0) for time in (at - h / 8, at + h / 8))
-        before, after = problem.dirichlet.targets_at(times)
+        before, after = problem.constraints.targets_at(times)
         return np.asarray((after - before) * 4 / h)
 
     before, now, after = (velocity(at) for at in (t - h / 2, t, t + h / 2))
     now, after = (np.where(np.isfinite(v), v, before) for v in (now, after))
     return now, np.asarray((after - before) / h)
-
-
-def free(problem: Problem, rows: FloatArray) -> FloatArray:
-    """What supports leave of a vector at the owned displacements. Not collective.
-
-    Args:
-        rows: Owned entries of the displacement.
-    """
-    dirichlet, out = problem.dirichlet, rows.copy()
-    dirichlet.impose(out, np.zeros(len(dirichlet.targets)))
-    return out
 
 
 def _inertia(problem: Problem, a: fem.Function) -> FloatArray:
@@ -146,16 +128,18 @@ def _inertia(problem: Problem, a: fem.Function) -> FloatArray:
     return out.array
 
 
-def _matrix(problem: Problem) -> TangentMatrix:
-    """The mass matrix with supports; the caller destroys it. Collective."""
-    V, dirichlet, dim = problem.V, problem.dirichlet, problem.body.dim
-    trial, test = ufl.TrialFunction(V), ufl.TestFunction(V)
-    form = compiled(problem, [problem.weak_form.inertia(trial, test)])[0]
-    if (skew := dirichlet.skew) is None:
-        matrix = TangentMatrix(BilinearForm(form))
-    else:
-        nodes = skew.nodes[: skew.count]
-        entries = (nodes[:, None] * dim + np.arange(dim)).astype(np.int32)
-        matrix = TangentMatrix(BilinearForm(form), entries, skew.P[: skew.count])
-    matrix.assemble(dirichlet.bcs)
-    return matrix
+def _matrix(problem: Problem, unit: float | None = None) -> tuple[TangentMatrix, ConstrainedMatrix]:
+    """The mass matrix, and with its constraints; the caller destroys both. Collective.
+
+    Args:
+        unit: See `ConstrainedMatrix.renew`.
+    """
+    trial, test = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
+    plain = TangentMatrix(
+        BilinearForm(compiled(problem, [problem.weak_form.inertia(trial, test)])[0])
+    )
+    plain.assemble(problem.constraints.bcs)
+    every = np.arange(plain.petsc.getLocalSize()[0])
+    constrained = ConstrainedMatrix(problem, problem.constraints, plain.petsc, every)
+    constrained.renew(unit)
+    return plain, constrained

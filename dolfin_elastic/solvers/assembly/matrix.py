@@ -13,11 +13,18 @@ import numpy as np
 from dolfinx import fem, la
 from petsc4py import PETSc
 
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
-from dolfin_elastic.solvers.assembly.skew_rows import SkewProjection
+from dolfin_elastic.problem.constraints.rows import Rows
+from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.petsc.aij import from_entries
 from dolfin_elastic.solvers.petsc.c_api import overwrite_aij
 
 Conditions = Sequence[fem.DirichletBC]
+
+SOFT = 1e-4
+"""Diagonal of tied unknowns, which are coupled to nothing, over that of others.  It must not
+hinder the rigid-body modes of multigrid's coarser levels, which do not know of ties."""
 
 
 class BilinearForm:
@@ -62,8 +69,6 @@ class TangentMatrix:
 
     Args:
         form: Compiled bilinear form; its sparsity is fixed here. Collective.
-        places: Owned rows of skew nodes, shape (nodes, dim); None if no rank has any.
-        P: Projections on these directions, shape (nodes, dim, dim).
         fixed: Owned rows of fixed unknowns, and their diagonal in place of ones.
 
     Attributes:
@@ -73,8 +78,6 @@ class TangentMatrix:
     def __init__(
         self,
         form: BilinearForm,
-        places: IndexArray | None = None,
-        P: FloatArray | None = None,
         *,
         fixed: tuple[IndexArray, FloatArray] | None = None,
     ) -> None:
@@ -86,9 +89,6 @@ class TangentMatrix:
         if PETSc.ScalarType != np.float64 or self._entries() != self._native.indptr[self._rows()]:
             raise RuntimeError("PETSc's matrix has not the entries of DOLFINx's")
         self._fixed = None if fixed is None else (self._entry_on_diagonal(fixed[0]), fixed[1])
-        self._projection: SkewProjection | None = None
-        if places is not None and P is not None:
-            self._projection = SkewProjection(self._native, self._rows(), places, P)
 
     def _rows(self) -> int:
         dofmap = self._form.form.function_spaces[0].dofmap
@@ -161,18 +161,15 @@ class TangentMatrix:
         order = np.lexsort((self._global_columns()[:count][others], row[others]))
         return mine, others[order]
 
-    def assemble(self, bcs: Sequence[fem.DirichletBC], *, unit: float = 1.0) -> None:
+    def assemble(self, bcs: Sequence[fem.DirichletBC]) -> None:
         """Assembles the form, with ones on the diagonal of constrained rows. Collective.
 
         Args:
             bcs: Dirichlet conditions, whose rows and columns are zeroed.
-            unit: Factor of P at skew nodes, in place of the ones [N/m].
         """
         self._native.data[:] = 0.0
         self._form.assemble(self._native, bcs)
         self._native.scatter_reverse()
-        if self._projection is not None:
-            self._projection.apply(self._native.data, unit)
         if self._fixed is not None:
             self._native.data[self._fixed[0]] = self._fixed[1]
         if self._shared:
@@ -186,3 +183,94 @@ class TangentMatrix:
     def destroy(self) -> None:
         """Frees the PETSc matrix. Collective."""
         self.petsc.destroy()
+
+
+class ConstrainedMatrix:
+    """T^T K T + s E of a matrix K; K itself where only entries by themselves are prescribed.
+
+    E is the projection on what T does not reach, with `SOFT` at tied unknowns: their rows and those
+    of skew directions are coupled to nothing else.  Rows of prescribed unknowns are left as they
+    are in K, the columns of T there are zero elsewhere.  Collective.
+
+    Args:
+        rows: The constraints of the owned entries of K's vectors.
+        K: The matrix, of whose pattern the product is made; its values may change.
+        displacement: Owned rows of K that are displacements, in their order.
+
+    Attributes:
+        matrix: The product; owned here unless it is K.
+        scale: Mean size of the diagonal at the first `renew`, a power of two: s, the same for all
+            states, so that differences of two matrices have zeros there.
+    """
+
+    def __init__(
+        self, problem: Problem, rows: Rows, K: PETSc.Mat, displacement: IndexArray | IntArray
+    ) -> None:
+        self.matrix, self.scale, self._K, self._owned = K, 0.0, K, []
+        if rows.combined:
+            self._T = transformation(problem, rows, K, displacement)
+            self._E = from_entries(K, *rows.eliminated(K.getOwnershipRange()[0], SOFT), square=True)
+            self.matrix = K.ptap(self._T)
+            self._owned = [self._T, self._E, self.matrix]
+
+    def renew(self, unit: float | None = None) -> None:
+        """Takes over the values of K. Collective.
+
+        Args:
+            unit: The factor s [N/m]; None: `scale`.
+        """
+        if not self._owned:
+            return
+        self._K.ptap(self._T, result=self.matrix)
+        if self.scale == 0.0:
+            diagonal = self.matrix.getDiagonal()
+            sizes = total(self.matrix.comm.tompi4py(), float(np.abs(diagonal.array_r).sum()))
+            mean = sizes / diagonal.getSize()
+            diagonal.destroy()
+            self.scale = 2.0 ** np.round(np.log2(mean)) if 0.0 < mean < np.inf else 1.0
+        if unit := self.scale if unit is None else unit:
+            self.matrix.axpy(unit, self._E, PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+
+    def destroy(self) -> None:
+        """Frees what it owns. Collective."""
+        for thing in self._owned:
+            thing.destroy()
+
+
+def transformation(
+    problem: Problem,
+    rows: Rows,
+    like: PETSc.Mat,
+    displacement: IndexArray | IntArray,
+    *,
+    prescribed: float = 1.0,
+) -> PETSc.Mat:
+    """T as a square matrix; the caller destroys it. Collective.
+
+    Tied rows have their diagonal, with the value zero, so that products have it, too.
+
+    Args:
+        rows: The constraints of the owned entries of its vectors.
+        like: Square, with the same rows.
+        displacement: Owned rows of it that are displacements, in their order.
+        prescribed: Diagonal of prescribed rows; one by default, as K has it.
+    """
+    start, places = like.getOwnershipRange()[0], rows.skew_dofs
+    ones = np.ones(like.getLocalSize()[0])
+    ones[rows.tied_dofs], ones[rows.prescribed_dofs] = 0.0, prescribed
+    alone = np.ones(len(ones), dtype=bool)
+    alone[places] = False
+    others, dim = np.flatnonzero(alone), places.shape[1]
+    parts = [
+        (others, others + start, ones[others]),
+        (
+            np.repeat(places, dim, axis=1).ravel(),
+            start + np.tile(places, dim).ravel(),
+            (np.eye(dim) - rows.P).ravel(),
+        ),
+    ]
+    if rows.tied:
+        i, j, v = problem.constraints.factors(start + np.asarray(displacement))
+        parts.append((i - start, j, v))
+    i, j, v = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return from_entries(like, i, j, v, square=True)

@@ -11,7 +11,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.problem.terms.term import Blocks
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
-from dolfin_elastic.solvers.assembly.tied import square, transformation
+from dolfin_elastic.solvers.assembly.matrix import transformation
 from dolfin_elastic.solvers.petsc.c_api import room_for_entries, sum_entries
 from dolfin_elastic.solvers.petsc.halo import Halo
 
@@ -68,14 +68,16 @@ class NodeBlocks:
         return matrix
 
     def free(self) -> PETSc.Mat:
-        """The blocks at the present unknowns with the constraints, R^T B R; owned here.
+        """The blocks at the present unknowns with the constraints, T^T B T; owned here.
 
-        R is the identity without prescribed directions, in whose rows and columns is nothing then,
-        and with tied displacements, which follow others.
+        T has no prescribed rows: nothing is in these rows and columns then.
         """
         B = self._assembled()
         if self._constraints is None:
-            self._constraints = _left_free(self._dofs, B)
+            moves = self._dofs.displacement_dofs
+            self._constraints = transformation(
+                self._dofs.problem, self._dofs, B, moves, prescribed=0.0
+            )
         if self._free is not None and self._free[1] == self.pattern:
             B.ptap(self._constraints, result=self._free[0])
             return self._free[0]
@@ -105,28 +107,6 @@ class NodeBlocks:
         for matrix in (self._matrix, self._constraints, free):
             if matrix is not None:
                 matrix.destroy()
-
-
-def _left_free(dofs: ConstrainedDofs, like: PETSc.Mat) -> PETSc.Mat:
-    """The matrix R of `NodeBlocks.free`; the caller destroys it. Collective."""
-    dim, first = dofs.problem.body.dim, like.getOwnershipRange()[0]
-    ones, rows = np.ones(dofs.size), np.arange(dofs.size)
-    ones[dofs.prescribed_dofs] = 0.0
-    entries = [(rows, rows, ones)]
-    if dofs.skew is not None:
-        places, P = dofs.skew_dofs, dofs.skew.P[: dofs.skew.count]
-        entries.append(
-            (np.repeat(places, dim, axis=1).ravel(), np.tile(places, dim).ravel(), -P.ravel())
-        )
-    i, j, v = (np.concatenate(part) for part in zip(*entries, strict=True))
-    Q = square(like, i, first + j, v)
-    if dofs.ties is None:
-        return Q
-    T = transformation(dofs.problem, like, dofs.displacement_dofs)
-    R = T.matMult(Q)
-    T.destroy()
-    Q.destroy()
-    return R
 
 
 def node_blocks(matrix: PETSc.Mat, dim: int) -> tuple[IntArray, IntArray, FloatArray]:

@@ -202,8 +202,8 @@ class PressureLevel:
         if problem.cell is not None:
             return any(i == j for i, j in problem.cell.free)
         size = len(problem.unknowns.displacement_dofs)
-        for motion in problem.dirichlet.rigid_motions:
-            dofs, D = problem.dirichlet.motion_directions(motion)
+        for motion in problem.constraints.rigid_motions:
+            dofs, D = problem.constraints.motion_directions(motion)
             mine = dofs < size
             swept = gradient[problem.unknowns.mixed_dofs(dofs[mine])][:, None] * D[mine]
             grown, whole = (total(self._comm, part.sum(axis=0)) for part in (swept, np.abs(swept)))

@@ -19,6 +19,7 @@ from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.body import connected_components
 from dolfin_elastic.mesh.geometry.curved import facet_quadrature, facet_shape_functions
 from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets, prepare_facets
+from dolfin_elastic.problem.constraints.rows import Rows
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 
@@ -139,22 +140,10 @@ class PressureParts:
     def _free(self) -> FloatArray:
         """The derivatives by what nothing prescribes, shape (n, dim)."""
         problem, unknowns = self._problem, self._problem.unknowns
-        free = np.ones(self._map.size_local)
-        free[unknowns.mixed_dofs(problem.dirichlet.owned)] = 0.0
-        moves = free[unknowns.displacement_dofs].reshape(-1, problem.body.dim)
-        rows, skew = self._rows * moves[self._nodes], problem.dirichlet.skew
-        if skew is None:
-            return rows
-        known = skew.nodes[: skew.count]
-        first = np.searchsorted(self._nodes, self._nodes)
-        layer = np.arange(len(self._nodes)) - first
-        for number in range(int(layer.max(initial=-1)) + 1):
-            here = np.flatnonzero((layer == number) & np.isin(self._nodes, known))
-            at = np.searchsorted(known, self._nodes[here])
-            table = np.zeros((skew.count, problem.body.dim))
-            table[at] = rows[here]
-            rows[here] = skew.free_part(table)[at]
-        return rows
+        rows = Rows(*problem.constraints.at(unknowns.merged_dofs))
+        dim, size = problem.body.dim, len(unknowns.displacement_dofs)
+        Q = rows.free_directions(size, dim).reshape(-1, dim, dim)
+        return np.asarray(np.einsum("nij,nj->ni", Q[self._nodes], self._rows))
 
     def enclosed(self) -> list[IntArray]:
         """Sets of parts with a uniform pressure that does no work. Collective."""

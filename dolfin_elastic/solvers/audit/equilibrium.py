@@ -293,9 +293,9 @@ class EquilibriumAuditor:
         if self._moment_frame == "current":
             x = x + self._displacement().reshape(x.shape)
         rows = [moment_of(x, force) for force in external]
-        if (ties := self._problem.ties) is not None:  # couples of gaps that they bridge
-            along = np.eye(self._dim)[ties.tied % self._dim] * self._tied_forces()[:, None]
-            rows.append(moment_of(ties.levers, along))
+        if (constraints := self._problem.constraints).tied:  # couples of gaps that they bridge
+            axes = np.eye(self._dim)[constraints.tied_dofs % self._dim]
+            rows.append(moment_of(constraints.levers, axes * self._tied_forces()[:, None]))
         arm = float(self._comm.allreduce(float(np.max(np.abs(x), initial=0.0)), op=MPI.MAX))
         share, size, allowed = self._imbalance(rows, noise * arm)
         if share > allowed:

@@ -244,7 +244,7 @@ def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
         bodies, constrained_directions(problem, reached=reached), centres, sizes
     )
     nulls = [_null_space(problem, matrix) for matrix in sums]
-    if any(len(motion.free) for motion in problem.dirichlet.rigid_motions):
+    if any(len(motion.free) for motion in problem.constraints.rigid_motions):
 
         def motions_at(nodes: IndexArray) -> FloatArray:
             of = bodies.of_node[nodes]
@@ -263,7 +263,7 @@ def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
 
 def _parts_of_cell(problem: Problem, bodies: ConnectedBodies) -> list[FreeBody]:
     """Of a periodic cell all that is connected to its fixed vertex is constrained. Collective."""
-    nodes = problem.unknowns.merged_dofs(problem.dirichlet.dofs) // problem.body.dim
+    nodes = problem.unknowns.merged_dofs(problem.constraints.dofs) // problem.body.dim
     marks = np.bincount(bodies.of_node[nodes], minlength=bodies.count)
     fixed = total(bodies.comm, marks) > 0
     return [
@@ -281,12 +281,12 @@ def constrained_directions(problem: Problem, *, reached: bool = False) -> Constr
     Args:
         reached: Count every surface that may touch an obstacle as touching.
     """
-    dim, prescribed = problem.body.dim, problem.dirichlet
-    held = prescribed.owned
+    dim, prescribed = problem.body.dim, problem.constraints
+    held = prescribed.prescribed_dofs
     rows = [Constraints((held // dim).astype(np.int32), np.eye(dim)[held % dim])]
     more = list(problem.spring_projections)
-    if (skew := prescribed.skew) is not None:
-        more.append((skew.nodes[: skew.count], skew.P[: skew.count]))
+    if prescribed.skewed:
+        more.append((prescribed.skew_dofs[:, 0] // dim, prescribed.P))
     rows += [Constraints(np.repeat(nodes, dim), P.reshape(-1, dim)) for nodes, P in more]
     for pair in problem.contact_pairs:
         within = np.inf if reached else pair.reach
@@ -386,15 +386,15 @@ def _coupled_products(
         Numbers of these bodies, and the matrix of their motions and then those of the surfaces.
     """
     dim, n, comm = problem.body.dim, products.shape[1], problem.body.comm
-    surfaces = [motion for motion in problem.dirichlet.rigid_motions if len(motion.free)]
+    surfaces = [motion for motion in problem.constraints.rigid_motions if len(motion.free)]
     count = sum(len(motion.free) for motion in surfaces)
     mixed, own = np.zeros((bodies.count, n, count)), np.zeros((count, count))
     touched, first = np.zeros(bodies.count, dtype=np.int64), 0
-    last = len(problem.dirichlet.values.x.array)
+    last = len(problem.constraints.values.x.array)
     owned = np.zeros(last, dtype=bool)
-    owned[problem.dirichlet.owned] = True
+    owned[problem.constraints.prescribed_dofs] = True
     for motion in surfaces:
-        dofs, D = problem.dirichlet.motion_directions(motion)
+        dofs, D = problem.constraints.motion_directions(motion)
         dofs, D = dofs[owned[dofs]], D[owned[dofs]]
         scale = np.where(np.arange(D.shape[1]) < dim, 1.0, 1 / float(sizes.max()))
         G = (D * scale)[:, list(motion.free)]

@@ -102,7 +102,7 @@ def find_initial_acceleration(
         initial_acceleration(moving.assembler, prescribed, a)
         return
     a.x.array[:] = 0.0
-    problem.impose(a.x.array, prescribed)
+    problem.constraints.impose(a.x.array, prescribed)
     a.x.scatter_forward()
     if moving.assembler.max_displacement() > 0.0:
         place = _IncompressibleStart(moving, v, h)
@@ -134,12 +134,12 @@ def settle_auxiliary_fields(problem: Problem, assembler: Assembler) -> None:
         return
     fixed = Assembler(problem, displacement_fixed=True)
     newton = Newton(fixed, choose(problem, LinearSettings(method="direct")), Tolerance())
-    start = problem.dirichlet.values.x.array.copy()
+    start = problem.constraints.values.x.array.copy()
     try:
-        problem.dirichlet.values.x.array[:] = problem.u.x.array
+        problem.constraints.values.x.array[:] = problem.u.x.array
         newton.solve("basic")
     finally:
-        problem.dirichlet.values.x.array[:] = start
+        problem.constraints.values.x.array[:] = start
         newton.destroy()
         fixed.destroy()
     assembler.residual.assemble()

@@ -79,7 +79,7 @@ class Dynamics:
                 expected="leave it out, or use [statics]",
             )
         s = self.settings
-        if self.problem.ties is not None and not s.implicit:
+        if self.problem.constraints.tied and not s.implicit:
             raise InputError(EXPLICIT_TIES, where="tie[0]", expected=IMPLICIT)
         shocks = set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
         notes = [s.stability_limit] if s.stability_limit else []

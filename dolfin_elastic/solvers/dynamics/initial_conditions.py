@@ -78,7 +78,7 @@ def set_initial(
     Raises:
         InputError: A value is not finite, or the displacement turns cells inside out.
     """
-    u, dirichlet = problem.u, problem.dirichlet
+    u, constraints = problem.u, problem.constraints
     if displacement:
         _set_nodal(problem, u, displacement, "dynamics.initial_displacement")
     v.x.array[:] = 0.0
@@ -88,9 +88,9 @@ def set_initial(
         far = support_travel(problem, span)
         speeds, unsure = _speeds(problem, 1e-7 * span)
     problem.set_time(0.0)
-    dirichlet.check_finite()
+    constraints.check_finite()
     found = [
-        *_imposed(problem, u, "displacement", dirichlet.targets, SMALL * far),
+        *_imposed(problem, u, "displacement", constraints.targets, SMALL * far),
         *_imposed(problem, v, "velocity", speeds, SMALL * far / span + unsure),
     ]
     u.x.scatter_forward()
@@ -121,7 +121,7 @@ def _speeds(problem: Problem, moment: float) -> tuple[FloatArray, float]:
     Args:
         moment: Duration of the difference [s].
     """
-    start, half, whole = problem.dirichlet.targets_at((0.0, moment / 2, moment))
+    start, half, whole = problem.constraints.targets_at((0.0, moment / 2, moment))
     size = largest(problem.body.comm, float(np.max(np.abs(whole), initial=0.0)))
     speeds = np.asarray((4 * (half - start) - (whole - start)) / moment, dtype=np.float64)
     return speeds, 64 * EPS * size / moment
@@ -134,12 +134,12 @@ def _imposed(
 
     Args:
         what: "velocity" or "displacement".
-        values: Prescribed, like `DirichletConditions.targets`.
+        values: Prescribed, like `Constraints.targets`.
         least: Differences up to this are none.
     """
     size = problem.V.dofmap.index_map.size_local * problem.V.dofmap.index_map_bs
     before = field.x.array[:size].copy()
-    problem.impose(field.x.array, values)
+    problem.constraints.impose(field.x.array, values)
     scale = largest(problem.body.comm, float(np.max(np.abs(before), initial=0.0)))
     yield from support_jumps(problem, what, field.x.array[:size] - before, least + SMALL * scale)
 
@@ -211,12 +211,12 @@ def support_travel(problem: Problem, span: float) -> float:
         problem: Whose supports; their time is 0 afterwards.
         span: The time [s].
     """
-    dirichlet, most = problem.dirichlet, 0.0
-    start, *later = dirichlet.targets_at(span * k / SAMPLES for k in range(SAMPLES + 1))
+    constraints, most = problem.constraints, 0.0
+    start, *later = constraints.targets_at(span * k / SAMPLES for k in range(SAMPLES + 1))
     for there in later:
         gone = np.abs(there - start)
         most = max(most, float(np.max(gone, initial=0.0, where=np.isfinite(gone))))
-    dirichlet.set_time(0.0)
+    constraints.set_time(0.0)
     return largest(problem.body.comm, most)
 
 
@@ -227,13 +227,13 @@ def support_jump(problem: Problem, t: float, step: float) -> str:
         t: Time [s]; it is the problem's afterwards.
         step: Usual step of the motion [s].
     """
-    dirichlet = problem.dirichlet
-    start, *later = dirichlet.targets_at((t, t + 1e-4 * step, t + step))
+    constraints = problem.constraints
+    start, *later = constraints.targets_at((t, t + 1e-4 * step, t + step))
     problem.set_time(t)
     sudden, whole = (np.nan_to_num(there - start) for there in later)
     far = max(float(np.max(np.abs(gone), initial=0.0)) for gone in (sudden, whole))
     change = np.zeros(problem.V.dofmap.index_map.size_local * problem.body.dim)
-    dirichlet.impose(change, sudden)
+    constraints.impose(change, sudden)
     least = SUDDEN * largest(problem.body.comm, far)
     found = list(support_jumps(problem, "displacement", change, least))
     if not found:
@@ -272,14 +272,9 @@ def _by_support(problem: Problem, change: FloatArray) -> Iterator[tuple[str, Flo
     Args:
         change: By all supports, owned entries.
     """
-    dirichlet, dim = problem.dirichlet, problem.body.dim
-    for label, entries in dirichlet.reaction_dofs.items():
-        share = np.zeros_like(change)
-        share[entries] = change[entries]
-        rows = share.reshape(-1, dim)
-        if (skew := dirichlet.skew) is not None:
-            at_skew_nodes = change.reshape(-1, dim)[skew.nodes[: skew.count]]
-            for support, nodes, part in skew.reactions(at_skew_nodes):
-                if support.label == label:
-                    rows[nodes] += part
+    for label in problem.constraints.labels:
+        rows = np.zeros((len(change) // problem.body.dim, problem.body.dim))
+        for support, nodes, part in problem.constraints.reactions(change):
+            if support.label == label:
+                rows[nodes] += part
         yield label, rows

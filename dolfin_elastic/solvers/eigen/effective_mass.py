@@ -14,8 +14,7 @@ from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
-from dolfin_elastic.solvers.assembly.matrix import BilinearForm, TangentMatrix
-from dolfin_elastic.solvers.assembly.tied import TiedMatrix
+from dolfin_elastic.solvers.assembly.matrix import BilinearForm, ConstrainedMatrix, TangentMatrix
 from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_motions
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
 from dolfin_elastic.solvers.linear.ksp import null_combinations, times
@@ -45,24 +44,15 @@ class Mass:
         self._filled = TangentMatrix(BilinearForm(self._form))
         self._filled.assemble([])
         self.matrix: PETSc.Mat = self._filled.petsc
-        self._tied: TiedMatrix | None = None
+        moves = assembler.displacement_dofs
+        self._constrained = ConstrainedMatrix(problem, assembler, self.matrix, moves)
 
     def constrain(self) -> None:
         """Leaves the inertia of what is free to move only. Collective."""
-        assembler, skew = self._assembler, self._assembler.problem.dirichlet.skew
-        if skew is not None:
-            self._filled.destroy()
-            P = skew.P[: skew.count]
-            self._filled = TangentMatrix(BilinearForm(self._form), assembler.skew_dofs, P)
-            self._filled.assemble([], unit=0.0)
-            self.matrix = self._filled.petsc
-        if assembler.ties is not None:
-            moves = assembler.displacement_dofs
-            self._tied = TiedMatrix(assembler.problem, self.matrix, moves, soft=0.0)
-            self._tied.renew()
-            self.matrix = self._tied.matrix
+        self._constrained.renew(0.0)
+        self.matrix = self._constrained.matrix
         start = self.matrix.getOwnershipRange()[0]
-        rows = (assembler.prescribed_dofs + start).astype(PETSc.IntType)
+        rows = (self._assembler.prescribed_dofs + start).astype(PETSc.IntType)
         self.matrix.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self.matrix.zeroRowsColumns(rows, diag=0.0)
         self.matrix.setOption(PETSc.Mat.Option.SYMMETRIC, True)
@@ -73,8 +63,7 @@ class Mass:
 
     def destroy(self) -> None:
         """Frees the matrix. Collective."""
-        if self._tied is not None:
-            self._tied.destroy()
+        self._constrained.destroy()
         self._filled.destroy()
 
 

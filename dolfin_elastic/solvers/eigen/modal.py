@@ -206,12 +206,8 @@ class Vibration:
 
     def _room(self) -> int:
         """How many modes there are: displacements that nothing prescribes."""
-        assembler, skew = self.assembler, self.problem.dirichlet.skew
-        free = len(assembler.displacement_dofs) - len(assembler.prescribed_dofs)
-        free -= 0 if assembler.ties is None else len(assembler.ties.tied)
-        if skew is not None:
-            traces = np.trace(skew.P[: skew.count], axis1=1, axis2=2)
-            free -= int(np.rint(traces.sum()))
+        assembler = self.assembler
+        free = len(assembler.displacement_dofs) - assembler.count
         return int(self._comm.allreduce(free))
 
     def modes(self) -> Iterator[Mode]:

@@ -107,8 +107,7 @@ def shape(problem: Problem, vector: FloatArray) -> tuple[fem.Function, float]:
         problem.body.dim,
         problem.body.comm,
     )
-    if problem.ties is not None:
-        problem.ties.extend(motion)
+    problem.constraints.extend(motion)
     lengths = np.linalg.norm(motion.reshape(-1, dim), axis=1)
     size = largest(comm, float(np.max(lengths, initial=0.0)))
     if total(comm, float(vector @ uneven(problem, 0))) < 0.0:

@@ -29,7 +29,6 @@ from dolfin_elastic.solvers.linear.block_rows import (
     with_room,
 )
 from dolfin_elastic.solvers.linear.multigrid import (
-    aij,
     constrained_interpolation,
     mode_values,
     near_null_space,
@@ -41,6 +40,7 @@ from dolfin_elastic.solvers.linear.smoother import (
     diagonal_of,
     smoother_of,
 )
+from dolfin_elastic.solvers.petsc.aij import aij
 from dolfin_elastic.solvers.petsc.c_api import give_back
 
 THRESHOLD = 0.08

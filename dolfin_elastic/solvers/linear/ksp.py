@@ -46,8 +46,7 @@ def null_combinations(assembler: Assembler, columns: FloatArray, small: float) -
     images = times(matrix, columns) / scale
     fixed = assembler.prescribed_dofs  # whose rows of K are the identity's
     images[fixed] = columns[fixed]
-    if assembler.ties is not None:  # whose rows only keep the matrix regular
-        images[assembler.displacement_dofs[assembler.ties.tied]] = 0.0
+    images[assembler.tied_dofs] = 0.0  # whose rows only keep the matrix regular
     rows = np.vstack([images, np.zeros((images.shape[1],) * 2)])
     triangles = np.vstack(comm.allgather(np.linalg.qr(rows, mode="r")))
     _, sizes, mixes = np.linalg.svd(triangles, full_matrices=False)
@@ -182,7 +181,7 @@ class LinearSolver:
     def set_up(self) -> None:
         """Reads the options in force and attaches multigrid and near null space. Collective."""
         self.ksp.setFromOptions()
-        if self._assembler.ties is not None:
+        if self._assembler.tied:
             self.ksp.setPostSolve(self._extend)
         self.direct = self.ksp.getType() == "preonly"  # the user may have chosen otherwise
         self._free_parts()

@@ -15,10 +15,11 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.compat import interpolation_matrix
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
-from dolfin_elastic.problem.constraints.skew import SkewConstraints
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.problem.constraints.rows import Rows
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.assembly.tied import transformation
+from dolfin_elastic.solvers.assembly.matrix import transformation
+from dolfin_elastic.solvers.petsc.aij import from_entries
 
 VERTEX = 0.9
 """Weight above which a row of the interpolation belongs to a vertex: there it is 1, and 1/2 at
@@ -129,45 +130,33 @@ def constrained_interpolation(
         coarse: Space of linear elements on the same mesh.
         order: See `PMultigrid`.
     """
-    plain = interpolation_matrix(coarse, problem.unknowns.U)
-    P, V = _rows(plain, ZERO, order), _rows(plain, VERTEX, order)
-    D = _prescribed(problem, P, order)
-    vertices = D.matMult(V)
-    C = V.transposeMatMult(vertices)
-    softened = _softened(problem, P, order)
-    vertices.diagonalScale(softened)
-    prescribed = D.matMult(P)
+    plain, unknowns = interpolation_matrix(coarse, problem.unknowns.U), problem.unknowns
+    row = np.arange(plain.getLocalSize()[0])
+    constraints, free = problem.constraints, Rows(*problem.constraints.at(unknowns.merged_dofs))
+    I, V = _rows(plain, ZERO), _rows(plain, VERTEX)  # noqa: E741
+    T = transformation(problem, free, I, row, prescribed=0.0)
+    moved = T.matMult(I)
+    followed = V.transposeMatMult(moved)
+    masters = I.matMult(followed)
+    P, softened = _rows(masters, 0.0, order), _rows(V, 0.0, order)
+    places = (row if order is None else np.argsort(order)).astype(np.int32)
+    at = Rows(*constraints.at(lambda dofs: places[unknowns.merged_dofs(dofs)]))
+    first, held = plain.getOwnershipRange()[0], at.prescribed_dofs
+    i, j, v = at.eliminated(first)
+    i, j = np.concatenate([held, i]), np.concatenate([first + held, j])
+    D = from_entries(P, i, j, np.concatenate([np.ones(len(held)), v]), square=True)
+    vertices, prescribed = D.matMult(softened), D.matMult(P)
+    factors = P.createVecLeft()
+    factors.set(1.0)
+    factors.array_w[at.skew_dofs.reshape(-1)] = SOFT
+    vertices.diagonalScale(factors)
     _add(P, -1.0, prescribed)
-    if problem.ties is not None:
-        followed = _vertices_follow(problem, plain)
-        masters = P.matMult(followed)
-        P.destroy()
-        followed.destroy()
-        P = masters
-    columns = P.matMult(C)
-    _add(P, -1.0, columns)
     _add(P, 1.0, vertices)
     result = _rows(P, ZERO)
-    for thing in (plain, P, V, D, vertices, C, prescribed, columns, softened):
+    things = (plain, I, V, T, moved, followed, masters, P, softened, D, vertices, prescribed)
+    for thing in (*things, factors):
         thing.destroy()
     return result
-
-
-def _vertices_follow(problem: Problem, plain: PETSc.Mat) -> PETSc.Mat:
-    """What tied vertices follow, on the coarse level: V^T T I. Collective.
-
-    Args:
-        plain: The interpolation I from linear to quadratic elements.
-    """
-    P, V = _rows(plain, ZERO), _rows(plain, VERTEX)
-    nothing = np.empty(0, dtype=np.int32)
-    square = _from_entries(P, nothing, nothing, np.empty(0), square=True)
-    T = transformation(problem, square, np.arange(P.getLocalSize()[0]))
-    interpolated = T.matMult(P)
-    found = V.transposeMatMult(interpolated)
-    for thing in (P, V, square, T, interpolated):
-        thing.destroy()
-    return found
 
 
 def _add(matrix: PETSc.Mat, factor: float, other: PETSc.Mat) -> None:
@@ -181,102 +170,7 @@ def _rows(matrix: PETSc.Mat, least: float, order: IndexArray | None = None) -> P
     if order is not None:
         rows = np.argsort(order)[rows]
     large = np.abs(values) > least
-    return _from_entries(matrix, rows[large], columns[large], values[large])
-
-
-def _prescribed(problem: Problem, like: PETSc.Mat, order: IndexArray | None) -> PETSc.Mat:
-    """The projection D on prescribed directions, square, with the rows of a matrix. Collective."""
-    size, first = like.getLocalSize()[0], like.getOwnershipRange()[0]
-    row = np.arange(size) if order is None else np.argsort(order)
-    eliminated = problem.dirichlet.owned
-    if problem.ties is not None:
-        eliminated = np.concatenate([eliminated, problem.ties.tied])
-    entries = row[problem.unknowns.merged_dofs(eliminated)]
-    rows, columns, values = [entries], [entries], [np.ones(len(entries))]
-    skew = problem.dirichlet.skew
-    if skew is not None:
-        blocks, dim = skew.P[: skew.count], problem.body.dim
-        places = _skew_rows(problem, skew, order)
-        rows.append(np.repeat(places, dim, axis=1).reshape(-1))
-        columns.append(np.tile(places, dim).reshape(-1))
-        values.append(blocks.reshape(-1))
-    return _from_entries(
-        like,
-        np.concatenate(rows),
-        first + np.concatenate(columns),
-        np.concatenate(values),
-        square=True,
-    )
-
-
-def _softened(problem: Problem, like: PETSc.Mat, order: IndexArray | None) -> PETSc.Vec:
-    """A factor for each row of a matrix: `SOFT` at nodes of skew supports, else 1. Collective."""
-    factors, skew = like.createVecLeft(), problem.dirichlet.skew
-    factors.set(1.0)
-    if skew is not None:
-        factors.array_w[_skew_rows(problem, skew, order).reshape(-1)] = SOFT
-    return factors
-
-
-def _skew_rows(problem: Problem, skew: SkewConstraints, order: IndexArray | None) -> IntArray:
-    """Rows of owned nodes of skew supports, of shape (nodes, dim)."""
-    dim = problem.body.dim
-    entries = skew.nodes[: skew.count, None] * dim + np.arange(dim)
-    return np.asarray(entries if order is None else np.argsort(order)[entries])
-
-
-def _from_entries(
-    like: PETSc.Mat,
-    rows: IndexArray,
-    columns: IndexArray,
-    values: FloatArray,
-    *,
-    square: bool = False,
-) -> PETSc.Mat:
-    """A matrix of given entries. Collective.
-
-    Args:
-        like: Has its communicator, its rows, its block sizes, and, unless `square`, its columns.
-        rows: Owned rows, counted from this rank's first.
-        columns: Global columns.
-        square: It has as many columns as rows.
-    """
-    (size, _), (width, _) = like.getSizes()
-    bs = like.getBlockSizes()
-    sizes = ((size, None), (size if square else width, None))
-    return aij(like.comm, sizes, (bs[0], bs[0] if square else bs[1]), (rows, columns, values))
-
-
-def aij(
-    comm: MPI.Comm | PETSc.Comm,
-    sizes: tuple[tuple[int, None], tuple[int, None]],
-    bs: tuple[int, int],
-    entries: tuple[IndexArray | IntArray, IndexArray | IntArray, FloatArray],
-) -> PETSc.Mat:
-    """An AIJ matrix of given entries. Collective.
-
-    Args:
-        comm: The ranks.
-        sizes: Owned rows and columns, as PETSc takes them.
-        bs: Sizes of blocks of rows and columns.
-        entries: Rows, counted from this rank's first, global columns, and values; none is there
-            twice.
-    """
-    rows, columns, values = entries
-    by_row = np.argsort(rows, kind="stable")
-    start = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=sizes[0][0]))])
-    matrix = PETSc.Mat().createAIJ(
-        sizes,
-        bsize=bs,
-        comm=comm,
-        csr=(
-            start.astype(PETSc.IntType),
-            columns[by_row].astype(PETSc.IntType),
-            values[by_row],
-        ),
-    )
-    matrix.assemble()
-    return matrix
+    return from_entries(matrix, rows[large], columns[large], values[large])
 
 
 def mode_values(

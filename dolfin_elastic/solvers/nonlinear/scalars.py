@@ -131,7 +131,7 @@ class Scalars:
 
     def __init__(self, assembler: Assembler) -> None:
         self._assembler, problem = assembler, assembler.problem
-        self._prescribed = problem.dirichlet
+        self._prescribed = problem.constraints
         self._cavities = [CavityScalars(assembler, cavity) for cavity in problem.cavities]
         self.parts: list[ScalarUnknowns] = [c for c in self._cavities if c.cavity.volume_controlled]
         self.parts += [
@@ -298,7 +298,7 @@ class RigidSurface:
     def __init__(self, assembler: Assembler, motion: RigidMotion) -> None:
         self._assembler, self._problem, self._motion = assembler, assembler.problem, motion
         problem = self._problem
-        self._prescribed, self.size = problem.dirichlet, len(motion.free)
+        self._prescribed, self.size = problem.constraints, len(motion.free)
         dim = problem.body.dim
         length = span(problem.body)
         is_turn = np.array(motion.free) >= dim
@@ -366,7 +366,7 @@ def refuse_scalars(problem: Problem) -> None:
             where="load",
             expected="its pressure, or [statics]",
         )
-    if any(len(motion.free) for motion in problem.dirichlet.rigid_motions):
+    if any(len(motion.free) for motion in problem.constraints.rigid_motions):
         raise InputError(
             "a rigid surface with free motion exists in statics only",
             where="support",

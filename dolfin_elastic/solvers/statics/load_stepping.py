@@ -235,7 +235,7 @@ class LoadStepping:
         """
         start, end = self._newton.unknowns(), self._settings.end
         self._problem.set_time(end, default=PROPORTIONAL)
-        self._problem.dirichlet.check_finite()
+        self._problem.constraints.check_finite()
         result = self._retry.solve([("", self._join_arrays(near))])
         refusal = self._refusal_of_guess() if result.converged else result.reason
         if refusal:
@@ -298,7 +298,7 @@ class LoadStepping:
     def _solve(self, step: _Step) -> NewtonResult:
         """Tries to take a step; all unknowns are put back if that fails. Collective."""
         self._problem.set_time(step.goal, default=PROPORTIONAL)
-        self._problem.dirichlet.check_finite()
+        self._problem.constraints.check_finite()
         now = self._newton.unknowns()
         starts = [("", now)]
         if self._previous is not None and step.t > self._previous[0]:

@@ -169,7 +169,7 @@ class StaticStates:
             problem.set_time(self._end, default=PROPORTIONAL)
         except FormulaError:  # of a curve or an angle: on all ranks
             return ""
-        targets = np.abs(np.nan_to_num(problem.dirichlet.targets, posinf=0.0, neginf=0.0))
+        targets = np.abs(np.nan_to_num(problem.constraints.targets, posinf=0.0, neginf=0.0))
         moved = {"a support": largest(problem.body.comm, float(np.max(targets, initial=0.0)))}
         for pair in problem.contact_pairs:
             size = float(np.max(np.abs(np.nan_to_num(pair.shift.value, posinf=0.0, neginf=0.0))))

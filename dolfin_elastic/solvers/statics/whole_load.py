@@ -130,7 +130,7 @@ def try_whole_load(
         return None
     start = newton.unknowns()
     problem.set_time(end, default=PROPORTIONAL)
-    problem.dirichlet.check_finite()
+    problem.constraints.check_finite()
     result = _solved(newton, path_check)
     if result.converged:
         verdict = judge(newton)

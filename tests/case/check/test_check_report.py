@@ -485,7 +485,8 @@ def test_axis_and_its_place(along, motion):
     x = problem.V.tabulate_dof_coordinates()
     nodes = np.flatnonzero((np.abs(x[:, along]) < 1e-9).all(axis=1))
     nodes = nodes[nodes < problem.V.dofmap.index_map.size_local]
-    problem.dirichlet.owned = (3 * nodes[:, None] + np.arange(3)).ravel().astype(np.int32)
+    held = (3 * nodes[:, None] + np.arange(3)).ravel().astype(np.int32)
+    problem.constraints.prescribed_dofs = held
     assert free_bodies(problem)[0].motions == (motion,)
 
 

@@ -147,8 +147,8 @@ def test_symmetric_where_it_says_so(monkeypatch, case, degree):
     problem.set_time(1.0)
     moved(problem, 0.05)
     # At the prescribed values, in or out of the rim's planes.
-    held = problem.dirichlet.dofs
-    problem.u.x.array[held] = problem.dirichlet.values.x.array[held]
+    held = problem.constraints.dofs
+    problem.u.x.array[held] = problem.constraints.values.x.array[held]
     found = asymmetry(problem)
     assert found < 1e-13 if symmetric else found > 1e-6
 
@@ -185,7 +185,7 @@ def test_symmetric_in_a_plane(comm, monkeypatch, geometry, on, supports, symmetr
     problem.set_time(1.0)
     moved(problem, 0.05)
     if geometry == "axisymmetric":  # nothing leaves the axis
-        problem.u.x.array[problem.dirichlet.dofs] = 0.0
+        problem.u.x.array[problem.constraints.dofs] = 0.0
     found = asymmetry(problem)
     assert found < 1e-13 if symmetric else found > 1e-6
 

@@ -98,7 +98,7 @@ def test_an_edge_holds_its_midside_nodes_and_bears_the_moment(degree: int) -> No
     foot, far = Support(on="foot"), Support(on="rim", displacement=["free", "free", 0])
     force = PointForce(at=[1.5, 0.5, 1], value=[0, 0, -800])
     problem = Problem(body, LAW, supports=[foot, far], loads=[force], degree=degree)
-    nodes = body.comm.allreduce(len(problem.dirichlet.reaction_dofs["foot"]), op=MPI.SUM)
+    nodes = body.comm.allreduce(len(problem.constraints.reaction_dofs["foot"]), op=MPI.SUM)
     assert nodes == 3 * (3 if degree == 1 else 5)
     state = solved(problem)
     np.testing.assert_allclose(state.reactions["foot"], [0, 0, 200], atol=1e-6)
@@ -114,7 +114,7 @@ def test_a_set_of_nodes_with_a_single_one_is_held_whole() -> None:
         for b, on in ((both, "set"), (body, "left"))
     ]
     counts = [
-        body.comm.allreduce(len(p.dirichlet.reaction_dofs[label]), op=MPI.SUM)
+        body.comm.allreduce(len(p.constraints.reaction_dofs[label]), op=MPI.SUM)
         for p, label in zip(held, ("set", "left"), strict=True)
     ]
     assert counts[0] == counts[1] + 3

@@ -131,7 +131,7 @@ def tangent(problem: Problem, *, iterated: bool) -> FloatArray:
 
 def without_prescribed(matrix: FloatArray, problem: Problem) -> FloatArray:
     free = np.ones(problem.V.dofmap.index_map.size_local * problem.body.dim)
-    free[problem.dirichlet.owned] = 0.0
+    free[problem.constraints.prescribed_dofs] = 0.0
     free = np.concatenate(problem.body.comm.allgather(free))
     return free[:, None] * matrix * free
 

@@ -218,19 +218,19 @@ def test_moving_supports_hold_at_every_step(scheme):
     moved = Support(on="left", displacement=["0.01*sin(200*t)", "0.02*(1 - cos(100*t))*y"])
     problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), supports=[moved], degree=1)
     dt = {} if scheme == "symplectic-euler" else {"dt": 1e-3}
-    held = problem.dirichlet
+    held = problem.constraints
     places = problem.V.tabulate_dof_coordinates()
     worst = speed = 0.0
     times = []
     for state in Dynamics(problem, scheme=scheme, end=0.02, **dt).steps():
         times.append(state.t)
-        t, y = state.t, places[held.owned // 2, 1]
+        t, y = state.t, places[held.prescribed_dofs // 2, 1]
         exact = np.where(
-            held.owned % 2 == 0, 0.01 * np.sin(200 * t), 0.02 * (1 - np.cos(100 * t)) * y
+            held.prescribed_dofs % 2 == 0, 0.01 * np.sin(200 * t), 0.02 * (1 - np.cos(100 * t)) * y
         )
-        rate = np.where(held.owned % 2 == 0, 2 * np.cos(200 * t), 2 * np.sin(100 * t) * y)
-        worst = max(worst, np.abs(state.u.x.array[held.owned] - exact).max(initial=0.0))
-        speed = max(speed, np.abs(state.v.x.array[held.owned] - rate).max(initial=0.0))
+        rate = np.where(held.prescribed_dofs % 2 == 0, 2 * np.cos(200 * t), 2 * np.sin(100 * t) * y)
+        worst = max(worst, np.abs(state.u.x.array[held.prescribed_dofs] - exact).max(initial=0.0))
+        speed = max(speed, np.abs(state.v.x.array[held.prescribed_dofs] - rate).max(initial=0.0))
     assert body.comm.allreduce(float(worst), op=MPI.MAX) < 1e-14
     # A difference of places lags by half a step, times the acceleration of 400 m/s^2.
     assert body.comm.allreduce(float(speed), op=MPI.MAX) < 0.55 * np.diff(times).max() * 400
@@ -338,7 +338,7 @@ def test_adaptive_steps_with_moving_supports():
     ends = []
     for tolerance in (1e-3, 1e-5):
         problem = Problem(body, NeoHookean(E=E, nu=NU, density=RHO), supports=[moved], degree=1)
-        held = problem.dirichlet.owned
+        held = problem.constraints.prescribed_dofs
         worst = 0.0
         for state in Dynamics(
             problem, end=0.02, dt=1e-4, adaptive=True, tolerance=tolerance

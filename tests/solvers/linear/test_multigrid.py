@@ -82,26 +82,23 @@ def test_the_interpolation_keeps_constraints(angle: float) -> None:
     vertices = problem.body.mesh.topology.index_map(0).size_global
     assert coarse.dofmap.index_map.size_global == vertices
     P = constrained_interpolation(problem, coarse)
-    dim, dirichlet = problem.body.dim, problem.dirichlet
+    constraints = problem.constraints
     x, y = P.createVecs()
     x.setRandom()
     P.mult(x, y)
     moved = y.array_r.copy()
-    fixed = np.zeros(len(moved))
-    fixed[dirichlet.owned] = moved[dirichlet.owned]
-    if dirichlet.skew is not None:
-        rows = dirichlet.skew.nodes[: dirichlet.skew.count, None] * dim + np.arange(dim)
-        fixed[rows] = dirichlet.skew.constrained_part(moved[rows]) / SOFT
+    rows, skewed = constraints.skew_dofs, constraints.skewed
+    fixed = constraints.constrained_part(moved)
+    fixed[rows] /= SOFT
     # What is left in prescribed directions comes from the same directions of vertices alone.
     z = P.createVecRight()
     y.array_w[:] = fixed
     P.multTranspose(y, z)
     P.mult(z, y)
-    rest = y.array_r - (fixed if dirichlet.skew is None else SOFT**2 * fixed)
+    rest = y.array_r - (SOFT**2 * fixed if skewed else fixed)
     free = np.ones(len(moved), dtype=bool)
-    free[dirichlet.owned] = False
-    if dirichlet.skew is not None:
-        free[rows] = False
+    free[constraints.prescribed_dofs] = False
+    free[rows] = False
     off = problem.body.comm.allreduce(float(np.abs(rest[free]).max(initial=0.0)), op=MPI.MAX)
     assert off < 1e-12
     gram = P.transposeMatMult(P)

@@ -123,7 +123,7 @@ def test_moment_and_rotation_are_a_pair():
         degree=1,
     )
     *_, first = Statics(held, steps=2).steps()
-    motion = held.dirichlet.rigid_motions[0]
+    motion = held.constraints.rigid_motions[0]
     spins = tangent(np.array(turn))
     vector = np.array([first.numbers[f"moment_right_{x}"] for x in "xyz"])
     free = Problem(
@@ -177,7 +177,7 @@ def test_moments_balance_where_an_oblique_support_meets_a_plate(dim):
     *_, state = Statics(problem, steps=1).steps()
     assert state.audit.verdict == "pass"
     left, size = np.zeros(3), 0.0
-    for motion in problem.dirichlet.rigid_motions:
+    for motion in problem.constraints.rigid_motions:
         force, moment = np.zeros(3), np.zeros(3)
         force[:dim] = state.reactions[motion.label]
         for i, axis in enumerate("xyz"):
@@ -461,8 +461,8 @@ def test_tangent_of_the_whole_system(folder):
     X = problem.W.tabulate_dof_coordinates()
     u = 0.03 * np.column_stack([np.sin(3 * X[:, 1] + X[:, 0]) * X[:, 0], np.cos(2 * X[:, 0])])
     problem.u.x.array[:] = u.reshape(-1)
-    held = problem.dirichlet.dofs
-    problem.u.x.array[held] = problem.dirichlet.values.x.array[held]
+    held = problem.constraints.dofs
+    problem.u.x.array[held] = problem.constraints.values.x.array[held]
     system.fill(x, problem.u.x.array[: assembler.size], joined.get())
     system.renew(x)
     v = system.create_vector()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
 
-from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -91,16 +92,20 @@ class Product:
         parts = self._owners.comm.alltoall([owned[part] for part in self._given])
         return np.asarray(self._rows @ np.concatenate(parts))
 
-    def transposed_times(self, values: FloatArray) -> FloatArray:
-        """This rank's entries of the transposed rows times a vector. Collective.
+    def add_transposed(self, values: FloatArray, to: FloatArray) -> None:
+        """Adds the transposed rows times a vector. Collective.
 
         Args:
             values: One number for each of this rank's rows.
+            to: This rank's entries, which are changed.
         """
-        sums = self._rows.T @ values
         cuts = np.cumsum([len(part) for part in self._asked])[:-1]
-        found = np.zeros(self._owners.count)
-        parts = self._owners.comm.alltoall(np.split(sums, cuts))
+        parts = self._owners.comm.alltoall(np.split(self._rows.T @ values, cuts))
         for places, part in zip(self._given, parts, strict=True):
-            found[places] += part  # the numbers of one rank are unique
+            to[places] += part  # the numbers of one rank are unique
+
+    def at(self, numbers: Callable[[IndexArray], IndexArray]) -> Product:
+        """The same for vectors that have their entries at other places; see `Rows`."""
+        found = copy(self)
+        found._given = [numbers(part) for part in self._given]
         return found

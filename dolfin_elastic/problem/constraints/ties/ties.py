@@ -22,7 +22,6 @@ from dolfin_elastic.core.parallel import first_of, largest, smallest, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.body import Body, span
 from dolfin_elastic.model.tie import Tie
-from dolfin_elastic.problem.constraints.dirichlet import DirichletConditions
 from dolfin_elastic.problem.constraints.ties.exchange import Owners, Product
 from dolfin_elastic.problem.constraints.ties.facets import (
     Facets,
@@ -66,6 +65,7 @@ class Ties:
 
     Args:
         ties: What is tied; where a node is tied twice the first one holds.
+        held: Owned entries at which supports prescribe anything.
         axisymmetric: The body is one of revolution about y.
 
     Attributes:
@@ -78,6 +78,7 @@ class Ties:
         surfaces: What each tie holds together.
         rows: Their rows of T, columns global, shape (tied, all entries); in no column is a tied
             entry.
+        row_products: The tied entries, and products of their rows with vectors.
 
     Raises:
         MeshError: A surface does not exist.
@@ -89,7 +90,7 @@ class Ties:
         body: Body,
         V: fem.FunctionSpace,
         ties: Sequence[Tie],
-        dirichlet: DirichletConditions,
+        held: BoolArray,
         *,
         axisymmetric: bool = False,
     ) -> None:
@@ -99,11 +100,7 @@ class Ties:
         self._nodes = Owners(body.comm, imap.local_range[0], imap.size_local)
         dim = self._dim
         self.dofs = Owners(body.comm, dim * imap.local_range[0], dim * imap.size_local)
-        held = np.zeros(self.dofs.count, dtype=bool)
-        held[dirichlet.owned] = True
-        if dirichlet.skew is not None:
-            nodes = dirichlet.skew.nodes[: dirichlet.skew.count]
-            held.reshape(-1, dim)[nodes] = True
+        held = held.copy()
         self._rows: list[tuple[IntArray, IntArray, FloatArray]] = []
         surfaces = []
         for k, tie in enumerate(ties):
@@ -114,14 +111,13 @@ class Ties:
         self.tied: IndexArray = np.sort(np.concatenate([s.dofs for s in surfaces]))
         self._links = self._rows_of_ties()
         self.rows = self._resolved()
-        self._product = Product(self.dofs, self.rows)
+        product = Product(self.dofs, self.rows)
+        self.row_products = self.tied, product
         self._passed = [self._passed_on(surface) for surface in surfaces]
         x = V.tabulate_dof_coordinates()[: imap.size_local, :dim]
         self.levers: FloatArray = np.empty((len(self.tied), dim))
         for a in range(dim):
-            self.levers[:, a] = x[self.tied // dim, a] - self._product.times(
-                np.repeat(x[:, a], dim)
-            )
+            self.levers[:, a] = x[self.tied // dim, a] - product.times(np.repeat(x[:, a], dim))
         marks = la.vector(imap, 1)
         marks.array[np.unique(self.tied // dim)] = 1.0
         marks.scatter_forward()
@@ -245,15 +241,16 @@ class Ties:
     # --- all ties ---
 
     def passed_forces(
-        self, out_of_balance: FloatArray
-    ) -> Iterator[tuple[str, IndexArray, FloatArray]]:
-        """Label, owned tied entries and the forces on them by the other side [N], tie by tie.
+        self, forces: FloatArray
+    ) -> Iterator[tuple[TiedSurfaces, IndexArray, FloatArray]]:
+        """Tie by tie the owned tied entries and the forces on them by the other side [N].
 
         Args:
-            out_of_balance: Nodal forces out of balance of bodies that are not tied, owned entries.
+            forces: On the tied entries, out of balance of bodies that are not tied [N].
         """
         for surface, passed in zip(self.surfaces, self._passed, strict=True):
-            yield surface.label, surface.dofs, passed * out_of_balance[surface.dofs]
+            at = np.searchsorted(self.tied, surface.dofs)
+            yield surface, surface.dofs, passed * forces[at]
 
     def _passed_on(self, surface: TiedSurfaces) -> FloatArray:
         """Share of the force on each entry of a tie that goes to the other side. Collective.
@@ -276,23 +273,21 @@ class Ties:
         here = numbers[self.tied // self._dim]
         return np.column_stack([np.repeat(here, np.diff(self.rows.indptr)), there])
 
-    def extend(self, u: FloatArray) -> None:
-        """Makes tied entries follow the others: u = T u. Collective.
+    def factors(self, free: FloatArray, numbers: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
+        """Row, column and value of T's entries in tied rows, none twice. Collective.
 
         Args:
-            u: Owned entries of a displacement, velocity or acceleration, or more behind them.
+            free: See `Rows.free_directions`, of the owned entries.
+            numbers: Places of the owned entries in rows and columns.
         """
-        u[self.tied] = self._product.times(u)
-
-    def collect(self, forces: FloatArray) -> FloatArray:
-        """Moves forces on tied entries to those that they follow: T^T f. Collective.
-
-        Args:
-            forces: Owned entries [N].
-        """
-        moved = np.asarray(forces + self._product.transposed_times(forces[self.tied]))
-        moved[self.tied] = 0.0
-        return moved
+        dim = self._dim
+        i, j, v = _entries(self.rows, np.arange(len(self.tied)))
+        columns = ((j - j % dim)[:, None] + np.arange(dim)).ravel()
+        values = (v[:, None] * self.dofs.values_at(free, j)).ravel()
+        keep = values != 0.0
+        found = (values[keep], (np.repeat(i, dim)[keep], columns[keep]))
+        i, j, v = _entries(csr_array(found, shape=self.rows.shape), np.arange(len(self.tied)))
+        return numbers[self.tied[i]], self.dofs.values_at(numbers, j), v
 
     def _rows_of_ties(self) -> csr_array:
         i, j, v = (np.concatenate(parts) for parts in zip(*self._rows, strict=True))

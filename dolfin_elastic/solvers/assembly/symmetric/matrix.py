@@ -66,5 +66,5 @@ class SymmetricMatrix:
 def can_be_halved(dofs: ConstrainedDofs, form: TwoStageForm) -> bool:
     """Whether the tangent is symmetric and no rows of it are combined. Not collective."""
     problem = dofs.problem
-    combined = (dofs.skew, dofs.ties, problem.cell)
-    return form.can_be_halved and problem.symmetric and all(x is None for x in combined)
+    combined = dofs.combined or problem.cell is not None
+    return form.can_be_halved and problem.symmetric and not combined

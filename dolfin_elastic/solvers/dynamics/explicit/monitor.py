@@ -162,7 +162,7 @@ class StabilityMonitor:
             InputError: A prescribed displacement or a load is not finite.
         """
         problem, u = self._problem, self._problem.u.x.array
-        problem.dirichlet.check_finite()
+        problem.constraints.check_finite()
         displacement = u.copy()
         u[:] = 0.0  # loads that follow the body are not finite where it is not
         forces = self._assembler.reactions.loads()

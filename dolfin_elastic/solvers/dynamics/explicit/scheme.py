@@ -82,8 +82,8 @@ def mean_acceleration(
         dt: The last step [s].
         interval: From the time of the velocity to the middle of its next step [s].
     """
-    held = problem.dirichlet
-    here, now = held.extract(problem.u.x.array), held.extract(v.x.array)
+    held = problem.constraints
+    here, now = held.constrained_part(problem.u.x.array), held.constrained_part(v.x.array)
 
     def targets(time: float) -> FloatArray:
         try:
@@ -148,11 +148,11 @@ class ExplicitScheme(ABC):
         residual = assembler.residual
         self._forces = Forces(self.problem, residual.work, residual.vector, points=-1.0)
         self._supports_move, self._timed = supports_move(self.problem), changes(self.problem)
-        self._imposed = self._supports_move or self.problem.dirichlet.skew is not None
+        self._imposed = self._supports_move or self.problem.constraints.skewed
         arrays = self.problem.u.x.array, v.x.array, assembler.residual.vector.array
         self._u, self.velocity, self.out_of_balance = (array[: assembler.size] for array in arrays)
         self._factor, self.free = self._mobility(), np.ones(assembler.size)
-        self.free[self.problem.dirichlet.owned] = 0.0
+        self.free[self.problem.constraints.prescribed_dofs] = 0.0
         self.change, self._du = np.zeros(assembler.size), np.zeros(assembler.size)
         self.t, self.steps, self.dt = 0.0, 0, dt
 
@@ -160,7 +160,7 @@ class ExplicitScheme(ABC):
         """-1/m at owned entries, 0 where supports prevent any motion [1/kg]."""
         factor = -1 / self.mass
         if not self._supports_move:
-            factor[self.problem.dirichlet.owned] = 0.0
+            factor[self.problem.constraints.prescribed_dofs] = 0.0
         return np.asarray(factor)
 
     @classmethod
@@ -240,10 +240,10 @@ class ExplicitScheme(ABC):
 
     def _impose_motion(self, dt: float) -> None:
         """Sets the velocity change at supports so that they reach their prescribed displacement."""
-        dirichlet = self.problem.dirichlet
-        goal = (dirichlet.targets - dirichlet.extract(self.problem.u.x.array)) / dt
+        constraints = self.problem.constraints
+        gap = constraints.targets - constraints.constrained_part(self.problem.u.x.array)
         self.change += self.velocity
-        dirichlet.impose(self.change, goal)
+        constraints.impose(self.change, np.asarray(gap / dt))
         self.change -= self.velocity
 
     def update_dashpots(self) -> None:
@@ -279,7 +279,7 @@ class ExplicitScheme(ABC):
         np.multiply(self.out_of_balance, self._factor, out=self.change)
         if self._imposed:
             driven = mean_acceleration(self.problem, self._velocity, self.t, self.dt, interval)
-            self.problem.dirichlet.impose(self.change, driven)
+            self.problem.constraints.impose(self.change, driven)
         self.set_acceleration(self.change + 0.0)  # no -0
 
     def set_acceleration(self, a: FloatArray) -> None:

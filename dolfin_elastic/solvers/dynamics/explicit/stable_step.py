@@ -122,7 +122,7 @@ class StepSize:
             with in_full_contact(self._problem):
                 a.tangent.assemble(x, unit=0.0)
             scale.array_w[:] = 1 / np.sqrt(self._mass)
-            scale.array_w[self._problem.dirichlet.owned] = 0.0
+            scale.array_w[self._problem.constraints.prescribed_dofs] = 0.0
             a.tangent.matrix.diagonalScale(scale, scale)
             a.tangent.invalidate()
             x.array_w[a.displacement_dofs] = start_vector(a)

@@ -48,7 +48,7 @@ class PetscAlpha2(ImplicitScheme):
         ts, matrix = context.ts, self.assembler.tangent.matrix
         self._F = self.assembler.create_vector()
         self._start, self._known_h = 0.0, 0.0
-        self._from = self._to = self.problem.dirichlet.targets
+        self._from = self._to = self.problem.constraints.targets
         self._w = np.empty(0)
         ts.setType("alpha2")
         ts.setProblemType(PETSc.TS.ProblemType.NONLINEAR)
@@ -96,7 +96,7 @@ class PetscAlpha2(ImplicitScheme):
         try:
             self._from = self._prescribed_at(self._start)
             self.problem.set_time(self._start + float(ts.getTimeStep()))
-            self.problem.dirichlet.check_finite()
+            self.problem.constraints.check_finite()
             self.newton.begin()
         except InputError as error:  # the same on all ranks; PETSc would lose it
             self.error = error
@@ -206,4 +206,4 @@ class PetscAlpha2(ImplicitScheme):
 
     def _prescribed_at(self, t: float) -> FloatArray:
         self.problem.set_time(t)
-        return np.asarray(self.problem.dirichlet.targets)
+        return np.asarray(self.problem.constraints.targets)

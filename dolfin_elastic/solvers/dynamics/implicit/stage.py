@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.timing import stage as timed
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.constraints.rows import Rows
 from dolfin_elastic.solvers.assembly.mass import prescribed_rates
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.implicit.scheme import SchemeContext
@@ -54,7 +54,7 @@ class Stage:
         start: The state that the step begins with.
         h: Length of the step [s].
         predictor: u1 - u0 if the acceleration did not change, owned entries [m].
-        u: Prescribed displacement at the stage [m], like `DirichletConditions.targets`.
+        u: Prescribed displacement at the stage [m], like `Constraints.targets`.
         a: Prescribed acceleration at the stage [m/s^2].
         u_end: Prescribed displacement at the end of the step [m].
         v_end: Prescribed velocity there [m/s].
@@ -62,7 +62,7 @@ class Stage:
     """
 
     parameters: GeneralizedAlphaParameters
-    prescribed: Problem
+    prescribed: Rows
     start: StepStart
     h: float
     predictor: FloatArray
@@ -214,17 +214,17 @@ class StageSolver:
         problem, p = self._problem, self._parameters
         end = start.t + h
         problem.set_time(end)  # loads must have values there, too
-        problem.dirichlet.check_finite()
+        problem.constraints.check_finite()
         if problem.loads_change:
             self._newton.begin()
-        u_end = np.asarray(problem.dirichlet.targets)
-        u_start = problem.dirichlet.extract(problem.u.x.array)
+        u_end = np.asarray(problem.constraints.targets)
+        u_start = problem.constraints.constrained_part(problem.u.x.array)
         v_end, a_end = prescribed_rates(problem, end, h)
         a = self._prescribed_acceleration(v_end, a_end, h)
         problem.set_time(start.t + (1 - p.alpha_f) * h)
         return Stage(
             parameters=p,
-            prescribed=problem,
+            prescribed=problem.constraints,
             start=start,
             h=h,
             predictor=p.predicted(start.v, start.a, h),
@@ -238,7 +238,7 @@ class StageSolver:
     def _prescribed_acceleration(
         self, v_end: FloatArray, a_end: FloatArray, h: float
     ) -> FloatArray:
-        """Of supports at the stage [m/s^2], like `DirichletConditions.targets`.
+        """Of supports at the stage [m/s^2], like `Constraints.targets`.
 
         Where the energy is kept, M a must be the change of the momentum, at supports as elsewhere:
         with another acceleration of theirs, nodes beside them do work that nothing accounts for.
@@ -248,7 +248,8 @@ class StageSolver:
             a_end: Prescribed acceleration there [m/s^2].
             h: Length of the step [s].
         """
-        extract, context, p = self._problem.dirichlet.extract, self._context, self._parameters
+        context, p = self._context, self._parameters
+        extract = self._problem.constraints.constrained_part
         if self._moving.conserves:
             return np.asarray((v_end - extract(context.v.x.array)) / h)
         return np.asarray((1 - p.alpha_f) * a_end + p.alpha_f * extract(context.a.x.array))

@@ -15,7 +15,6 @@ from petsc4py import PETSc
 from dolfin_elastic.core.errors import InputError, StoppedError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.solvers.assembly.mass import free
 from dolfin_elastic.solvers.dynamics.implicit.scheme import (
     FAILURES,
     ImplicitScheme,
@@ -305,7 +304,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         at_end = p.at_end(old.a, a)
         if self._stages.keeps_volumes and p.midpoint:
             a, at_end = _of_the_middle(stage, a)
-        self.problem.impose(at_end, stage.a_end)
+        self.problem.constraints.impose(at_end, stage.a_end)
         for field, values in ((self.v, v), (self._a, a), (self.acceleration, at_end)):
             field.x.array[:size] = values
             field.x.scatter_forward()
@@ -315,7 +314,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         if self.impact_error is not None:
             error += self.impact_error.error(stage.h)
         # What is prescribed has no error, whatever its acceleration does.
-        self._higher_order = u - free(self.problem, error)
+        self._higher_order = u - self.problem.constraints.free_part(error)
 
     def _finish(self, ts: PETSc.TS, h: float) -> None:
         """Stores the accepted step and the size of the next one [s]."""

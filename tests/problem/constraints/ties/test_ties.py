@@ -213,8 +213,8 @@ def test_surfaces_too_far_apart_are_refused() -> None:
     problem = Problem(
         body, STEEL, supports=hold, ties=[Tie(on="above", to="below", tolerance=0.12)]
     )
-    assert problem.ties is not None
-    assert problem.ties.surfaces[0].gap == pytest.approx(0.1)
+    assert problem.constraints.ties is not None
+    assert problem.constraints.ties.surfaces[0].gap == pytest.approx(0.1)
 
 
 def test_of_large_surfaces_few_pairs_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:

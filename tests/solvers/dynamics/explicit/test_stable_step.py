@@ -49,7 +49,7 @@ def true_square(march: Explicit) -> float:
     a.tangent.assemble(x)
     x.destroy()
     K, mass = dense(a.tangent.matrix, comm), np.concatenate(comm.allgather(march.mass))
-    fixed = a.tangent.matrix.getOwnershipRange()[0] + march.problem.dirichlet.owned
+    fixed = a.tangent.matrix.getOwnershipRange()[0] + march.problem.constraints.prescribed_dofs
     free = np.setdiff1d(np.arange(len(mass)), np.concatenate(comm.allgather(fixed)))
     scaled = (K / np.sqrt(np.outer(mass, mass)))[np.ix_(free, free)]
     return float(np.abs(np.linalg.eigvals(scaled)).max())
