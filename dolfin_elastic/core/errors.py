@@ -19,7 +19,8 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -62,6 +63,15 @@ class InputError(ElasticError, ValueError):
 
 def _rebuild(kind: type[InputError], what: str, where: str, expected: str) -> InputError:
     return kind(what, where=where, expected=expected)
+
+
+@contextmanager
+def keyed(key: str) -> Iterator[None]:
+    """Errors raised inside get a key in front of where they point."""
+    try:
+        yield
+    except InputError as error:
+        raise error.at(key) from None
 
 
 class CaseError(InputError):

@@ -12,7 +12,7 @@ from typing import Any, Self
 
 from pydantic import Field, model_validator
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.schema import members_of
 from dolfin_elastic.core.shapes.shapes import (
@@ -121,10 +121,8 @@ class Contact(OnSurfaces):
         Raises:
             InputError: With the key inside the contact's table.
         """
-        try:
+        with keyed(self.shape):
             self.obstacle.check(dim, axisymmetric=axisymmetric)
-        except InputError as error:
-            raise error.at(self.shape) from None
         if self.values:
             check_components([0.0] * len(self.values), dim, "motion")
         if axisymmetric and self.values and self.values[0] != 0.0:

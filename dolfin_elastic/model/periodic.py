@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, model_validator
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
@@ -172,10 +172,8 @@ def _matrix(written: Sequence[Sequence[object]], unit: str, key: str) -> Matrix:
 
 
 def _component(written: object, unit: str, where: str) -> Component:
-    try:
+    with keyed(where):
         value = component(written, unit, may_be_free=True)
-    except InputError as error:
-        raise error.at(where) from None
     if isinstance(value, Formula) and (extra := set(value.names) - {"t"}):
         raise InputError(
             f"a macroscopic quantity is the same at all places, not a formula in "

@@ -8,7 +8,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from pydantic import model_validator
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
@@ -125,10 +125,8 @@ def components(
         )
     found = []
     for index, item in enumerate(written):
-        try:
+        with keyed(f"{key}[{index}]"):
             found.append(component(item, unit, may_be_free=may_be_free))
-        except InputError as error:
-            raise error.at(f"{key}[{index}]") from None
     return tuple(found)
 
 

@@ -10,9 +10,7 @@ Formulas are evaluated, not compiled: another formula compiles nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -23,7 +21,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError, MeshError
+from dolfin_elastic.core.errors import InputError, MeshError, keyed
 from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.core.units import SpatialValue
@@ -44,31 +42,15 @@ _SHORTEST = 1e-6
 """Length below which a direction is none; they have about 1."""
 
 
-@dataclass(frozen=True)
-class BoundLaw:
-    """A law on a body.
-
-    Attributes:
-        law: The law with UFL expressions in place of its numbers.
-        density: UFL expression [kg/m^3], or None if not given.
-        typical: The law with numbers only, for scales and choices: means of what varies, but the
-            largest Poisson's ratio.
-    """
-
-    law: Law
-    density: Expr | None
-    typical: Law
-
-
-class CoefficientSampler:
-    """Values of what varies in space, at points of cells. All of it is collective.
+class CoefficientBinder:
+    """Functions in place of what varies in laws on a body. All of it is collective.
 
     Args:
-        degree: Of the functions that values are for, 0 or 1.
+        order: Degree of the displacement or of the mesh, whichever is higher.
     """
 
-    def __init__(self, body: Body, degree: int) -> None:
-        self.body, self.degree = body, degree
+    def __init__(self, body: Body, order: int) -> None:
+        self.body, self.degree = body, min(order, 2) - 1
 
     @cached_property
     def points(self) -> FloatArray:
@@ -85,7 +67,7 @@ class CoefficientSampler:
         nodes = mesh.geometry.x[mesh.geometry.dofmap[cells]]
         return np.asarray(np.einsum("kn,cnj->ckj", shape_functions(mesh, self.points), nodes))
 
-    def at(self, item: SpatialValue, cells: IndexArray, directed: bool) -> FloatArray:
+    def _at(self, item: SpatialValue, cells: IndexArray, directed: bool) -> FloatArray:
         """Values at the points of each cell: shape (cells, points), directions by 3.
 
         Args:
@@ -105,7 +87,7 @@ class CoefficientSampler:
             case SpatialField() if directed:
                 return self._vector(item, cells)
             case SpatialField():
-                with _within("field"):
+                with keyed("field"):
                     return self._scalar(item.field, cells) * item.factor
             case SpatialFunction():
                 return self._function(item, cells)
@@ -164,7 +146,7 @@ class CoefficientSampler:
         return table[:, :, 0]
 
     def _vector(self, item: SpatialField, cells: IndexArray) -> FloatArray:
-        with _within("field"):
+        with keyed("field"):
             table = self._field(item.field, cells)
             width = table.shape[2]
             if width not in (self.body.dim, 3):
@@ -177,7 +159,7 @@ class CoefficientSampler:
     def _field(self, name: str, cells: IndexArray) -> FloatArray:
         table = self.body.mesh_field(name).at(self.body.mesh, cells, self.points)
         bad = ~np.isfinite(table).all(axis=2)
-        if worst := self.worst(np.where(bad, np.inf, -1.0), table[:, :, 0], cells):
+        if worst := self._worst(np.where(bad, np.inf, -1.0), table[:, :, 0], cells):
             count = int(total(self.body.comm, int(np.count_nonzero(np.any(bad, axis=1)))))
             raise MeshError(
                 f"the field '{name}' of {self.body.source or 'the mesh'} has no finite value in "
@@ -189,14 +171,14 @@ class CoefficientSampler:
     def _unit(self, table: FloatArray, cells: IndexArray) -> FloatArray:
         length = np.linalg.norm(table, axis=2)
         bad = ~(np.isfinite(length) & (length > _SHORTEST))
-        if worst := self.worst(np.where(bad, 1.0, -1.0), length, cells):
+        if worst := self._worst(np.where(bad, 1.0, -1.0), length, cells):
             raise InputError(
                 f"the direction has the length {worst[0]:.3g} at {worst[1]}",
                 expected="directions are made to have length 1, so they need one",
             )
         return np.asarray(table / length[:, :, None])
 
-    def worst(
+    def _worst(
         self, distance: FloatArray, values: FloatArray, cells: IndexArray
     ) -> tuple[float, str] | None:
         """Value and place where the distance is largest, of all ranks; None: none is above -1.
@@ -219,40 +201,36 @@ class CoefficientSampler:
         _, place, value = max(found, key=lambda one: one[:2])
         return value, "(" + ", ".join(f"{x:.4g}" for x in place) + ")"
 
-
-class CoefficientBinder:
-    """Binds laws to a body. All of it is collective.
-
-    Args:
-        order: Degree of the displacement or of the mesh, whichever is higher.
-    """
-
-    def __init__(self, body: Body, order: int) -> None:
-        self.body, self.degree = body, min(order, 2) - 1
-        self._sampler = CoefficientSampler(body, self.degree)
-
-    def bind(self, law: Law, cells: IndexArray, where: str = "") -> BoundLaw:
-        """The law with constants and functions in place of its numbers.
+    def functions(
+        self, law: Law, cells: IndexArray, where: str = ""
+    ) -> tuple[dict[str, Expr], dict[str, Any], float | None]:
+        """A function for each constant that varies, and numbers that stand for it.
 
         Args:
             law: The law as it was written.
             cells: Owned local cells that it fills.
             where: Dotted key of the material, for messages.
 
+        Returns:
+            Functions; means; the largest Poisson's ratio, if it varies or follows from what does.
+
         Raises:
             InputError: A name that does not exist, or a value that is impossible somewhere.
         """
-        numbers = _numbers(law)
-        values = self.values(law, cells, where)
-        ranges = law.ranges()
-        symbols = {name: self._constant(number) for name, number in numbers.items()}
+        values, ranges = self.values(law, cells, where), law.ranges()
+        functions = {
+            name: self._expression(table, cells, ranges.get(name, Range()))
+            for name, table in values.items()
+        }
+        comm, means = self.body.comm, dict[str, Any]()
         for name, table in values.items():
-            symbols[name] = self._function(table, cells, ranges.get(name, Range()))
-        typical = law
-        if values:
-            symbols = law.complete_constants(symbols)
-            typical = self._typical(law, numbers, values)
-        return BoundLaw(law.with_symbols(symbols), symbols.get("density"), typical)
+            if table.ndim == 2:
+                sums = comm.allreduce(np.array([table.sum(), table.size]), op=MPI.SUM)
+                means[name] = float(sums[0] / max(sums[1], 1))
+        nu, largest_nu = getattr(law.with_values(values), "nu", None), None
+        if isinstance(nu, np.ndarray):
+            largest_nu = largest(comm, float(nu.max(initial=-1.0)))
+        return functions, means | _across(law, values), largest_nu
 
     def values(self, law: Law, cells: IndexArray, where: str = "") -> dict[str, FloatArray]:
         """What varies, at the points of each cell: shape (cells, points), directions by 3.
@@ -263,23 +241,22 @@ class CoefficientBinder:
             where: Dotted key of the material, for messages.
 
         Raises:
-            InputError: See `bind`.
+            InputError: See `functions`.
         """
         found: dict[str, FloatArray] = {}
-        with _within(where):
+        with keyed(where):
             for name, item in law.spatial_constants().items():
-                with _within(name):
-                    found[name] = self._sampler.at(item, cells, name in law.directions)
+                with keyed(name):
+                    found[name] = self._at(item, cells, name in law.directions)
             if found:
                 self._check(law, found, cells)
         return found
 
     def _check(self, law: Law, found: dict[str, FloatArray], cells: IndexArray) -> None:
         with np.errstate(all="ignore"):
-            every = law.complete_constants({**_numbers(law), **found})
+            bound = law.with_values(found)
         ranges = law.ranges()
-        for name in [*found, *(n for n in every if n not in found)]:
-            values = every[name]
+        for name, values in (found | {n: getattr(bound, n) for n in law.derived}).items():
             if isinstance(values, np.ndarray) and values.ndim == 2:
                 possible = ranges.get(name, Range())
                 self._check_one(name, values, possible, cells, given=name in found)
@@ -287,7 +264,7 @@ class CoefficientBinder:
     def _check_one(
         self, name: str, values: FloatArray, possible: Range, cells: IndexArray, *, given: bool
     ) -> None:
-        worst = self._sampler.worst(possible.distance(values), values, cells)
+        worst = self._worst(possible.distance(values), values, cells)
         if worst is None:
             return
         finite = values[np.isfinite(values)]
@@ -310,11 +287,8 @@ class CoefficientBinder:
         """From values at the points to values at the corners of the line through them."""
         if self.degree == 0:
             return np.ones((1, 1))
-        points = self._sampler.points
+        points = self.points
         return np.linalg.inv(np.column_stack([1 - points.sum(axis=1), points]))
-
-    def _constant(self, number: float | list[float]) -> fem.Constant:
-        return fem.Constant(self.body.mesh, np.asarray(number, dtype=np.float64))
 
     @cached_property
     def _space(self) -> fem.FunctionSpace:
@@ -324,7 +298,7 @@ class CoefficientBinder:
     def _vector_space(self) -> fem.FunctionSpace:
         return fem.functionspace(self.body.mesh, ("DG", self.degree, (3,)))
 
-    def _function(self, table: FloatArray, cells: IndexArray, possible: Range) -> Expr:
+    def _expression(self, table: FloatArray, cells: IndexArray, possible: Range) -> Expr:
         corners = np.einsum("nk,ck...->cn...", self._to_corners, table)
         if table.ndim == 2:
             beyond = (possible.distance(corners) > -1).any(axis=1)
@@ -340,7 +314,7 @@ class CoefficientBinder:
         return found / ufl.sqrt(ufl.inner(found, found))  # a line between unit vectors is shorter
 
     def joined(self, parts: Sequence[tuple[Expr | None, IndexArray]]) -> fem.Function:
-        """One function of constants and functions from `bind`, each in its cells; else 0."""
+        """One function of constants and functions, each in its cells; else 0."""
         varies = any(isinstance(part, fem.Function) for part, _ in parts)
         V = self._space if varies else fem.functionspace(self.body.mesh, ("DG", 0))
         found = fem.Function(V)
@@ -352,20 +326,6 @@ class CoefficientBinder:
                 found.x.array[dofs] = float(part.value)
         found.x.scatter_forward()
         return found
-
-    def _typical(self, law: Law, numbers: dict[str, Any], values: dict[str, FloatArray]) -> Law:
-        comm, means = self.body.comm, dict[str, Any]()
-        for name, table in values.items():
-            if table.ndim == 2:
-                sums = comm.allreduce(np.array([table.sum(), table.size]), op=MPI.SUM)
-                means[name] = float(sums[0] / max(sums[1], 1))
-        means |= _across(law, values)
-        every = law.complete_constants({**numbers, **values})
-        nu = every.get("nu")
-        typical = law.complete_constants({**numbers, **means})
-        if isinstance(nu, np.ndarray) and nu.ndim == 2:
-            typical["nu"] = largest(comm, float(nu.max(initial=-1.0)))
-        return law.with_symbols(typical)
 
 
 def _across(law: Law, values: Mapping[str, FloatArray]) -> dict[str, tuple[float, ...]]:
@@ -383,21 +343,3 @@ def _across(law: Law, values: Mapping[str, FloatArray]) -> dict[str, tuple[float
             given.append(best)
             found[name] = tuple(float(x) for x in best)
     return found
-
-
-def _numbers(law: Law) -> dict[str, Any]:
-    """Constants that do not vary, density and directions included."""
-    numbers: dict[str, Any] = dict(law.constants())
-    for name in ("density", *law.directions):
-        value = getattr(law, name)
-        if value is not None and not isinstance(value, SpatialValue):
-            numbers[name] = value
-    return numbers
-
-
-@contextmanager
-def _within(key: str) -> Iterator[None]:
-    try:
-        yield
-    except InputError as error:
-        raise (error.at(key) if key else error) from None

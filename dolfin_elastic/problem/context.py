@@ -289,18 +289,19 @@ class FormContext:
         Raises:
             InputError: The material has none.
         """
-        if region.density is None:
+        density = region.law.density
+        if density is None:
             raise InputError(
                 "weight and motion need a density",
                 where=f"materials.{region.name}",
                 expected='for example density = "1100 kg/m^3"',
             )
-        return region.density
+        return density
 
     @cached_property
     def _density_field(self) -> fem.Function:
         return CoefficientBinder(self.body, self.order).joined(
-            [(region.density, region.cells) for region in self.regions]
+            [(region.law.density, region.cells) for region in self.regions]
         )
 
     # --- values ---

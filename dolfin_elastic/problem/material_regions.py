@@ -7,21 +7,19 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from dolfinx.fem import Constant
 from mpi4py import MPI
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError, MeshError, nearest
+from dolfin_elastic.core.errors import InputError, MeshError, keyed, nearest
 from dolfin_elastic.core.parallel import on_root, total
-from dolfin_elastic.core.schema import within
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.kinematics import GEOMETRIES, Geometry
-from dolfin_elastic.model.materials.law import Law, SplitLaw
-from dolfin_elastic.problem.coefficients import BoundLaw, CoefficientBinder
+from dolfin_elastic.model.materials.law import BoundLaw, Law, SplitLaw
 from dolfin_elastic.problem.pressure.graded import stiffness_step
 from dolfin_elastic.problem.spaces import AuxiliaryField
 
@@ -51,7 +49,7 @@ class Plan:
 
 
 def plan(
-    laws: Mapping[str, Law],
+    parts: Mapping[str, BoundLaw],
     formulation: Formulation,
     degree: int,
     *,
@@ -64,12 +62,13 @@ def plan(
     through the thickness, and everything beside the displacement belongs to one cell.
 
     Args:
-        laws: Material's name to its law with numbers.
+        parts: By the name of the material.
         formulation: As the user chose.
 
     Raises:
         InputError: A material cannot be computed so.
     """
+    laws = {name: part.typical for name, part in parts.items()}
     nearly = {name for name, law in laws.items() if poisson(law) > STIFF_IN_VOLUME}
     exactly = {name for name, law in laws.items() if not math.isfinite(volume_modulus(law))}
     _check(laws, exactly, formulation, degree)
@@ -121,28 +120,22 @@ def _check(
 
 
 @dataclass(frozen=True)
-class MaterialRegion:
-    """The cells that one material fills.
+class MaterialRegion(BoundLaw):
+    """The cells that one material fills, and its law with UFL expressions for its numbers.
 
     Attributes:
         name: Material's name.
-        law: The law with UFL expressions in place of its numbers.
         cells: Owned local cells of this rank, sorted.
         marker: The region's number in the volume measure.
-        density: UFL expression [kg/m^3], or None if not given.
-        typical: The law with numbers only, the means of what varies in space.
         compliance: 1/k of the volumetric part [1/Pa] where a pressure carries it, or None.
         shear: Shear modulus at small strains [Pa], for scales of scalar fields; 1 without any.
     """
 
     name: str
-    law: Law
     cells: IndexArray
     marker: int
-    density: Expr | None
-    typical: Law
-    compliance: Expr | None
-    shear: Constant
+    compliance: Expr | None = None
+    shear: Expr = 1.0
 
     @property
     def incompressible(self) -> bool:
@@ -170,23 +163,29 @@ def make_material_regions(
         MeshError: A name does not exist, or the materials do not cover the body exactly once.
         InputError: A material that cannot be, or not so.
     """
-    binder = CoefficientBinder(body, order)
     cells = {name: _cells(body, name) for name in laws}
     _check_cover(body, cells)
-    bound = {
-        name: binder.bind(law, cells[name], "" if _is_whole(body, name) else f"materials.{name}")
-        for name, law in laws.items()
+    bound = {name: _bound(body, order, name, law, cells[name]) for name, law in laws.items()}
+    written = {
+        f"materials.{name}": part.typical if part.means else part.given
+        for name, part in bound.items()
     }
-    typical = {name: b.typical for name, b in bound.items()}
-    check_user_energies({f"materials.{n}": law for n, law in typical.items()}, body.comm)
-    fields = plan(typical, formulation, degree, plane_stress=geometry == "plane-stress")
+    check_user_energies(written, body.comm)
+    fields = plan(bound, formulation, degree, plane_stress=geometry == "plane-stress")
     if fields.mixed:
         log.info("unknowns: %s", describe(fields, degree))
     for law in laws.values():
         if law.warning:
             log.warning("%s", law.warning)
     regions = tuple(
-        _region(body, i + 1, name, cells[name], bound[name], fields) for i, name in enumerate(laws)
+        MaterialRegion(
+            **vars(part),
+            **_scalars(body, name, part, fields),
+            name=name,
+            cells=cells[name],
+            marker=i + 1,
+        )
+        for i, (name, part) in enumerate(bound.items())
     )
     for note in locking_notes(body, regions, degree, geometry):
         log.warning("%s", note)
@@ -201,31 +200,28 @@ def _cells(body: Body, name: str) -> IndexArray:
     return body.owned_cells(None if _is_whole(body, name) else name)
 
 
-def _region(
-    body: Body, marker: int, name: str, cells: IndexArray, bound: BoundLaw, fields: Plan
-) -> MaterialRegion:
-    compliance = None
-    if name in fields.mixed:
-        # A number is written as one, so that an infinite modulus has the compliance 0.
-        modulus = getattr(bound.law, bound.law.volume_modulus)  # type: ignore[attr-defined]
-        number = modulus.value if isinstance(modulus, Constant) else modulus
-        compliance = (
-            1.0 / modulus if isinstance(number, Expr) else _constant(body, 1.0 / float(number))
-        )
-    return MaterialRegion(
-        name,
-        bound.law,
-        cells,
-        marker,
-        bound.density,
-        bound.typical,
-        compliance,
-        _constant(body, shear_modulus(bound.typical) if fields.auxiliary_fields else 1.0),
-    )
+def _bound(body: Body, order: int, name: str, law: Law, cells: IndexArray) -> BoundLaw:
+    functions, means, largest_nu = dict[str, Expr](), dict[str, Any](), None
+    if law.spatial_constants():
+        from dolfin_elastic.problem.coefficients import CoefficientBinder
+
+        where = "" if _is_whole(body, name) else f"materials.{name}"
+        binder = CoefficientBinder(body, order)
+        functions, means, largest_nu = binder.functions(law, cells, where)
+    return law.bind(partial(Constant, body.mesh), functions, means, largest_nu)
 
 
-def _constant(body: Body, value: float) -> Constant:
-    return Constant(body.mesh, np.asarray(value, dtype=np.float64))
+def _scalars(body: Body, name: str, part: BoundLaw, fields: Plan) -> dict[str, Expr]:
+    """What the scalar fields of a region need, as it has them."""
+    if not fields.auxiliary_fields:
+        return {}
+    moduli = part.moduli
+    shear = moduli.mu if moduli else Constant(body.mesh, shear_modulus(part.typical))
+    if name not in fields.mixed:
+        return {"shear": shear}
+    k = getattr(part.law, part.law.volume_modulus)  # type: ignore[attr-defined]
+    compliance = Constant(body.mesh, 0.0) if isinstance(k, float) else 1.0 / k
+    return {"shear": shear, "compliance": compliance}
 
 
 def _check_cover(body: Body, cells: Mapping[str, IndexArray]) -> None:
@@ -349,9 +345,9 @@ def describe(plan: Plan, degree: int) -> str:
 
 def volume_modulus(law: Law) -> float:
     """Bulk modulus of a law with a volumetric part of its own [Pa]; 0 without one."""
-    if math.inf in law.constants().values():
-        return math.inf
-    return float(getattr(law, law.volume_modulus)) if isinstance(law, SplitLaw) else 0.0
+    if isinstance(law, SplitLaw):
+        return float(getattr(law, law.volume_modulus))
+    return math.inf if poisson(law) == 0.5 else 0.0
 
 
 def poisson(law: Law) -> float:
@@ -397,7 +393,5 @@ def check_user_energies(laws: Mapping[str, Law], comm: MPI.Comm) -> None:
             continue
         from dolfin_elastic.model.point.checks import check_energy
 
-        try:
+        with keyed(key):
             on_root(comm, partial(check_energy, law))
-        except InputError as error:
-            raise within(key, error) from None

@@ -169,6 +169,7 @@ class Problem:
         self._make_rare_terms(contacts)
         self.weak_form = WeakForm(
             self.context,
+            self.regions,
             self.loads,
             [s for s in self.supports if isinstance(s, ResistingSupport)],
             self.contact_pairs,
@@ -199,10 +200,10 @@ class Problem:
     def _scale_unknowns(self) -> None:
         """Scales the auxiliary fields to the magnitude of displacements, see `spaces.Unknowns`."""
         h = cell_size(self.body)
-        stiff = max(float(region.shear.value) for region in self.regions)
-        for name, factor in (("pressure", stiff / h), ("stretch", 1 / h)):
-            if self.unknowns.has(name):
-                self.unknowns.scale[name].value = factor
+        if self.mixed:
+            self.unknowns.scale["pressure"].value = self.stiffness / h
+        if self.unknowns.has("stretch"):
+            self.unknowns.scale["stretch"].value = 1 / h
 
     @property
     def springs(self) -> tuple[Spring, ...]:
@@ -218,6 +219,20 @@ class Problem:
     def spring_projections(self) -> list[Projections]:
         """Owned nodes with springs, and projections on their directions. Collective."""
         return [found for s in self.springs for found in spring_directions(s, self.body, self.V)]
+
+    @cached_property
+    def parameters(self) -> dict[str, Constant]:
+        """Dotted key of each number in the materials, "materials.rubber.E", to its UFL constant.
+
+        A material without a region is called "body".  A new `value` counts from then on, in SI
+        units and unchecked, and needs no new compilation.  What was chosen when the problem was
+        made stays: its unknowns, and scales of solvers; so nu = 0.5 is no parameter.
+        """
+        return {
+            f"materials.{region.name}.{name}": constant
+            for region in self.regions
+            for name, constant in region.constants.items()
+        }
 
     # --- properties that solvers depend on ---
 
@@ -367,6 +382,22 @@ def conserves(problem: Problem) -> bool:
     unknowns = problem.unknowns
     excluded = unknowns.has("stretch") or (problem.mixed and problem.eigenstrains) or problem.cell
     return not excluded and any(derives_from_strain(part.law) for part in problem.regions)
+
+
+def partly_incompressible(problem: Problem) -> bool:
+    """Whether some region is incompressible, so that its pressure is a Lagrange multiplier.
+
+    Such a pressure does not follow from the displacement.  In plane stress it does: the stretch out
+    of the plane gives way. Not collective.
+    """
+    if problem.unknowns.has("stretch"):
+        return False
+    return any(part.incompressible for part in problem.regions)
+
+
+def wholly_incompressible(problem: Problem) -> bool:
+    """Whether every region is incompressible. Not collective."""
+    return all(part.incompressible for part in problem.regions)
 
 
 def parts_held(problem: Problem) -> dict[str, list[str]]:

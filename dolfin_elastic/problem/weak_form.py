@@ -52,7 +52,7 @@ class WeakForm:
     """The virtual work of a body, term by term, in UFL.  Nothing is compiled here.
 
     Args:
-        context: The body, its unknowns, material regions and measures.
+        context: With its measures, in the reference configuration.
         loads: External forces; those at points and lines are no integrals and have no term here.
         eigenstrains: Material's name to its growth Fg (UFL), of those that grow.
         quadrature_degree: Of the internal forces, in place of the laws' own choice.
@@ -65,6 +65,7 @@ class WeakForm:
     def __init__(
         self,
         context: FormContext,
+        regions: Sequence[MaterialRegion],
         loads: Sequence[Load],
         restraints: Sequence[ResistingSupport],
         contacts: Sequence[ContactPair],
@@ -72,7 +73,7 @@ class WeakForm:
         eigenstrains: Mapping[str, Expr],
         quadrature_degree: int | None,
     ) -> None:
-        self._context, self._unknowns = context, context.unknowns
+        self._context, self._regions, self._unknowns = context, regions, context.unknowns
         self._loads, self._restraints, self._contacts = loads, restraints, contacts
         self._eigenstrains, self._quadrature_degree = eigenstrains, quadrature_degree
         self._responses: dict[str, Law | ModifiedLaw] = {}
@@ -142,17 +143,17 @@ class WeakForm:
     @cached_property
     def internal(self) -> ufl.Form:
         """Internal virtual work: the integral of P(F) : grad v, and the pressure's equation."""
-        context, unknowns = self._context, self._unknowns
+        unknowns = self._unknowns
         F, dF = self.F(unknowns.w), self._variation()
         work = sum(
             ufl.inner(self.response(region, unknowns.w).stress(F), dF)
             * self.volume(region, self.rule(region))
-            for region in context.regions
+            for region in self._regions
         )
         if not unknowns.has("pressure"):
             return work
         q = unknowns.auxiliary("pressure", ufl.TestFunction(unknowns.W))
-        return work + sum(self._pressure_terms(region, F, q) for region in context.regions)
+        return work + sum(self._pressure_terms(region, F, q) for region in self._regions)
 
     def _variation(self) -> Expr:
         """The variation of F, 3x3."""
@@ -168,7 +169,7 @@ class WeakForm:
         return sum(
             ufl.inner(self.relaxed[region.name].branch_stress(F), dF)
             * self.volume(region, self.rule(region))
-            for region in self._context.regions
+            for region in self._regions
             if region.name in self.relaxed
         )
 
@@ -214,7 +215,7 @@ class WeakForm:
     @property
     def has_energy(self) -> bool:
         """All laws derive from an energy."""
-        return all(region.law.has_energy for region in self._context.regions)
+        return all(region.law.has_energy for region in self._regions)
 
     @cached_property
     def strain_energy(self) -> ufl.Form | None:
@@ -225,7 +226,7 @@ class WeakForm:
         return sum(
             self.response(region, self._unknowns.w).energy(F)
             * self.volume(region, self.rule(region))
-            for region in self._context.regions
+            for region in self._regions
         )
 
     # --- external forces ---
@@ -302,7 +303,7 @@ class WeakForm:
             self._context.density(region)
             * ufl.inner(a, v)
             * self.volume(region, 2 * self._context.order)
-            for region in self._context.regions
+            for region in self._regions
         )
 
 

@@ -44,7 +44,6 @@ from dolfin_elastic.mesh.geometry.simplices import cell_corners
 from dolfin_elastic.model.kinematics import green_strain
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import Direction, Range, direction
-from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.quantity import Extremes
 
@@ -294,7 +293,7 @@ def test_the_cache_does_not_grow(folder: Path, monkeypatch: pytest.MonkeyPatch) 
 
 def test_typical_law_has_numbers_only() -> None:
     law = LinearElastic(E="2e6*x", nu=0.25, density=3)
-    bound = CoefficientBinder(bar(8), 1).bind(law, bar(8).owned_cells())
+    (bound,) = Problem(bar(8), law).regions
     assert pytest.approx(1e6, rel=1e-12) == bound.typical.E
     assert bound.typical.mu == pytest.approx(4e5, rel=1e-12)
     assert bound.typical.spatial_constants() == {}

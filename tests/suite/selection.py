@@ -102,6 +102,7 @@ SHARED = {
     "problem/test_connected_bodies.py",
     "problem/test_dealt_out.py",
     "problem/test_mixed.py",
+    "problem/test_parameters.py",
     "problem/constraints/periodic/test_periodic.py",
     "problem/test_problem.py",
     "results/checkpoint/test_checkpoints.py",

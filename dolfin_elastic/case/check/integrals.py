@@ -52,8 +52,8 @@ class Integrals:
         row[points.cells] = np.arange(len(points.cells))
         for part in self.problem.regions:
             cells = part.cells[row[part.cells] >= 0]
-            if part.density is not None:
-                found[row[cells]] = _at(part.density, cells, points.local)
+            if part.law.density is not None:
+                found[row[cells]] = _at(part.law.density, cells, points.local)
         return found
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Protocol
@@ -244,12 +243,3 @@ class Load(Record):
     def virtual_work(self, context: LoadContext) -> ufl.Form:
         """External virtual work of the load, linear in `context.v`."""
         raise TypeError(f"{type(self).__name__} has no virtual work")
-
-
-@contextmanager
-def keyed(key: str) -> Iterator[None]:
-    """Errors raised inside get a key in front of where they point."""
-    try:
-        yield
-    except InputError as error:
-        raise error.at(key) from None

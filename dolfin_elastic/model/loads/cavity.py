@@ -9,7 +9,7 @@ import ufl
 from pydantic import model_validator
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.model.amplitude import Amplitude
@@ -101,10 +101,8 @@ class Cavity(Load):
     def values(self) -> tuple[Component, ...]:
         """The prescribed pressure [Pa] or volume [m^3], a number or formula in t."""
         key = self.key
-        try:
+        with keyed(key):
             found = component(getattr(self, key), UNITS[key])
-        except InputError as error:
-            raise error.at(key) from None
         if isinstance(found, Formula) and not found.names <= {"t"}:
             raise InputError(
                 "a cavity has one pressure and one volume",

@@ -10,9 +10,9 @@ import numpy as np
 import ufl
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.model.kinematics import deformation_from
-from dolfin_elastic.model.loads.base import Load, LoadContext, keyed
+from dolfin_elastic.model.loads.base import Load, LoadContext
 from dolfin_elastic.model.values import Component, component
 
 

@@ -10,12 +10,12 @@ import ufl
 from pydantic import Field, model_validator
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
-from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints, keyed
+from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints
 from dolfin_elastic.model.materials.spatial import Axis, axis_vector
 from dolfin_elastic.model.values import (
     PLACE,

@@ -8,12 +8,12 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import Length
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
-from dolfin_elastic.model.loads.base import Load, keyed
+from dolfin_elastic.model.loads.base import Load
 from dolfin_elastic.model.values import Component, components
 
 Point = tuple[float, ...]

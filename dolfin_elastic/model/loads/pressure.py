@@ -9,12 +9,13 @@ import numpy as np
 import ufl
 from ufl.core.expr import Expr
 
+from dolfin_elastic.core.errors import keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.kinematics import cofactor
-from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints, keyed
+from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints
 from dolfin_elastic.model.values import PLACE, Component, component, number_at
 
 

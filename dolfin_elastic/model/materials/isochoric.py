@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import ufl
 from pydantic import Field
@@ -23,7 +22,7 @@ from dolfin_elastic.model.kinematics import (
     volume_change,
 )
 from dolfin_elastic.model.materials import moduli
-from dolfin_elastic.model.materials.law import SplitLaw, placeholder
+from dolfin_elastic.model.materials.law import Moduli, SplitLaw, placeholder
 from dolfin_elastic.model.materials.prony import Relaxing
 from dolfin_elastic.model.materials.spatial import Range
 
@@ -166,25 +165,20 @@ class Isochoric(Relaxing, Volumetric):
         full = moduli.complete(mu=mu, **given)
         self.__dict__.update(K=full.K, nu=full.nu)
 
-    def complete_constants(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """See `Law.complete_constants`."""
-        mu = self.model_copy(update=dict(values)).shear()
-        if "K" in self.model_fields_set:
-            K = values["K"]
-            return {**values, "nu": (3 * K - 2 * mu) / (2 * (3 * K + mu))}
-        nu = values["nu"]
-        if moduli.is_half(nu):
-            return {**values, "K": math.inf}
-        return {**values, "K": 2 * mu * (1 + nu) / (3 * (1 - 2 * nu))}
+    def complete(self) -> None:
+        """See `Law.complete`."""
+        full = self.small_strain()
+        self.__dict__.update(K=full.K, nu=full.nu)
 
     @classmethod
     def ranges(cls) -> dict[str, Range]:
         """See `Law.ranges`."""
         return {**super().ranges(), "K": Range(low=0.0), "nu": Range(low=-1.0, high=0.5)}
 
-    def small_strain(self) -> moduli.Moduli | None:
+    def small_strain(self) -> Moduli:
         """See `Law.small_strain`."""
-        return moduli.complete(mu=self.shear(), nu=self.nu)
+        volume = {"K": self.K} if "K" in self.model_fields_set else {"nu": self.nu}
+        return Moduli(**moduli.symbolic({"mu": self.shear(), **volume}))
 
 
 def isochoric_strain(F: Expr) -> Expr:

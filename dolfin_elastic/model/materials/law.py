@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import wraps
 from typing import Any, ClassVar, Self, TypeVar
 
 import ufl
-from pydantic import AliasChoices, Field, model_validator
+from pydantic import AliasChoices, Field
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.units import (
     Density,
     Expansion,
-    Number,
     SpatialValue,
     Stress,
     Viscosity,
@@ -27,11 +26,19 @@ from dolfin_elastic.model.kinematics import (
     variables,
     volume_change,
 )
-from dolfin_elastic.model.materials import moduli, spatial
-from dolfin_elastic.model.materials.spatial import as_floats
+from dolfin_elastic.model.materials import spatial
 
 S = TypeVar("S")
 T = TypeVar("T")
+
+
+def as_floats(value: object) -> float | list[float] | None:
+    """A number, or a list of numbers, as floats; None for anything else."""
+    if isinstance(value, list | tuple):
+        found = [x for item in value if isinstance(x := as_floats(item), float)]
+        return found if found and len(found) == len(value) else None
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(value) if is_number else None  # type: ignore[arg-type]
 
 
 def negative(**values: object) -> tuple[str, ...]:
@@ -43,7 +50,49 @@ def negative(**values: object) -> tuple[str, ...]:
     )
 
 
-class Law(Record):
+@dataclass(frozen=True)
+class Moduli:
+    """All five constants: Young's E, Poisson's nu, bulk K, Lame's lmbda, shear mu [Pa, 1]."""
+
+    E: float
+    nu: float
+    K: float
+    lmbda: float
+    mu: float
+
+
+@dataclass(frozen=True)
+class BoundLaw:
+    """A law whose numbers have become UFL constants.
+
+    Attributes:
+        given: The law as it was written.
+        constants: By name; a new `value` of one needs no new compilation.
+        law: The law with these, and with functions of what varies in space, in their places.
+        means: Numbers that stand for what varies in space.
+        largest_nu: Of a Poisson's ratio that varies; else None.
+    """
+
+    given: Law
+    constants: Mapping[str, Any]
+    law: Law
+    means: Mapping[str, Any]
+    largest_nu: float | None
+
+    @property
+    def typical(self) -> Law:
+        """The law with its present numbers, the means of what varies, but the largest nu."""
+        numbers = {name: constant.value.tolist() for name, constant in self.constants.items()}
+        law = self.given.with_values({**numbers, **self.means})
+        return law if self.largest_nu is None else law.model_copy(update={"nu": self.largest_nu})
+
+    @property
+    def moduli(self) -> Moduli | None:
+        """UFL expressions of `Law.small_strain`, with means of what varies."""
+        return self.given.with_values({**self.constants, **self.means}).small_strain()
+
+
+class Law(spatial.SpatialRecord):
     """A material: its fields are its constants and the keys of its case-file table.
 
     A subclass gives `energy(F)`, or `stress(F)` when it has no energy.  In both, F is the
@@ -89,11 +138,6 @@ class Law(Record):
     example: ClassVar[Mapping[str, object]] = {}
     """Constants as a case file gives them, for the law's page and for tests."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _read_varying(cls, data: object) -> object:
-        return spatial.constants(cls, data) if isinstance(data, dict) else data
-
     @classmethod
     def name(cls) -> str:
         """The law's name in case files."""
@@ -127,7 +171,7 @@ class Law(Record):
         """The strain from which the stress is computed, shape of F: by default Green's."""
         return infinitesimal_strain(F) if self.linear else green_strain(F)
 
-    def small_strain(self) -> moduli.Moduli | None:
+    def small_strain(self) -> Moduli | None:
         """Constants of the isotropic solid to which the law reduces at small strains; else None."""
         return None
 
@@ -135,19 +179,21 @@ class Law(Record):
         """Constants whose sign takes the law's stability at some stretch, "c10 = -2e+05 Pa"."""
         return ()
 
+    @property
+    def derived(self) -> list[str]:
+        """Names of the constants that follow from those that were given."""
+        fields = type(self).model_fields.items()
+        given = self.model_fields_set
+        return [n for n, field in fields if field.default_factory is placeholder and n not in given]
+
     def constants(self) -> dict[str, float | list[float]]:
-        """Name and value of every number in the law, also of those that follow from others.
+        """Name and value of every number in the law, without those that follow from others.
 
         Lists are constants of several values: how many is the form's, what they are is not.
         """
-        found: dict[str, float | list[float]] = {}
-        for name, value in self.__dict__.items():
-            if isinstance(value, int | float) and not isinstance(value, bool):
-                found[name] = float(value)
-            elif (values := as_floats(value)) is not None:
-                found[name] = values
-        found.pop("density", None)
-        return found
+        found = {name: as_floats(value) for name, value in self.__dict__.items()}
+        derived = self.derived
+        return {n: value for n, value in found.items() if value is not None and n not in derived}
 
     @property
     def relaxes(self) -> bool:
@@ -163,18 +209,46 @@ class Law(Record):
         """Name and value of everything in the law that varies in space, density included."""
         return {n: value for n, value in self.__dict__.items() if isinstance(value, SpatialValue)}
 
-    def complete_constants(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Adds the constants that follow from given ones; numbers, arrays or UFL expressions."""
-        return dict(values)
-
     @classmethod
     def ranges(cls) -> dict[str, spatial.Range]:
         """Admissible values of constants, for those that vary in space."""
         return {n: spatial.Range.of(info.metadata) for n, info in cls.model_fields.items()}
 
-    def with_symbols(self, symbols: Mapping[str, Any]) -> Self:
-        """A copy whose constants are UFL expressions, so that forms do not depend on numbers."""
-        return self.model_copy(update=dict(symbols))
+    def with_values(self, values: Mapping[str, Any]) -> Self:
+        """A copy with other values of given constants, and of those that follow from them.
+
+        Nothing is checked.
+
+        Args:
+            values: Numbers, arrays or UFL expressions, by the names of `constants` and
+                `spatial_constants`.
+        """
+        found = self.model_copy()
+        found.__dict__.update(values)  # `update=` would count what follows from them as given
+        found.complete()
+        return found
+
+    def complete(self) -> None:
+        """Computes the `derived` constants from those given: numbers, arrays or UFL expressions."""
+
+    def bind(
+        self,
+        constant: Callable[[float | list[float]], Expr],
+        functions: Mapping[str, Expr],
+        means: Mapping[str, Any],
+        largest_nu: float | None,
+    ) -> BoundLaw:
+        """The law for forms that do not depend on its numbers.
+
+        Args:
+            constant: Makes a UFL constant of a number, or of a list.
+            functions: In place of `spatial_constants`; `means` stand for the same.
+        """
+        # Where nu is 0.5 there are other unknowns: it is no number that may change.
+        given = {n: x for n, x in self.constants().items() if (n, x) != ("nu", 0.5)}
+        constants = {name: constant(number) for name, number in given.items()}
+        law = self.with_values({**constants, **functions})
+        return BoundLaw(self, constants, law, means, largest_nu)
 
     def quadrature_degree(self, degree: int) -> int:
         """Degree of exactness that integrates the law on elements of `degree`.
@@ -328,51 +402,3 @@ class ModifiedLaw(ABC):
 def placeholder() -> float:
     """Placeholder of a constant that is computed from the given ones."""
     return float("nan")
-
-
-class Isotropic(Law):
-    """A law with the two constants of an isotropic solid: give any two of the five.
-
-    Attributes:
-        E: Young's modulus [Pa].
-        nu: Poisson's ratio.
-        K: Bulk modulus [Pa].
-        lmbda: Lame's first constant [Pa].
-        mu: Shear modulus [Pa].
-    """
-
-    E: Stress = Field(default_factory=placeholder)
-    nu: Number = Field(default_factory=placeholder)
-    K: Stress = Field(default_factory=placeholder)
-    lmbda: Stress = Field(
-        default_factory=placeholder, validation_alias=AliasChoices("lmbda", "lambda")
-    )
-    mu: Stress = Field(default_factory=placeholder)
-
-    example: ClassVar[Mapping[str, object]] = {"E": "1 MPa", "nu": 0.3}
-
-    def model_post_init(self, context: object) -> None:
-        """Fills in the three constants that were not given."""
-        given = {
-            name: getattr(self, name) for name in moduli.NAMES if name in self.model_fields_set
-        }
-        if any(isinstance(value, SpatialValue) for value in given.values()):
-            moduli.check_given(given)
-            self.__dict__.update({**dict.fromkeys(moduli.NAMES), **given})
-        else:
-            self.__dict__.update(vars(moduli.complete(**given)))
-
-    def small_strain(self) -> moduli.Moduli | None:
-        """See `Law.small_strain`."""
-        return moduli.Moduli(**{name: getattr(self, name) for name in moduli.NAMES})
-
-    def complete_constants(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """See `Law.complete_constants`."""
-        given = {name: values[name] for name in moduli.NAMES if name in self.model_fields_set}
-        return {**values, **moduli.symbolic(given)}
-
-    @classmethod
-    def ranges(cls) -> dict[str, spatial.Range]:
-        """See `Law.ranges`."""
-        stable = {name: spatial.Range(low=0.0) for name in ("E", "K", "mu")}
-        return {**super().ranges(), **stable, "nu": spatial.Range(low=-1.0, high=0.5)}

@@ -1,4 +1,4 @@
-"""The elastic constants of an isotropic solid, from any two of E, nu, K, lmbda, mu.
+"""Isotropic solids, and their elastic constants from any two of E, nu, K, lmbda, mu.
 
 Source: L. Malvern, Introduction to the Mechanics of a Continuous Medium, 1969, table 6.2;
 Landau & Lifshitz, Theory of Elasticity, sections 4 and 5.
@@ -8,25 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
+from pydantic import AliasChoices, Field
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import Scalar
+from dolfin_elastic.core.units import Number, SpatialValue, Stress
+from dolfin_elastic.model.materials.law import Law, Moduli, placeholder
+from dolfin_elastic.model.materials.spatial import Range
 
 NAMES = ("E", "nu", "K", "lmbda", "mu")
-
-
-@dataclass(frozen=True)
-class Moduli:
-    """All five constants: Young's E, Poisson's nu, bulk K, Lame's lmbda, shear mu [Pa, 1]."""
-
-    E: float
-    nu: float
-    K: float
-    lmbda: float
-    mu: float
 
 
 def _from_E_lmbda(E: Scalar, lmbda: Scalar) -> tuple[Scalar, Scalar]:
@@ -114,7 +107,7 @@ def is_half(nu: object) -> bool:
     return isinstance(value, float | np.ndarray) and np.ndim(value) == 0 and bool(value == 0.5)
 
 
-def symbolic(given: Mapping[str, Scalar]) -> dict[str, Scalar]:
+def symbolic(given: Mapping[str, Scalar]) -> dict[str, Any]:
     """All five constants from two that are arrays or UFL expressions, without any check."""
     names = tuple(name for name in NAMES if name in given)
     if is_half(given.get("nu")):
@@ -157,3 +150,49 @@ def _unstable(given: dict[str, float]) -> InputError:
         f"no stable elastic solid has {pair}",
         expected="shear modulus mu and bulk modulus K must come out positive",
     )
+
+
+class Isotropic(Law):
+    """A law with the two constants of an isotropic solid: give any two of the five.
+
+    Attributes:
+        E: Young's modulus [Pa].
+        nu: Poisson's ratio.
+        K: Bulk modulus [Pa].
+        lmbda: Lame's first constant [Pa].
+        mu: Shear modulus [Pa].
+    """
+
+    E: Stress = Field(default_factory=placeholder)
+    nu: Number = Field(default_factory=placeholder)
+    K: Stress = Field(default_factory=placeholder)
+    lmbda: Stress = Field(
+        default_factory=placeholder, validation_alias=AliasChoices("lmbda", "lambda")
+    )
+    mu: Stress = Field(default_factory=placeholder)
+
+    example: ClassVar[Mapping[str, object]] = {"E": "1 MPa", "nu": 0.3}
+
+    def model_post_init(self, context: object) -> None:
+        """Fills in the three constants that were not given."""
+        given = {name: getattr(self, name) for name in NAMES if name in self.model_fields_set}
+        if any(isinstance(value, SpatialValue) for value in given.values()):
+            check_given(given)
+            self.__dict__.update({**dict.fromkeys(NAMES), **given})
+        else:
+            self.__dict__.update(vars(complete(**given)))
+
+    def small_strain(self) -> Moduli | None:
+        """See `Law.small_strain`."""
+        return Moduli(**{name: getattr(self, name) for name in NAMES})
+
+    def complete(self) -> None:
+        """See `Law.complete`."""
+        given = {name: getattr(self, name) for name in NAMES if name in self.model_fields_set}
+        self.__dict__.update(symbolic(given))
+
+    @classmethod
+    def ranges(cls) -> dict[str, Range]:
+        """See `Law.ranges`."""
+        stable = {name: Range(low=0.0) for name in ("E", "K", "mu")}
+        return {**super().ranges(), **stable, "nu": Range(low=-1.0, high=0.5)}

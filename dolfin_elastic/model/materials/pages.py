@@ -16,7 +16,8 @@ from pathlib import Path
 from pydantic_core import PydanticUndefined
 
 from dolfin_elastic.core.schema import Record
-from dolfin_elastic.model.materials.law import Isotropic, Law, SplitLaw
+from dolfin_elastic.model.materials.law import Law, SplitLaw
+from dolfin_elastic.model.materials.moduli import Isotropic
 from dolfin_elastic.model.materials.registry import MATERIALS
 
 COST = """\

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, MutableMapping
 from importlib import import_module
 
-from dolfin_elastic.model.materials.law import Isotropic, Law, SplitLaw
+from dolfin_elastic.model.materials.law import Law, SplitLaw
+from dolfin_elastic.model.materials.moduli import Isotropic
 
 _CLASSES = {
     "linear-elastic": "LinearElastic",

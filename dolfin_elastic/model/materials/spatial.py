@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
 import annotated_types
 import numpy as np
 import ufl
-from pydantic import AliasChoices, BaseModel
+from pydantic import AliasChoices, BaseModel, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_core import core_schema
 from ufl import Coefficient
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError, UnitError
+from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.formula_functions import CONSTANTS, FUNCTIONS
 from dolfin_elastic.core.schema import Record
@@ -193,12 +193,10 @@ def _cells(values: FloatArray) -> SpatialCells:
 def _field(value: Mapping[str, object], unit: str | None) -> SpatialField:
     table = _FieldTable(**value)
     one = f"1 {table.unit}"
-    try:
-        factor = 1.0
+    factor = 1.0
+    with keyed("unit"):
         if table.unit:
             factor = to_base(one) if unit is None else to_si(one, unit)
-    except UnitError as error:
-        raise error.at("unit") from None
     return SpatialField(table.field, table.unit, factor)
 
 
@@ -213,11 +211,18 @@ def constants(kind: type[BaseModel], table: Mapping[str, object]) -> dict[str, o
     """
     units, read = units_of(kind), {}
     for key, value in table.items():
-        try:
+        with keyed(key):
             read[key] = constant(value, units[key]) if key in units else value
-        except InputError as error:
-            raise error.at(key) from None
     return read
+
+
+class SpatialRecord(Record):
+    """A record whose quantities may vary in space."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_varying(cls, data: object) -> object:
+        return constants(cls, data) if isinstance(data, dict) else data
 
 
 @lru_cache
@@ -265,11 +270,9 @@ class _Direction:
         return tuple(float(item) for item in vector / length)
 
     def _component(self, index: int, item: object) -> float | SpatialFormula:
-        try:
+        with keyed(f"[{index}]"):
             read = constant(item, "")
             return read if isinstance(read, SpatialFormula) else to_si(read, "")
-        except InputError as error:
-            raise error.at(f"[{index}]") from None
 
     def __get_pydantic_core_schema__(
         self, source: object, handler: object
@@ -281,6 +284,7 @@ if TYPE_CHECKING:
     Direction: TypeAlias = tuple[float, ...]
 else:
     Direction = Annotated[tuple, _Direction()]
+    """A unit vector of three components; laws name such fields in `Law.directions`."""
 
 
 Axis = Literal["x", "y", "z"]
@@ -289,15 +293,6 @@ Axis = Literal["x", "y", "z"]
 def axis_vector(axis: object) -> object:
     """The unit vector of "x", "y" or "z"; any other value unchanged."""
     return [float(name == axis) for name in "xyz"] if isinstance(axis, str) else axis
-
-
-def as_floats(value: object) -> list[float] | None:
-    """A list of numbers as floats; None for anything else."""
-    if not isinstance(value, list | tuple) or not value:
-        return None
-    if any(isinstance(item, bool) or not isinstance(item, int | float) for item in value):
-        return None
-    return [float(item) for item in value]
 
 
 def direction(value: Expr | Sequence[float]) -> Expr:
@@ -322,9 +317,6 @@ def frame(axis1: Expr | Sequence[float], axis2: Expr | Sequence[float]) -> tuple
     first, towards = direction(axis1), direction(axis2)
     second = direction(towards - ufl.inner(towards, first) * first)
     return first, second, ufl.cross(first, second)
-
-
-"""A unit vector of three components; laws name such fields in `Law.directions`."""
 
 
 # --- admissible values ---

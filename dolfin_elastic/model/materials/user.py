@@ -12,10 +12,10 @@ from ufl import Coefficient, replace
 from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import FormulaError, InputError, nearest
+from dolfin_elastic.core.errors import FormulaError, InputError, keyed, nearest
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.formula_functions import CONSTANTS, FUNCTIONS
-from dolfin_elastic.core.schema import quoted, within
+from dolfin_elastic.core.schema import quoted
 from dolfin_elastic.core.units import SpatialValue, Stress, to_base
 from dolfin_elastic.model.kinematics import gradient_symbol
 from dolfin_elastic.model.materials import spatial, user_names
@@ -51,13 +51,11 @@ class UserEnergy(Law):
             raise InputError(f"{quoted(table)} is wrong", expected='expected {mu = "1 MPa", ...}')
         found = {}
         for name, value in table.items():
-            try:
+            with keyed(str(name)):
                 read = spatial.constant(value, None)
                 found[name] = (
                     read if isinstance(read, SpatialValue) else to_base(cast("float | str", read))
                 )
-            except InputError as error:
-                raise within(str(name), error) from None
         return found
 
     @model_validator(mode="after")
@@ -99,14 +97,11 @@ class UserEnergy(Law):
         }
         return found
 
-    def with_symbols(self, symbols: Mapping[str, Any]) -> Self:
-        """See `Law.with_symbols`."""
-        plain = {name: value for name, value in symbols.items() if "." not in name}
-        inner = {
-            name: symbols.get(f"parameters.{name}", value)
-            for name, value in self.parameters.items()
-        }
-        return self.model_copy(update={**plain, "parameters": inner})
+    def with_values(self, values: Mapping[str, Any]) -> Self:
+        """See `Law.with_values`."""
+        inner = {n: values.get(f"parameters.{n}", value) for n, value in self.parameters.items()}
+        plain = {name: value for name, value in values.items() if "." not in name}
+        return super().with_values({**plain, "parameters": inner})
 
     @abstractmethod
     def written_energy(self, F: Expr) -> Expr:
@@ -198,7 +193,7 @@ class FormulaEnergy(UserEnergy):
         try:
             return Formula.parse(self.formula, allowed=names | set(self.parameters))
         except FormulaError as error:
-            raise within("energy", self._shorter_list(error)) from None
+            raise self._shorter_list(error).at("energy") from None
 
     def _known(self) -> str:
         fibres = {"fibre": self.fibre is not None, "fibre2": self.fibre2 is not None}
@@ -299,7 +294,7 @@ class Energy(UserEnergy):
         if self._in_place:
             return {}
         numbers = dict.fromkeys(super().spatial_constants(), 1.0)
-        psi = UserEnergy.with_symbols(self, numbers).energy(gradient_symbol())
+        psi = UserEnergy.with_values(self, numbers).energy(gradient_symbol())
         return {f"used.{i}": f for i, f in enumerate(extract_coefficients(psi))}
 
     def spatial_constants(self) -> dict[str, SpatialValue]:
@@ -307,10 +302,10 @@ class Energy(UserEnergy):
         used = {name: spatial.constant(f, None) for name, f in self._used_beside().items()}
         return {**super().spatial_constants(), **used}  # type: ignore[dict-item]
 
-    def with_symbols(self, symbols: Mapping[str, Expr]) -> Self:
-        """See `Law.with_symbols`."""
-        used = {f: symbols[name] for name, f in self._used_beside().items() if name in symbols}
-        law = super().with_symbols(symbols)
+    def with_values(self, values: Mapping[str, Any]) -> Self:
+        """See `Law.with_values`."""
+        used = {f: values[name] for name, f in self._used_beside().items() if name in values}
+        law = super().with_values(values)
         law._in_place = used or self._in_place
         return law
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from dolfin_elastic.core.types import AnyArray
-from dolfin_elastic.model.materials.law import Isotropic, Law
+from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.laws.blatz_ko import BlatzKo
 from dolfin_elastic.model.materials.laws.corotated import Corotated
 from dolfin_elastic.model.materials.laws.fixed_corotated import FixedCorotated
 from dolfin_elastic.model.materials.laws.hencky import Hencky
 from dolfin_elastic.model.materials.laws.neo_hookean import NeoHookean
+from dolfin_elastic.model.materials.moduli import Isotropic
 from dolfin_elastic.model.point.checks import with_finite_moduli
 from dolfin_elastic.model.point.ellipticity import acoustic_eigenvalues
 from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints

@@ -84,25 +84,15 @@ def ellipticity(tested: LawUnderTest, curves: dict[str, ResponseCurve]) -> Itera
     for name in PATHS:
         curve = curves[name]
         least = acoustic_eigenvalues(tested.point, curve.F)
-        good = least > 0
-        rest = int(np.argmin(np.abs(curve.values - curve.mode.rest)))
-        if not good[rest]:
-            text = f"lost at rest: smallest eigenvalue {least[rest]:.3g} Pa"
+        if not least[curve.rest] > 0:
+            text = f"lost at rest: smallest eigenvalue {least[curve.rest]:.3g} Pa"
             yield Finding(f"elliptic, {name}", "fail", text, {})
             continue
-        low, high = _interval(good, rest)
+        low, high = curve.interval(least > 0)
         a, b = float(curve.values[low]), float(curve.values[high])
-        whole = (low, high) == (0, len(good) - 1)
+        whole = (low, high) == (0, len(least) - 1)
         text = f"{curve.mode.symbol} {a:.3g} to {b:.3g}" + (
             "" if whole else "; beyond, the law is not stable"
         )
         values = {"from": a, "to": b, "whole": whole}
         yield Finding(f"elliptic, {name}", "pass" if whole else "note", text, values)
-
-
-def _interval(good: AnyArray, inside: int) -> tuple[int, int]:
-    """First and last index of the run of true entries that contains `inside`."""
-    bad = np.flatnonzero(~good)
-    low = int(bad[bad < inside].max(initial=-1)) + 1
-    high = int(bad[bad > inside].min(initial=len(good))) - 1
-    return low, high

@@ -45,6 +45,11 @@ class DeformationMode:
     free: Pairs = ()
     shown: tuple[int, int] = (0, 0)
 
+    def targets(self, largest: float, count: int) -> AnyArray:
+        """Stretches from 1/`largest` to it, shears to `largest` - 1; `count` to each side."""
+        spread = np.linspace(-1.0, 1.0, 2 * count + 1)
+        return np.asarray(largest**spread if self.rest else spread * (largest - 1))
+
 
 def _shear(g: float) -> AnyArray:
     return np.array([[1.0, g, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
@@ -79,6 +84,18 @@ class ResponseCurve:
     P: AnyArray
     energy: AnyArray
     ends: tuple[str, ...]
+
+    @property
+    def rest(self) -> int:
+        """Index of the state at F = I."""
+        return int(np.argmin(np.abs(self.values - self.mode.rest)))
+
+    def interval(self, good: AnyArray) -> tuple[int, int]:
+        """First and last index of the run of true entries about the rest."""
+        bad = np.flatnonzero(~good)
+        low = int(bad[bad < self.rest].max(initial=-1)) + 1
+        high = int(bad[bad > self.rest].min(initial=len(good))) - 1
+        return low, high
 
     @property
     def cauchy(self) -> AnyArray:

@@ -6,15 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfin_elastic.core.errors import FormulaError, InputError
-from dolfin_elastic.core.schema import within
-from dolfin_elastic.core.types import AnyArray
+from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.point.checks import Finding, LawUnderTest, checks
 from dolfin_elastic.model.point.ellipticity import ellipticity, energy_growth
 from dolfin_elastic.model.point.homogeneous_tests import (
     DEFORMATION_MODES,
-    DeformationMode,
     ResponseCurve,
     response_curve,
 )
@@ -69,10 +66,8 @@ def material_report(law: Law, *, largest: float = LARGEST) -> MaterialReport:
             expected="numbers: a material point has no coordinates",
         )
     tested = LawUnderTest(law)
-    try:
+    with keyed("energy"):
         findings = checks(tested)
-    except FormulaError as error:
-        raise within("energy", error) from None
     notes = [law.warning] if law.warning else []
     if tested.law is not law:
         notes.append("an infinite modulus was tried as 10000 times the others")
@@ -80,15 +75,9 @@ def material_report(law: Law, *, largest: float = LARGEST) -> MaterialReport:
         return MaterialReport(law, tuple(findings), {}, tuple(notes))
     with np.errstate(all="ignore"):
         curves = {
-            m.name: response_curve(tested.point, m, _targets(m, largest)) for m in DEFORMATION_MODES
+            mode.name: response_curve(tested.point, mode, mode.targets(largest, _POINTS))
+            for mode in DEFORMATION_MODES
         }
         findings += [*energy_growth(tested), *ellipticity(tested, curves)]
     notes += [end for found in curves.values() for end in found.ends]
     return MaterialReport(law, tuple(findings), curves, tuple(notes))
-
-
-def _targets(mode: DeformationMode, largest: float) -> AnyArray:
-    spread = np.linspace(-1.0, 1.0, 2 * _POINTS + 1)
-    if mode.rest == 0:
-        return spread * (largest - 1)
-    return np.asarray(largest**spread)

@@ -53,25 +53,17 @@ def stable_ranges(law: Law) -> tuple[StableRange, ...]:
     Source: J. Marsden and T. Hughes, Mathematical Foundations of Elasticity (1983), section 4.3;
     R. Hill, J. Mech. Phys. Solids 5 (1957) 229 (loads that rise).
     """
-    tested, spread = LawUnderTest(law), np.linspace(-1.0, 1.0, 2 * _POINTS + 1)
-    found = []
+    tested, modes = LawUnderTest(law), [mode for mode in DEFORMATION_MODES if mode.name in PATHS]
     with np.errstate(all="ignore"):
-        for mode in DEFORMATION_MODES:
-            if mode.name in PATHS:
-                targets = LARGEST**spread if mode.rest else spread * (LARGEST - 1)
-                curve = response_curve(tested.point, mode, np.asarray(targets))
-                found.append(_range(tested, curve))
-    return tuple(found)
+        return tuple(
+            _range(tested, response_curve(tested.point, mode, mode.targets(LARGEST, _POINTS)))
+            for mode in modes
+        )
 
 
 def _range(tested: LawUnderTest, curve: ResponseCurve) -> StableRange:
-    rest = int(np.argmin(np.abs(curve.values - curve.mode.rest)))
-    good = (acoustic_eigenvalues(tested.point, curve.F) > 0) & _rising(curve, rest)
-    low = high = rest
-    while low > 0 and good[low - 1]:
-        low -= 1
-    while high < len(good) - 1 and good[high + 1]:
-        high += 1
+    good = (acoustic_eigenvalues(tested.point, curve.F) > 0) & _rising(curve, curve.rest)
+    low, high = curve.interval(good)
     whole = (low, high) == (0, len(good) - 1) and not curve.ends
     return StableRange(curve.mode, float(curve.values[low]), float(curve.values[high]), whole)
 

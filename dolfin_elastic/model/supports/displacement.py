@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import model_validator
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.si_text import given, listed
 from dolfin_elastic.core.types import FloatArray
@@ -238,10 +238,8 @@ class Normal(PrescribingSupport):
 
 
 def _read_at(key: str, written: object, unit: str) -> Component:
-    try:
+    with keyed(key):
         return component(written, unit)
-    except InputError as error:
-        raise error.at(key) from None
 
 
 class Symmetry(PrescribingSupport):
@@ -329,10 +327,8 @@ class Rotation(PrescribingSupport):
         """The angle [rad] as a number or formula."""
         text = self.angle
         formula = isinstance(text, str) and not (is_quantity(text) or misspelt_unit(text, ("t",)))
-        try:
+        with keyed("angle"):
             return Formula.parse(text, allowed=("t",)) if formula else to_si(text, "rad")
-        except InputError as error:
-            raise error.at("angle") from None
 
     def place(self, t: float, default: Amplitude) -> FloatArray:
         """The point's present place c + d [m], of shape (3,).

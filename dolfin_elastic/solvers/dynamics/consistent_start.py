@@ -32,8 +32,7 @@ from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.petsc_options import PREFIX
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
-from dolfin_elastic.problem.incompressible import partly_incompressible, wholly_incompressible
-from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.problem import Problem, partly_incompressible, wholly_incompressible
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.mass import initial_acceleration, prescribed_acceleration
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual

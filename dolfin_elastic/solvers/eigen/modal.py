@@ -23,8 +23,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.together import failing_together
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import RAMP
-from dolfin_elastic.problem.incompressible import partly_incompressible
-from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.problem import Problem, partly_incompressible
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel

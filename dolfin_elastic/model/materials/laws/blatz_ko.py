@@ -19,7 +19,7 @@ from dolfin_elastic.model.kinematics import (
     log_volume,
     volume_change,
 )
-from dolfin_elastic.model.materials.law import Isotropic
+from dolfin_elastic.model.materials.moduli import Isotropic
 from dolfin_elastic.model.materials.spatial import Range
 
 

@@ -8,7 +8,8 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.kinematics import cofactor, volume_change
-from dolfin_elastic.model.materials.law import Isotropic, SplitLaw, once
+from dolfin_elastic.model.materials.law import SplitLaw, once
+from dolfin_elastic.model.materials.moduli import Isotropic
 from dolfin_elastic.model.materials.spectral import Polar, polar
 
 

@@ -8,7 +8,8 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.kinematics import cofactor, log_volume
-from dolfin_elastic.model.materials.law import Isotropic, SplitLaw
+from dolfin_elastic.model.materials.law import SplitLaw
+from dolfin_elastic.model.materials.moduli import Isotropic
 from dolfin_elastic.model.materials.spectral import (
     Shape,
     isochoric_energy,

@@ -8,7 +8,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.model.kinematics import infinitesimal_strain
-from dolfin_elastic.model.materials.law import Isotropic
+from dolfin_elastic.model.materials.moduli import Isotropic
 from dolfin_elastic.model.materials.prony import Relaxing
 
 

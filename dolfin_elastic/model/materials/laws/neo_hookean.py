@@ -15,7 +15,8 @@ from dolfin_elastic.model.kinematics import (
     log_volume,
     volume_change,
 )
-from dolfin_elastic.model.materials.law import Isotropic, SplitLaw
+from dolfin_elastic.model.materials.law import SplitLaw
+from dolfin_elastic.model.materials.moduli import Isotropic
 
 
 class NeoHookean(Isotropic, SplitLaw):

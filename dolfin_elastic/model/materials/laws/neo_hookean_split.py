@@ -11,7 +11,7 @@ from dolfin_elastic.model.materials.isochoric import (
     excess_invariants,
     stress_of_invariants,
 )
-from dolfin_elastic.model.materials.law import Isotropic
+from dolfin_elastic.model.materials.moduli import Isotropic
 from dolfin_elastic.model.materials.prony import Relaxing
 
 

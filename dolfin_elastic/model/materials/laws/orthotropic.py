@@ -15,7 +15,7 @@ from dolfin_elastic.core.types import Scalar
 from dolfin_elastic.core.units import Number, Stress
 from dolfin_elastic.model.kinematics import infinitesimal_strain
 from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.model.materials.spatial import Direction, as_floats, frame
+from dolfin_elastic.model.materials.spatial import Direction, frame
 
 SMALLEST_ANGLE = 1e-6
 """Sine of the angle below which two axes count as one."""
@@ -107,10 +107,9 @@ class Orthotropic(Law):
         self._check_axes()
 
     def _check_axes(self) -> None:
-        first, towards = as_floats(self.axis1), as_floats(self.axis2)
-        if first is None or towards is None:
+        if self.spatial_constants():
             return
-        a, b = ([*v, 0.0][:3] for v in (first, towards))
+        a, b = self.axis1, self.axis2
         cosine = sum(x * y for x, y in zip(a, b, strict=True)) / math.hypot(*a) / math.hypot(*b)
         if 1 - cosine**2 < SMALLEST_ANGLE**2:
             raise InputError(

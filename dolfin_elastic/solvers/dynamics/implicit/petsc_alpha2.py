@@ -14,8 +14,7 @@ from petsc4py import PETSc
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.petsc_options import PetscValue
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.problem.incompressible import partly_incompressible
-from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.problem import Problem, partly_incompressible
 from dolfin_elastic.solvers.dynamics.implicit.scheme import (
     FAILURES,
     ImplicitScheme,
