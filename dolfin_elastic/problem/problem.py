@@ -42,11 +42,11 @@ from dolfin_elastic.problem.material_regions import (
 )
 from dolfin_elastic.problem.pressure.groups import pressure_groups
 from dolfin_elastic.problem.spaces import Unknowns
+from dolfin_elastic.problem.term import Resistance, Term
 from dolfin_elastic.problem.terms.cavities import BodyCavity, make_cavities
 from dolfin_elastic.problem.terms.contact import ContactPair, make_contacts, placed_contacts
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
 from dolfin_elastic.problem.terms.pressure_symmetry import follower_pressure_has_potential
-from dolfin_elastic.problem.terms.term import Term
 from dolfin_elastic.problem.weak_form import (
     StepStart,
     WeakForm,
@@ -95,7 +95,7 @@ class Problem:
         contact_pairs: The contacts on this body.
         cell: The macroscopic deformation of a periodic cell, or None.
         eigenstrains: Material's name to its growth Fg (UFL), of those that grow.
-        terms: What else acts on the body, and couples nodes that share no element.
+        terms: Springs, dashpots, contacts, loads at points, and what else acts on the body.
         history: What materials that relax remember; None without any.
         nodal_loads: Forces at points and along lines, which are in no form; None without any.
         constant: Makes a UFL constant: a new value of it needs no new compilation.
@@ -171,8 +171,7 @@ class Problem:
             self.context,
             self.regions,
             self.loads,
-            [s for s in self.supports if isinstance(s, ResistingSupport)],
-            self.contact_pairs,
+            self.terms,
             eigenstrains=self.eigenstrains,
             quadrature_degree=quadrature_degree,
         )
@@ -183,19 +182,22 @@ class Problem:
     def _make_rare_terms(self, contacts: Sequence[Contact]) -> None:
         """Makes what few problems have where there is any, to keep the usual path short."""
         kinds = {type(load) for load in self.loads}
-        self.terms: list[Term] = []
+        resisting = [s for s in self.supports if isinstance(s, ResistingSupport)]
+        self.terms: list[Term] = [Resistance(s, self.context) for s in resisting]
         self.cavities: list[BodyCavity] = []
         if any(issubclass(kind, Cavity) for kind in kinds):
             self.cavities = list(make_cavities(self.loads, self.context))
         self.contact_pairs: tuple[ContactPair, ...] = ()
         if contacts:
             self.contact_pairs = make_contacts(contacts, self.context)
+            self.terms += self.contact_pairs
         self.eigenstrains: dict[str, Expr] = {}
         if any(issubclass(kind, Eigenstrain) for kind in kinds):
             self.eigenstrains = eigenstrains(self.context, self.loads)
         self.nodal_loads: NodalLoads | None = None
         if any(issubclass(kind, ConcentratedLoad) for kind in kinds):
             self.nodal_loads = NodalLoads(self.body, self.V, self.loads)
+            self.terms.append(self.nodal_loads)
 
     def _scale_unknowns(self) -> None:
         """Scales the auxiliary fields to the magnitude of displacements, see `spaces.Unknowns`."""
@@ -267,7 +269,7 @@ class Problem:
         """The residual is linear in u."""
         if self.history is not None:  # affine, but with another tangent for each length of a step
             return False
-        if self.contact_pairs or any(self._follows(load) for load in self.loads):
+        if any(self._follows(load) for load in self.loads):
             return False
         return self.context.linear and all(term.linear for term in self.terms)
 
@@ -301,7 +303,7 @@ class Problem:
         """The applied nodal forces change in motion: with time, or with the body's shape."""
         return (
             self.context.changes
-            or (self.nodal_loads is not None and self.nodal_loads.change)
+            or any(term.changes for term in self.terms)
             or any(self._follows(load) or depends_on_time(load.values) for load in self.loads)
         )
 
@@ -327,14 +329,12 @@ class Problem:
             default: Amplitude of loads, supports and obstacles without `curve`.
         """
         self.context.set_time(t, default)
-        if self.nodal_loads is not None:
-            self.nodal_loads.set_time(t, default)
         self.constraints.set_time(t, default)
         if self.cell is not None:
             self.cell.set_time(t, default)
             self.unknowns.w_to_u()
-        for pair in self.contact_pairs:
-            pair.set_time(t, default)
+        for term in self.terms:
+            term.set_time(t, default)
         for cavity in self.cavities:
             cavity.set_time(t, default)
         if self.history is not None:

@@ -16,6 +16,7 @@ from typing import cast
 
 import ufl
 from dolfinx import fem
+from ufl import replace
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
@@ -26,10 +27,9 @@ from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, SplitLaw
 from dolfin_elastic.model.materials.mixed import Mixed, variance
 from dolfin_elastic.model.materials.prony import Relaxed
-from dolfin_elastic.model.supports.springs import Dashpot, ResistingSupport, Spring
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion
-from dolfin_elastic.problem.terms.contact import ContactPair
+from dolfin_elastic.problem.term import Term, forms_of
 
 UNUSED = 1e-6
 """Compliance, times the shear modulus, of the pressure field in regions that do not need it."""
@@ -67,14 +67,13 @@ class WeakForm:
         context: FormContext,
         regions: Sequence[MaterialRegion],
         loads: Sequence[Load],
-        restraints: Sequence[ResistingSupport],
-        contacts: Sequence[ContactPair],
+        terms: Sequence[Term],
         *,
         eigenstrains: Mapping[str, Expr],
         quadrature_degree: int | None,
     ) -> None:
         self._context, self._regions, self._unknowns = context, regions, context.unknowns
-        self._loads, self._restraints, self._contacts = loads, restraints, contacts
+        self._loads, self._terms = loads, terms
         self._eigenstrains, self._quadrature_degree = eigenstrains, quadrature_degree
         self._responses: dict[str, Law | ModifiedLaw] = {}
         self.start: StepStart | None = None
@@ -259,24 +258,27 @@ class WeakForm:
     def restraint_works(self) -> dict[str, ufl.Form]:
         """Virtual work of the forces of springs, dashpots and contact pairs, by label."""
         works: dict[str, ufl.Form] = {}
-        terms = [(s.label, s.virtual_work(self._context)) for s in self._restraints]
-        terms += [(pair.label, pair.work) for pair in self._contacts]
-        for label, work in terms:
-            works[label] = works[label] + work if label in works else work
+        for term in self._terms:
+            if (work := term.form("work")) is not None:
+                works[term.label] = works[term.label] + work if term.label in works else work
         return works
 
-    @cached_property
-    def spring_energy(self) -> ufl.Form | None:
-        """Energy stored in springs [J]; None without any."""
-        springs = [s for s in self._restraints if isinstance(s, Spring)]
-        return sum(s.energy(self._context) for s in springs) if springs else None
+    def stored(self, account: str) -> ufl.Form | None:
+        """Energy stored in terms of an account [J]; None without any."""
+        terms = [term for term in self._terms if term.account == account]
+        return sum(forms_of(terms, "energy")) if terms else None
 
-    def damping(self, velocity: Expr) -> ufl.Form | None:
-        """Virtual work against dashpots at a velocity [m/s]; None without any."""
-        works = [
-            s.work_at(self._context, velocity) for s in self._restraints if isinstance(s, Dashpot)
-        ]
-        return -sum(works) if works else None
+    def damping(self, velocity: Expr | None = None) -> ufl.Form | None:
+        """Virtual work against dashpots; None without any.
+
+        Args:
+            velocity: At which [m/s]; None: the present one.
+        """
+        works = forms_of([term for term in self._terms if term.form("drag") is not None], "work")
+        now = self._context.velocity
+        if not works:
+            return None
+        return -(sum(works) if velocity is None else replace(sum(works), {now: velocity}))
 
     # --- the sum ---
 

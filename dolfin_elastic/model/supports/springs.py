@@ -355,15 +355,7 @@ class Dashpot(ResistingSupport):
 
     def virtual_work(self, context: SupportContext) -> ufl.Form:
         """See `ResistingSupport`."""
-        return self.work_at(context, context.velocity)
-
-    def work_at(self, context: SupportContext, velocity: Expr) -> ufl.Form:
-        """Virtual work of the force at a given velocity. Collective.
-
-        Args:
-            velocity: Velocity of the surface [m/s], a UFL vector.
-        """
-        force = self.resistance(context, velocity)
+        force = self.resistance(context, context.velocity)
         return -ufl.inner(force, context.v) * context.held(self.surfaces).measure
 
 

@@ -22,7 +22,9 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.ghosts import summed
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.jit import compile_forms, options
+from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.mesh.geometry.simplices import (
@@ -37,9 +39,17 @@ from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.kinematics import WeightedMeasure
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion, shear_modulus, volume_modulus
+from dolfin_elastic.problem.term import Kind, Term
 
 FACTOR = 10.0
 """Penalty over the stiffness of the cell beside: enough for a few augmentations."""
+
+SOFT = 0.1
+"""Penalty in dynamics over that in statics.
+
+In an explicit scheme a node that hits in mid-step gains energy where the penalty is stiff, see
+`stable_step.CONTACT`; and a penalty stiffer than the cells above it only shortens the stable step.
+"""
 
 SLACK = 1e-9
 """Gap, over the size of a cell, up to which a surface is in contact.
@@ -53,7 +63,7 @@ ROUND = 10.0
 sideways."""
 
 
-class ContactPair:
+class ContactPair(Term):
     """One contact on one body. Collective to make.
 
     Args:
@@ -71,7 +81,11 @@ class ContactPair:
         nodes_of_displacement: The same nodes in the displacement's space.
     """
 
-    def __init__(self, contact: Contact, context: FormContext, measure: WeightedMeasure) -> None:
+    linear, restrains, opens, account = False, True, True, "contact"
+
+    def __init__(
+        self, contact: Contact, context: FormContext, measure: WeightedMeasure, name: str
+    ) -> None:
         body = context.body
         self.contact, self.label, self._context, self._measure = (
             contact,
@@ -84,6 +98,7 @@ class ContactPair:
         prepare_facets(body.mesh)
         facets = np.unique(np.concatenate([body.surface(name) for name in contact.surfaces]))
         self.lam, self.nodes, self.nodes_of_displacement = _nodal(context, facets)
+        self.memory = {name: self.lam}
         self.penalty = fem.Function(fem.functionspace(body.mesh, ("DG", 0)))
         self._heights = _heights(body, facets)
         self.size = _mean(body, facets, self._heights)
@@ -118,11 +133,14 @@ class ContactPair:
         """Sets the gap [m] up to which the surface is in contact. Not collective."""
         self._reach.value = gap
 
-    def soften(self, factor: float) -> None:
-        """Multiplies the initial penalty by a factor, unless the user has given the penalty."""
+    def begin(self, *, moving: bool) -> None:
+        """See `Term`: motion has penalties alone, and softer ones where the user gave none."""
+        factor = SOFT if moving else 1.0
         if self.contact.stiffness is None:
             self.penalty.x.array[:] = factor * self._first[0]
             self._eps = factor * self._first[1]
+        if moving:
+            self.lam.x.array[:] = 0.0
 
     def _correct_weights_at_axis(self, facets: IndexArray) -> None:
         """Weights of nodes near the axis of an axisymmetric body.
@@ -160,7 +178,11 @@ class ContactPair:
         left = ufl.conditional(ufl.lt(normal[0], -0.5), radii[1], radii[2])
         return ufl.conditional(ufl.gt(normal[0], 0.5), radii[0], left)
 
-    # --- terms ---
+    # --- forms ---
+
+    def form(self, kind: Kind) -> ufl.Form | None:
+        """See `Term`."""
+        return {"work": self.work, "energy": self.energy, "bound": self.bound}.get(kind)
 
     @cached_property
     def _gap(self) -> tuple[Expr, Expr]:
@@ -201,11 +223,6 @@ class ContactPair:
         """
         return self.penalty * sum(self._context.v) * self._measure
 
-    @cached_property
-    def area(self) -> ufl.Form:
-        """Reference area on which there is pressure [m^2]."""
-        return ufl.conditional(ufl.gt(self._trial_pressure, 0.0), 1.0, 0.0) * self._measure
-
     # --- numbers at the nodes ---
 
     def places(self) -> FloatArray:
@@ -226,6 +243,16 @@ class ContactPair:
         """Pressure per reference area at the owned nodes of the surface [Pa]. Not collective."""
         return np.maximum(0.0, self.lam.x.array[self.nodes] - self._eps * self.gaps()[0])
 
+    def gap_error(self) -> float:
+        """Largest distance from the obstacle of nodes that press or penetrate [m]. Collective."""
+        gaps, _ = self.gaps()
+        off = np.abs(gaps[(self.pressures() > 0) | (gaps < 0)])
+        return largest(self.comm, float(np.max(off, initial=0)))
+
+    def unsettled(self) -> bool:
+        """See `Term`: a node that presses is off its obstacle, beyond the tolerance."""
+        return self.gap_error() > self.tolerance
+
     def augment(self) -> None:
         """Uzawa's update lam <- max(0, lam - eps g). Collective."""
         self.lam.x.array[self.nodes] = self.pressures()
@@ -234,20 +261,33 @@ class ContactPair:
     # --- time ---
 
     def set_time(self, t: float, default: Amplitude) -> None:
-        """Moves the obstacle to time t. Not collective.
-
-        Args:
-            t: Time [s], or load parameter.
-            default: Amplitude where the user gave none.
-        """
+        """See `Term`: moves the obstacle."""
         self.shift.value[:] = self.contact.displacement_at(t, default, self._dim)
+
+    # --- results ---
+
+    @cached_property
+    def _area(self) -> fem.Form:
+        """Reference area on which there is pressure [m^2]."""
+        area = ufl.conditional(ufl.gt(self._trial_pressure, 0.0), 1.0, 0.0) * self._measure
+        return compile_forms(self.comm, [area], options(self.comm))[0]
+
+    @stage("contact")
+    def add_results(self, found: dict[str, float]) -> None:
+        """See `Term`: largest penetration [m] and area under pressure [m^2]."""
+        depth = largest(self.comm, float(np.max(-self.gaps()[0], initial=0.0)))
+        first, second = f"penetration_{self.label}", f"contact_area_{self.label}"
+        found[first] = max(found.get(first, 0.0), depth)
+        area = total(self.comm, float(fem.assemble_scalar(self._area)))
+        found[second] = found.get(second, 0.0) + area
 
 
 def make_contacts(contacts: Sequence[Contact], context: FormContext) -> tuple[ContactPair, ...]:
     """All contacts on a body. Collective."""
     points = rule(context.order, context.body.dim)
     return tuple(
-        ContactPair(c, context, context.measures.contact_area(c.surfaces, points)) for c in contacts
+        ContactPair(c, context, context.measures.contact_area(c.surfaces, points), f"contact_{i}")
+        for i, c in enumerate(contacts)
     )
 
 

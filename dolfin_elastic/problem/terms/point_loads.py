@@ -23,6 +23,7 @@ from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.loads import ConcentratedLoad, Load
 from dolfin_elastic.model.values import amplitude_of, depends_on_time
+from dolfin_elastic.problem.term import Term
 from dolfin_elastic.problem.terms.edges_points import points_of
 
 PARTS = 8
@@ -52,7 +53,7 @@ class _Spread:
     shapes: FloatArray
 
 
-class NodalLoads:
+class NodalLoads(Term):
     """All loads at points and lines of a body. Collective to make.
 
     Args:
@@ -61,6 +62,8 @@ class NodalLoads:
     Raises:
         InputError: A point too far off the body, or with the wrong number of coordinates.
     """
+
+    label, nodal = "loads at points", True
 
     def __init__(self, body: Body, V: fem.FunctionSpace, loads: Sequence[Load]) -> None:
         self._body, self._V, self._dim = body, V, body.dim
@@ -71,23 +74,16 @@ class NodalLoads:
                     self._spread.append(self._spread_out(load))
                 except InputError as error:
                     raise error.at(f"load[{index}]") from None
+        self.changes = any(
+            s.load.curve is not None or depends_on_time(s.load.values) for s in self._spread
+        )
         self._forces = [np.zeros((len(s.x), self._dim)) for s in self._spread]
 
     def __bool__(self) -> bool:
         return bool(self._spread)
 
-    @property
-    def change(self) -> bool:
-        """They change in motion."""
-        return any(s.load.curve is not None or depends_on_time(s.load.values) for s in self._spread)
-
     def set_time(self, t: float, default: Amplitude) -> None:
-        """Evaluates all forces at time t. Not collective.
-
-        Args:
-            t: Time [s], or load parameter.
-            default: Amplitude where the user gave none.
-        """
+        """See `Term`."""
         for spread, forces in zip(self._spread, self._forces, strict=True):
             x, y, z = spread.x.T
             for i, value in enumerate(spread.load.values):
@@ -98,7 +94,7 @@ class NodalLoads:
                 else:
                     forces[:, i] = factor * float(value or 0.0)
 
-    def nodal(self) -> FloatArray:
+    def nodal_forces(self) -> FloatArray:
         """This rank's share of the nodal forces on all its nodes, shape (nodes * dim).
 
         Ghosts have theirs too: add all of it up over the ranks.
@@ -108,6 +104,10 @@ class NodalLoads:
         for spread, forces in zip(self._spread, self._forces, strict=True):
             np.add.at(sums, spread.nodes, spread.shapes[:, :, None] * forces[:, None, :])
         return sums.ravel()
+
+    def add_forces(self, forces: FloatArray) -> None:
+        """See `Term`."""
+        forces += self.nodal_forces()
 
     # --- where they act ---
 

@@ -126,7 +126,7 @@ def singular_places(problem: Problem) -> SingularPlaces:
         names = [n for s in held if s.label == label for n in s.surfaces]
         table[_nodes_of_edges_and_points(problem, names), 3 + column] = 1.0
     if problem.nodal_loads is not None:
-        forces = problem.nodal_loads.nodal().reshape(len(table), problem.body.dim)
+        forces = problem.nodal_loads.nodal_forces().reshape(len(table), problem.body.dim)
         table[:, 0] = np.abs(forces).max(axis=1, initial=0.0) > 0
     marks.scatter_reverse(la.InsertMode.add)
     marks.scatter_forward()

@@ -22,7 +22,7 @@ from dolfin_elastic.mesh.body import middle_of
 from dolfin_elastic.model.kinematics import moment_of
 from dolfin_elastic.problem.problem import Problem, configuration_of_moments, parts_held
 from dolfin_elastic.problem.state import Moment
-from dolfin_elastic.problem.terms.term import Blocks, Term, blocks_of
+from dolfin_elastic.problem.term import Blocks, Term, blocks_of
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, ConstrainedMatrix, TangentMatrix
@@ -76,53 +76,48 @@ class Reactions:
         forces = self._dofs.ghosted_vector()
         if self._loads is not None:
             fem.assemble_vector(forces.array, self._loads)
-        self.add_point_loads(forces.array, 1.0)
+        self.add_terms(forces.array, 1.0, restraining=False)
         forces.scatter_reverse(la.InsertMode.add)
         return forces
 
-    def add_point_loads(self, forces: FloatArray, sign: float) -> None:
-        """Adds this rank's share of the loads at points and lines. Not collective.
+    def add_terms(self, forces: FloatArray, sign: float, *, restraining: bool | None) -> None:
+        """Adds this rank's share of the forces of terms that are in no form. Not collective.
 
         Args:
             forces: Entries of all unknowns, owned and ghost, before the ranks are summed [N].
             sign: 1 or -1.
-        """
-        loads = self._dofs.problem.nodal_loads
-        if loads is not None:
-            forces[self._entries] += sign * loads.nodal()
-
-    def add_terms(self, forces: FloatArray) -> None:
-        """Subtracts this rank's share of the forces of `problem.terms`. Not collective.
-
-        Args:
-            forces: See `add_point_loads`.
+            restraining: Of restraints, of loads, or, None, of all.
         """
         for term in self._dofs.problem.terms:
-            forces[self._entries] -= self._of_term(term)
+            if term.nodal and restraining in (None, term.restrains):
+                forces[self._entries] += sign * self._of_term(term)
 
     def _of_term(self, term: Term) -> FloatArray:
         rows = np.zeros(len(self._entries))
         term.add_forces(rows)
         return rows
 
-    def _restraining(self) -> Iterator[tuple[str, FloatArray]]:
+    def _restraining(self, without: Collection[str] = ()) -> Iterator[tuple[str, FloatArray]]:
         """Label and nodal forces of each restraint, owned entries [N]."""
         for label, form in self._restraints.items():
-            yield label, self.nodal(form)
+            if label not in without:
+                yield label, self.nodal(form)
         for term in self._dofs.problem.terms:
-            forces = self._dofs.ghosted_vector()
-            forces.array[self._entries] = self._of_term(term)
-            forces.scatter_reverse(la.InsertMode.add)
-            yield term.label, forces.array[: self._dofs.size]
+            if term.nodal and term.restrains:
+                forces = self._dofs.ghosted_vector()
+                forces.array[self._entries] = self._of_term(term)
+                forces.scatter_reverse(la.InsertMode.add)
+                yield term.label, forces.array[: self._dofs.size]
 
     @property
     def labels(self) -> list[str]:
         """Of springs, dashpots, contact pairs and terms."""
-        return [*self._restraints, *(term.label for term in self._dofs.problem.terms)]
+        acting = [term for term in self._dofs.problem.terms if term.nodal and term.restrains]
+        return [*self._restraints, *(term.label for term in acting)]
 
     def restraints(self, without: Collection[str] = ()) -> FloatArray:
         """Nodal forces of springs, dashpots and contact pairs, owned entries [N]."""
-        found = (forces for label, forces in self._restraining() if label not in without)
+        found = (forces for _, forces in self._restraining(without))
         return np.asarray(sum(found, np.zeros(self._dofs.size)))
 
     def restraint_norm(self) -> float:
@@ -337,8 +332,7 @@ class Residual:
             cells.add_to(self.vector.array)
         if others is not None:
             fem.assemble_vector(self.vector.array, others)
-        self._reactions.add_point_loads(self.vector.array, -1.0)
-        self._reactions.add_terms(self.vector.array)
+        self._reactions.add_terms(self.vector.array, -1.0, restraining=None)
         self.vector.scatter_reverse(la.InsertMode.add)
         if self._dofs.tied:
             self.tied_nodal = self.owned[self._dofs.tied_dofs]
@@ -507,18 +501,26 @@ def integral(problem: Problem, form: fem.Form) -> float:
 
 
 class StrainEnergy:
-    """Stored energy of the body and of its springs; not a number for a law that has none.
+    """Stored energy of the body and of its terms; not a number for a law that has none.
 
     With it counts the work done on what relaxes, be it stored or lost already.
 
     Collective to make.
+
+    Args:
+        accounts: Those of terms that are asked for.
     """
 
-    def __init__(self, problem: Problem) -> None:
-        form, springs = problem.weak_form.strain_energy, problem.weak_form.spring_energy
+    def __init__(self, problem: Problem, accounts: Sequence[str] = ("springs",)) -> None:
+        form, weak_form = problem.weak_form.strain_energy, problem.weak_form
         self._problem = problem
         self._parts = None if form is None else in_cells(problem, form)
-        self._springs = None if springs is None else compiled(problem, [springs])[0]
+        forms = {account: weak_form.stored(account) for account in accounts}
+        self._terms = {
+            account: compiled(problem, [one])[0]
+            for account, one in forms.items()
+            if one is not None
+        }
 
     def energy(self) -> float:
         """Strain energy of the present displacement [J]. Collective."""
@@ -539,11 +541,9 @@ class StrainEnergy:
         history = self._problem.history
         return {} if history is None else {"relaxing": history.work()}
 
-    def springs(self) -> dict[str, float]:
-        """Energy stored in springs [J] by its name; nothing without springs. Collective."""
-        if self._springs is None:
-            return {}
-        return {"springs": integral(self._problem, self._springs)}
+    def accounts(self) -> dict[str, float]:
+        """Energy stored in terms [J] by account; nothing without any. Collective."""
+        return {name: integral(self._problem, form) for name, form in self._terms.items()}
 
 
 class SupportForces:

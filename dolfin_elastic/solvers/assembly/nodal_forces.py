@@ -53,7 +53,7 @@ class Forces:
         if self._others is not None:
             self._others.renew()
         if self._point_loads is not None:
-            self._at_points = self._points * self._point_loads.nodal()
+            self._at_points = self._points * self._point_loads.nodal_forces()
 
     def fingerprint(self) -> bytes:
         """Of this rank's numbers and fields, but those that follow the motion or the time.
@@ -65,7 +65,7 @@ class Forces:
         if self._others is not None:
             values += self._others.given()
         if self._point_loads is not None:
-            values.append(self._point_loads.nodal())
+            values.append(self._point_loads.nodal_forces())
         for value in values:
             digest.update(np.ascontiguousarray(value))
         return digest.digest()

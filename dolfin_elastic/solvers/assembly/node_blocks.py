@@ -9,7 +9,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IntArray
-from dolfin_elastic.problem.terms.term import Blocks
+from dolfin_elastic.problem.term import Blocks
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.assembly.matrix import transformation
 from dolfin_elastic.solvers.petsc.c_api import room_for_entries, sum_entries

@@ -95,12 +95,12 @@ class DynamicResidual:
         )
         self.displacement_dofs = self.assembler.displacement_dofs
         self.auxiliary_dofs = np.setdiff1d(np.arange(self.assembler.size), self.displacement_dofs)
-        dashpots = [d.virtual_work(problem.context) for d in problem.dashpots]
+        against = problem.weak_form.damping()
         forms = {
             "inertia": inertia,
             "damping": work,
             "drag": self.damping.drag(),
-            "dashpots": sum(dashpots) if dashpots else None,
+            "dashpots": None if against is None else -against,
         }
         named = {name: form for name, form in forms.items() if form is not None}
         self._forms = dict(zip(named, compiled(problem, list(named.values())), strict=True))

@@ -25,7 +25,7 @@ from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, Lump
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces as NodalForces
 from dolfin_elastic.solvers.dynamics.pressure_energy import PressureEnergy
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
-from dolfin_elastic.solvers.nonlinear.contact import ContactResults
+from dolfin_elastic.solvers.nonlinear.contact import results_of_terms
 
 Measures = tuple[dict[str, float], dict[str, FloatArray]]
 """Energies [J] by name, and momenta by name: "linear" [kg m/s], "angular" [kg m^2/s]."""
@@ -67,24 +67,23 @@ class EnergyBook:
     ) -> None:
         self._comm, self._inertia, self._work = problem.body.comm, inertia, work
         self._pressure = pressure
-        self._strain, self._contacts = StrainEnergy(problem), ContactResults(problem, moving=True)
+        self._problem, self._strain = problem, StrainEnergy(problem, ("springs", "contact"))
 
     @np.errstate(all="ignore")  # whether the values are finite is asked by `finite`
     def measure(self) -> Measures:
         """Energies and momenta of the present displacement and velocity. Collective."""
         kinetic, linear, angular = self._inertia.measure()
-        strain, contact = self._strain.energy(), self._contacts.energies()
+        strain, accounts = self._strain.energy(), self._strain.accounts()
         if self._pressure is not None:
             strain += self._pressure.energy()
-        penalties = sum(contact.values())
+        penalties = accounts.get("contact", 0.0)
         energies = {
             "strain": strain,
             "kinetic": kinetic,
             "total": strain + kinetic + penalties,
             **self._work.energies(kinetic, strain + penalties),
             **self._strain.relaxing(),
-            **self._strain.springs(),
-            **contact,
+            **accounts,
         }
         return energies, {"linear": linear, "angular": angular}
 
@@ -101,8 +100,8 @@ class EnergyBook:
         return largest(self._comm, float(bad)) == 0.0
 
     def numbers(self) -> dict[str, float]:
-        """Further results of contacts, by name [SI units]. Collective."""
-        return self._contacts.numbers()
+        """Further results of terms, by name [SI units]. Collective."""
+        return results_of_terms(self._problem)
 
 
 def supports_move(problem: Problem) -> bool:
@@ -387,7 +386,7 @@ class ExternalWork:
         for pair in problem.contact_pairs:
             if pair.contact.values:
                 self.terms.append(_MovingObstacle(pair, self._of(pair.work)))
-        springs = problem.weak_form.spring_energy if resting else None
+        springs = problem.weak_form.stored("springs") if resting else None
         self._springs = None if springs is None else compiled(problem, [springs])[0]
         self._stored = self._carried = self._local = self.sum = 0.0
 

@@ -44,7 +44,7 @@ def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
             where="periodic",
             expected=f"leave it out, or write [statics] in place of [{table}]",
         )
-    if problem.contact_pairs:
+    if any(term.opens for term in problem.terms):
         raise InputError(
             "contact opens and closes, so the body has no modes",
             where="contact",

@@ -8,7 +8,6 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 
 import numpy as np
-from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest, smallest, total
@@ -19,7 +18,7 @@ from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.problem.terms.contact import ContactPair
-from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
+from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
 
@@ -28,54 +27,45 @@ States = Generator[State | Mode, None, None]
 log = logging.getLogger("dolfin_elastic")
 
 AUGMENTATIONS = 10
-"""Times that the multipliers of one load step are renewed."""
-
-SOFT = 0.1
-"""Penalty in dynamics over that in statics.
-
-In an explicit scheme a node that hits in mid-step gains energy where the penalty is stiff, see
-`stable_step.CONTACT`; and a penalty stiffer than the cells above it only shortens the stable step.
-"""
+"""Times that what terms remember is renewed in one load step."""
 
 
-class ContactAugmentation:
-    """Augmented Lagrangian (Uzawa): lam <- max(0, lam - eps g) until gaps are small.
+class Augmentation:
+    """Solves again where terms remember something that an equilibrium changes. Local to make.
 
-    Args:
-        problem: What may touch; without contacts nothing is ever needed.
+    Multipliers of contact: augmented Lagrangian (Uzawa), lam <- max(0, lam - eps g) until gaps are
+    small.  Source: J. C. Simo & T. A. Laursen, Computers & Structures 42 (1992) 97, box 1.
 
-    Source: J. C. Simo & T. A. Laursen, Computers & Structures 42 (1992) 97, box 1.
+    Attributes:
+        memory: What the terms remember, by its name in restarts.
     """
 
     def __init__(self, problem: Problem) -> None:
-        self._pairs = problem.contact_pairs
-        for pair in self._pairs:
-            pair.soften(1.0)
-        self._saved: list[FloatArray] = []
-        self.save()
+        self._terms = problem.terms
+        for term in self._terms:
+            term.begin(moving=False)
+        self.memory = {name: f for term in self._terms for name, f in term.memory.items()}
+        self._saved = self.copies()
+
+    def copies(self) -> list[FloatArray]:
+        """What the terms remember now, for `put`. Not collective."""
+        return [field.x.array.copy() for field in self.memory.values()]
+
+    def put(self, copies: Sequence[FloatArray]) -> None:
+        """Restores what they remembered. Not collective."""
+        for field, saved in zip(self.memory.values(), copies, strict=True):
+            field.x.array[:] = saved
 
     def save(self) -> None:
-        """Saves the multipliers, to be restored when a step fails. Not collective."""
-        self._saved = [pair.lam.x.array.copy() for pair in self._pairs]
+        """Saves it, to be restored when a step fails. Not collective."""
+        self._saved = self.copies()
 
     def restore(self) -> None:
-        """Restores the saved multipliers. Not collective."""
-        for pair, saved in zip(self._pairs, self._saved, strict=True):
-            pair.lam.x.array[:] = saved
-
-    @stage("contact")
-    def needed(self) -> bool:
-        """Whether a node that presses is off its obstacle, beyond the tolerance. Collective."""
-        return any(contact_gap_error(pair) > pair.tolerance for pair in self._pairs)
-
-    @stage("contact")
-    def update(self) -> None:
-        """Renews the multipliers from the gaps at hand. Collective."""
-        for pair in self._pairs:
-            pair.augment()
+        """Restores what was saved. Not collective."""
+        self.put(self._saved)
 
     def solve(self, result: NewtonResult, solve: Callable[[], NewtonResult]) -> NewtonResult:
-        """Solves again with new multipliers until nothing penetrates, if that happens. Collective.
+        """Solves again until all terms are settled, if that happens. Collective.
 
         Args:
             solve: Finds the next one from there.
@@ -85,49 +75,27 @@ class ContactAugmentation:
         """
         newton, krylov, count = result.newton, result.krylov, 0
         predicted = result.predicted
-        while result.converged and count < AUGMENTATIONS and self.needed():
-            self.update()
+        while result.converged and count < AUGMENTATIONS and self._augmented():
             result, count = solve(), count + 1
             newton, krylov = newton + result.newton, krylov + result.krylov
         return replace(result, newton=newton, krylov=krylov, predicted=predicted)
 
-
-@stage("contact")
-def contact_gap_error(pair: ContactPair) -> float:
-    """Largest distance from the obstacle of nodes that press or penetrate [m]. Collective."""
-    gaps, _ = pair.gaps()
-    return largest(
-        pair.comm, float(np.max(np.abs(gaps[(pair.pressures() > 0) | (gaps < 0)]), initial=0))
-    )
-
-
-class ContactResults:
-    """Numbers of each contact for states. Collective to make."""
-
-    def __init__(self, problem: Problem, *, moving: bool = False) -> None:
-        self._problem, self._pairs = problem, problem.contact_pairs
-        areas = [pair.area for pair in self._pairs]
-        self._areas: list[fem.Form] = compiled(problem, areas) if areas else []
-        stored = [pair.energy for pair in self._pairs] if moving else []
-        self._energies: list[fem.Form] = compiled(problem, stored) if stored else []
-
     @stage("contact")
-    def numbers(self) -> dict[str, float]:
-        """Largest penetration [m] and area under pressure [m^2] of each contact. Collective."""
-        found: dict[str, float] = {}
-        for pair, area in zip(self._pairs, self._areas, strict=True):
-            depth = largest(pair.comm, float(np.max(-pair.gaps()[0], initial=0.0)))
-            first, second = f"penetration_{pair.label}", f"contact_area_{pair.label}"
-            found[first] = max(found.get(first, 0.0), depth)
-            found[second] = found.get(second, 0.0) + integral(self._problem, area)
-        return found
+    def _augmented(self) -> bool:
+        """Whether a term was not settled: all have been augmented then. Collective."""
+        if not any(term.unsettled() for term in self._terms):
+            return False
+        for term in self._terms:
+            term.augment()
+        return True
 
-    @stage("contact")
-    def energies(self) -> dict[str, float]:
-        """What the penalties store [J]; nothing without contacts. Collective."""
-        if not self._energies:
-            return {}
-        return {"contact": sum(integral(self._problem, form) for form in self._energies)}
+
+def results_of_terms(problem: Problem) -> dict[str, float]:
+    """Results of the problem's terms by name [SI units]. Collective."""
+    found: dict[str, float] = {}
+    for term in problem.terms:
+        term.add_results(found)
+    return found
 
 
 @contextmanager
@@ -192,7 +160,7 @@ def smallest_gap(pair: ContactPair) -> float:
 
 @stage("contact")
 def begin_motion(problem: Problem, *, warn: bool) -> None:
-    """Motion has penalties alone, and softer ones. Collective.
+    """Begins a motion from where surfaces are not deep inside obstacles. Collective.
 
     Args:
         problem: What moves, where it begins.
@@ -206,8 +174,8 @@ def begin_motion(problem: Problem, *, warn: bool) -> None:
     ):
         if warn and gap < -pair.tolerance:
             log.warning("%s", penetration_message(pair, gap, place))
-        pair.soften(SOFT)
-        pair.lam.x.array[:] = 0.0
+    for term in problem.terms:
+        term.begin(moving=True)
 
 
 def penetration_message(pair: ContactPair, gap: float, place: tuple[float, ...]) -> str:

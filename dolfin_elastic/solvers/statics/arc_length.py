@@ -311,22 +311,17 @@ class ArcLength:
 
         Afterwards the problem is at the end of the step, as before.
         """
-        there, lam = self._bordered.unknowns(), self._multipliers()
+        there, terms = self._bordered.unknowns(), self._retry.augmentation
+        remembered = [] if terms is None else terms.copies()
         least = BALANCED * self._newton.tolerance.rtol
         found = limit_points(begin, end, inside, least=least)
         if inside.moved:
             self._bordered.put_back(there)
-            self._put_multipliers(lam)
+            if terms is not None:
+                terms.put(remembered)
             assert self._bordered.bordered is not None
             self._bordered.bordered.evaluate()
         return found
-
-    def _multipliers(self) -> list[FloatArray]:
-        return [pair.lam.x.array.copy() for pair in self._problem.contact_pairs]
-
-    def _put_multipliers(self, values: Sequence[FloatArray]) -> None:
-        for pair, own in zip(self._problem.contact_pairs, values, strict=True):
-            pair.lam.x.array[:] = own
 
     def _report(self, t: float, verdict: Verdict, limits: Sequence[LimitPoint]) -> Verdict:
         """Logs the limit points of a step, and bifurcations that its pivots show. Collective.
@@ -449,7 +444,7 @@ class ArcLength:
         while "LINEAR_SOLVE" in result.reason and self._bordered.fall_back():
             self._bordered.put_back(start)
             result = self._bordered.solve("basic")
-        return self._retry.close_contacts(result, "basic", self._bordered.solve)
+        return self._retry.settle(result, "basic", self._bordered.solve)
 
     def _turns_sharply(self, last: FloatArray) -> bool:
         """Whether the path turns so sharply that the step may have skipped a part. Collective."""

@@ -19,7 +19,7 @@ from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
 from dolfin_elastic.solvers.breakpoints import within_stride
 from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
 from dolfin_elastic.solvers.messages import in_words
-from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
+from dolfin_elastic.solvers.nonlinear.contact import Augmentation
 from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
     BEYOND,
@@ -95,7 +95,7 @@ class LoadStepping:
         self._settings, self._sizes, self._newton, self._scalars = settings, sizes, newton, scalars
         self._assembler, self._problem = newton.assembler, newton.assembler.problem
         self._retry = RetryStrategy(
-            newton, ContactAugmentation(self._problem) if self._problem.contact_pairs else None
+            newton, Augmentation(self._problem) if self._problem.terms else None
         )
         self._path_check = PathEnergyCheck(self._assembler)
         self._states = StaticStates(
@@ -156,7 +156,7 @@ class LoadStepping:
     def restart_state(self) -> RestartState:
         """See `Restartable`. Collective."""
         history = self._problem.history
-        fields = {"unknowns": self._problem.w, **self._multipliers()}
+        fields = {"unknowns": self._problem.w, **self._memory()}
         numbers: dict[str, Any] = {
             "t": self._t,
             "scalars": [] if self._scalars is None else self._scalars.get(),
@@ -190,7 +190,7 @@ class LoadStepping:
         others = {name: fem.Function(self._problem.W) for name in names}
         history = self._problem.history
         past = {} if history is None else history.fields()
-        saved.fill({"unknowns": self._problem.w, **self._multipliers(), **others, **past})
+        saved.fill({"unknowns": self._problem.w, **self._memory(), **others, **past})
         self._t = numbers["t"]
         self._problem.set_time(self._t, default=PROPORTIONAL)
         if self._scalars is not None and self._scalars.joined is not None:
@@ -214,8 +214,9 @@ class LoadStepping:
         if self._arc is not None:
             self._arc.restore(self._t, others.get("way"), numbers["arc"])
 
-    def _multipliers(self) -> dict[str, fem.Function]:
-        return {f"contact_{i}": pair.lam for i, pair in enumerate(self._problem.contact_pairs)}
+    def _memory(self) -> dict[str, fem.Function]:
+        terms = self._retry.augmentation
+        return {} if terms is None else terms.memory
 
     def _split(self, unknowns: FloatArray) -> tuple[fem.Function, list[float]]:
         """Fields and scalars of unknowns as `Newton.unknowns` has them."""

@@ -22,7 +22,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.diagnostics.negative_curvature import start_vector
 from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
 from dolfin_elastic.solvers.messages import coordinates
-from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
+from dolfin_elastic.solvers.nonlinear.contact import Augmentation
 from dolfin_elastic.solvers.nonlinear.convergence import UNSTABLE, NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 
@@ -92,7 +92,7 @@ def _flow(retry: RetryStrategy) -> NewtonResult:
     newton = retry.newton
     newton.linear.refresh()
     result = newton.solve("basic", shift=_Shift(), max_iterations=ITERATIONS)
-    result = retry.close_contacts(result, "basic")
+    result = retry.settle(result, "basic")
     log.debug("flow to another equilibrium: %s", result.reason)
     return result
 
@@ -178,12 +178,12 @@ class RetryStrategy:
 
     Attributes:
         newton: The solver; its problem is at the load that is wanted.
-        augmentation: Of its contacts; None without any.
+        augmentation: Of what its terms remember; None without any terms.
         failed: The last iterate of the last failure, as `Newton.unknowns`.
     """
 
     newton: Newton
-    augmentation: ContactAugmentation | None
+    augmentation: Augmentation | None
     failed: FloatArray | None = field(default=None, init=False)
     _ready: bool = field(default=True, init=False)
 
@@ -222,7 +222,7 @@ class RetryStrategy:
         return replace(result, rejected=rejected, worst=worst)
 
     def undo(self, start: FloatArray) -> None:
-        """Goes back to where the last solve began, its contacts too. Not collective."""
+        """Goes back to where the last solve began, its terms too. Not collective."""
         self.newton.put_back(start)
         if self.augmentation is not None:
             self.augmentation.restore()
@@ -254,15 +254,15 @@ class RetryStrategy:
         while "LINEAR_SOLVE" in result.reason and self.newton.fall_back():
             self.newton.put_back(start)
             result = self.newton.solve(line_search)
-        return self.close_contacts(result, line_search)
+        return self.settle(result, line_search)
 
-    def close_contacts(
+    def settle(
         self,
         result: NewtonResult,
         line_search: str,
         solve: Callable[[str], NewtonResult] | None = None,
     ) -> NewtonResult:
-        """Augments contacts until nothing penetrates, and refuses inverted cells. Collective.
+        """Solves until all terms are settled, and refuses inverted cells. Collective.
 
         Args:
             result: Of the solve before.
@@ -278,7 +278,7 @@ class RetryStrategy:
         return self._refuse_inverted(result)
 
     def begin(self) -> None:
-        """Saves the multipliers of contacts, for `undo`. Not collective."""
+        """Saves what terms remember, for `undo`. Not collective."""
         if self.augmentation is not None:
             self.augmentation.save()
 

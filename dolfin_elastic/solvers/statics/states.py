@@ -19,7 +19,7 @@ from dolfin_elastic.solvers.assembly.assembler import StrainEnergy, SupportForce
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor
 from dolfin_elastic.solvers.diagnostics.stability import Verdict
 from dolfin_elastic.solvers.messages import coordinates, in_words
-from dolfin_elastic.solvers.nonlinear.contact import ContactResults
+from dolfin_elastic.solvers.nonlinear.contact import results_of_terms
 from dolfin_elastic.solvers.nonlinear.convergence import UNSTABLE, NewtonResult
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
@@ -54,14 +54,13 @@ class StaticStates:
         self._newton, self._scalars, self._strain, self._end = newton, scalars, strain, end
         self._assembler, self._problem = newton.assembler, newton.assembler.problem
         self._supports = SupportForces(self._assembler)
-        self._contacts = ContactResults(self._problem) if self._problem.contact_pairs else None
         self._auditor = EquilibriumAuditor(self._problem, self._assembler, watch)
         self.count = 0
 
     def _numbers(self) -> dict[str, float]:
-        """Results of contacts and scalar unknowns by name. Collective."""
-        contacts = {} if self._contacts is None else self._contacts.numbers()
-        return contacts if self._scalars is None else contacts | self._scalars.numbers()
+        """Results of terms and scalar unknowns by name. Collective."""
+        found = results_of_terms(self._problem) if self._problem.terms else {}
+        return found if self._scalars is None else found | self._scalars.numbers()
 
     def state(
         self,
@@ -84,7 +83,7 @@ class StaticStates:
         """
         problem, assembler = self._problem, self._assembler
         stored = self._strain.energy() if stored is None else stored
-        energies = {"strain": stored, **self._strain.relaxing(), **self._strain.springs()}
+        energies = {"strain": stored, **self._strain.relaxing(), **self._strain.accounts()}
         equilibrium = result.converged or t == 0.0
         self.count += 1
         if equilibrium:

@@ -66,7 +66,8 @@ FARTHER = "the solution is far from the linear one"
 
 def may_take_whole_load(problem: Problem) -> bool:
     """Whether the signs above can be seen, and no path has to be followed. Not collective."""
-    if problem.linear or problem.contact_pairs or problem.corners or driven_by_formula(problem):
+    opens = any(term.opens for term in problem.terms)
+    if problem.linear or opens or problem.corners or driven_by_formula(problem):
         return False
     if not problem.symmetric or problem.weak_form.strain_energy is None:
         return False

@@ -111,7 +111,7 @@ def test_another_formula_is_the_same_form() -> None:
     names = []
     for first, second in (("x*y", "1e3*x"), ("sin(3*x)/(1 + y^2)", "where(y < 0.5, exp(x), 7)")):
         weak_form = loaded(first, second).weak_form
-        forms = (weak_form.residual, weak_form.tangent, weak_form.spring_energy)
+        forms = (weak_form.residual, weak_form.tangent, weak_form.stored("springs"))
         names.append([compute_signature([form], "") for form in forms])
     assert names[0] == names[1]
     for one, other in (

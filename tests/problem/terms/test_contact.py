@@ -33,7 +33,7 @@ from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.breakpoints import within_stride
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
-from dolfin_elastic.solvers.nonlinear.contact import ContactAugmentation
+from dolfin_elastic.solvers.nonlinear.contact import Augmentation
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
@@ -159,7 +159,7 @@ def test_what_an_undone_step_has_learnt_is_forgotten():
     problem = between_plates(2, 1)
     assembler = Assembler(problem)
     newton = Newton(assembler, choose(problem, LinearSettings()), Tolerance())
-    retry, start = RetryStrategy(newton, ContactAugmentation(problem)), newton.unknowns()
+    retry, start = RetryStrategy(newton, Augmentation(problem)), newton.unknowns()
     problem.set_time(0.25, default=RAMP)
     assert retry.solve([("", start)]).converged
     lam = problem.contact_pairs[0].lam.x.array

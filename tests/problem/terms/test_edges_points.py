@@ -239,7 +239,7 @@ def test_energy_of_springs_on_edges_and_points(degree: int) -> None:
     ]
     problem = Problem(bar(), LAW, supports=springs, degree=degree)
     moved(problem, 0.01)
-    energy = problem.weak_form.spring_energy
+    energy = problem.weak_form.stored("springs")
     assert energy is not None
     (form,) = compile_forms(problem.body.comm, [energy], options(problem.body.comm))
     found = problem.body.comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM)

@@ -27,7 +27,7 @@ from dolfin_elastic import (
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.supports.displacement import Restraint
-from dolfin_elastic.problem.terms.term import Blocks, Term
+from dolfin_elastic.problem.term import Blocks, Term
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 
@@ -44,7 +44,7 @@ class Couplings(Term):
         number: Another one chooses other nodes.
     """
 
-    label, linear = "couplings", True
+    label, nodal, restrains = "couplings", True, True
 
     def __init__(self, problem: Problem, number: int = 0) -> None:
         self._problem, self._dim = problem, problem.body.dim

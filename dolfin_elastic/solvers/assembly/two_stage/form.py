@@ -26,7 +26,7 @@ from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArra
 from dolfin_elastic.model.kinematics import variables
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.terms.term import Blocks
+from dolfin_elastic.problem.term import Blocks
 from dolfin_elastic.problem.weak_form import UNUSED
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, Conditions
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks

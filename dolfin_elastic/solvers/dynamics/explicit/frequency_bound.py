@@ -14,6 +14,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.kinematics import variables
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.term import forms_of
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 
 
@@ -55,8 +56,7 @@ class FrequencyBound:
             for part in problem.regions
         )
         self._form = compiled(problem, [stiff])[0]
-        bounds = [spring.bound(problem.context) for spring in problem.springs]
-        bounds += [pair.bound for pair in problem.contact_pairs]
+        bounds = forms_of(problem.terms, "bound")
         self._penalty_rows = rows_over_mass(assembler, bounds, mass)[::d]
 
     @staticmethod

@@ -17,6 +17,7 @@ from dolfin_elastic.core.startup.slepc import SLEPc
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.term import forms_of
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.negative_curvature import start_vector
 from dolfin_elastic.solvers.dynamics.explicit.frequency_bound import (
@@ -93,13 +94,14 @@ class StepSize:
     ) -> None:
         self._problem, self._assembler, self._mass = problem, assembler, mass
         self._chosen = chosen
-        self._contact = bool(problem.contact_pairs)
+        self._contact = any(term.opens for term in problem.terms)
         self._safety = min(safety, RESONANCE) if self._contact else safety
         self.bound = (
             FrequencyBound(problem, assembler, mass) if FrequencyBound.applies(problem) else None
         )
-        self._drag = self._largest_row([d.bound(problem.context) for d in problem.dashpots])
-        contact_rates = self._largest_row([pair.bound for pair in problem.contact_pairs])
+        self._drag = self._largest_row(forms_of(problem.terms, "drag"))
+        opening = [term for term in problem.terms if term.opens]
+        contact_rates = self._largest_row(forms_of(opening, "bound"))
         self.contact_limit = np.sqrt(CONTACT / contact_rates) if contact_rates else np.inf
         self._nodal_bounds = fem.Function(problem.V)
         self._places = slice(0, assembler.size, problem.body.dim)
@@ -240,7 +242,7 @@ class StepSize:
             self._confirm(step, t)
         change = abs(self.stable / before - 1) if np.isfinite(before) else 0.0
         factor = 2.0 if change < 0.01 else 0.5 if change > 0.03 else 1.0
-        most = CHECKS_IN_CONTACT if self._problem.contact_pairs else CHECKS[1]
+        most = CHECKS_IN_CONTACT if self._contact else CHECKS[1]
         self._interval = int(np.clip(factor * self._interval, CHECKS[0], most))
         self.next_check = step + self._interval
 
