@@ -23,13 +23,13 @@ _CODES = {
     "OutputError": "4",
     "DrawingError": "4",
     "StoppedError": "130",
-    "Offence": "0 or 5",
+    "Violation": "0 or 5",
     "warning": "0",
 }
-"""Exit codes that are not 2; the run goes on beside an offence, which is what an audit finds."""
+"""Exit codes that are not 2; the run goes on beside an violation, which is what an audit finds."""
 _KINDS = re.compile(
     r"(Input|Mesh|Unit|Case|Solve|Convergence|Stability|Output|Drawing|Restart|Formula|Stopped)Error"
-    "|Offence|UnusedKeys"
+    "|Violation|UnusedKeys"
 )
 CLICK = (
     "Missing argument '…'.",
@@ -127,7 +127,7 @@ def _functions() -> Iterator[_Function]:
         path: ast.parse(text)
         for path in sorted((ROOT / "dolfin_elastic").rglob("*.py"))
         if re.search(
-            r"Error\(|Offence\(|UnusedKeys\(|raise |log.warning|note|touching",
+            r"Error\(|Violation\(|UnusedKeys\(|raise |log.warning|note|touching",
             text := path.read_text(encoding="utf-8"),
         )
     }

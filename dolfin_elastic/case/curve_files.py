@@ -36,12 +36,12 @@ def with_curves(case: R, folder: Path) -> R:
     """
     read: dict[str, Any] = {}
     for key in CURVED:
-        found = getattr(case, key)
-        if isinstance(found, list):
-            rows = [_with_curve(row, f"{key}[{i}].curve", folder) for i, row in enumerate(found)]
-            if rows != found:
+        curve = getattr(case, key)
+        if isinstance(curve, list):
+            rows = [_with_curve(row, f"{key}[{i}].curve", folder) for i, row in enumerate(curve)]
+            if rows != curve:
                 read[key] = rows
-        elif found is not None and (table := _with_curve(found, f"{key}.curve", folder)) != found:
+        elif curve is not None and (table := _with_curve(curve, f"{key}.curve", folder)) != curve:
             read[key] = table
     return case.model_copy(update=read) if read else case
 
@@ -52,16 +52,16 @@ def has_curve_files(case: Record) -> bool:
     Args:
         case: A record with the keys `CURVED`.
     """
-    found = [getattr(case, key) for key in CURVED]
-    rows = [row for table in found for row in (table if isinstance(table, list) else [table])]
+    curve = [getattr(case, key) for key in CURVED]
+    rows = [row for table in curve for row in (table if isinstance(table, list) else [table])]
     return any(_unread(row) is not None for row in rows)
 
 
 def _unread(row: object) -> Amplitude | None:
     """The curve of a table whose file is still to be read."""
     curve = getattr(row, "curve", None)
-    found = isinstance(curve, Amplitude) and curve.source is not None and not curve.rows
-    return curve if found else None
+    is_unread = isinstance(curve, Amplitude) and curve.source is not None and not curve.rows
+    return curve if is_unread else None
 
 
 def _with_curve(row: R, where: str, folder: Path) -> R:

@@ -70,27 +70,27 @@ def _loads(case: Case, body: Body, sums: Sequence[LoadSum]) -> Iterator[Glyphs]:
         if some.any():
             along = along[some] / size[some, None]
             tails = np.einsum("ij,ij->i", along, normals[some]) > _PUSHING
-            places = x[some] + _OFF * max(extent(body)) * normals[some]
-            yield Glyphs(f"load {k}", label, True, places, along, tails, _COLOURS[1], inside)
+            coordinates = x[some] + _OFF * max(extent(body)) * normals[some]
+            yield Glyphs(f"load {k}", label, True, coordinates, along, tails, _COLOURS[1], inside)
 
 
 def _on_parts(body: Body, names: Sequence[str]) -> FloatArray:
     """Places on surfaces, edges and points, and normals or zeros, shape (n, 6). Collective."""
-    found: list[FloatArray] = [np.zeros((0, 6))]
+    result: list[FloatArray] = [np.zeros((0, 6))]
     for name in names:
         if name in body.surfaces:
             prepare_facets(body.mesh)
             facets = body.owned_facets(name)
             inner = np.full((1, body.dim - 1), 1.0 / body.dim)
             x = facet_points(body.mesh, facets, inner)[0][:, 0]
-            found.append(_spread(body, np.hstack([x, outward_normals(body.mesh, facets)])))
+            result.append(_spread(body, np.hstack([x, outward_normals(body.mesh, facets)])))
         else:
             for kind in ("edge", "point"):
                 if name in body.parts[kind]:
                     x = points_of(body, kind, [name], 1).X.reshape(-1, body.dim)
-                    found.append(_spread(body, np.hstack([x, np.zeros_like(x)])))
+                    result.append(_spread(body, np.hstack([x, np.zeros_like(x)])))
                     break
-    return np.concatenate(found)
+    return np.concatenate(result)
 
 
 def _spread(body: Body, rows: FloatArray) -> FloatArray:
@@ -100,18 +100,18 @@ def _spread(body: Body, rows: FloatArray) -> FloatArray:
     they are the same on any number of ranks: T. F. Gonzalez, TCS 38 (1985) 293.
     """
     comm, d, x = body.comm, body.dim, rows[:, : body.dim]
-    size, away, found = max(extent(body)), np.full(len(rows), np.inf), list[list[float]]()
-    while len(found) < SAMPLES:
+    size, away, result = max(extent(body)), np.full(len(rows), np.inf), list[list[float]]()
+    while len(result) < SAMPLES:
         far = largest_row(comm, away, lambda some: x[some], least=_SAME * size)
         if far is None or far.value <= _SAME * size:
             break
         row = comm.bcast(rows[far.row].tolist() if comm.rank == far.rank else None, far.rank)
         away = np.minimum(away, np.linalg.norm(x - np.array(row[:d]), axis=1))
         wide = [0.0] * (3 - d)
-        found.append(
+        result.append(
             [_plain(v, size) for v in row[:d]] + wide + [_plain(v, 1.0) for v in row[d:]] + wide
         )
-    return np.array(found).reshape(-1, 6)
+    return np.array(result).reshape(-1, 6)
 
 
 def _plain(value: float, size: float) -> float:
@@ -125,8 +125,8 @@ def _intensity(
     """Force per area at places of surfaces at the end; as given where it is not known. Local."""
     d = body.dim
     time = case.final_load if case.dynamics is None else case.dynamics.end
-    found = load.intensity(LoadPoints(rows[:, :d], time, N=rows[:, 3 : 3 + d]))
-    return along if found is None else np.pad(found, ((0, 0), (0, 3 - d)))
+    intensity = load.intensity(LoadPoints(rows[:, :d], time, N=rows[:, 3 : 3 + d]))
+    return along if intensity is None else np.pad(intensity, ((0, 0), (0, 3 - d)))
 
 
 def _middle(body: Body, load: Load) -> FloatArray:

@@ -67,7 +67,7 @@ def read_constants(words: Sequence[str]) -> dict[str, object]:
     Raises:
         InputError: A word is no option, or an option has no value.
     """
-    found: dict[str, object] = {}
+    result: dict[str, object] = {}
     rest = list(words)
     while rest:
         word = rest.pop(0)
@@ -76,8 +76,8 @@ def read_constants(words: Sequence[str]) -> dict[str, object]:
             raise CaseError(f"'{word}' is no option", expected="write --E '10 MPa'")
         if not equals and not rest:
             raise CaseError(f"--{name} has no value", expected=f"write --{name} VALUE")
-        found[name] = _value(name, value if equals else rest.pop(0))
-    return found
+        result[name] = _value(name, value if equals else rest.pop(0))
+    return result
 
 
 def _value(name: str, text: str) -> object:
@@ -137,7 +137,7 @@ def _parameters(kind: type[Law]) -> dict[str, str]:
 # --- what is written ---
 
 
-def write(name: str, found: MaterialReport, folder: Path) -> list[Path]:
+def write(name: str, report: MaterialReport, folder: Path) -> list[Path]:
     """Writes a CSV file for each curve, and one picture of all. Not collective.
 
     Args:
@@ -152,12 +152,12 @@ def write(name: str, found: MaterialReport, folder: Path) -> list[Path]:
     """
     make_folder(folder)
     paths = []
-    for mode, curve in found.curves.items():
+    for mode, curve in report.curves.items():
         paths.append(folder / f"{_file_name(name)}_{mode}.csv")
         replace_text(paths[-1], table(curve))
-    if found.curves:
+    if report.curves:
         paths.append(folder / f"{_file_name(name)}.png")
-        _draw(name, found, paths[-1])
+        _draw(name, report, paths[-1])
     return paths
 
 
@@ -186,7 +186,7 @@ def table(curve: ResponseCurve) -> str:
 
 
 @plain_matplotlib()
-def _draw(name: str, found: MaterialReport, path: Path) -> None:
+def _draw(name: str, report: MaterialReport, path: Path) -> None:
     """One picture of all curves."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -194,10 +194,12 @@ def _draw(name: str, found: MaterialReport, path: Path) -> None:
     figure = Figure(figsize=(11, 6.4), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 3).ravel()
-    for axis, curve in zip(axes, found.curves.values(), strict=False):
+    for axis, curve in zip(axes, report.curves.values(), strict=False):
         _panel(axis, curve)
     axes[-1].axis("off")
-    lines = [f"{f.check}: {f.text}" for f in found.findings if f.check.startswith(("ell", "small"))]
+    lines = [
+        f"{f.check}: {f.text}" for f in report.findings if f.check.startswith(("ell", "small"))
+    ]
     axes[-1].text(0, 1, "\n".join([f"{name}", *lines]), va="top", fontsize=8, wrap=True)
     draft = path.with_name(f".{path.stem}.part{path.suffix}")
     with writing(path):

@@ -40,7 +40,7 @@ def model_record(
             "information": list(body.information),
             "fields": sorted(body.fields),
         },
-        "parts": {name: found for name in sorted(names) if (found := _part(body, name))},
+        "parts": {name: part for name in sorted(names) if (part := _part(body, name))},
         "loads": [asdict(row) for row in sums],
         "glyphs": [one.plain() for one in glyphs_of(case, body, sums)],
         "warnings": list(notes),

@@ -131,14 +131,14 @@ def unfinished(
     path = Path(folder)
     on_root(comm, lambda: _check_folder(path))
     latest = on_root(comm, lambda: last_step(path))
-    found = newest_checkpoint(comm, path)
-    if found is None:
+    checkpoint = newest_checkpoint(comm, path)
+    if checkpoint is None:
         raise RestartError(
             "all its checkpoints are damaged", where=str(path), expected="compute the case anew"
         )
     copy = path / FOLDER / CASE
-    text = on_root(comm, lambda: _case_text(path, found.content))
-    if digest(text) != found.content["case"]:
+    text = on_root(comm, lambda: _case_text(path, checkpoint.content))
+    if digest(text) != checkpoint.content["case"]:
         raise RestartError(
             "this is not the case of the checkpoint any more",
             where=str(copy),
@@ -158,10 +158,10 @@ def unfinished(
             expected="the same case, or compute it anew",
         )
     if written is not None and case is None:
-        _warn_if_changed(written, found.content["file"], comm)
+        _warn_if_changed(written, checkpoint.content["file"], comm)
     known = case or written
     assert known is not None
-    return Unfinished(known, path, found, latest)
+    return Unfinished(known, path, checkpoint, latest)
 
 
 def _case_text(folder: Path, content: Mapping[str, Any]) -> str:

@@ -53,7 +53,7 @@ from dolfin_elastic.problem.state import (
     restoring,
 )
 from dolfin_elastic.results.checkpoint.checkpoints import Checkpoints
-from dolfin_elastic.results.checkpoint.lock import FolderLock
+from dolfin_elastic.results.checkpoint.lock import FolderLease
 from dolfin_elastic.results.outputs import FORMATS, History, Modes, Summary, Xdmf
 from dolfin_elastic.results.writer import ModeWriter, Output, Writer
 from dolfin_elastic.results.writers.modes import clear as clear_modes
@@ -168,7 +168,7 @@ class _Run:
         Args:
             before: The run that is continued; None: from the start.
         """
-        with closing(FolderLock(self.comm, self.folder, self.case.output.names())) as lock:
+        with closing(FolderLease(self.comm, self.folder, self.case.output.names())) as lock:
             lock.acquire()  # before computing, if the folder exists; else in `_write_all`
             if before is not None:
                 before.check_newest()
@@ -176,7 +176,7 @@ class _Run:
                 remove_stop_file(self.folder)
             yield from self._states(before, lock)
 
-    def _states(self, before: Unfinished | None, lock: FolderLock) -> States:
+    def _states(self, before: Unfinished | None, lock: FolderLease) -> States:
         timing.begin()
         with timing.stage("mesh"):
             body = self.case.read_body(self.comm)
@@ -205,7 +205,7 @@ class _Run:
         steps: States,
         checkpoints: _RunCheckpoints,
         before: Unfinished | None,
-        lock: FolderLock,
+        lock: FolderLease,
     ) -> States:
         """Yields what the solver yields, after it is written to all outputs. Collective."""
         probe = self.case.output.make_probe(problem)

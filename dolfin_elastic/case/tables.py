@@ -487,13 +487,13 @@ class Output(Record):
             p if p.title is not None else p.model_copy(update={"title": title})
             for p in self.pictures
         ]
-        found: list[File] = []
+        result: list[File] = []
         if states:
-            found = [*(FORMATS[name].of(keys) for name in self.formats), History()]
+            result = [*(FORMATS[name].of(keys) for name in self.formats), History()]
         if not modes:
-            return [*found, *pictures, Summary()]
+            return [*result, *pictures, Summary()]
         drawn = [ModePicture(**{**table_of(p), "amplitude": self.amplitude}) for p in pictures]
-        return [*found, Modes(frames=self.frames, amplitude=self.amplitude), *drawn, Summary()]
+        return [*result, Modes(frames=self.frames, amplitude=self.amplitude), *drawn, Summary()]
 
     def names(self) -> list[str]:
         """Names of files that the case gives its results."""

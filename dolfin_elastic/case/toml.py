@@ -201,11 +201,11 @@ def _syntax(message: str, text: str) -> str:
         message: What `tomllib` says.
         text: The file.
     """
-    found = re.fullmatch(r"(.*?) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
-    if not found:
+    match = re.fullmatch(r"(.*?) \(at line (\d+), column (\d+)\)", message, re.DOTALL)
+    if not match:
         what, _, where = message.partition(" (")
         return f"{_PLAINER.get(what, what[:1].lower() + what[1:])} ({where}".removesuffix(" (")
-    what, line, column = found[1], int(found[2]), int(found[3])
+    what, line, column = match[1], int(match[2]), int(match[3])
     if twice := re.fullmatch(r"Cannot declare \((.*?),?\) twice", what):
         key = twice[1].replace("'", "").replace(", ", ".")
         what = f"[{key}] stands here for the second time"
@@ -214,7 +214,7 @@ def _syntax(message: str, text: str) -> str:
     if re.search(r"\d$", shown[: column - 1]) and re.match(r",\d", shown[column - 1 :]):
         what = "a decimal point is needed in place of the comma"
     elif (
-        found[1] == "Unclosed array"
+        match[1] == "Unclosed array"
         and _VALUE.match(shown[column - 1 :])
         and not _BEGIN.match(shown)
     ):

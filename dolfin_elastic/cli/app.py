@@ -176,16 +176,16 @@ def check(
     collect_garbage()
     interrupt_on_request()
     log_to_screen(comm.rank, logging.ERROR)  # warnings are among the report's notes
-    found = report(read_case(case, comm=comm, trust=trust), comm=comm)
+    result = report(read_case(case, comm=comm, trust=trust), comm=comm)
     if comm.rank == 0 and json:
         from dataclasses import asdict
         from json import dumps
 
-        print(dumps(asdict(found), indent=2))
+        print(dumps(asdict(result), indent=2))
     elif comm.rank == 0:
         from dolfin_elastic.cli.console_check import show_check
 
-        show_check(found)
+        show_check(result)
 
 
 app.command(cls=Verb)(look)
@@ -210,8 +210,8 @@ def info() -> None:
     from dolfin_elastic.cli.console import show_versions
     from dolfin_elastic.cli.info import describe
 
-    found, advice = describe()
-    show_versions(found)
+    versions, advice = describe()
+    show_versions(versions)
     for line in advice if launched_rank() == 0 else ():
         print(f"warning: {line}", file=sys.stderr)
 

@@ -345,13 +345,13 @@ def show_end(
 
 def extreme_lines(summary: Mapping[str, Any]) -> list[str]:
     """Largest von Mises stress and smallest safety factor at the end of a motion, with places."""
-    found, lines = summary.get("extremes", {}), []
-    if (stress := found.get("von_mises")) and stress["value"]:
+    extremes, lines = summary.get("extremes", {}), []
+    if (stress := extremes.get("von_mises")) and stress["value"]:
         factor, unit = stress_unit(stress["value"])
         lines.append(
             f"largest von Mises stress  {stress['value'] / factor:.3g} {unit} {_at(stress)}"
         )
-    if safety := found.get("safety_factor"):
+    if safety := extremes.get("safety_factor"):
         lines.append(f"smallest safety factor    {safety['value']:.3g} {_at(safety)}")
     return lines
 
@@ -386,15 +386,15 @@ def _end_rows(state: State, motion: bool, most: float = 0.0) -> list[tuple[str, 
 
 def _section_rows(state: State, largest: float) -> list[tuple[str, str]]:
     """Forces and moments across sections."""
-    found: dict[tuple[str, str], list[float]] = {}
+    result: dict[tuple[str, str], list[float]] = {}
     for column, value in state.numbers.items():
         for kind, unit in (("force", "N"), ("moment", "N m")):
             if column.startswith(head := f"section_{kind}_"):
                 name = column.removeprefix(head).rpartition("_")[0]
-                found.setdefault((f"{kind} at {name}", unit), []).append(value)
+                result.setdefault((f"{kind} at {name}", unit), []).append(value)
     return [
         (label, f"{vector_text(values, largest if unit == 'N' else 0.0)} {unit}")
-        for (label, unit), values in found.items()
+        for (label, unit), values in result.items()
     ]
 
 
@@ -412,10 +412,10 @@ def _force_scale(state: State) -> float:
 
 def audit_rows(state: State) -> list[tuple[str, str]]:
     """The worst of each check of a run, a failure first, or that all have passed."""
-    found = state.audit.so_far or ("pass",) if state.audit is not None else ()
+    reasons = state.audit.so_far or ("pass",) if state.audit is not None else ()
     if not state.failure:
-        return [("audit", reason) for reason in found]
-    return [("audit FAIL", state.failure), *(("audit", reason) for reason in found[1:])]
+        return [("audit", reason) for reason in reasons]
+    return [("audit FAIL", state.failure), *(("audit", reason) for reason in reasons[1:])]
 
 
 def vector_text(vector: Iterable[float], largest: float = 0.0) -> str:
@@ -476,8 +476,8 @@ def show_restart(folder: Path) -> None:
         print(f"to go on after step {step}: dolfin-elastic restart {folder}")
 
 
-def show_versions(found: Mapping[str, object]) -> None:
+def show_versions(versions: Mapping[str, object]) -> None:
     """Prints name and value, one a line."""
-    width = max(map(len, found))
-    for name, value in found.items():
+    width = max(map(len, versions))
+    for name, value in versions.items():
         print(f"{name:<{width}}  {value}")

@@ -70,11 +70,11 @@ def _head(report: Report) -> list[tuple[str, str]]:
 
 def _extent(report: Report) -> str:
     """In metres, as all that follows, and as the mesh has it."""
-    found = f"{' x '.join(f'{side:.4g}' for side in report.extent)} m"
+    extent = f"{' x '.join(f'{side:.4g}' for side in report.extent)} m"
     if report.unit != "m" and report.unit in LENGTHS:
         own = (f"{side / LENGTHS[report.unit]:.4g}" for side in report.extent)
-        found += f" ({' x '.join(own)} {report.unit})"
-    return found
+        extent += f" ({' x '.join(own)} {report.unit})"
+    return extent
 
 
 def _body(body: FreeBody, bodies: int) -> str:

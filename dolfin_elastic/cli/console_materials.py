@@ -36,12 +36,12 @@ def _plain(value: object) -> object:
     return value
 
 
-def report_table(found: MaterialReport) -> dict[str, object]:
+def report_table(report: MaterialReport) -> dict[str, object]:
     """The tests of a material as plain values, for scripts."""
     return {
-        "passed": not found.failed,
-        "findings": [asdict(f) for f in found.findings],
-        "notes": list(found.notes),
+        "passed": not report.failed,
+        "findings": [asdict(f) for f in report.findings],
+        "notes": list(report.notes),
         "curves": {
             name: {
                 curve.mode.symbol: curve.values.tolist(),
@@ -49,12 +49,12 @@ def report_table(found: MaterialReport) -> dict[str, object]:
                 "J": curve.J.tolist(),
                 "energy": curve.energy.tolist(),
             }
-            for name, curve in found.curves.items()
+            for name, curve in report.curves.items()
         },
     }
 
 
-def show_report(screen: Screen, name: str, found: MaterialReport, files: Sequence[Path]) -> None:
+def show_report(screen: Screen, name: str, report: MaterialReport, files: Sequence[Path]) -> None:
     """Prints the tests of one material.
 
     Args:
@@ -65,23 +65,23 @@ def show_report(screen: Screen, name: str, found: MaterialReport, files: Sequenc
     table = Table("check", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("")
     table.add_column("what was found")
-    for finding in found.findings:
+    for finding in report.findings:
         table.add_row(finding.check, _MARKS[finding.verdict], finding.text)
     screen.print(table)
-    if found.curves:
-        screen.print(_curves(found))
-    for note in found.notes:
+    if report.curves:
+        screen.print(_curves(report))
+    for note in report.notes:
         screen.tell(f"note: {note}")
     if files:
         screen.print(f"written: {files[0].parent}: {', '.join(f.name for f in files)}")
 
 
-def _curves(found: MaterialReport) -> Table:
+def _curves(report: MaterialReport) -> Table:
     """A table of the nominal stress at both ends of each curve."""
     table = Table("curve", box=SIMPLE_HEAD, pad_edge=False)
     for head in ("from", "stress [Pa]", "to", "stress [Pa]", "J there"):
         table.add_column(head, justify="right")
-    for name, curve in found.curves.items():
+    for name, curve in report.curves.items():
         stress = curve.P[:, *curve.mode.shown]
         first, last = f"{curve.values[0]:.4g}", f"{curve.values[-1]:.4g}"
         ends = (f"{stress[0]:.4g}", f"{stress[-1]:.4g}")

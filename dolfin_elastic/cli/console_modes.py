@@ -53,13 +53,14 @@ def show_modes(modes: Sequence[Mode], seconds: Mapping[str, float]) -> None:
 
 def _axis_points(modes: Sequence[Mode]) -> list[str]:
     """Points of the axes of rigid rotations, as lines of their own: too wide for the table."""
-    found: dict[str, list[str]] = {}
+    result: dict[str, list[str]] = {}
     for mode in modes[:SHOWN]:
         _, through, place = mode.name.partition(THROUGH)
         if through:
-            found.setdefault(place, []).append(str(mode.number))
+            result.setdefault(place, []).append(str(mode.number))
     return [
-        f"axes of modes {', '.join(numbers)} go through {place}" for place, numbers in found.items()
+        f"axes of modes {', '.join(numbers)} go through {place}"
+        for place, numbers in result.items()
     ]
 
 

@@ -25,7 +25,7 @@ def describe() -> tuple[dict[str, str], list[str]]:
     threads = os.environ.get("OMP_NUM_THREADS", "")
     if threads != "1" and MPI.COMM_WORLD.size > 1:
         advice.append("set OMP_NUM_THREADS=1, so that ranks do not compete for cores")
-    found = {
+    versions = {
         "dolfin-elastic": __version__,
         "dolfinx": dolfinx.cpp.__version__,
         "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
@@ -39,7 +39,7 @@ def describe() -> tuple[dict[str, str], list[str]]:
         "mumps": "yes" if _has_mumps() else "no",
         "compiled forms": str(cache_folder()),
     }
-    return found, advice
+    return versions, advice
 
 
 def _has_mumps() -> bool:

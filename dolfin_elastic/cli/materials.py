@@ -87,13 +87,13 @@ def _test_materials(
     laws, tables, failed = read_laws(what, constants, only), {}, ""
     for name, law in laws.items():
         with locate_errors(what if name == what else f"{what}: materials.{name}"):
-            found = material_report(law, largest=stretch)
-        files = write(name, found, output) if output else []
-        tables[name] = report_table(found)
+            report = material_report(law, largest=stretch)
+        files = write(name, report, output) if output else []
+        tables[name] = report_table(report)
         if not json:
-            show_report(console(), name, found, files)
-        if found.failed:
-            failed = failed or f"{name}: {found.failed[0].check}: {found.failed[0].text}"
+            show_report(console(), name, report, files)
+        if report.failed:
+            failed = failed or f"{name}: {report.failed[0].check}: {report.failed[0].text}"
     if json:
         print(as_json(tables))
     if failed:

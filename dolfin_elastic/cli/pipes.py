@@ -26,7 +26,7 @@ _COMMANDS = re.compile(
 
 def printable(text: str) -> str:
     r"""The text with control characters as JSON writes them, ``\\u001b``: JSON stays JSON."""
-    return _COMMANDS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+    return _COMMANDS.sub(lambda value: f"\\u{ord(value[0]):04x}", text)
 
 
 def guard_output() -> None:

@@ -108,10 +108,10 @@ def restart(
 
     shown = _Shown(quiet=quiet or json, verbose=verbose, json=json, profile=profile)
     comm = begin(shown.quiet, verbose=verbose)
-    found = unfinished(folder, comm=comm, trust=trust)
-    logging.getLogger("dolfin_elastic").info("%s", found.message())
-    shown.since = found.step
-    _compute(found.case, folder, partial(restart_case, found, petsc=options), shown, comm)
+    checkpoint = unfinished(folder, comm=comm, trust=trust)
+    logging.getLogger("dolfin_elastic").info("%s", checkpoint.message())
+    shown.since = checkpoint.step
+    _compute(checkpoint.case, folder, partial(restart_case, checkpoint, petsc=options), shown, comm)
 
 
 def begin(quiet: bool, *, verbose: bool = False) -> MPI.Comm:
@@ -210,10 +210,10 @@ def _show_extremes(folder: Path) -> None:
 def _written(folder: Path) -> tuple[int, int] | None:
     """What changes whenever a summary is written; None where there is none."""
     try:
-        found = (folder / "summary.json").stat()
+        status = (folder / "summary.json").stat()
     except OSError:
         return None
-    return found.st_ino, found.st_mtime_ns
+    return status.st_ino, status.st_mtime_ns
 
 
 def _summary(folder: Path) -> str:
@@ -278,13 +278,13 @@ def _progress_display(motion: bool, visible: bool, *, verbose: bool) -> Progress
         return console.NoProgress()
     handlers = logging.getLogger("dolfin_elastic").handlers
     handler = next((one for one in handlers if isinstance(one, console.LogHandler)), None)
-    found: ProgressDisplay = console.ProgressLines(motion)
+    display: ProgressDisplay = console.ProgressLines(motion)
     if handler is not None and handler.screen.is_terminal and sys.stdout.isatty():
-        found = console.ProgressBar(motion, handler.screen)
+        display = console.ProgressBar(motion, handler.screen)
         handler.print_above_bar()
     if handler is not None and not verbose:
-        handler.show_searches(found)
-    return found
+        handler.show_searches(display)
+    return display
 
 
 def _show_profile(comm: MPI.Comm) -> None:

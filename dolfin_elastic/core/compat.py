@@ -96,8 +96,8 @@ def adjacency(rows: IndexArray) -> Any:
     Args:
         rows: Shape (n, links).
     """
-    found = adjacencylist(rows)
-    return getattr(found, "_cpp_object", found)
+    lists = adjacencylist(rows)
+    return getattr(lists, "_cpp_object", lists)
 
 
 def column_map(pattern: cpp.la.SparsityPattern) -> cpp.common.IndexMap:

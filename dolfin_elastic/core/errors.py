@@ -203,17 +203,17 @@ def why_no_file(path: str | Path, most: int) -> str:
         most: Bytes that it may have.
     """
     try:
-        found = os.stat(path)
+        status = os.stat(path)
     except FileNotFoundError:
         return ""
     except ValueError:
         return "a name cannot contain the character NUL"
     except OSError as error:
         return f"it cannot be read: {os.strerror(error.errno or 0).lower()}"
-    if stat.S_ISREG(found.st_mode):
-        return f"it has {found.st_size} bytes, more than {most}" if found.st_size > most else ""
+    if stat.S_ISREG(status.st_mode):
+        return f"it has {status.st_size} bytes, more than {most}" if status.st_size > most else ""
     kinds = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFDIR: "a folder"}
-    return f"this is {kinds.get(stat.S_IFMT(found.st_mode), 'a device')}, not a file"
+    return f"this is {kinds.get(stat.S_IFMT(status.st_mode), 'a device')}, not a file"
 
 
 SHOWN = "DOLFIN_ELASTIC_SHOWN"

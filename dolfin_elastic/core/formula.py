@@ -110,9 +110,9 @@ class Formula:
 
         These are denominators, bases of powers and, of a tangent, the cosine of its argument.
         """
-        found = {repr(p): p for tree in _divisors(self._tree) for p in _parts(tree)}
+        result = {repr(p): p for tree in _divisors(self._tree) for p in _parts(tree)}
         return tuple(
-            Formula(self.text, names, tree) for tree in found.values() if (names := _names(tree))
+            Formula(self.text, names, tree) for tree in result.values() if (names := _names(tree))
         )
 
     def ufl(self, **values: Expr | float) -> Expr | float:

@@ -83,8 +83,8 @@ class Lease:
     def owner(self) -> dict[str, str]:
         """Who has it: pid, host and since (a date); empty if that is unknown."""
         with suppress(OSError, ValueError, KeyError, TypeError):
-            found = json.loads(read_regular(self._file, 4096))
-            return {key: str(found[key]) for key in ("pid", "host", "since")}
+            content = json.loads(read_regular(self._file, 4096))
+            return {key: str(content[key]) for key in ("pid", "host", "since")}
         return {}
 
     def _taken(self) -> bool:

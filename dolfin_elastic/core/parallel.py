@@ -40,8 +40,8 @@ def agree(comm: MPI.Comm, error: Exception | None) -> None:
         Exception: The error of the lowest rank that has one.
     """
     error = _sendable(error)
-    found = comm.allgather(error)
-    first = next((e for e in found if e is not None), None)
+    errors = comm.allgather(error)
+    first = next((e for e in errors if e is not None), None)
     if first is not None:
         raise error if error is first else first
 
@@ -113,14 +113,14 @@ def smallest(comm: MPI.Comm, value: float) -> float:
     return float(comm.allreduce(value, op=MPI.MIN))
 
 
-def first_of(comm: MPI.Comm, mine: Iterable[T]) -> T | None:
+def first_of(comm: MPI.Comm, local: Iterable[T]) -> T | None:
     """Least item of all ranks, None if there are none. Collective.
 
     Args:
         comm: The ranks.
-        mine: This rank's items, which can be compared and pickled.
+        local: This rank's items, which can be compared and pickled.
     """
-    own = min(mine, default=None)  # type: ignore[type-var]
+    own = min(local, default=None)  # type: ignore[type-var]
     return min((one for one in comm.allgather(own) if one is not None), default=None)
 
 
@@ -179,11 +179,11 @@ def largest_row(
     near = max(EQUAL * abs(top - about), least) if np.isfinite(top) else 0.0
     rows = np.flatnonzero(known >= top - near if near else known == top)
     x = np.asarray(places(rows)) if len(rows) else np.empty((0, 1))
-    mine = None
+    local = None
     if len(rows):
         best = _nearest_to_origin(x)
-        mine = (tuple(float(a) for a in x[best]), comm.rank, int(rows[best]))
-    every = [one for one in comm.allgather(mine) if one is not None]
+        local = (tuple(float(a) for a in x[best]), comm.rank, int(rows[best]))
+    every = [one for one in comm.allgather(local) if one is not None]
     place, rank, row = every[_nearest_to_origin(np.array([one[0] for one in every]))]
     return LargestRow(top, rank, row, place)
 
@@ -223,14 +223,14 @@ class RankExchange:
 
     def send_back(self, rows: AnyArray) -> AnyArray:
         """Sends received rows back, into their order before `send`. Collective."""
-        found = self._exchange(np.ascontiguousarray(rows), self._received, self._sent)
-        put = np.empty_like(found)
-        put[self._order] = found
+        result = self._exchange(np.ascontiguousarray(rows), self._received, self._sent)
+        put = np.empty_like(result)
+        put[self._order] = result
         return put
 
     def _exchange(self, rows: AnyArray, sent: IntArray, received: IntArray) -> AnyArray:
         columns = rows.shape[1]
-        found = np.empty((int(received.sum()), columns), dtype=rows.dtype)
+        result = np.empty((int(received.sum()), columns), dtype=rows.dtype)
         given = [rows, (sent * columns).tolist()]
-        self._comm.Alltoallv(given, [found, (received * columns).tolist()])
-        return found
+        self._comm.Alltoallv(given, [result, (received * columns).tolist()])
+        return result

@@ -209,13 +209,13 @@ def _written(given: object, fault: ErrorDetails) -> object:
     """
     if not isinstance(fault["input"], float):
         return fault["input"]
-    found = given
+    result = given
     for part in fault["loc"]:
-        if isinstance(found, list | tuple):
-            found = dict(enumerate(found))
-        if isinstance(found, Mapping):
-            found = found.get(part, found)
-    return found if isinstance(found, str) else fault["input"]
+        if isinstance(result, list | tuple):
+            result = dict(enumerate(result))
+        if isinstance(result, Mapping):
+            result = result.get(part, result)
+    return result if isinstance(result, str) else fault["input"]
 
 
 def _inner(fault: ErrorDetails) -> object:
@@ -232,9 +232,9 @@ def within(path: str, error: InputError) -> InputError:
     return type(error)(error.what, where=path + joint + error.where, expected=error.expected)
 
 
-def _rank(found: tuple[str, ErrorDetails]) -> int:
+def _rank(error: tuple[str, ErrorDetails]) -> int:
     # What was written and is wrong comes before what is only missing.
-    return int(found[1]["type"] == "missing")
+    return int(error[1]["type"] == "missing")
 
 
 LONGEST_QUOTED = 60

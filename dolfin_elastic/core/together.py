@@ -150,9 +150,9 @@ def _leave_together(comm: MPI.Comm) -> None:
         MPI.COMM_WORLD.Abort(1)
 
 
-def _ask(comm: MPI.Comm, mine: int, patience: float = math.inf) -> tuple[int, int] | None:
+def _ask(comm: MPI.Comm, local: int, patience: float = math.inf) -> tuple[int, int] | None:
     """Least and largest answer of all ranks; None if they do not all answer in time [s]."""
-    sent, got = np.array([mine, -mine]), np.zeros(2, dtype=int)
+    sent, got = np.array([local, -local]), np.zeros(2, dtype=int)
     request = comm.Iallreduce(sent, got, op=MPI.MAX)
     if not _ends(request, patience):
         return None
@@ -171,10 +171,10 @@ def _ends(request: MPI.Request, patience: float) -> bool:
     return False
 
 
-def _raise_if_different(answers: tuple[int, int] | None, mine: int) -> None:
+def _raise_if_different(answers: tuple[int, int] | None, local: int) -> None:
     if answers is not None and answers[1] == _FAILS:
         time.sleep(PATIENCE)  # the rank that fails shows why, and ends this one
-    if answers != (mine, mine):
+    if answers != (local, local):
         raise RuntimeError(
             "another rank has left the loop over the states: all ranks must leave it together"
         )

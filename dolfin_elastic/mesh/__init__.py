@@ -45,6 +45,6 @@ __all__ = sorted(_WHERE)  # noqa: PLE0605
 def __getattr__(name: str) -> Any:
     if name not in _WHERE:
         raise AttributeError(f"module 'dolfin_elastic.mesh' has no attribute '{name}'")
-    found = getattr(import_module(f"dolfin_elastic.mesh.{_WHERE[name]}"), name)
-    globals()[name] = found
-    return found
+    attribute = getattr(import_module(f"dolfin_elastic.mesh.{_WHERE[name]}"), name)
+    globals()[name] = attribute
+    return attribute

@@ -226,7 +226,7 @@ def make_mesh(comm: MPI.Comm, cells: IntArray, x: FloatArray, order: int) -> Mes
 
 def _regions(mesh: Mesh, raw: RawMesh | None) -> dict[str, IndexArray]:
     """Local cells of each region; rank 0 broadcasts one bit per cell of the file."""
-    comm, found = mesh.comm, dict[str, IndexArray]()
+    comm, result = mesh.comm, dict[str, IndexArray]()
     original = np.asarray(mesh.topology.original_cell_index)
     for name in comm.bcast(list(raw.regions) if raw else None):
         bits = None
@@ -236,8 +236,8 @@ def _regions(mesh: Mesh, raw: RawMesh | None) -> dict[str, IndexArray]:
             bits = np.packbits(inside)
         bits = np.asarray(comm.bcast(bits))
         inside = (bits[original >> 3] >> (7 - (original & 7)) & 1).astype(bool)
-        found[name] = np.flatnonzero(inside).astype(np.int32)
-    return found
+        result[name] = np.flatnonzero(inside).astype(np.int32)
+    return result
 
 
 def _faces(mesh: Mesh, raw: RawMesh | None, unit: LengthUnit) -> CadFaces | None:
@@ -248,14 +248,14 @@ def _faces(mesh: Mesh, raw: RawMesh | None, unit: LengthUnit) -> CadFaces | None
     from dolfin_elastic.mesh.formats.raw import match_rows
 
     known = {face.number: face for face in faces}
-    found = CadFaces(known, mesh.topology.dim, unit)
+    cad = CadFaces(known, mesh.topology.dim, unit)
     if not of_faces:
-        return found
+        return cad
     vertices = np.sort(np.concatenate(list(of_faces.values())), axis=1)
     numbers = np.repeat(list(of_faces), [len(rows) for rows in of_faces.values()])
     facets, keys = _candidates(mesh, np.unique(vertices), mesh.topology.dim - 1)
     at = match_rows(vertices, keys) if len(keys) else np.empty(0, dtype=np.int64)
-    return replace(found, facets=facets[at >= 0], numbers=numbers[at[at >= 0]])
+    return replace(cad, facets=facets[at >= 0], numbers=numbers[at[at >= 0]])
 
 
 def _known_surface(mesh: Mesh, raw: RawMesh | None) -> KnownSurface | None:
@@ -275,16 +275,16 @@ def _known_surface(mesh: Mesh, raw: RawMesh | None) -> KnownSurface | None:
     vertices = np.take_along_axis(vertices, order, axis=1)
     given = np.take_along_axis(given, order[..., None], axis=1)
     facets = boundary_facets(mesh)
-    found = np.full((len(facets), d, d), np.nan)
+    result = np.full((len(facets), d, d), np.nan)
     if len(facets) and len(vertices):
         own = np.asarray(mesh.geometry.input_global_indices)[facet_nodes(mesh, facets)]
         order = np.argsort(own, axis=1)
         at = match_rows(vertices, np.take_along_axis(own, order, axis=1))
         sorted_ones = np.where((at >= 0)[:, None, None], given[at], np.nan)
-        np.put_along_axis(found, order[..., None], sorted_ones, axis=1)
-    outward = np.einsum("fkj,fj->f", found, outward_normals(mesh, facets)) >= 0
+        np.put_along_axis(result, order[..., None], sorted_ones, axis=1)
+    outward = np.einsum("fkj,fj->f", result, outward_normals(mesh, facets)) >= 0
     return KnownSurface(
-        np.where(outward[:, None, None], found, -found), None, np.full(len(facets), np.nan)
+        np.where(outward[:, None, None], result, -result), None, np.full(len(facets), np.nan)
     )
 
 

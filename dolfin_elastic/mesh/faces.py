@@ -89,41 +89,41 @@ class CadFaces:
         )
 
 
-def chosen_faces(found: CadFaces | None, selector: Selector, scale: float) -> set[int]:
+def chosen_faces(faces: CadFaces | None, selector: Selector, scale: float) -> set[int]:
     """Numbers of the faces that a selector names by number or kind.
 
     Args:
-        found: The faces; None: of a finished mesh.
+        faces: The faces; None: of a finished mesh.
         selector: One whose `by_face` is true.
         scale: Metres per unit of bare numbers.
 
     Raises:
         MeshError: There are none.
     """
-    if found is None or not found.faces:
+    if faces is None or not faces.faces:
         raise MeshError(
             "this picks faces of a CAD file, but the mesh was not made of one",
             where=selector.by_face[0],
             expected="pick by plane and at, normal, box, or a sphere or cylinder with its place",
         )
-    chosen = set(found.faces)
+    chosen = set(faces.faces)
     if selector.faces is not None:
         chosen = set(selector.faces)
-        if unknown := sorted(chosen - set(found.faces)):
+        if unknown := sorted(chosen - set(faces.faces)):
             raise MeshError(
                 f"there is no face {unknown[0]}",
                 where="faces",
-                expected=f"the file has the faces {_ranges(found.faces)}",
+                expected=f"the file has the faces {_ranges(faces.faces)}",
             )
     for key, fits, distance in _tests(selector, scale):
-        fitting = {number for number in chosen if fits(found.faces[number])}
+        fitting = {number for number in chosen if fits(faces.faces[number])}
         if not fitting:
-            near = sorted(chosen, key=lambda number: distance(found.faces[number]))
-            alike = [number for number in near if distance(found.faces[number]) < _FAR] or near
+            near = sorted(chosen, key=lambda number: distance(faces.faces[number]))
+            alike = [number for number in near if distance(faces.faces[number]) < _FAR] or near
             raise MeshError(
                 "no face of the CAD file is like that",
                 where=key,
-                expected=f"the nearest are {found.listed(alike)}",
+                expected=f"the nearest are {faces.listed(alike)}",
             )
         chosen = fitting
     return chosen
@@ -136,10 +136,10 @@ _FAR = math.inf
 
 
 def _tests(selector: Selector, scale: float) -> list[_Test]:
-    found: list[_Test] = []
+    tests: list[_Test] = []
     if selector.kind is not None:
         wanted = selector.kind
-        found.append(
+        tests.append(
             (
                 "kind",
                 lambda face: wanted in (face.kind, face.form),
@@ -147,8 +147,8 @@ def _tests(selector: Selector, scale: float) -> list[_Test]:
             )
         )
     for kind, numbers, axis in _shapes(selector, scale):
-        found.append(_shape_test(kind, numbers, axis, selector, scale))
-    return found
+        tests.append(_shape_test(kind, numbers, axis, selector, scale))
+    return tests
 
 
 _Shape = tuple[str, dict[str, float], tuple[float, ...]]
@@ -157,19 +157,19 @@ _Shape = tuple[str, dict[str, float], tuple[float, ...]]
 
 def _shapes(selector: Selector, scale: float) -> list[_Shape]:
     """What the keys cylinder, sphere, cone and torus ask for."""
-    found: list[_Shape] = []
+    shapes: list[_Shape] = []
     if (cylinder := selector.cylinder) is not None and cylinder.point is None:
         axis = cylinder.direction if cylinder.axis is not None else ()
-        found.append(("cylinder", {"radius": metres(cylinder.radius, scale)}, axis))
+        shapes.append(("cylinder", {"radius": metres(cylinder.radius, scale)}, axis))
     if (sphere := selector.sphere) is not None and sphere.center is None:
-        found.append(("sphere", {"radius": metres(sphere.radius, scale)}, ()))
+        shapes.append(("sphere", {"radius": metres(sphere.radius, scale)}, ()))
     if (cone := selector.cone) is not None:
-        found.append(("cone", {} if cone.angle is None else {"angle": cone.angle}, ()))
+        shapes.append(("cone", {} if cone.angle is None else {"angle": cone.angle}, ()))
     if (torus := selector.torus) is not None:
         given = {"radius": torus.radius, "major": torus.major}
         numbers = {key: metres(value, scale) for key, value in given.items() if value is not None}
-        found.append(("torus", numbers, ()))
-    return found
+        shapes.append(("torus", numbers, ()))
+    return shapes
 
 
 def _shape_test(

@@ -93,15 +93,15 @@ def distribute_fields(mesh: Mesh, raw: RawMesh | None) -> dict[str, MeshField]:
     Args:
         raw: The mesh as it was read, on rank 0; None on all others.
     """
-    found: dict[str, MeshField] = {}
+    result: dict[str, MeshField] = {}
     for centre in ("cell", "point"):
         tables: Mapping[str, FloatArray] = getattr(raw, f"{centre}_data") if raw else {}
         shapes = mesh.comm.bcast({name: table.shape for name, table in tables.items()})
         for name, shape in shapes.items():
             table = tables.get(name)
             read = None if table is None else _rows_of(table)
-            found[name] = distribute_rows(mesh, centre, shape, read)
-    return found
+            result[name] = distribute_rows(mesh, centre, shape, read)
+    return result
 
 
 def _rows_of(table: FloatArray) -> Read:

@@ -232,14 +232,14 @@ def _largest_share(count: IntArray, parts: int) -> int:
 
 def _bisected(cubes: IntArray, count: IntArray, parts: int) -> IndexArray:
     """Part of each cube, given by its place along each edge, of a box that is bisected."""
-    found = np.zeros(len(cubes), dtype=np.int32)
+    result = np.zeros(len(cubes), dtype=np.int32)
     if parts == 1:
-        return found
+        return result
     first, lower, below = _cut(count, parts)
     here = (cubes < lower).all(axis=1)
-    found[here] = _bisected(cubes[here], lower, below)
-    found[~here] = below + _bisected(cubes[~here] - first, count - first, parts - below)
-    return found
+    result[here] = _bisected(cubes[here], lower, below)
+    result[~here] = below + _bisected(cubes[~here] - first, count - first, parts - below)
+    return result
 
 
 def _sides(

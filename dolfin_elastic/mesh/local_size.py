@@ -128,18 +128,18 @@ class CadSizes:
                 cells than Gmsh can make.
         """
         unit = faces.unit.metres
-        found: list[LocalField] = []
+        result: list[LocalField] = []
         for index, one in enumerate(self.sizes):
             try:
                 places = self._places(one, faces, bodies, model)
             except MeshError as error:
                 raise error.at(f"mesh.refine[{index}]") from None
             size = metres(one.size, unit) / model
-            found += [{**place, "size": size} for place in places]
+            result += [{**place, "size": size} for place in places]
             for place in places:
                 where = f"mesh.refine[{index}].size"
                 _check_count(_count(place, size, faces, model), seconds, faces, where)
-        return found
+        return result
 
     def _places(
         self, one: LocalSize, faces: CadFaces, bodies: Mapping[str, Sequence[int]], model: float
@@ -182,10 +182,10 @@ class CadSizes:
         selectors = (self.surfaces or {}).get(name)
         if selectors is None:
             return {n for n, face in faces.faces.items() if name in face.names}
-        found: set[int] = set()
+        result: set[int] = set()
         for selector in selectors:
-            found |= self._selected(name, selector, faces)
-        return found
+            result |= self._selected(name, selector, faces)
+        return result
 
     def _selected(self, name: str, selector: Selector, faces: CadFaces) -> set[int]:
         unit = faces.unit.metres
@@ -209,15 +209,15 @@ class CadSizes:
         """Faces of the part in which a surface is searched: one before it, or of the file."""
         every = list((self.surfaces or {}).items())
         before = dict(every[: [key for key, _ in every].index(name)])
-        found = CadSizes(surfaces=before)._faces(of, faces)
-        if not found:
+        result = CadSizes(surfaces=before)._faces(of, faces)
+        if not result:
             advice = nearest(of, {*before, *_names(faces.faces.values())})
             raise MeshError(
                 f"the surface '{name}' is of '{of}', but no surface of that name stands before it",
                 where="on",
                 expected="; ".join(filter(None, (advice, faces.alike(of)))),
             )
-        return found
+        return result
 
 
 NO_SIZES = CadSizes()

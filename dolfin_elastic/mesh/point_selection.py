@@ -86,15 +86,15 @@ def vertices_of(body: Body, name: str) -> BoolArray:
     Raises:
         MeshError: There is no such part.
     """
-    found: list[IndexArray] = [np.empty(0, dtype=np.int32)]
+    vertices: list[IndexArray] = [np.empty(0, dtype=np.int32)]
     kinds = [kind for kind in body.kinds(name) if kind != "region"]
     if not kinds:
         body.surface(name)  # raises
     if "point" in kinds:
-        found.append(body.points[name])
+        vertices.append(body.points[name])
     if "edge" in kinds:
-        found.append(edge_nodes(body.mesh, body.edges[name]).ravel())
+        vertices.append(edge_nodes(body.mesh, body.edges[name]).ravel())
     if "surface" in kinds:
         prepare_facets(body.mesh)
-        found.append(facet_nodes(body.mesh, body.surfaces[name]).ravel())
-    return marked(body.mesh.geometry.index_map(), np.concatenate(found))
+        vertices.append(facet_nodes(body.mesh, body.surfaces[name]).ravel())
+    return marked(body.mesh.geometry.index_map(), np.concatenate(vertices))

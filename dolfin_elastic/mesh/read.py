@@ -102,8 +102,8 @@ def read_body(
     read, permutation = reader(path, cad, permission)
 
     def raw() -> RawMesh:
-        found = assemble(read(), source=path.name, dim=dim)
-        return straight(found) if curved is False and suffix not in CAD else found
+        result = assemble(read(), source=path.name, dim=dim)
+        return straight(result) if curved is False and suffix not in CAD else result
 
     body = build_body(
         raw,

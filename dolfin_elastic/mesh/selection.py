@@ -70,8 +70,8 @@ def name_parts(
     }
     for kind, named in choices.items():
         for name, choice in named.items():
-            found = _named(body, space, kind, name, choice)
-            body = body.named(**{f"{kind}s": {name: found}})
+            result = _named(body, space, kind, name, choice)
+            body = body.named(**{f"{kind}s": {name: result}})
     return body
 
 
@@ -80,26 +80,26 @@ def _named(
 ) -> IndexArray:
     _check_free(body, kind, name)
     choices = [choice] if isinstance(choice, Place) else list(choice)
-    found: list[IndexArray] = []
+    result: list[IndexArray] = []
     for i, selector in enumerate(choices):
         where = f"{kind}s.{name}" + (f"[{i}]" if len(choices) > 1 else "")
         try:
             if isinstance(selector, EdgeSelector):
-                found.append(pick_edges(body, space, selector))
+                result.append(pick_edges(body, space, selector))
             elif isinstance(selector, PointSelector):
-                found.append(pick_points(body, space, selector))
+                result.append(pick_points(body, space, selector))
             else:
                 assert isinstance(selector, Selector)
-                found.append(_pick(body, space, kind, selector))
+                result.append(_pick(body, space, kind, selector))
         except MeshError as error:
             raise error.at(where) from None
-    if not found:
+    if not result:
         raise MeshError(
             "an empty list of selectors",
             where=f"{kind}s.{name}",
             expected='for example {plane = "x", at = "min"}',
         )
-    return np.unique(np.concatenate(found)).astype(np.int32)
+    return np.unique(np.concatenate(result)).astype(np.int32)
 
 
 def _check_free(body: Body, kind: str, name: str) -> None:
@@ -152,8 +152,8 @@ def _with_nearest_face(
     if body.faces is None or not tests:
         return error
     numbers, distance = body.faces.numbers_of(facets), tests[0].distance
-    mine = [(float(distance[i]), int(numbers[i])) for i in np.argsort(distance)[:1] if numbers[i]]
-    best = first_of(body.comm, mine)
+    local = [(float(distance[i]), int(numbers[i])) for i in np.argsort(distance)[:1] if numbers[i]]
+    best = first_of(body.comm, local)
     if best is None:
         return error
     near = f"; the nearest CAD face is {body.faces.text(best[1])}"

@@ -180,8 +180,8 @@ class Selector(Place):
     @property
     def by_face(self) -> list[str]:
         """The keys that pick faces of a CAD file by what they are."""
-        found = [key for key in _OF_FACES if getattr(self, key) is not None]
-        return found + [key for key, shape in self.shapes.items() if not shape.placed]
+        keys = [key for key in _OF_FACES if getattr(self, key) is not None]
+        return keys + [key for key, shape in self.shapes.items() if not shape.placed]
 
 
 class Line(Record):

@@ -82,8 +82,8 @@ class Contact(OnSurfaces):
     @property
     def obstacle(self) -> Shape:
         """The rigid obstacle, of any shape."""
-        found: Shape = getattr(self, self.shape)
-        return found
+        shape: Shape = getattr(self, self.shape)
+        return shape
 
     def describe(self, setting: Setting = ALONE) -> str:
         """What its surfaces may touch."""

@@ -132,20 +132,20 @@ class Periodic(Record):
         Returns:
             Shape (dim, dim); NaN where F is prescribed and the stress a result.
         """
-        found = self._at(self.stress_components, np.zeros((self.dim, self.dim)), t, default)
+        result = self._at(self.stress_components, np.zeros((self.dim, self.dim)), t, default)
         given = np.zeros((self.dim, self.dim), dtype=bool)
         for i, j in self.free:
             given[i, j] = True
-        return np.where(given, found, np.nan)
+        return np.where(given, result, np.nan)
 
     def _at(self, values: Matrix, rest: FloatArray, t: float, default: Amplitude) -> FloatArray:
-        found = np.full(rest.shape, np.nan)
+        result = np.full(rest.shape, np.nan)
         for i, row in enumerate(values):
             for j, value in enumerate(row):
                 if value is not None:
                     off = _number(value, t) - rest[i, j]
-                    found[i, j] = off * self._amplitude(value, default).at(t)
-        return found
+                    result[i, j] = off * self._amplitude(value, default).at(t)
+        return result
 
     def _amplitude(self, value: Component, default: Amplitude) -> Amplitude:
         if self.curve is not None:

@@ -123,11 +123,11 @@ def components(
             where=key,
             expected="expected a list of 3 components (2 in a plane), for example [0, 0, -1]",
         )
-    found = []
+    result = []
     for index, item in enumerate(written):
         with keyed(f"{key}[{index}]"):
-            found.append(component(item, unit, may_be_free=may_be_free))
-    return tuple(found)
+            result.append(component(item, unit, may_be_free=may_be_free))
+    return tuple(result)
 
 
 def depends_on_time(vector: tuple[Component, ...]) -> bool:
@@ -155,10 +155,10 @@ def vector_at(vector: tuple[Component, ...], X: FloatArray, t: float) -> FloatAr
     Returns:
         Shape of X.
     """
-    found = np.empty_like(X)
+    result = np.empty_like(X)
     for i, item in enumerate(vector):
-        found[..., i] = number_at(item, X, t)
-    return found
+        result[..., i] = number_at(item, X, t)
+    return result
 
 
 def number_at(item: Component, X: FloatArray, t: float | FloatArray) -> FloatArray:

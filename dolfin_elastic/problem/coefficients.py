@@ -191,14 +191,14 @@ class CoefficientBinder:
         own: tuple[float, list[float], float] | None = None
         if (distance > -1).any():
             at = np.nonzero(distance == distance.max())
-            places = self._places(cells[at[0]])[np.arange(len(at[0])), at[1], : self.body.dim]
-            last = int(np.lexsort(places.T[::-1])[-1])  # of equals the same on any ranks
+            coordinates = self._places(cells[at[0]])[np.arange(len(at[0])), at[1], : self.body.dim]
+            last = int(np.lexsort(coordinates.T[::-1])[-1])  # of equals the same on any ranks
             i, j = at[0][last], at[1][last]
-            own = float(distance[i, j]), [float(x) for x in places[last]], float(values[i, j])
-        found = [one for one in self.body.comm.allgather(own) if one is not None]
-        if not found:
+            own = float(distance[i, j]), [float(x) for x in coordinates[last]], float(values[i, j])
+        result = [one for one in self.body.comm.allgather(own) if one is not None]
+        if not result:
             return None
-        _, place, value = max(found, key=lambda one: one[:2])
+        _, place, value = max(result, key=lambda one: one[:2])
         return value, "(" + ", ".join(f"{x:.4g}" for x in place) + ")"
 
     def functions(
@@ -243,23 +243,23 @@ class CoefficientBinder:
         Raises:
             InputError: See `functions`.
         """
-        found: dict[str, FloatArray] = {}
+        result: dict[str, FloatArray] = {}
         with keyed(where):
             for name, item in law.spatial_constants().items():
                 with keyed(name):
-                    found[name] = self._at(item, cells, name in law.directions)
-            if found:
-                self._check(law, found, cells)
-        return found
+                    result[name] = self._at(item, cells, name in law.directions)
+            if result:
+                self._check(law, result, cells)
+        return result
 
-    def _check(self, law: Law, found: dict[str, FloatArray], cells: IndexArray) -> None:
+    def _check(self, law: Law, result: dict[str, FloatArray], cells: IndexArray) -> None:
         with np.errstate(all="ignore"):
-            bound = law.with_values(found)
+            bound = law.with_values(result)
         ranges = law.ranges()
-        for name, values in (found | {n: getattr(bound, n) for n in law.derived}).items():
+        for name, values in (result | {n: getattr(bound, n) for n in law.derived}).items():
             if isinstance(values, np.ndarray) and values.ndim == 2:
                 possible = ranges.get(name, Range())
-                self._check_one(name, values, possible, cells, given=name in found)
+                self._check_one(name, values, possible, cells, given=name in result)
 
     def _check_one(
         self, name: str, values: FloatArray, possible: Range, cells: IndexArray, *, given: bool
@@ -304,28 +304,30 @@ class CoefficientBinder:
             beyond = (possible.distance(corners) > -1).any(axis=1)
             corners[beyond] = table[beyond].mean(axis=1, keepdims=True)
         V = self._space if table.ndim == 2 else self._vector_space
-        found = fem.Function(V)
+        function = fem.Function(V)
         width = V.dofmap.index_map_bs
-        rows = found.x.array.reshape(-1, width)
+        rows = function.x.array.reshape(-1, width)
         rows[V.dofmap.list[cells]] = corners.reshape(*corners.shape[:2], width)
-        found.x.scatter_forward()
+        function.x.scatter_forward()
         if table.ndim == 2 or self.degree == 0:
-            return found
-        return found / ufl.sqrt(ufl.inner(found, found))  # a line between unit vectors is shorter
+            return function
+        return function / ufl.sqrt(
+            ufl.inner(function, function)
+        )  # a line between unit vectors is shorter
 
     def joined(self, parts: Sequence[tuple[Expr | None, IndexArray]]) -> fem.Function:
         """One function of constants and functions, each in its cells; else 0."""
         varies = any(isinstance(part, fem.Function) for part, _ in parts)
         V = self._space if varies else fem.functionspace(self.body.mesh, ("DG", 0))
-        found = fem.Function(V)
+        function = fem.Function(V)
         for part, cells in parts:
             dofs = V.dofmap.list[cells]
             if isinstance(part, fem.Function):
-                found.x.array[dofs] = part.x.array[dofs]
+                function.x.array[dofs] = part.x.array[dofs]
             elif part is not None:
-                found.x.array[dofs] = float(part.value)
-        found.x.scatter_forward()
-        return found
+                function.x.array[dofs] = float(part.value)
+        function.x.scatter_forward()
+        return function
 
 
 def _across(law: Law, values: Mapping[str, FloatArray]) -> dict[str, tuple[float, ...]]:
@@ -335,11 +337,11 @@ def _across(law: Law, values: Mapping[str, FloatArray]) -> dict[str, tuple[float
         for name in law.directions
         if (known := getattr(law, name)) is not None and not isinstance(known, SpatialValue)
     ]
-    found: dict[str, tuple[float, ...]] = {}
+    result: dict[str, tuple[float, ...]] = {}
     for name in law.directions:
         if name in values:
             axes = np.eye(3)
             best = min(axes, key=lambda axis: max((abs(axis @ g) for g in given), default=0.0))
             given.append(best)
-            found[name] = tuple(float(x) for x in best)
-    return found
+            result[name] = tuple(float(x) for x in best)
+    return result

@@ -51,8 +51,8 @@ class ConnectedBodies:
 
     def _joined(self, own: IntArray) -> tuple[int, IntArray]:
         """How many bodies there are, and the body of each of this rank's components."""
-        mine = int(own.max(initial=-1)) + 1
-        counts = self.comm.allgather(mine)
+        local = int(own.max(initial=-1)) + 1
+        counts = self.comm.allgather(local)
         start = sum(counts[: self.comm.rank])
         vector = la.vector(self._map, 1)
         vector.array[: self._map.size_local] = start + own[: self._map.size_local]
@@ -65,8 +65,8 @@ class ConnectedBodies:
             pairs = np.concatenate([pairs, self._ties.links(nodes)])
         pairs = np.unique(pairs, axis=0)
         links = np.concatenate(self.comm.allgather(pairs))
-        found, numbers = connected_components(sum(counts), links)
-        return found, numbers[start : start + mine]
+        count, numbers = connected_components(sum(counts), links)
+        return count, numbers[start : start + local]
 
     def _number_by_place(self) -> None:
         """Numbers several bodies by where they are, then by their cells: the same on any ranks."""

@@ -320,13 +320,13 @@ class FormContext:
         """
         changing = curve is None and depends_on_time(values)
         shared: dict[bool, Constant] = {}
-        found = []
+        result = []
         for value in values:
             timed = changing and (value in (None, 0.0) or depends_on_time((value,)))
             if timed not in shared:
                 shared[timed] = self.factor(CONSTANT if timed else curve)
-            found.append(shared[timed])
-        return found
+            result.append(shared[timed])
+        return result
 
     def vector(
         self, values: tuple[Component, ...], curve: Amplitude | None, parts: Parts | None = None
@@ -344,10 +344,10 @@ class FormContext:
         factors = self.factors(values, curve)
         if not any(isinstance(value, Formula) for value in values):
             return factors[0] * self.constant([float(value) for value in values])  # type: ignore[arg-type]
-        found = _formulas(self).make(values, parts, scalar=False)
+        result = _formulas(self).make(values, parts, scalar=False)
         if any(factor is not factors[0] for factor in factors):
-            return ufl.as_vector([factor * found[i] for i, factor in enumerate(factors)])
-        return factors[0] * found
+            return ufl.as_vector([factor * result[i] for i, factor in enumerate(factors)])
+        return factors[0] * result
 
     def scalar(
         self, value: Component, amplitude: Amplitude | None, parts: Parts | None = None

@@ -194,9 +194,9 @@ class Damping:
 
     def _stress(self, region: MaterialRegion, rate: Expr) -> Expr:
         """All damping stress of a region."""
-        found = 0 * self._F
+        result = 0 * self._F
         if region.law.viscosity is not None:
-            found += self._viscous(region, rate)
+            result += self._viscous(region, rate)
         if self._stiffness is not None:
-            found += self._rate_of(region, rate)
-        return found
+            result += self._rate_of(region, rate)
+        return result

@@ -25,7 +25,7 @@ def eigenstrains(context: FormContext, loads: Sequence[Load]) -> dict[str, Expr]
     Raises:
         InputError: A material that is warmed has no coefficient of expansion.
     """
-    found: dict[str, Expr] = {}
+    result: dict[str, Expr] = {}
     for index, load in enumerate(loads):
         if not isinstance(load, Eigenstrain):
             continue
@@ -40,8 +40,8 @@ def eigenstrains(context: FormContext, loads: Sequence[Load]) -> dict[str, Expr]
                     expected='for example "12 ppm/K"',
                 )
             growth = load.growth(context, region.law.expansion, share)
-            found[region.name] = _joined(region, growth, found.get(region.name))
-    return found
+            result[region.name] = _joined(region, growth, result.get(region.name))
+    return result
 
 
 def _joined(region: MaterialRegion, growth: Expr, before: Expr | None) -> Expr:

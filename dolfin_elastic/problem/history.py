@@ -93,8 +93,8 @@ class RelaxingRegion:
             stress: Six numbers of S at the points.
             dt: Length of the step [s].
         """
-        found = stress.eval(self._cells).reshape(len(self._cells), len(self.points), 6)
-        now = np.einsum("nk,ckj->cnj", self._to_nodes, found).reshape(-1, 6)
+        result = stress.eval(self._cells).reshape(len(self._cells), len(self.points), 6)
+        now = np.einsum("nk,ckj->cnj", self._to_nodes, result).reshape(-1, 6)
         e, f = self._weights(dt)
         self.tensors[1:] *= e[:, None, None]
         self.tensors[1:] += f[:, None, None] * (now - self.tensors[0])
@@ -102,11 +102,11 @@ class RelaxingRegion:
 
     def functions(self) -> list[fem.Function]:
         """The tensors as functions, 0 outside of the region: copies."""
-        found = []
+        result = []
         for rows in self.tensors:
-            found.append(fem.Function(self._past.function_space))
-            found[-1].x.array.reshape(-1, 6)[self._rows] = rows
-        return found
+            result.append(fem.Function(self._past.function_space))
+            result[-1].x.array.reshape(-1, 6)[self._rows] = rows
+        return result
 
     def take(self, functions: list[fem.Function]) -> None:
         """Takes over what `functions` gave."""
@@ -188,10 +188,10 @@ class History:
 
     def _forces(self) -> FloatArray:
         """This rank's share of the nodal forces of the branches, not summed over ranks [N]."""
-        found = np.zeros(len(self._w.x.array))
+        result = np.zeros(len(self._w.x.array))
         if self._branches is not None:
-            fem.assemble_vector(found, self._branches)
-        return found
+            fem.assemble_vector(result, self._branches)
+        return result
 
     def work(self) -> float:
         """Work done on the branches since the beginning, up to the present state [J]. Collective.
@@ -207,8 +207,8 @@ class History:
             return 0.0, 0.0
         (before, w), now = self._before, self._forces()
         moved = self._w.x.array - w
-        mine = np.array([np.dot(before + now, moved), np.dot(now - before, moved)]) / 2
-        work, change = total(self._comm, mine)
+        local = np.array([np.dot(before + now, moved), np.dot(now - before, moved)]) / 2
+        work, change = total(self._comm, local)
         return float(work), abs(float(change))
 
     @stage("assemble")

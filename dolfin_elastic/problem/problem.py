@@ -164,7 +164,13 @@ class Problem:
         self.context = FormContext(body, self.unknowns, self.regions, self.measures, self.geometry)
         self.constant, self.t, self.X = self.context.constant, self.context.t, self.context.X
         self.constraints = Constraints(
-            body, self.V, self.supports, ties, places=self.places, axis=axisymmetric, pinned=pinned
+            body,
+            self.V,
+            self.supports,
+            ties,
+            coordinates=self.places,
+            axis=axisymmetric,
+            pinned=pinned,
         )
         self._make_rare_terms(contacts)
         self.weak_form = WeakForm(
@@ -220,7 +226,7 @@ class Problem:
     @cached_property
     def spring_projections(self) -> list[Projections]:
         """Owned nodes with springs, and projections on their directions. Collective."""
-        return [found for s in self.springs for found in spring_directions(s, self.body, self.V)]
+        return [result for s in self.springs for result in spring_directions(s, self.body, self.V)]
 
     @cached_property
     def parameters(self) -> dict[str, Constant]:
@@ -311,10 +317,10 @@ class Problem:
     def curves(self) -> list[Amplitude]:
         """Amplitudes that loads, supports and obstacles have of their own."""
         obstacles = (pair.contact for pair in self.contact_pairs)
-        found = [
+        result = [
             getattr(thing, "curve", None) for thing in (*self.loads, *self.supports, *obstacles)
         ]
-        return [curve for curve in found if isinstance(curve, Amplitude)]
+        return [curve for curve in result if isinstance(curve, Amplitude)]
 
     @property
     def corners(self) -> list[float]:
@@ -364,12 +370,12 @@ def over_step(problem: Problem) -> Problem:
 
     It shares the unknowns and all else.  Collective.
     """
-    found = copy(problem)
-    vars(found).pop("symmetric", None)
+    changed = copy(problem)
+    vars(changed).pop("symmetric", None)
     w = Function(problem.W, name="unknowns at the start of the step")
     start = StepStart(w, problem.constant(0.0))
-    found.weak_form = weak_form_over_step(problem.weak_form, start)
-    return found
+    changed.weak_form = weak_form_over_step(problem.weak_form, start)
+    return changed
 
 
 def conserves(problem: Problem) -> bool:
@@ -404,11 +410,11 @@ def parts_held(problem: Problem) -> dict[str, list[str]]:
     """Label of supports, springs, contacts and ties to the parts that they act on."""
     contacts = [pair.contact for pair in problem.contact_pairs]
     ties = [] if problem.constraints.ties is None else problem.constraints.ties.given
-    found: dict[str, list[str]] = defaultdict(list)
+    result: dict[str, list[str]] = defaultdict(list)
     every: list[OnSurfaces] = [*problem.supports, *contacts, *ties]
     for holder in every:
-        found[holder.label] += holder.surfaces
-    return found
+        result[holder.label] += holder.surfaces
+    return result
 
 
 def configuration_of_moments(problem: Problem) -> str:
@@ -430,14 +436,14 @@ def _check_normals(
     contacts: Sequence[Contact],
 ) -> None:
     """Surfaces whose outward normal a spring, load or contact needs are outside. Collective."""
-    found = [
+    result = [
         (f"support[{i}].on", s.surfaces)
         for i, s in enumerate(supports)
         if isinstance(s, ResistingSupport) and s.by_normal
     ]
-    found += [(f"load[{i}].on", load.parts) for i, load in enumerate(loads) if load.along_normal]
-    found += [(f"contact[{i}].on", contact.surfaces) for i, contact in enumerate(contacts)]
-    for where, names in found:
+    result += [(f"load[{i}].on", load.parts) for i, load in enumerate(loads) if load.along_normal]
+    result += [(f"contact[{i}].on", contact.surfaces) for i, contact in enumerate(contacts)]
+    for where, names in result:
         for name in names:
             if name in body.surfaces:  # unknown names are refused where they are used
                 check_outside(body, name, where)

@@ -108,9 +108,9 @@ class Unknowns:
     @cached_property
     def places(self) -> FloatArray:
         """Places [m] of the nodes of V in the reference configuration, ghosts too, shape (n, 3)."""
-        found: FloatArray = self.V.tabulate_dof_coordinates()
-        found.flags.writeable = False
-        return found
+        coordinates: FloatArray = self.V.tabulate_dof_coordinates()
+        coordinates.flags.writeable = False
+        return coordinates
 
     @property
     def unknown_places(self) -> FloatArray:
@@ -205,19 +205,19 @@ def part_nodes(body: Body, V: fem.FunctionSpace, name: str) -> IndexArray:
     Raises:
         MeshError: There is no such part, or it has no node in the space.
     """
-    found: list[IndexArray] = [np.empty(0, dtype=np.int32)]
+    result: list[IndexArray] = [np.empty(0, dtype=np.int32)]
     kinds = [kind for kind in body.kinds(name) if kind != "region"]
     if not kinds:
         body.surface(name)  # raises
     if "surface" in kinds:
         facets = body.surfaces[name]
-        found.append(fem.locate_dofs_topological(V, body.mesh.topology.dim - 1, facets))
+        result.append(fem.locate_dofs_topological(V, body.mesh.topology.dim - 1, facets))
     if "edge" in kinds:
-        found.append(fem.locate_dofs_topological(V, 1, body.edges[name]))
+        result.append(fem.locate_dofs_topological(V, 1, body.edges[name]))
     if "point" in kinds:
         nodes = _of_geometry(body, V)[body.points[name]]
-        found.append(nodes[nodes >= 0])
-    nodes = np.unique(np.concatenate(found)).astype(np.int32)
+        result.append(nodes[nodes >= 0])
+    nodes = np.unique(np.concatenate(result)).astype(np.int32)
     if kinds == ["point"] and not total(body.comm, len(nodes)):
         raise MeshError(
             f"'{name}' holds midside nodes only, which linear elements do not have",
@@ -233,6 +233,6 @@ def _of_geometry(body: Body, V: fem.FunctionSpace) -> IndexArray:
     """
     rows, nodes = np.asarray(body.mesh.geometry.dofmap), np.asarray(V.dofmap.list)
     width = min(rows.shape[1], nodes.shape[1])
-    found = np.full(len(body.mesh.geometry.x), -1, dtype=np.int32)
-    found[rows[:, :width]] = nodes[:, :width]
-    return found
+    result = np.full(len(body.mesh.geometry.x), -1, dtype=np.int32)
+    result[rows[:, :width]] = nodes[:, :width]
+    return result

@@ -101,7 +101,7 @@ class Term:
     def augment(self) -> None:
         """Changes its memory by the equilibrium that was found. Collective."""
 
-    def add_results(self, found: dict[str, float]) -> None:
+    def add_results(self, result: dict[str, float]) -> None:
         """Adds its results by name [SI units] to those of the terms before it. Collective."""
 
 
@@ -131,8 +131,8 @@ def forms_of(terms: Sequence[Term], kind: Kind) -> list[ufl.Form]:
 
 def blocks_of(terms: Sequence[Term]) -> Blocks | None:
     """The blocks of all terms; None where no term has any. Collective."""
-    found = [blocks for term in terms if (blocks := term.blocks()) is not None]
-    if not found:
+    result = [blocks for term in terms if (blocks := term.blocks()) is not None]
+    if not result:
         return None
-    parts = [(blocks.rows, blocks.columns, blocks.values) for blocks in found]
+    parts = [(blocks.rows, blocks.columns, blocks.values) for blocks in result]
     return Blocks(*(np.concatenate(part) for part in zip(*parts, strict=True)))

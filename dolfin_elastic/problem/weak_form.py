@@ -132,12 +132,12 @@ class WeakForm:
             split, keeps = cast("SplitLaw", law), _keeps_volume(self._context, region)
             law = Mixed(split, p, region.compliance, keeps)
         growth = self._eigenstrains.get(region.name)
-        found: Law | ModifiedLaw = law if growth is None else GrownLaw(law, growth)
+        result: Law | ModifiedLaw = law if growth is None else GrownLaw(law, growth)
         if self.start is not None and derives_from_strain(region.law):
-            found = StepLaw(found, self.F(self.start.w), self.start.share)
+            result = StepLaw(result, self.F(self.start.w), self.start.share)
         if present:
-            self._responses[region.name] = found
-        return found
+            self._responses[region.name] = result
+        return result
 
     @cached_property
     def internal(self) -> ufl.Form:
@@ -322,11 +322,11 @@ def weak_form_over_step(form: WeakForm, start: StepStart) -> WeakForm:
     Args:
         start: Where the step begins.
     """
-    found = copy(form)
+    changed = copy(form)
     for made in ("internal", "residual", "tangent", "strain_energy"):
-        vars(found).pop(made, None)
-    found.start, found._responses = start, {}
-    return found
+        vars(changed).pop(made, None)
+    changed.start, changed._responses = start, {}
+    return changed
 
 
 def _keeps_volume(context: FormContext, region: MaterialRegion) -> bool:

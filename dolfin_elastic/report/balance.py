@@ -67,12 +67,12 @@ def _moment(run: FinishedRun, label: str, force: float) -> str:
         force: The largest reaction [N]: its moment about the end of the body is not small.
     """
     moments = run.summary.get("moments") or {}
-    if not (found := moments.get(label)):
+    if not (moment := moments.get(label)):
         return ""
     size = max((run.model.get("mesh") or {}).get("extent") or [0.0])
     most = max(abs(x) for one in moments.values() for x in one["moment"])
-    about = vector(found["about"], "m", size)
-    return f"{vector(found['moment'], 'N m', max(most, force * size))} about {about}"
+    about = vector(moment["about"], "m", size)
+    return f"{vector(moment['moment'], 'N m', max(most, force * size))} about {about}"
 
 
 def loads_of(run: FinishedRun) -> list[Acting]:

@@ -214,14 +214,14 @@ def _thinned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _legend_places(lines: Sequence[Line]) -> list[tuple[float, int]]:
     """Left end and row of each line's name."""
-    found, x, row = [], float(_LEFT), 0
+    result, x, row = [], float(_LEFT), 0
     for line in lines:
         wide = 26 + _ADVANCE * len(_short(line.name))
         if x > _LEFT and x + wide > WIDTH - _RIGHT:
             x, row = float(_LEFT), row + 1
-        found.append((x, row))
+        result.append((x, row))
         x += wide + 10
-    return found
+    return result
 
 
 def _legend_rows(lines: Sequence[Line]) -> int:

@@ -79,8 +79,8 @@ def status_of(summary: Table) -> tuple[str, str]:
 
 def diagnosis_lines(summary: Table) -> list[str]:
     """What is known of why a run has failed: each finding in a line."""
-    found, reason = summary.get("diagnosis") or {}, str(summary.get("reason") or "")
-    texts = [str(found.get(key) or "") for key in ("text", "advice")]
+    diagnosis, reason = summary.get("diagnosis") or {}, str(summary.get("reason") or "")
+    texts = [str(diagnosis.get(key) or "") for key in ("text", "advice")]
     return [text for text in texts if text and text not in reason]
 
 
@@ -107,9 +107,9 @@ def extremes_of(summary: Table, size: float) -> list[Extreme]:
     Args:
         size: Of the body [m], for the unit of places.
     """
-    found: list[Extreme] = []
+    result: list[Extreme] = []
     if not summary.get("steps"):
-        return found
+        return result
     for name, row in (summary.get("extremes") or {}).items():
         title, unit = _EXTREMES.get(name, (str(name).replace("_", " "), ""))
         value = Value.of(row.get("value"), unit)
@@ -118,17 +118,17 @@ def extremes_of(summary: Table, size: float) -> list[Extreme]:
         peak = _peak(summary, name)
         peak = peak if peak.get("value") == row.get("value") else {}
         where = place_text(row, size, str(peak.get("surface", "")))
-        found.append(Extreme(title, value, where, *(_trust(peak) if peak else ())))
+        result.append(Extreme(title, value, where, *(_trust(peak) if peak else ())))
         other = _peak(summary, _ELSEWHERE.get(name, ""))  # away from where it is unbounded
         if (value := Value.of(other.get("value"), unit)) is not None:
             where = place_text(other, size, str(other.get("surface", "")))
-            found.append(Extreme(f"{title} elsewhere", value, where, *_trust(other)))
-    return found
+            result.append(Extreme(f"{title} elsewhere", value, where, *_trust(other)))
+    return result
 
 
 def _peak(summary: Table, name: str) -> Table:
-    found = (summary.get("error") or {}).get(name)
-    return found if isinstance(found, Mapping) else {}
+    estimate = (summary.get("error") or {}).get(name)
+    return estimate if isinstance(estimate, Mapping) else {}
 
 
 def _trust(peak: Table) -> tuple[str, str]:
@@ -193,7 +193,7 @@ def last_values(run: FinishedRun) -> list[LastValue]:
         if not name.startswith(_OTHERWISE) and not name.endswith("_energy") and name not in _TITLES
     ]
     probes = (run.case.get("output") or {}).get("probes") or {}
-    found = []
+    result = []
     for title, columns in _groups(names):
         what = ": displacement" if columns[0].rpartition("_")[0] in probes else ""
         numbers = [float(history[name][-1]) for name in columns]
@@ -205,8 +205,8 @@ def last_values(run: FinishedRun) -> list[LastValue]:
             last = name.rpartition("_")[2]  # with one column the title says all but an axis
             axis = last if last in _AXES or len(columns) > 1 else ""
             rows.append((axis, Value(x, f"{text} {unit}" if unit and math.isfinite(x) else text)))
-        found.append(LastValue(title + what, tuple(rows)))
-    return found
+        result.append(LastValue(title + what, tuple(rows)))
+    return result
 
 
 # --- history ---
@@ -250,12 +250,12 @@ def history_charts(run: FinishedRun) -> list[Chart]:
     if len(history.get("t", ())) < 3:
         return []
     across, axis = _time_axis(run)
-    found = []
+    result = []
     for title, columns in _groups(list(history)):
         drawn = [name for name in columns if _worth(history[name])]
         if drawn:
-            found.append(Chart(title, _chart(run, title, drawn, across, axis)))
-    return found
+            result.append(Chart(title, _chart(run, title, drawn, across, axis)))
+    return result
 
 
 def _time_axis(run: FinishedRun) -> tuple[FloatArray, Axis]:
@@ -271,7 +271,7 @@ def _time_axis(run: FinishedRun) -> tuple[FloatArray, Axis]:
 
 def _groups(columns: Sequence[str]) -> list[tuple[str, list[str]]]:
     """Columns that share a picture, with its title."""
-    found: dict[str, list[str]] = {}
+    result: dict[str, list[str]] = {}
     for name in columns:
         if name in _NOT_DRAWN:
             continue
@@ -285,8 +285,8 @@ def _groups(columns: Sequence[str]) -> list[tuple[str, list[str]]]:
             title = f"Reaction of {stem.removeprefix('reaction_')}"
         else:
             title = stem[:1].upper() + stem[1:].replace("_", " ")
-        found.setdefault(title, []).append(name)
-    return list(found.items())
+        result.setdefault(title, []).append(name)
+    return list(result.items())
 
 
 def _worth(values: FloatArray) -> bool:
@@ -406,7 +406,7 @@ class ModeRow:
 
 def modes_of(run: FinishedRun) -> list[ModeRow]:
     """The modes of a run."""
-    found, whole = [], run.summary.get("whole") or {}
+    result, whole = [], run.summary.get("whole") or {}
     for row in run.summary.get("modes") or []:
         key, unit = ("load_factor", "") if row.get("kind") == "buckling" else ("frequency", "Hz")
         shares = [
@@ -416,8 +416,8 @@ def modes_of(run: FinishedRun) -> list[ModeRow]:
         ]
         name = f": {row['name']}" if row.get("name") else ""
         kind, value = f"{row.get('kind', '')}{name}", Value.of(row.get(key), unit)
-        found.append(ModeRow(int(row.get("mode", 0)), kind, value, tuple(shares)))
-    return found
+        result.append(ModeRow(int(row.get("mode", 0)), kind, value, tuple(shares)))
+    return result
 
 
 # --- audit ---
@@ -500,21 +500,23 @@ def _audit_lines(audit: Table, summary: Table) -> Iterator[str]:
 def _reservations(summary: Table) -> Iterator[str]:
     """What limits how far the largest stresses can be believed."""
     error = summary.get("error")
-    found = error.get("reservations") if isinstance(error, Mapping) else None
-    for text in found if isinstance(found, list) else []:
+    notes = error.get("reservations") if isinstance(error, Mapping) else None
+    for text in notes if isinstance(notes, list) else []:
         yield f"Largest stress: {text}."
 
 
-def _stability(found: object) -> str:
+def _stability(stability: object) -> str:
     """Of the last state; empty where it was not judged, which is among the reasons."""
-    if not isinstance(found, Mapping) or not isinstance(found.get("negative_eigenvalues"), int):
+    if not isinstance(stability, Mapping) or not isinstance(
+        stability.get("negative_eigenvalues"), int
+    ):
         return ""
-    if found.get("verdict") == "stable":
+    if stability.get("verdict") == "stable":
         return "The last equilibrium is stable: no small motion lowers its energy."
-    least = "at least " if found.get("at_least") else ""
+    least = "at least " if stability.get("at_least") else ""
     return (
         "The last equilibrium is unstable, a real body would leave it: its tangent has "
-        f"{least}{found['negative_eigenvalues']} negative eigenvalue(s)."
+        f"{least}{stability['negative_eigenvalues']} negative eigenvalue(s)."
     )
 
 

@@ -37,11 +37,11 @@ def drawn_frames(run: FinishedRun) -> list[tuple[str, Frame]]:
     modes = run.summary.get("modes") or []
     if modes:
         return list(_modes(run, modes[:_MOST_MODES]))
-    found = [(_label(run, frame.t), frame) for frame in run.frames]
+    result = [(_label(run, frame.t), frame) for frame in run.frames]
     if run.summary.get("status") == "failed":
         for frame in read_frames(run.folder / _FAILED)[-1:]:
-            found.append(("the state that failed, not in equilibrium", frame))
-    return found
+            result.append(("the state that failed, not in equilibrium", frame))
+    return result
 
 
 def _modes(run: FinishedRun, modes: Sequence[Table]) -> Iterator[tuple[str, Frame]]:

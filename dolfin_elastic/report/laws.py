@@ -63,13 +63,13 @@ def materials_of(case: Table) -> list[MaterialText]:
     known = {str(row["law"]): row for row in law_table()}
     tables = case.get("materials", {})
     tables = tables if isinstance(tables, Mapping) else {}
-    found = []
+    result = []
     for k, (name, row) in enumerate(tables.items()):
         table = row if isinstance(row, Mapping) else {}
         law = str(table.get("law", "energy" if "energy" in table else ""))
         page = known.get(law, {})
         charts, notes = _tested(name, table) if k < _DRAWN else ((), ())
-        found.append(
+        result.append(
             MaterialText(
                 name=str(name),
                 law=law,
@@ -82,19 +82,19 @@ def materials_of(case: Table) -> list[MaterialText]:
                 notes=notes,
             )
         )
-    return found
+    return result
 
 
 def _constants(table: Table, law: str) -> list[tuple[str, str]]:
     """Key and value, a bare number in the SI unit in which the law reads it."""
     units = units_of(MATERIALS.get(law, SplitFormulaEnergy))
-    found = []
+    result = []
     for key, value in table.items():
         if key == "parameters":
-            found.append((str(key), _parameters(value)))
+            result.append((str(key), _parameters(value)))
         elif key not in ("law", "on"):
-            found.append((str(key), _constant(value, units.get(str(key), "").replace("*", " "))))
-    return found
+            result.append((str(key), _constant(value, units.get(str(key), "").replace("*", " "))))
+    return result
 
 
 def _constant(value: object, unit: str) -> str:
@@ -116,16 +116,16 @@ def _tested(name: str, table: Table) -> tuple[tuple[Markup, ...], tuple[str, ...
     """Curves and notes of a material."""
     try:
         law = read_material_tables({name: dict(table)})[name].law
-        found = material_report(law, largest=_largest(law))
+        report = material_report(law, largest=_largest(law))
     except InputError as error:
         return (), (f"No curves: {error}",)
     except (ArithmeticError, ValueError, KeyError, TypeError) as error:
         return (), (f"No curves: the material cannot be tried at a point ({error})",)
-    failed = tuple(f"{row.check}: {row.text}" for row in found.failed)
-    if not found.curves:
-        return (), (*failed, *found.notes)
-    stretched = [c for c in found.curves.values() if c.mode.name in _MODES]
-    sheared = [c for c in found.curves.values() if c.mode.rest == 0]
+    failed = tuple(f"{row.check}: {row.text}" for row in report.failed)
+    if not report.curves:
+        return (), (*failed, *report.notes)
+    stretched = [c for c in report.curves.values() if c.mode.name in _MODES]
+    sheared = [c for c in report.curves.values() if c.mode.rest == 0]
     charts = [_chart(part) for part in (stretched, sheared) if part]
     return tuple(charts), (*failed, *([law.warning] if law.warning else []))
 

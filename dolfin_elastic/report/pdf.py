@@ -28,7 +28,7 @@ def print_pdf(page: Path, pdf: Path) -> Path:
     Raises:
         OutputError: There is no Chromium, or it prints nothing.
     """
-    browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    browser = next((program for name in BROWSERS if (program := shutil.which(name))), None)
     if browser is None:
         raise OutputError(
             f"no PDF: there is no Chromium here ({', '.join(BROWSERS)}); open {page} in a "

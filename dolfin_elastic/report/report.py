@@ -132,25 +132,25 @@ def _audited(summary: Table) -> str:
 
 def _palette(viewed: Viewed | None) -> dict[str, str]:
     """Support or load to its colour."""
-    found: dict[str, str] = {}
+    result: dict[str, str] = {}
     for glyphs in viewed.scene.glyphs if viewed is not None else ():
         colours = _LOADS if glyphs.load else _SUPPORTS
-        found[glyphs.key] = colours[int(glyphs.key.split()[-1]) % len(colours)]
-    return found
+        result[glyphs.key] = colours[int(glyphs.key.split()[-1]) % len(colours)]
+    return result
 
 
 def _pictures(viewed: Viewed | None, palette: Mapping[str, str]) -> dict[str, object]:
-    found: dict[str, object] = {"stills": [], "held": "", "palette": palette, "not_drawn": ""}
+    result: dict[str, object] = {"stills": [], "held": "", "palette": palette, "not_drawn": ""}
     if viewed is None:
-        return {**found, "scene": None, "drawn": "", "left_out": ()}
+        return {**result, "scene": None, "drawn": "", "left_out": ()}
     try:
-        found["stills"], found["held"] = stills(viewed, palette)
+        result["stills"], result["held"] = stills(viewed, palette)
     except DrawingError as error:
-        found["not_drawn"] = str(error)
+        result["not_drawn"] = str(error)
         log.warning("the page has no fixed pictures: %s", error)
     count, of = len(viewed.scene.triangles), viewed.of
     return {
-        **found,
+        **result,
         "scene": packed(viewed, palette),
         "left_out": viewed.left_out,
         "drawn": f"drawn with {count} of {of} triangles of its surface" if count < of else "",
@@ -223,7 +223,7 @@ def _own_pictures(folder: Path, room: int) -> Iterator[OwnPicture]:
 
 def _key_figures(run: FinishedRun, longest: float) -> list[tuple[str, contents.Value, str]]:
     """What a reader looks for first: name, value, remark."""
-    found = []
+    result = []
     summary = run.summary
     rows = {row.name: row for row in contents.extremes_of(summary, longest)}
     for name in ("largest displacement", "largest von Mises stress", "smallest safety factor"):
@@ -232,18 +232,18 @@ def _key_figures(run: FinishedRun, longest: float) -> list[tuple[str, contents.V
             remark = row.trust
             if row.remark and other is not None:
                 remark = f"unbounded there; elsewhere {other.value.text} {other.trust}"
-            found.append((name, row.value, remark))
+            result.append((name, row.value, remark))
     for mode in contents.modes_of(run)[:3]:
         if mode.value is not None:
             what = "load factor of buckling" if "buckling" in mode.kind else "frequency"
-            found.append((f"{what} {mode.number}", mode.value, mode.kind))
+            result.append((f"{what} {mode.number}", mode.value, mode.kind))
     if (
-        not found
+        not result
         and summary.get("steps")
         and (value := contents.Value.of(summary.get("max_displacement"), "m"))
     ):
-        found.append(("largest displacement", value, "of the last state"))
-    return found
+        result.append(("largest displacement", value, "of the last state"))
+    return result
 
 
 def _extent(run: FinishedRun, viewed: Viewed | None) -> list[float]:
@@ -259,7 +259,7 @@ def _mesh(
 ) -> dict[str, object]:
     summary, noted = run.summary, run.model.get("mesh") or {}
     file = Path(str((run.case.get("mesh") or {}).get("file") or "")).name
-    found: dict[str, object] = {
+    result: dict[str, object] = {
         "cells": summary.get("cells"),
         "dofs": summary.get("dofs"),
         "degree": summary.get("degree"),
@@ -269,14 +269,14 @@ def _mesh(
         "quality": None,
     }
     if not frames:
-        return found
+        return result
     quality, volumes = mesh_quality(run, frames)
     counts, edges = np.histogram(quality, bins=20, range=(0.0, max(1.0, float(quality.max()))))
     chart = histogram(
         edges, counts, Axis("quality"), Axis("elements", whole=True), "Quality of elements"
     )
     plane = frames[-1][1].dim == 2
-    found["quality"] = {
+    result["quality"] = {
         "chart": chart,
         "worst": contents.Value(float(quality.min()), number(float(quality.min()))),
         "mean": contents.Value(float(quality.mean()), number(float(quality.mean()))),
@@ -285,8 +285,8 @@ def _mesh(
     # Of older runs that of straight cells.
     volume = noted.get("volume")
     whole = float(volume if isinstance(volume, int | float) else volumes.sum())
-    found["volume"] = size(whole, 2 if plane else 3)
-    return found
+    result["volume"] = size(whole, 2 if plane else 3)
+    return result
 
 
 def _timings(summary: Table) -> list[tuple[str, str]]:
@@ -304,8 +304,8 @@ def _effort(summary: Table) -> str:
         "iteration of the linear solver": summary.get("krylov_iterations"),
         "restart": len(summary.get("restarts") or []),
     }
-    found = [counted(int(count), name) for name, count in counts.items() if count]
-    return f"{listed(found)}." if found else "No step was completed."
+    counts_text = [counted(int(count), name) for name, count in counts.items() if count]
+    return f"{listed(counts_text)}." if counts_text else "No step was completed."
 
 
 # --- to repeat it ---
@@ -342,8 +342,8 @@ def _command(run: FinishedRun) -> str:
 def _goal(folder: Path) -> list[str] | None:
     """Quantity and tolerance of `converge`; None of a single run."""
     try:
-        found = json.loads((folder / "converge.json").read_text(encoding="utf-8"))
-        return [str(found["quantity"]), f"{100 * float(found['tolerance']):g}%"]
+        content = json.loads((folder / "converge.json").read_text(encoding="utf-8"))
+        return [str(content["quantity"]), f"{100 * float(content['tolerance']):g}%"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 

@@ -204,8 +204,8 @@ def surface_of(grid: pyvista.UnstructuredGrid) -> tuple[IntArray, IntArray, int]
         surface = surface.decimate_pro(1 - MOST_TRIANGLES / before, preserve_topology=True)
         numbers = np.asarray(surface.point_data["node"], dtype=np.int64)
         triangles = numbers[np.asarray(surface.regular_faces, dtype=np.int64)]
-    nodes, found = np.unique(triangles, return_inverse=True)
-    return nodes, found.reshape(-1, 3), before
+    nodes, result = np.unique(triangles, return_inverse=True)
+    return nodes, result.reshape(-1, 3), before
 
 
 _PARTS = {3: [[0, 1, 2]], 6: [[0, 5, 4], [5, 1, 3], [4, 3, 2], [5, 3, 4]]}
@@ -230,16 +230,16 @@ def node_values(
         if name in FIELDS:
             data = averaged.point_data if name in cells else grid.point_data
             rows[name] = np.asarray(data[name], dtype=np.float64)
-    found = {
+    result = {
         name: np.linalg.norm(values, axis=1) if values.ndim == 2 else values
         for name, values in rows.items()
     }
     for name in ("cauchy_stress", "cauchy_stress_cell"):
-        if name in rows and not any(one.startswith("von_mises") for one in found):
-            found["von_mises"] = von_mises(rows[name])[:, 0]
-    if allowable and "safety_factor" not in found and "von_mises" in found:
-        found["safety_factor"] = allowable / np.maximum(found["von_mises"], allowable / SAFEST)
-    return found
+        if name in rows and not any(one.startswith("von_mises") for one in result):
+            result["von_mises"] = von_mises(rows[name])[:, 0]
+    if allowable and "safety_factor" not in result and "von_mises" in result:
+        result["safety_factor"] = allowable / np.maximum(result["von_mises"], allowable / SAFEST)
+    return result
 
 
 def chosen_frames(count: int, nodes: int) -> list[int]:

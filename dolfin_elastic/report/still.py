@@ -43,8 +43,8 @@ def stills(viewed: Viewed, palette: Mapping[str, str]) -> tuple[list[tuple[str, 
         outline=False,
     )
     varied = [one for one in viewed.fields if one.name in FIRST and one.high > one.low][:_MOST]
-    found = [(one.title, _coloured(body, viewed, one.name)) for one in varied]
-    found = found or [("", replace(body, bare=True))]
+    result = [(one.title, _coloured(body, viewed, one.name)) for one in varied]
+    result = result or [("", replace(body, bare=True))]
     still = (Frame("", np.zeros_like(scene.points)),)
     held = replace(
         scene,
@@ -52,7 +52,7 @@ def stills(viewed: Viewed, palette: Mapping[str, str]) -> tuple[list[tuple[str, 
         glyphs=tuple(replace(one, colour=palette[one.key]) for one in glyphs),
     )
     try:
-        drawn = [(title, _url(one)) for title, one in found]
+        drawn = [(title, _url(one)) for title, one in result]
         return drawn, _url(replace(body, scene=held, bare=True)) if glyphs else ""
     finally:
         RENDERER.release(_url)

@@ -98,23 +98,23 @@ def _acting_sentences(case: Table, rows: Sequence[Described], kind: str) -> list
         [row for row in rows if row.key.startswith(f"{key}[")]
         for key in ("support", "load", "contact")
     )
-    found = ["It is held nowhere."]
+    result = ["It is held nowhere."]
     if case.get("periodic"):
-        found = ["It is a periodic cell: its faces are held by those opposite."]
+        result = ["It is a periodic cell: its faces are held by those opposite."]
     if supports:
         held = [f"{names(row.on)} ({row.text.partition(';')[0]})" for row in supports]
         at = f"at {listed(held)}" if len(held) <= 6 else f"by {len(held)} supports"
-        found = [f"It is held {at}."]
+        result = [f"It is held {at}."]
     if kind == "modal" and not (case["modal"] or {}).get("preload"):
-        return found
+        return result
     if len(loads) > 6:
-        found.append(f"{len(loads)} loads act on it.")
+        result.append(f"{len(loads)} loads act on it.")
     elif loads:
         acting = [f"a {_short(row.text)} on {names(row.on)}" for row in loads]
-        found.append(f"On it {'acts' if len(acting) == 1 else 'act'} {listed(acting)}.")
+        result.append(f"On it {'acts' if len(acting) == 1 else 'act'} {listed(acting)}.")
     if contacts:
-        found.append(f"Contact is possible at {listed([names(row.on) for row in contacts])}.")
-    return found
+        result.append(f"Contact is possible at {listed([names(row.on) for row in contacts])}.")
+    return result
 
 
 def _short(text: str) -> str:

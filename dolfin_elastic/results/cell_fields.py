@@ -142,10 +142,10 @@ def cell_kernel(
     Raises:
         InputError: See `cell_components`.
     """
-    found = cell_components(problem, region, w, names, where)
+    components = cell_components(problem, region, w, names, where)
     widths = [FIELDS[name].evaluated for name in names]
-    columns = np.flatnonzero(np.repeat([part is not None for part in found], widths))
+    columns = np.flatnonzero(np.repeat([part is not None for part in components], widths))
     if not len(columns):
         return None
-    vector = ufl.as_vector([component for part in found if part for component in part])
+    vector = ufl.as_vector([component for part in components if part for component in part])
     return CellKernel(CellExpression(vector, points, w, problem.jit), columns)

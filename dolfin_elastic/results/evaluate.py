@@ -240,8 +240,8 @@ class StateSource:
         moves = problem.unknowns.displacement_dofs
         force.array[moves] = problem.constraints.collect(force.array[moves])
         force.scatter_forward()  # nodes of periodic faces may be unknowns of another rank
-        places = self.evaluator.problem.unknowns.mixed_dofs
-        return np.asarray(force.array[places(np.arange(self._own(), dtype=np.int32))])
+        offsets = self.evaluator.problem.unknowns.mixed_dofs
+        return np.asarray(force.array[offsets(np.arange(self._own(), dtype=np.int32))])
 
     def recovered(self, name: RecoveredField) -> AnyArray:
         """See `FieldSource`."""

@@ -74,7 +74,7 @@ def open_together(comm: MPI.Comm, path: Path) -> MPI.File:
     return file
 
 
-def write_at(file: MPI.File, path: Path, place: int, values: AnyArray) -> OutputError | None:
+def write_at(file: MPI.File, path: Path, offset: int, values: AnyArray) -> OutputError | None:
     """Writes an array into a file; returns an error, which all ranks then raise. Not collective.
 
     Args:
@@ -83,7 +83,7 @@ def write_at(file: MPI.File, path: Path, place: int, values: AnyArray) -> Output
     status = MPI.Status()
     try:
         with writing(path):
-            file.Write_at(place, values, status)
+            file.Write_at(offset, values, status)
     except OutputError as caught:
         return caught
     if status.Get_count(MPI.BYTE) != values.nbytes:

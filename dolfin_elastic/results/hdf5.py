@@ -110,8 +110,8 @@ def _create_array(h5py: ModuleType, file: h5py.File, name: str, rows: Rows) -> i
 def _write_rows(file: MPI.File, path: Path, offset: int, rows: Rows) -> OutputError | None:
     """Writes this rank's rows; returns an error, which all ranks then raise. Not collective."""
     values = np.ascontiguousarray(rows.values)
-    place = offset + rows.first * values.shape[1] * values.itemsize
-    return write_at(file, path, place, values)
+    offsets = offset + rows.first * values.shape[1] * values.itemsize
+    return write_at(file, path, offsets, values)
 
 
 def _sync(file: MPI.File, path: Path) -> OutputError | None:
@@ -131,10 +131,10 @@ def shapes(path: Path) -> dict[str, tuple[int, int]]:
         OSError: The file is missing, no HDF5 file, or holds something else.
     """
     with guarded.opened(path) as file:
-        found = {name: guarded.shape_in(file, name) for name in file}
-    if any(len(shape) != 2 for shape in found.values()):
+        result = {name: guarded.shape_in(file, name) for name in file}
+    if any(len(shape) != 2 for shape in result.values()):
         raise OSError(f"{path} has arrays of other shapes")
-    return {name: (shape[0], shape[1]) for name, shape in found.items()}
+    return {name: (shape[0], shape[1]) for name, shape in result.items()}
 
 
 def read(path: Path, name: str, first: int, count: int) -> AnyArray:

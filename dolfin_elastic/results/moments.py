@@ -102,7 +102,7 @@ def columns_of_moments(points: ReferencePoints, problem: Problem) -> list[Column
         InputError: There is no such support or part, its moment is a column in any case, the point
             has other components than the body, two columns have one name, or nothing has a moment.
     """
-    found: list[ColumnsOfMoment] = []
+    result: list[ColumnsOfMoment] = []
     # Those of rigid surfaces are columns in any case.
     taken = {f"moment_{motion.label}" for motion in problem.constraints.rigid_motions}
     for label, named in points.items():
@@ -119,8 +119,8 @@ def columns_of_moments(points: ReferencePoints, problem: Problem) -> list[Column
                     expected="give the point another name",
                 )
             taken.add(stem)
-            found.append(ColumnsOfMoment(label, columns, place_of(point, where, problem)))
-    return found
+            result.append(ColumnsOfMoment(label, columns, place_of(point, where, problem)))
+    return result
 
 
 def _check_label(label: str, problem: Problem) -> None:
@@ -167,12 +167,12 @@ def place_of(point: Sequence[float] | str, where: str, problem: Problem) -> Floa
                 expected=f"{nearest(point, {MIDDLE, *parts})} (a point is {POINTS})",
             )
         try:
-            found = middle_of(body, [point])
+            middle = middle_of(body, [point])
         except MeshError as error:
             raise within(where, error) from None
-        if not np.isfinite(found).all():
+        if not np.isfinite(middle).all():
             raise InputError(f"'{point}' is empty", where=where, expected=f"expected {POINTS}")
-        return found
+        return middle
     if len(point) != body.dim:
         raise InputError(f"{len(point)} coordinates given, the body has {body.dim}", where=where)
     return np.array(point, dtype=np.float64)

@@ -62,17 +62,17 @@ def limits_of(ends: Sequence[float | str]) -> Limits:
     expected = 'for example [0, "200 MPa"], or percentiles ["2 %", "98 %"]'
     share = all(isinstance(end, str) and end.strip().endswith("%") for end in ends)
     try:
-        found = [float(str(e).strip(" %")) if share else _number_of(e) for e in ends]
+        result = [float(str(e).strip(" %")) if share else _number_of(e) for e in ends]
     except (InputError, ValueError):
         raise InputError("this is no range of colours", expected=expected) from None
-    if len(found) == 2 and found[0] >= found[1]:
+    if len(result) == 2 and result[0] >= result[1]:
         raise InputError(
             "the first end of a range of colours must be below the second", expected=expected
         )
-    whole = len(found) == 2 and found[0] < found[1]
-    if not whole or (share and not 0 <= found[0] <= found[1] <= 100):
+    whole = len(result) == 2 and result[0] < result[1]
+    if not whole or (share and not 0 <= result[0] <= result[1] <= 100):
         raise InputError("this is no range of colours", expected=expected)
-    return Limits((found[0], found[1]), share)
+    return Limits((result[0], result[1]), share)
 
 
 def check_frames(fps: float, where: str) -> None:
@@ -419,13 +419,13 @@ class Picture(Output):
         """
         single = isinstance(self.clip, ClipPlane)
         planes = [self.clip] if isinstance(self.clip, ClipPlane) else self.clip
-        found = []
+        result = []
         for i, plane in enumerate(planes):
             try:
-                found.append(plane.clip(body))
+                result.append(plane.clip(body))
             except InputError as error:
                 raise within("clip" if single else f"clip[{i}]", error) from None
-        return found
+        return result
 
     def appearance(self, body: Body) -> Appearance:
         """How the pictures show the body. Collective."""
@@ -449,10 +449,10 @@ class Picture(Output):
         from dolfin_elastic.results.scene.pictures import picture_files
 
         path = folder / self.file
-        found = [str(p.relative_to(folder)) for p in picture_files(path)] if folder.is_dir() else []
-        if len(found) <= _MAX_LISTED:
-            return found
-        return [f"{found[0]} ... {found[-1]} ({len(found)} pictures)"]
+        names = [str(p.relative_to(folder)) for p in picture_files(path)] if folder.is_dir() else []
+        if len(names) <= _MAX_LISTED:
+            return names
+        return [f"{names[0]} ... {names[-1]} ({len(names)} pictures)"]
 
 
 class ModePicture(Picture):
@@ -497,7 +497,7 @@ class Modes(Output):
 
     def listing(self, folder: Path) -> list[str]:
         """See `Output.listing`; of many animations the first and the last."""
-        found = [path.name for path in animations(folder)]
-        if len(found) > _MAX_LISTED:
-            found = [f"{found[0]} ... {found[-1]}"]
-        return [*super().listing(folder), *found]
+        names = [path.name for path in animations(folder)]
+        if len(names) > _MAX_LISTED:
+            names = [f"{names[0]} ... {names[-1]}"]
+        return [*super().listing(folder), *names]

@@ -186,10 +186,10 @@ def check_readable(names: Iterable[str]) -> tuple[str, ...]:
     """
     readable = (*NODAL, REACTION)
     known = [name for name in FIELDS if name in readable or FIELDS[name].formula]
-    for name in (found := tuple(names)):
+    for name in (result := tuple(names)):
         if name not in known:
             raise InputError(f"a probe cannot read '{name}'", expected=nearest(name, known))
-    return found
+    return result
 
 
 class Probe:
@@ -288,17 +288,17 @@ class Probe:
         Vectors have as many components as the body has dimensions, tensors nine, row by row.
         """
         with stage("output"):
-            found = self._at_points(state)
+            result = self._at_points(state)
             for name, rows in self._samples.items():
                 points = [f"{name} {i}" for i in range(len(rows))]
                 for field in self.fields[points[0]]:
-                    values = np.array([found.pop(f"{point}_{field}") for point in points])
-                    found[f"{name}_{field}"] = rows[:, -1] @ values
+                    values = np.array([result.pop(f"{point}_{field}") for point in points])
+                    result[f"{name}_{field}"] = rows[:, -1] @ values
             for name, (part, plain) in self._parts.items():
                 for number, values in part(state).items():
-                    found[f"{name}_{number.removesuffix('_mean') if plain else number}"] = values
+                    result[f"{name}_{number.removesuffix('_mean') if plain else number}"] = values
         held = self._reactions(state) if self._reactions else {}
-        return found | {f"{name}_{REACTION}": force for name, force in held.items()}
+        return result | {f"{name}_{REACTION}": force for name, force in held.items()}
 
     def _at_points(self, state: State) -> dict[str, FloatArray]:
         if not any(self.fields.values()):
@@ -318,8 +318,8 @@ class Probe:
         }
         sent = np.concatenate(list(values.values()))
         ends = np.cumsum([len(v) for v in values.values()])[:-1]
-        found = np.split(total(self.problem.body.comm, sent), ends)
-        return dict(zip(values, found, strict=True))
+        rows = np.split(total(self.problem.body.comm, sent), ends)
+        return dict(zip(values, rows, strict=True))
 
     def _nodal(self, state: State, field: str, place: LocatedPoint) -> FloatArray:
         """A vector at a point, on the rank that owns its cell; zeros on the others."""
@@ -337,17 +337,17 @@ class Probe:
         Raises:
             InputError: A probe has the name of a column of moments.
         """
-        found = {
+        force = {
             column: float(value)
             for name, components in self(state).items()
             for column, value in zip(_columns(name, len(components)), components, strict=True)
         }
         with stage("output"):
             for columns in (other(state) for other in self._others):
-                if twice := found.keys() & columns.keys():
+                if twice := force.keys() & columns.keys():
                     raise duplicate_column(min(twice))
-                found |= columns
-        return found
+                force |= columns
+        return force
 
     def add_to(self, state: State) -> State:
         """A copy of the state whose numbers contain those of the probes.
@@ -355,10 +355,10 @@ class Probe:
         Raises:
             InputError: A probe's column has the name of another column of the history.
         """
-        found = self.numbers(state)
-        if twice := found.keys() & row(state).keys():
+        result = self.numbers(state)
+        if twice := result.keys() & row(state).keys():
             raise duplicate_column(min(twice))
-        return replace(state, numbers={**state.numbers, **found})
+        return replace(state, numbers={**state.numbers, **result})
 
 
 def _interpolated(fields: Sequence[str]) -> tuple[str, ...]:
@@ -377,10 +377,10 @@ def duplicate_column(column: str) -> InputError:
 
 def _materials(problem: Problem) -> IndexArray:
     """Number of each owned cell's material region."""
-    found = np.zeros(len(problem.body.owned_cells()), dtype=np.int32)
+    result = np.zeros(len(problem.body.owned_cells()), dtype=np.int32)
     for number, part in enumerate(problem.regions):
-        found[part.cells] = number
-    return found
+        result[part.cells] = number
+    return result
 
 
 def _columns(name: str, size: int) -> list[str]:
@@ -414,20 +414,20 @@ class _CellFields:
         # at the sampling points; None: the material has none of them.
         self._parts: list[tuple[list[str], IndexArray, CellKernel | None]] = []
         for region in problem.regions:
-            mine = [n for n, p in places.items() if p.cell >= 0 and p.cell in region.cells]
-            if total(problem.body.comm, len(mine)):
-                cells = cells_around(problem, region, [places[n].cell for n in mine], rings=1)
+            local = [n for n, p in places.items() if p.cell >= 0 and p.cell in region.cells]
+            if total(problem.body.comm, len(local)):
+                cells = cells_around(problem, region, [places[n].cell for n in local], rings=1)
                 kernel = cell_kernel(problem, region, self.w, names, samples, _WHERE)
-                self._parts.append((mine, cells, kernel))
+                self._parts.append((local, cells, kernel))
 
     def __call__(self, state: State) -> dict[str, dict[str, FloatArray]]:
         """Point and field to components, on the rank that owns the cell; zeros on the others."""
         self.w.x.array[:] = (state.w or state.u).x.array
         rows = {name: np.full((1, sum(self.widths)), np.nan) for name in self.places}
-        for mine, cells, kernel in self._parts:
+        for local, cells, kernel in self._parts:
             if kernel is not None:
                 corners = self._at_corners(kernel, cells)
-                for name in mine:
+                for name in local:
                     place = self.places[name]
                     around = corners[self.corners.list[place.cell]]
                     rows[name][0, kernel.columns] = _linear(place.local) @ around

@@ -231,25 +231,25 @@ class Extreme(Measurement):
             return np.asarray(cell_corners(problem.body.mesh, chosen).mean(axis=1))
 
         rest = self._sign * _AT_REST.get(self.quantity.name, 0.0)
-        found = largest_row(problem.body.comm, values, places, least=_ROUND_OFF, about=rest)
-        if found is None:
+        row = largest_row(problem.body.comm, values, places, least=_ROUND_OFF, about=rest)
+        if row is None:
             return Measured(self._sign * -np.inf)
-        size = size_at(problem, found.place) if sized else np.nan
-        return Measured(self._sign * found.value, found.place, size, self._region(state, found))
+        size = size_at(problem, row.place) if sized else np.nan
+        return Measured(self._sign * row.value, row.place, size, self._region(state, row))
 
-    def _region(self, state: State, found: LargestRow) -> str:
+    def _region(self, state: State, largest: LargestRow) -> str:
         """Name of the material region that the value belongs to; empty where that is none."""
         comm, name = self.problem.body.comm, ""
         stress = self._recovery(state) if self._recovery else None
-        if comm.rank == found.rank:
-            row = self.members[found.row]
+        if comm.rank == largest.rank:
+            row = self.members[largest.row]
             if stress is not None:
                 safety = self.quantity.name == "safety_factor"
                 numbers = stress.safety_region if safety else stress.region
                 name = self.problem.regions[numbers[row]].name if numbers[row] >= 0 else ""
             elif self.centre == "cell":
                 name = next((p.name for p in self.problem.regions if row in p.cells), "")
-        return str(comm.bcast(name, root=found.rank))
+        return str(comm.bcast(name, root=largest.rank))
 
 
 class Integral(Measurement):
@@ -328,11 +328,11 @@ def size_at(problem: Problem, place: tuple[float, ...]) -> float:
     """About the edge length [m] of the cell whose middle is nearest to a place. Collective."""
     body, d = problem.body, problem.body.dim
     away = np.linalg.norm(cell_corners(body.mesh).mean(axis=1) - np.array(place), axis=1)
-    mine = (np.inf, 0.0)
+    local = (np.inf, 0.0)
     if len(away):
         nearest_one = int(np.argmin(away))
-        mine = (float(away[nearest_one]), float(cell_volumes(body.mesh)[nearest_one]))
-    volume = min(body.comm.allgather(mine))[1]
+        local = (float(away[nearest_one]), float(cell_volumes(body.mesh)[nearest_one]))
+    volume = min(body.comm.allgather(local))[1]
     return float((volume * (2.0 if d == 2 else 8.0)) ** (1 / d))
 
 

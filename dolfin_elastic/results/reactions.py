@@ -70,8 +70,8 @@ def node_at(problem: Problem, place: Sequence[float], where: str) -> IndexArray:
     x = problem.places[:own, :dim]
     distance = np.linalg.norm(x - np.array(place[:dim]), axis=1)
     first = int(np.argmin(distance)) if own else -1
-    mine = (float(distance[first]), problem.body.comm.rank, tuple(x[first])) if own else None
-    nearest = min(one for one in problem.body.comm.allgather(mine) if one is not None)
+    local = (float(distance[first]), problem.body.comm.rank, tuple(x[first])) if own else None
+    nearest = min(one for one in problem.body.comm.allgather(local) if one is not None)
     if nearest[0] > _AT_NODE * span(problem.body):
         raise InputError(
             f"there is no node at {_in_words(place[:dim])} m, and a reaction is a force at nodes",

@@ -42,7 +42,7 @@ def refuse_times_beyond(times: Sequence[float], end: float, key: str, unit: str 
 def driven_by_formula(problem: Problem) -> bool:
     """Whether a formula in t drives a load, support or obstacle: it may turn around at any time."""
     formulas = [load.values for load in problem.loads]
-    formulas += [course for support in problem.supports for course in support.time_functions]
+    formulas += [function for support in problem.supports for function in support.time_functions]
     formulas += [pair.contact.values for pair in problem.contact_pairs]
     curves = any(curve.is_formula for curve in problem.curves)
     return curves or any(depends_on_time(vector) for vector in formulas)

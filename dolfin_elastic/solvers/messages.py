@@ -180,9 +180,9 @@ def load_not_finite(problem: Problem, t: float) -> InputError:
     Args:
         t: Time [s], or load parameter.
     """
-    found = undefined_load(problem, t)
-    if found is not None:
-        return found
+    formula = undefined_load(problem, t)
+    if formula is not None:
+        return formula
     return InputError(f"a load has no finite value at t = {t:g}", where="load", expected=LOAD)
 
 

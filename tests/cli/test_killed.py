@@ -21,7 +21,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import Case, read_case, run
 from dolfin_elastic.results.checkpoint.checkpoints import FOLDER, last_step
-from dolfin_elastic.results.checkpoint.lock import LOCK, FolderLock
+from dolfin_elastic.results.checkpoint.lock import LOCK, FolderLease
 from dolfin_elastic.results.writers.history import HistoryWriter
 
 pytestmark = pytest.mark.skipif(
@@ -229,7 +229,7 @@ def test_a_run_that_is_refused_leaves_the_stop_file_of_another(tmp_path: Path) -
     write_case(tmp_path, 3)
     folder = tmp_path / "case_results"
     folder.mkdir()
-    with closing(FolderLock(MPI.COMM_SELF, folder)) as lock:
+    with closing(FolderLease(MPI.COMM_SELF, folder)) as lock:
         lock.acquire()
         (folder / "stop").touch()
         code, _, err = cli("run", "case.toml", folder=tmp_path)

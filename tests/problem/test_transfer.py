@@ -23,7 +23,7 @@ from dolfin_elastic import (
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.refine.refinement import Refinement, refine_body
-from dolfin_elastic.solvers.statics.load_stepping import NearEnd
+from dolfin_elastic.solvers.statics.load_stepping import InitialGuess
 from dolfin_elastic.study.converge.converge import refined_unknowns
 
 WORLD = MPI.COMM_WORLD
@@ -107,7 +107,7 @@ def test_solved_from_there() -> None:
     refinement = refined(coarse.body)
     fine = bent(refinement.body)
     guess = refined_unknowns(refinement, coarse, coarse.w, fine)
-    (state,) = Statics(fine).steps(near=NearEnd(guess))
+    (state,) = Statics(fine).steps(near=InitialGuess(guess))
     assert state.done == 1.0
     assert state.audit is not None
     assert state.audit.verdict == "pass"
@@ -123,6 +123,6 @@ def test_a_bad_guess_is_left() -> None:
     problem = bent(box_body(size=[2, 1], cells=[4, 2]))
     rng = np.random.default_rng(0)
     wild = 10.0 * rng.random(len(problem.w.x.array))
-    *_, state = Statics(problem, first_step=0.25).steps(near=NearEnd(wild))
+    *_, state = Statics(problem, first_step=0.25).steps(near=InitialGuess(wild))
     assert state.done == 1.0
     assert state.step > 1

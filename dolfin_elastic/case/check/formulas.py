@@ -164,8 +164,8 @@ def _uses(case: Case, integrals: Integrals) -> Iterator[_Use]:
 
 def _cells_of(body: Body, names: Sequence[str], *more: IndexArray) -> IndexArray:
     """Owned cells of regions and others, each once, sorted."""
-    found = [np.empty(0, dtype=np.int32), *more, *(body.owned_cells(name) for name in names)]
-    return np.unique(np.concatenate(found))
+    result = [np.empty(0, dtype=np.int32), *more, *(body.owned_cells(name) for name in names)]
+    return np.unique(np.concatenate(result))
 
 
 def _filled(case: Case, name: str, integrals: Integrals) -> FloatArray:
@@ -218,15 +218,15 @@ def _of_support(key: str, support: Restraint, integrals: Integrals) -> Iterator[
 
 def _by_kind(body: Body, support: Restraint) -> dict[str, list[str]]:
     """Kind of part to the names of those that a support holds; empty sets of nodes left out."""
-    found: dict[str, list[str]] = {}
+    result: dict[str, list[str]] = {}
     for name in support.surfaces:
         if name in body.surfaces and name not in body.uncovered:
-            found.setdefault("surface", []).append(name)
+            result.setdefault("surface", []).append(name)
         elif name in body.parts["edge"]:
-            found.setdefault("edge", []).append(name)
+            result.setdefault("edge", []).append(name)
         elif name in body.parts["point"]:
-            found.setdefault("point", []).append(name)
-    return found
+            result.setdefault("point", []).append(name)
+    return result
 
 
 def _facets(integrals: Integrals, names: Sequence[str]) -> FloatArray:
@@ -264,11 +264,11 @@ def _check_poles(
     value: Formula, X: FloatArray, use: _Use, times: Sequence[float], comm: MPI.Comm
 ) -> None:
     """Raises on all ranks where a formula has a pole between two points or times. Collective."""
-    found = first_of(
+    first = first_of(
         comm, [pole for t in _times_of(value, times) for pole in _poles(value, X, t, use)]
     )
-    if found is not None:
-        raise no_value(value, use.where, found[1:], found[0], pole=True)
+    if first is not None:
+        raise no_value(value, use.where, first[1:], first[0], pole=True)
     if "t" in value.names:
         early = first_of(comm, _poles_in_time(value, X.reshape(-1, X.shape[-1]), [0.0, *times]))
         if early is not None:
@@ -323,8 +323,8 @@ def _poles_in_time(formula: Formula, X: FloatArray, times: Sequence[float]) -> I
         for (first, a), (last, b) in pairwise(zip(times, values, strict=True)):
             if a * b < 0:
                 start, end = (np.insert(X, 0, t, axis=1) for t in (first, last))
-                found = _poles_between(formula, divisor, start, end, np.full(len(X), _ANY))
-                yield from map(float, found[:1, 0])
+                result = _poles_between(formula, divisor, start, end, np.full(len(X), _ANY))
+                yield from map(float, result[:1, 0])
 
 
 def _poles_between(

@@ -191,12 +191,12 @@ def _reach(case: Case, problem: Problem) -> float:
 def _gaps_over_time(case: Case, pair: ContactPair) -> list[float]:
     """Smallest gap of the body at rest as the obstacle moves [m]. Collective."""
     end, default = _end(case)
-    x, found = pair.places(), []
+    x, result = pair.places(), []
     for t in np.linspace(0.0, end, TIMES if pair.contact.values else 1):
         shift = pair.contact.displacement_at(float(t), default, x.shape[1])
         gaps = np.asarray(pair.contact.obstacle.gap(list((x - shift).T), float, np.sqrt)[0])
-        found.append(float(np.min(gaps, initial=np.inf)))
-    return [smallest(pair.comm, gap) for gap in found]
+        result.append(float(np.min(gaps, initial=np.inf)))
+    return [smallest(pair.comm, gap) for gap in result]
 
 
 def _in_another_unit(unit: LengthUnit, written: Contact, pair: ContactPair, diagonal: float) -> str:

@@ -47,14 +47,14 @@ class Integrals:
 
     def density(self, points: QuadraturePoints) -> FloatArray:
         """Mass density at points of cells [kg/m^3]; nan where a material has none. Local."""
-        found = np.full(points.weights.shape, np.nan)
+        result = np.full(points.weights.shape, np.nan)
         row = np.full(len(self.body.owned_cells()), -1)
         row[points.cells] = np.arange(len(points.cells))
         for part in self.problem.regions:
             cells = part.cells[row[part.cells] >= 0]
             if part.law.density is not None:
-                found[row[cells]] = _at(part.law.density, cells, points.local)
-        return found
+                result[row[cells]] = _at(part.law.density, cells, points.local)
+        return result
 
 
 def _at(

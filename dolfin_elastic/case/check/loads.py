@@ -101,10 +101,10 @@ def _load_sum(case: Case, index: int, load: Load, integrals: Integrals) -> LoadS
     default = PROPORTIONAL if case.dynamics is None else CONSTANT
     factors = {t: (load.amplitude or default).at(t) for t in _times(case, load)}
     if depends_on_time(load.values):
-        found = {t: _resultant(load, t, points, integrals) for t in factors}
+        result = {t: _resultant(load, t, points, integrals) for t in factors}
     else:
-        found = dict.fromkeys(factors, _resultant(load, max(factors), points, integrals))
-    sums = {t: factors[t] * s for t, s in found.items() if s is not None}
+        result = dict.fromkeys(factors, _resultant(load, max(factors), points, integrals))
+    sums = {t: factors[t] * s for t, s in result.items() if s is not None}
     if case.dynamics is None and sums and depends_on_time(load.values):
         for t in all_times(case):
             early = _resultant(load, float(t), points, integrals)
@@ -125,11 +125,11 @@ def _rigid_sums(case: Case, problem: Problem) -> Iterator[LoadSum]:
     for index, support in enumerate(case.support):
         if not isinstance(support, Rigid) or not any(x != 0.0 for x in support.action(dim)):
             continue
-        found = {
+        result = {
             t: _rigid_resultant(motions[support.label], t, case, dim) for t in _rigid_times(case)
         }
-        time = max(found, key=lambda t: (round(_strength(found[t], dim), 12), -t))
-        force, moment = _plain(found[time][:dim]), _plain(found[time][dim:])
+        time = max(result, key=lambda t: (round(_strength(result[t], dim), 12), -t))
+        force, moment = _plain(result[time][:dim]), _plain(result[time][dim:])
         yield LoadSum(f"support[{index}] (rigid)", ", ".join(support.surfaces), force, moment, time)
 
 

@@ -12,8 +12,8 @@ from dolfin_elastic.model.materials.law import Law
 def stability_notes(case: Case) -> Iterator[str]:
     """Materials that constants of the wrong sign make unstable at moderate stretches. Local."""
     for where, law in _with_numbers(case):
-        if (named := law.destabilising()) and (found := _limits(law)):
-            words, span = found
+        if (named := law.destabilising()) and (bounds := _limits(law)):
+            words, span = bounds
             yield (
                 f"{where}: with {' and '.join(named)} {words} is stable only for "
                 f"{span}; a body that is strained further, and thin parts of it before, has no "
@@ -28,8 +28,8 @@ def material_information(case: Case) -> tuple[str, ...]:
 
 def _stable_ranges(case: Case) -> Iterator[str]:
     for where, law in _with_numbers(case):
-        if law.limited and (found := _limits(law)):
-            yield f"{where}: {found[0]} is stable for {found[1]}"
+        if law.limited and (bounds := _limits(law)):
+            yield f"{where}: {bounds[0]} is stable for {bounds[1]}"
 
 
 def _limits(law: Law) -> tuple[str, str] | None:
@@ -38,8 +38,8 @@ def _limits(law: Law) -> tuple[str, str] | None:
     from dolfin_elastic.model.point.alternatives import law_in_words
     from dolfin_elastic.model.point.stable_range import limits
 
-    found = limits(law)
-    return (law_in_words(law), found) if found else None
+    bounds = limits(law)
+    return (law_in_words(law), bounds) if bounds else None
 
 
 def _rounded(case: Case) -> Iterator[str]:

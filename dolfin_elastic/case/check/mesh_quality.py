@@ -156,13 +156,13 @@ def bending_notes(case: Case, problem: Problem) -> list[str]:
     """
     if problem.degree > 1 or problem.cell is not None:
         return []
-    found = local_thickness(problem.body.mesh, _held_facets(problem))
-    stiffness, size = bending_stiffness(found, _ratios(problem)), span(problem.body)
+    result = local_thickness(problem.body.mesh, _held_facets(problem))
+    stiffness, size = bending_stiffness(result, _ratios(problem)), span(problem.body)
     # Where a moment runs through parts of several thicknesses, a cell takes part in the compliance
     # by its volume over the fourth power of its thickness.
-    thick = np.minimum(found.thickness / size, 1e3)
-    shares = found.volumes / np.square(np.square(thick))  # a power takes ten times as long
-    terms = [np.ones_like(shares), 1 / stiffness, thick, _ACROSS * size * thick / found.across]
+    thick = np.minimum(result.thickness / size, 1e3)
+    shares = result.volumes / np.square(np.square(thick))  # a power takes ten times as long
+    terms = [np.ones_like(shares), 1 / stiffness, thick, _ACROSS * size * thick / result.across]
     sums = total(problem.body.comm, np.array([shares @ term for term in terms]))
     factor, thickness, count = sums[0] / sums[1], size * sums[2] / sums[0], sums[3] / sums[0]
     if factor < _TOO_STIFF or size < _SLENDER * thickness:
@@ -185,7 +185,7 @@ _ACROSS = 0.7
 """Root mean square of an edge's extent across layers of cells, over their height (0.58 to 0.75)."""
 
 
-def bending_stiffness(found: Thickness, ratios: FloatArray) -> FloatArray:
+def bending_stiffness(thickness: Thickness, ratios: FloatArray) -> FloatArray:
     """Bending stiffness of linear elements over the true one, around each cell.
 
     A linear element has a constant strain, and what bending adds to it is an error: its energy is
@@ -210,7 +210,10 @@ def bending_stiffness(found: Thickness, ratios: FloatArray) -> FloatArray:
     """
     modulus = (1 - ratios) / ((1 + ratios) * (1 - 2 * ratios))
     with np.errstate(divide="ignore"):
-        across, along = found.across / found.thickness, found.along / found.thickness
+        across, along = (
+            thickness.across / thickness.thickness,
+            thickness.along / thickness.thickness,
+        )
     return np.asarray(1 + (1 + 0.6 * (modulus - 1)) * (3.6 * across**2 + 1.4 * along**2))
 
 
@@ -232,12 +235,12 @@ def _held_facets(problem: Problem) -> IndexArray:
         if not isinstance(support, ResistingSupport)
         for name in support.surfaces
     ]
-    found = [body.surfaces[name] for name in names if name in body.surfaces]  # or an edge's
+    result = [body.surfaces[name] for name in names if name in body.surfaces]  # or an edge's
     if problem.geometry == "axisymmetric":
         facets = boundary_facets(body.mesh)
         radius = facet_corners(body.mesh, facets)[:, :, 0].max(axis=1)
-        found.append(facets[radius < 1e-9 * cell_size(body)])
-    return np.unique(np.concatenate([np.empty(0, dtype=np.int32), *found]))
+        result.append(facets[radius < 1e-9 * cell_size(body)])
+    return np.unique(np.concatenate([np.empty(0, dtype=np.int32), *result]))
 
 
 def _place(point: Iterable[float]) -> str:

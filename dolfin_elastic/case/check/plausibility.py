@@ -154,17 +154,19 @@ def _farthest(case: Case, value: Component, curve: Amplitude | None, corners: Fl
     end = case.final_load if case.dynamics is None else case.dynamics.end
     amplitude = amplitude_of(value, curve) or CONSTANT
     times = sorted({*np.linspace(0.0, end, _TIMES), *(t for t in amplitude.breakpoints if t < end)})
-    places = {"z": np.zeros(len(corners)), **dict(zip("xyz", corners.T, strict=False))}
-    found = 0.0
+    coordinates = {"z": np.zeros(len(corners)), **dict(zip("xyz", corners.T, strict=False))}
+    result = 0.0
     for t in times:
         try:
             size = _size(value)
             if isinstance(value, Formula):
-                size = float(np.max(np.abs(np.nan_to_num(value.evaluate(t=t, **places), posinf=0))))
-            found = max(found, abs(amplitude.at(float(t))) * size)
+                size = float(
+                    np.max(np.abs(np.nan_to_num(value.evaluate(t=t, **coordinates), posinf=0)))
+                )
+            result = max(result, abs(amplitude.at(float(t))) * size)
         except FormulaError:
             continue
-    return found
+    return result
 
 
 def _size(value: Component) -> float:
@@ -240,11 +242,11 @@ def _distance_notes(case: Case, body: Body) -> Iterator[str]:
             continue
         place = BoundingBox.of(body, unit.metres).point(choices[0].nearest, "nearest")
         x = body.mesh.geometry.x[body.owned_points(name), : body.dim]
-        found = first_of(body.comm, [tuple(map(float, row)) for row in x])
-        assert found is not None
-        distance = float(np.linalg.norm(np.array(found) - place))
+        first = first_of(body.comm, [tuple(map(float, row)) for row in x])
+        assert first is not None
+        distance = float(np.linalg.norm(np.array(first) - place))
         if distance > limit:
-            exact = (x if abs(x) > 1e-9 * limit else 0.0 for x in found)  # round-off of the mesh
+            exact = (x if abs(x) > 1e-9 * limit else 0.0 for x in first)  # round-off of the mesh
             shown = ", ".join(f"{x / unit.metres:.4g}" for x in exact)
             yield (
                 f"points.{key_text(name)}: the nearest vertex is ({shown}) {unit.name}, "
@@ -387,7 +389,7 @@ def _singular_supports(case: Case, body: Body) -> Iterator[str]:
     The stress at the distance r of a force on a line goes as 1/r, of a force at a point of a solid
     as 1/r^2.  Source: Timoshenko & Goodier, Theory of Elasticity (1970), sections 36 and 138.
     """
-    found: dict[str, str] = {}
+    result: dict[str, str] = {}
     for i, support in enumerate(case.support):
         if not isinstance(support, PrescribingSupport):
             continue
@@ -396,11 +398,11 @@ def _singular_supports(case: Case, body: Body) -> Iterator[str]:
             if "surface" in kinds and name not in body.uncovered:
                 continue
             what = "edge" if kinds[0] == "edge" else "point" if kinds == ["point"] else "nodes"
-            found.setdefault(name, f"the {what} '{name}' (support[{i}])")
-    if found:
-        plural = len(found) > 1 or next(iter(found.values())).startswith("the nodes")
+            result.setdefault(name, f"the {what} '{name}' (support[{i}])")
+    if result:
+        plural = len(result) > 1 or next(iter(result.values())).startswith("the nodes")
         yield (
-            f"{', '.join(found.values())} {'are' if plural else 'is'} held: the reaction there is "
+            f"{', '.join(result.values())} {'are' if plural else 'is'} held: the reaction there is "
             "exact, but the stress beside is singular, growing with every refinement, unless it "
             "is zero"
         )
@@ -507,5 +509,5 @@ def _final_value(
 
 def _vertices(body: Body, support: Restraint) -> IndexArray:
     """Local vertices of a support's parts, as nodes of the geometry. Collective."""
-    found = [np.flatnonzero(vertices_of(body, name)) for name in support.surfaces]
-    return np.unique(np.concatenate(found)).astype(np.int32)
+    result = [np.flatnonzero(vertices_of(body, name)) for name in support.surfaces]
+    return np.unique(np.concatenate(result)).astype(np.int32)

@@ -58,7 +58,7 @@ from dolfin_elastic.results.files import why_not_made
 from dolfin_elastic.results.moments import columns_of_moments
 from dolfin_elastic.results.probes import duplicate_column
 from dolfin_elastic.results.reactions import REACTION, node_at
-from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
+from dolfin_elastic.solvers.assembly.hydrostatic_constant import HydrostaticConstant
 from dolfin_elastic.solvers.diagnostics.rigid_body import (
     FreeBody,
     check_no_rigid_motion,
@@ -269,7 +269,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
             *shape_notes(case, problem),
             *section_notes(case, problem),
             *stress_notes(case, integrals, sums),
-            *PressureLevel(problem).notes(),
+            *HydrostaticConstant(problem).notes(),
             *part_notes(body, {s.on for s in case.output.sections.values()}),
             *cell_notes(body),
         ),

@@ -70,8 +70,8 @@ def surface_sizes(body: Body, use: Use) -> tuple[PartSize, ...]:
         if body.faces is not None:
             own = np.unique(body.faces.numbers_of(facets)).tolist()
             faces = {int(n) for share in body.comm.allgather(own) for n in share if n}
-        found = PartSize(name, body.count(name), measure, use(name, "surface"), centroid, normal)
-        sizes.append(replace(found, faces=tuple(sorted(faces))))
+        result = PartSize(name, body.count(name), measure, use(name, "surface"), centroid, normal)
+        sizes.append(replace(result, faces=tuple(sorted(faces))))
     return tuple(sizes)
 
 

@@ -61,22 +61,22 @@ def look_at(
             glyphs = glyphs_of(placed, body, load_sums(placed, integrals))
         except InputError as error:
             notes = (f"the case has a fault, so that loads and supports may be missing: {error}",)
-    found = listing(body, case="" if case is None else case.file, use=use, notes=notes)
+    annotated = listing(body, case="" if case is None else case.file, use=use, notes=notes)
     if case is not None:
-        found = replace(found, described=described(case, body))
+        annotated = replace(annotated, described=described(case, body))
     if picture is None:
-        return found
+        return annotated
     # Of a plane body regions are drawn; surfaces are its outline.
-    named = found.surfaces if body.dim == 3 else found.regions[1:]
+    named = annotated.surfaces if body.dim == 3 else annotated.regions[1:]
     scene = body_scene(body, [row.name for row in named])
     if scene is not None and placed is not None:
         scene = replace(scene, glyphs=glyphs, obstacles=_obstacles(placed, body, scene))
     legend = tuple((row.name, row.use, patch_colour(i)) for i, row in enumerate(named))
-    title, up = found.case or body.source, _up(case, body)
+    title, up = annotated.case or body.source, _up(case, body)
     why = on_root(comm, lambda: _why_not_drawn(scene, title, up, legend, picture))
     if why:
-        return replace(found, notes=(*found.notes, f"no picture: {why}"))
-    return replace(found, picture=str(picture))
+        return replace(annotated, notes=(*annotated.notes, f"no picture: {why}"))
+    return replace(annotated, picture=str(picture))
 
 
 def _up(case: Case | None, body: Body) -> Up:
@@ -110,15 +110,15 @@ def _body(
 
 def _obstacles(case: Case, body: Body, scene: Scene) -> tuple[Obstacle, ...]:
     """As they stand at the start, those that fit the body. On rank 0."""
-    reach, found = Reach(), []
+    reach, result = Reach(), []
     reach.take(scene.points)
     for index, contact in enumerate(case.contact):
         shape = contact.obstacle.in_metres(body.unit.metres)
         named = f"'{contact.name}'" if contact.name else f"with {', '.join(contact.surfaces)}"
         with suppress(InputError):
             shape.check(body.dim, axisymmetric=case.mesh.geometry == "axisymmetric")
-            found.append((f"contact[{index}] {named}", shape, np.zeros(3)))
-    return obstacles_beside(found, reach, body.dim, _CONTACT)
+            result.append((f"contact[{index}] {named}", shape, np.zeros(3)))
+    return obstacles_beside(result, reach, body.dim, _CONTACT)
 
 
 def _why_not_drawn(

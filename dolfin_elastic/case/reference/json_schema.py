@@ -124,16 +124,16 @@ class _Writer:
             text = described.get(name, "")
             properties |= {key: {**one, "description": text} if text else one for key in keys}
             needed += keys if field.is_required() and len(keys) == 1 else []
-        found: Schema = {"type": "object", "description": summary(kind)}
-        found |= {"properties": properties, "additionalProperties": False}
-        return {**found, "required": needed} if needed else found
+        schema: Schema = {"type": "object", "description": summary(kind)}
+        schema |= {"properties": properties, "additionalProperties": False}
+        return {**schema, "required": needed} if needed else schema
 
     def _field(self, field: FieldInfo, *, varies: bool) -> Schema:
-        found = dict(self._value(field.annotation, field.metadata, varies=varies))
+        schema = dict(self._value(field.annotation, field.metadata, varies=varies))
         default = field.default
         if default is not PydanticUndefined and isinstance(default, str | int | float):
-            found["default"] = default
-        return found
+            schema["default"] = default
+        return schema
 
     def _value(
         self, kind: object, metadata: Iterable[object] = (), *, varies: bool = False
@@ -150,8 +150,8 @@ class _Writer:
             return self._value(inner, [*_flat(more), *metadata], varies=varies)
         if len(kinds) > 1 or kinds[0] is not kind:
             parts = [one for one in _union(kind) if one is not NoneType]
-            found = [self._value(one, metadata, varies=varies) for one in parts]
-            return found[0] if len(found) == 1 else {"anyOf": found}
+            variants = [self._value(one, metadata, varies=varies) for one in parts]
+            return variants[0] if len(variants) == 1 else {"anyOf": variants}
         metadata = list(metadata)
         limits = {
             key: getattr(one, limit)
@@ -193,9 +193,9 @@ class _Writer:
     def _named(self, kind: object) -> Schema:
         """One of a table of tables; of selectors one or several."""
         inside = [member for one in get_args(kind) for member in members_of(one)]
-        found = self._value(kind)
+        schema = self._value(kind)
         selects = inside and isinstance(inside[0], type) and issubclass(inside[0], Place)
-        return {"anyOf": [self._value(inside[0]), found]} if selects else found
+        return {"anyOf": [self._value(inside[0]), schema]} if selects else schema
 
     def _reference(self, kind: type[Record]) -> Schema:
         if kind.__name__ not in self.definitions:
@@ -204,27 +204,27 @@ class _Writer:
         return {"$ref": f"#/definitions/{kind.__name__}"}
 
     def _kinds(self, kinds: Mapping[str, type[Record]], *, may_lack: str = "") -> Schema:
-        found = []
+        variants = []
         for name, kind in kinds.items():
             table = self.table(kind, plus={"kind": {"const": name}})
             if name != may_lack:
                 table["required"] = ["kind", *table.get("required", [])]
             self.definitions[f"{kind.__name__}-{name}"] = table
-            found.append({"$ref": f"#/definitions/{kind.__name__}-{name}"})
-        return {"anyOf": found}
+            variants.append({"$ref": f"#/definitions/{kind.__name__}-{name}"})
+        return {"anyOf": variants}
 
     def _material(self) -> Schema:
-        found = []
+        variants = []
         for name, law in MATERIALS.items():
             table = self.table(law, plus={"law": {"const": name}, "on": TEXTS})
             table["required"] = ["law", *table.get("required", [])]
             self.definitions[f"law-{name}"] = table
-            found.append({"$ref": f"#/definitions/law-{name}"})
+            variants.append({"$ref": f"#/definitions/law-{name}"})
         for own in (FormulaEnergy, SplitFormulaEnergy):
             table = self.table(own, plus={"on": TEXTS})
             self.definitions[own.__name__] = table
-            found.append({"$ref": f"#/definitions/{own.__name__}"})
-        return {"anyOf": found}
+            variants.append({"$ref": f"#/definitions/{own.__name__}"})
+        return {"anyOf": variants}
 
 
 def _union(kind: object) -> tuple[object, ...]:

@@ -49,13 +49,13 @@ def look(
     log_to_screen(comm.rank, logging.ERROR)
     if output is not None and output.suffix.lower() != ".png":
         raise CaseError(f"the picture '{output}' is no .png", where="--output", expected="look.png")
-    found = look_at(what, picture=output, trust=trust, comm=comm)
+    annotated = look_at(what, picture=output, trust=trust, comm=comm)
     if comm.rank == 0 and json:
         from dataclasses import asdict
         from json import dumps
 
-        print(dumps(asdict(found), indent=2))
+        print(dumps(asdict(annotated), indent=2))
     elif comm.rank == 0:
         from dolfin_elastic.cli.look.show import show_look
 
-        show_look(found)
+        show_look(annotated)

@@ -18,30 +18,33 @@ if TYPE_CHECKING:
 _AXES = ("x", "y", "z")
 
 
-def show_look(found: Look) -> None:
+def show_look(annotated: Look) -> None:
     """Prints the list."""
     screen = console()
-    unit, size = found.unit, Lengths(found.unit, found.metres, found.dim, max(found.extent))
-    title = f"{found.case}: {found.source}" if found.case else found.source
+    unit, size = (
+        annotated.unit,
+        Lengths(annotated.unit, annotated.metres, annotated.dim, max(annotated.extent)),
+    )
+    title = f"{annotated.case}: {annotated.source}" if annotated.case else annotated.source
     screen.tell(title, style="bold")
-    sides = " x ".join(f"{side / found.metres:.4g}" for side in found.extent)
-    screen.tell(f"  extent {sides} {unit}, {found.dim}D, {found.cells} cells")
-    for text in found.information:
+    sides = " x ".join(f"{side / annotated.metres:.4g}" for side in annotated.extent)
+    screen.tell(f"  extent {sides} {unit}, {annotated.dim}D, {annotated.cells} cells")
+    for text in annotated.information:
         screen.tell(f"  {text}")
-    if found.faces:
-        show_table(screen, _faces(found, size, found.faces))
+    if annotated.faces:
+        show_table(screen, _faces(annotated, size, annotated.faces))
     for kind in ("surface", "region", "edge", "point"):
-        rows: Sequence[PartSize] = getattr(found, f"{kind}s")
+        rows: Sequence[PartSize] = getattr(annotated, f"{kind}s")
         if rows:
             show_table(screen, parts_table(kind, rows, size, directions=True))
-    show_described(screen, found.described)
-    if found.faces and not found.case:
-        one = next((f.number for f in found.faces if f.form), found.faces[0].number)
+    show_described(screen, annotated.described)
+    if annotated.faces and not annotated.case:
+        one = next((f.number for f in annotated.faces if f.form), annotated.faces[0].number)
         screen.print(f"A case names faces like this:  [surfaces]  name = {{faces = [{one}]}}")
-    for note in found.notes:
+    for note in annotated.notes:
         screen.tell(f"note: {note}")
-    if found.picture:
-        screen.tell(f"picture in {found.picture}")
+    if annotated.picture:
+        screen.tell(f"picture in {annotated.picture}")
 
 
 def _table(heads: Sequence[tuple[str, bool]]) -> Table:
@@ -52,14 +55,14 @@ def _table(heads: Sequence[tuple[str, bool]]) -> Table:
     return table
 
 
-def _faces(found: Look, size: Lengths, rows: Sequence[FaceRow]) -> Table:
-    thing, power = ("face", "^2") if found.dim == 3 else ("curve", "")
+def _faces(annotated: Look, size: Lengths, rows: Sequence[FaceRow]) -> Table:
+    thing, power = ("face", "^2") if annotated.dim == 3 else ("curve", "")
     table = _table(
         [
             (thing, True),
             ("kind", False),
-            (f"[{found.unit}{power}]", True),
-            (f"centroid [{found.unit}]", False),
+            (f"[{annotated.unit}{power}]", True),
+            (f"centroid [{annotated.unit}]", False),
             ("normal or axis", False),
             ("names", False),
         ]
@@ -70,7 +73,7 @@ def _faces(found: Look, size: Lengths, rows: Sequence[FaceRow]) -> Table:
         table.add_row(
             str(row.number),
             row.description,
-            f"{row.area / found.metres ** (found.dim - 1):.4g}",
+            f"{row.area / annotated.metres ** (annotated.dim - 1):.4g}",
             size.place(row.centroid),
             direction,
             ", ".join(row.names),

@@ -121,13 +121,13 @@ def convert(
 
     collect_garbage()
     check_kept(target.parent, str(target))
-    found = convert_mesh(mesh, target, comm=MPI.COMM_WORLD, force=force)
+    conversion = convert_mesh(mesh, target, comm=MPI.COMM_WORLD, force=force)
     if MPI.COMM_WORLD.rank == 0:
-        for note in found.notes:
+        for note in conversion.notes:
             print(f"warning: {mesh.name}: {note}", file=sys.stderr)
-        unit = f", in {found.unit}" if found.unit else ""
-        size = f"{found.cells} cells, {found.points} points{unit}"
+        unit = f", in {conversion.unit}" if conversion.unit else ""
+        size = f"{conversion.cells} cells, {conversion.points} points{unit}"
         print(f"{target} and {target.with_suffix('.h5').name} written: {size}")
-        for kind, names in [*found.parts.items(), ("field", found.fields)]:
+        for kind, names in [*conversion.parts.items(), ("field", conversion.fields)]:
             if names:
                 print(f"  {kind}s: {', '.join(names)}")

@@ -114,11 +114,11 @@ def plot(
             )
         elif given:
             if curve is not None:
-                found = _history(run, curve)
+                result = _history(run, curve)
             else:
-                found = _along(run, field, step, line=line, circle=circle)
+                result = _along(run, field, step, line=line, circle=circle)
             file = output or folder / f"plot_{given[0]}.png"
-            _write_curves(run, found, file, f"--{given[0]}")
+            _write_curves(run, result, file, f"--{given[0]}")
         else:
             seen_from = _view(view)
             _check_positive("--scale", scale, "--scale 20", zero=True)
@@ -251,8 +251,8 @@ def _clip(text: str) -> Clip:
 
     expected = "for example x=0.01 or x<0.01 [m], or 'x=10 mm'"
     for sign in ("=", ">", "<"):
-        axis, found, number = text.partition(sign)
-        if found and axis.strip() in ("x", "y", "z"):
+        axis, separator, number = text.partition(sign)
+        if separator and axis.strip() in ("x", "y", "z"):
             above = {"=": None, ">": True, "<": False}[sign]
             try:
                 return Clip("xyz".index(axis.strip()), to_si(number.strip(), "m"), above)
@@ -265,14 +265,14 @@ def _clip(text: str) -> Clip:
 def _numbers(run: FinishedRun, text: str, where: str, expected: str) -> list[float]:
     """A place of the body or a direction, with a third coordinate of 0 in a plane."""
     try:
-        found = [float(part) for part in text.split(",")]
+        result = [float(part) for part in text.split(",")]
     except ValueError:
-        found = []
-    if len(found) not in (run.dim, 3) or not all(isfinite(x) for x in found):
+        result = []
+    if len(result) not in (run.dim, 3) or not all(isfinite(x) for x in result):
         raise InputError(
             f"'{text}' is no place in {run.dim} dimensions", where=where, expected=expected
         )
-    return [*found, 0.0][:3]
+    return [*result, 0.0][:3]
 
 
 def _along(
@@ -320,14 +320,14 @@ def _circle(run: FinishedRun, text: str) -> tuple[FloatArray, FloatArray]:
 def _history(run: FinishedRun, text: str) -> Curves:
     from dolfin_elastic.results.finished.curves import history_curves
 
-    over, found, names = text.partition(":")
+    over, separator, names = text.partition(":")
     if not run.history:
         raise InputError(
             "it holds no history.csv",
             where=str(run.folder),
             expected="a run of [statics] or [dynamics]",
         )
-    if not found or not names:
+    if not separator or not names:
         over, names = "t", text
     return history_curves(run, over, names.split(","))
 

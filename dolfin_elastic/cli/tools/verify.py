@@ -192,24 +192,28 @@ def _compare(case: Path, counts: Sequence[int], tolerance: float, json: Path | N
                 print(f"on {count} ranks the run ended with code {code}", file=sys.stderr)
                 return code
             print(f"{case} on {count} rank{'s' * (count > 1)}: done", flush=True)
-        found = compare(folders)
-    _show_differences(found, counts, tolerance)
+        differences = compare(folders)
+    _show_differences(differences, counts, tolerance)
     if json is not None:
-        _write(json, [{"name": d.name, "values": [*d.values], "scale": d.scale} for d in found])
-    return 0 if all(one.relative <= tolerance for one in found) else FAILED
+        _write(
+            json, [{"name": d.name, "values": [*d.values], "scale": d.scale} for d in differences]
+        )
+    return 0 if all(one.relative <= tolerance for one in differences) else FAILED
 
 
-def _show_differences(found: Sequence[Difference], counts: Sequence[int], tolerance: float) -> None:
+def _show_differences(
+    differences: Sequence[Difference], counts: Sequence[int], tolerance: float
+) -> None:
     print(f"{'number':32}" + "".join(f"{f'{n} ranks':>16}" for n in counts) + f"{'apart':>10}")
-    worst = sorted(found, key=lambda one: -one.relative)
+    worst = sorted(differences, key=lambda one: -one.relative)
     for one in worst[:20]:
         values = "".join(f"{value:>16.8g}" for value in one.values)
         mark = "" if one.relative <= tolerance else "  DIFFERS"
         print(f"{one.name[:31]:32}{values}{one.relative:>10.1e}{mark}")
     if len(worst) > 20:
         print(f"... and {len(worst) - 20} numbers that differ less")
-    differ = sum(one.relative > tolerance for one in found)
+    differ = sum(one.relative > tolerance for one in differences)
     if differ:
-        print(f"{differ} of {len(found)} numbers differ by more than {tolerance:g}")
+        print(f"{differ} of {len(differences)} numbers differ by more than {tolerance:g}")
     else:
-        print(f"all {len(found)} numbers agree to {tolerance:g}")
+        print(f"all {len(differences)} numbers agree to {tolerance:g}")

@@ -176,14 +176,14 @@ def _array(file: h5py.File, name: str) -> h5py.Dataset:
     import h5py
 
     with _plain_errors():
-        found = file.get(name) if name else None
-        if not isinstance(found, h5py.Dataset) or not found.shape:
+        dataset = file.get(name) if name else None
+        if not isinstance(dataset, h5py.Dataset) or not dataset.shape:
             raise OSError(f"it has no array '{name}'")
-        if found.dtype.kind not in _NUMBERS:
-            raise OSError(f"'{name}' holds {found.dtype}, no numbers")
-        if found.is_virtual or found.external:
+        if dataset.dtype.kind not in _NUMBERS:
+            raise OSError(f"'{name}' holds {dataset.dtype}, no numbers")
+        if dataset.is_virtual or dataset.external:
             raise UnsafeHdf5Error(f"'{name}' is stored in other files")
-    return found
+    return dataset
 
 
 def _arrays(root: h5py.h5g.GroupID, size: int, *, virtual: bool) -> Iterator[_Stored]:
@@ -220,10 +220,10 @@ def _is_virtual(data: h5py.h5d.DatasetID, name: str, *, allowed: bool) -> bool:
     properties = data.get_create_plist()
     if properties.get_external_count():
         raise UnsafeHdf5Error(f"'{name}' is stored in another file, which is not read")
-    found = bool(properties.get_layout() == h5py.h5d.VIRTUAL)
-    if found and not allowed:
+    virtual = bool(properties.get_layout() == h5py.h5d.VIRTUAL)
+    if virtual and not allowed:
         raise UnsafeHdf5Error(f"'{name}' is put together from other files, which are not read")
-    return found
+    return virtual
 
 
 def _stored(data: h5py.h5d.DatasetID, name: str, size: int) -> _Stored:

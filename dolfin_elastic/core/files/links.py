@@ -58,8 +58,8 @@ def _is_ours(name: str, stems: Iterable[str]) -> bool:
 def _entries(path: Path) -> list[os.DirEntry[str]]:
     """What is in a folder; nothing in one that is not there or may not be looked at."""
     try:
-        with os.scandir(path) as found:
-            return sorted(found, key=lambda one: one.name)
+        with os.scandir(path) as entries:
+            return sorted(entries, key=lambda one: one.name)
     except OSError:
         return []
 

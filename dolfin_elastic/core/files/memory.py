@@ -32,7 +32,7 @@ def _left_in_groups() -> list[float]:
     except (OSError, IndexError):
         own = ""
     folder = _CGROUPS / own
-    found = [float("inf")]
+    rest = [float("inf")]
     for group in (folder, *folder.parents):
         if not group.is_relative_to(_CGROUPS):
             break
@@ -45,8 +45,8 @@ def _left_in_groups() -> list[float]:
             cache = dict(row.split() for row in rows).get("inactive_file", "0")
         except (OSError, ValueError):  # there are none, or the limit is "max"
             continue
-        found.append(float(max(most - used + int(cache), 0)))
-    return found
+        rest.append(float(max(most - used + int(cache), 0)))
+    return rest
 
 
 def free_together(comm: MPI.Comm) -> float:
@@ -55,9 +55,9 @@ def free_together(comm: MPI.Comm) -> float:
     Ranks on one machine share what is free there.
     """
     machine = comm.Split_type(MPI.COMM_TYPE_SHARED)
-    mine = free_memory() / machine.size
+    local = free_memory() / machine.size
     machine.Free()
-    return comm.size * smallest(comm, mine)
+    return comm.size * smallest(comm, local)
 
 
 def check_memory(

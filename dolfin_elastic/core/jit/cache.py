@@ -88,17 +88,17 @@ def why_foreign(folder: Path, *, own: bool = False) -> str:
 
 def _fault(folder: Path, *, own: bool, ours: bool) -> str:
     try:
-        link, found = folder.lstat(), folder.stat()
+        link, status = folder.lstat(), folder.stat()
     except OSError as error:
         return os.strerror(error.errno or 0).lower()
-    if not stat.S_ISDIR((link if own and ours else found).st_mode):
+    if not stat.S_ISDIR((link if own and ours else status).st_mode):
         return f"{folder} is no folder"
     users = {os.getuid()} if own else {os.getuid(), 0}
-    if ours and not {link.st_uid, found.st_uid} <= users:
+    if ours and not {link.st_uid, status.st_uid} <= users:
         return f"{folder} belongs to another user"
-    if ours and found.st_mode & OTHERS:
+    if ours and status.st_mode & OTHERS:
         return f"other users may write to {folder} (chmod -R go-w {folder}, if nobody has)"
-    if found.st_mode & stat.S_IWOTH and not found.st_mode & stat.S_ISVTX:
+    if status.st_mode & stat.S_IWOTH and not status.st_mode & stat.S_ISVTX:
         return f"all may write to {folder}"
     return ""
 
@@ -111,9 +111,9 @@ def is_own(path: Path) -> bool:
     Raises:
         OSError: There is none.
     """
-    found = path.lstat()
-    private = not stat.S_ISLNK(found.st_mode) and not found.st_mode & OTHERS
-    return private and found.st_uid in {os.getuid(), 0}
+    status = path.lstat()
+    private = not stat.S_ISLNK(status.st_mode) and not status.st_mode & OTHERS
+    return private and status.st_uid in {os.getuid(), 0}
 
 
 Compile = Callable[[Path], object]
@@ -176,8 +176,8 @@ def find_or_compile(roots: Sequence[Path], key: str, compile_into: Compile) -> P
         OutputError: It can be compiled in no folder.
         StoppedError: A signal has asked for the end of the run meanwhile.
     """
-    if found := find(roots, key):
-        return found
+    if path := find(roots, key):
+        return path
     faults: list[str] = []
     for number, root in enumerate(roots):
         try:

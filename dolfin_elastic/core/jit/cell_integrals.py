@@ -68,8 +68,8 @@ class Kernel:
             # Where it is not yet compiled: its expressions take 2 ms to be compiled, too.
             from dolfin_elastic.core.jit.vectorise import kernel_in_lanes, kernel_of_one_cell
 
-            found = kernel_in_lanes(self.folder, self.number) if many else None
-            return found or kernel_of_one_cell(self.arguments)
+            text = kernel_in_lanes(self.folder, self.number) if many else None
+            return text or kernel_of_one_cell(self.arguments)
 
         rules = files(__package__).joinpath("vectorise.py").read_text(encoding="utf-8")
         which = [self.folder.name, self.number] if many else []
@@ -220,8 +220,8 @@ class CellExpression:
         """
         out = np.empty((len(cells), self.size)) if out is None else out
         if self.kernel is None:
-            found = self._expression.eval(self._w.function_space.mesh, cells)
-            out[:] = found.reshape(out.shape)  # 0.11 has axes of points and of components
+            values = self._expression.eval(self._w.function_space.mesh, cells)
+            out[:] = values.reshape(out.shape)  # 0.11 has axes of points and of components
             return out
         cells = np.ascontiguousarray(cells, dtype=np.int32)
         constants = self.constants
@@ -266,8 +266,8 @@ def _kernel(expression: fem.Expression, library: Library, w: fem.Function) -> Ke
     """The function of a compiled expression; None where it has other coefficients than w."""
     compiled = expression.ufcx_expression
     positions = compiled.original_coefficient_positions
-    found = extract_coefficients(expression.ufl_expression)
-    if any(found[positions[i]] is not w for i in range(compiled.num_coefficients)):
+    coefficients = extract_coefficients(expression.ufl_expression)
+    if any(coefficients[positions[i]] is not w for i in range(compiled.num_coefficients)):
         return None
     return _function(compiled.tabulate_tensor_float64, library, 0)
 
@@ -281,12 +281,12 @@ def _function(function: cffi.FFI.CData, library: Library, number: int) -> Kernel
 def _kernels(form: fem.Form) -> list[tuple[Kernel, IndexArray]]:
     """The functions of a form's integrals over cells, with their cells."""
     compiled = form.ufcx_form
-    offsets, found = compiled.form_integral_offsets, []
+    offsets, result = compiled.form_integral_offsets, []
     for k in range(offsets[0], offsets[1]):  # those of cells stand first
         tabulate = compiled.form_integrals[k].tabulate_tensor_float64
         cells = np.ascontiguousarray(cells_of_integral(form, k))
-        found.append((_function(tabulate, form.module, k), cells))
-    return found
+        result.append((_function(tabulate, form.module, k), cells))
+    return result
 
 
 def _room(form: fem.Form, w: fem.Function) -> tuple[int, int]:

@@ -66,11 +66,11 @@ class NewProcesses:
 
 def _children(process: int) -> list[int]:
     """Those that a process has started; none where the system does not say."""
-    found: list[int] = []
+    result: list[int] = []
     with suppress(OSError):
         for thread in Path(f"/proc/{process}/task").iterdir():
-            found += map(int, (thread / "children").read_text(encoding="ascii").split())
-    return found
+            result += map(int, (thread / "children").read_text(encoding="ascii").split())
+    return result
 
 
 def _descendants(process: int) -> Iterator[int]:
@@ -172,10 +172,10 @@ def compile_forms(
         Exception: What the form compiler raised on any rank.
     """
     with stage("compile"):
-        found = _compiled(comm, forms, jit_options)
+        compiled_forms = _compiled(comm, forms, jit_options)
         return [
             on_all_ranks(comm, partial(_made_of, folder, partial(fem.form, form)))[0]
-            for form, folder in zip(forms, found, strict=True)
+            for form, folder in zip(forms, compiled_forms, strict=True)
         ]
 
 
@@ -206,9 +206,9 @@ def expression_and_module(
 ) -> tuple[fem.Expression, Library]:
     """See `compile_expression`; and the module that it is in. Collective."""
     expression = _with_numbered_labels(expression)
-    places = np.reshape(points, (-1, np.shape(points)[-1]))
+    coordinates = np.reshape(points, (-1, np.shape(points)[-1]))
     with stage("compile"):
-        folder = _compiled(comm, [(expression, places)], jit_options)[0]
+        folder = _compiled(comm, [(expression, coordinates)], jit_options)[0]
         make = partial(fem.Expression, expression, points)
         return on_all_ranks(comm, partial(_made_of, folder, make))
 
@@ -220,8 +220,8 @@ def _with_numbered_labels(expression: Expr) -> Expr:
     process had made before: without this, the same expression has another name in each problem of a
     process and is compiled again.  (In forms UFL counts the labels anew by itself.)
     """
-    found = {node for node in traverse_unique_terminals(expression) if isinstance(node, Label)}
-    labels = {old: Label(i) for i, old in enumerate(sorted(found, key=Label.count))}
+    result = {node for node in traverse_unique_terminals(expression) if isinstance(node, Label)}
+    labels = {old: Label(i) for i, old in enumerate(sorted(result, key=Label.count))}
 
     def numbered(node: Expr, *operands: Expr) -> Expr:
         if isinstance(node, Label):
@@ -263,18 +263,18 @@ def find_on_all_ranks(
     if smallest(comm, len(before)) == len(wanted):
         return before
     every = list(wanted.items())
-    mine = every[comm.rank :: comm.size]
+    local = every[comm.rank :: comm.size]
     with _silence.broken_after(SLOW):
-        for share in [mine, every] if comm.size > 1 else [every]:
-            found: list[Path] = []
+        for share in [local, every] if comm.size > 1 else [every]:
+            result: list[Path] = []
             error: Exception | None = None
             try:
                 with interruptible(NewProcesses().end):
-                    found = [find_or_compile(folders, key, compile_) for key, compile_ in share]
+                    result = [find_or_compile(folders, key, compile_) for key, compile_ in share]
             except Exception as caught:  # raised on all ranks just below
                 error = caught
             agree(comm, error)
-    return found
+    return result
 
 
 def _named(form: Compilable, jit_options: JitOptions) -> tuple[str, Compile]:
@@ -337,8 +337,8 @@ def _given(library: Library) -> Iterator[None]:
     """
     compiling = jit.ffcx_jit
     name = next(name for name in dir(library.lib) if name.startswith(("form_", "expression_")))
-    found = (getattr(library.lib, name), library, (None, None))
-    jit.ffcx_jit = lambda *_, **__: found
+    function = (getattr(library.lib, name), library, (None, None))
+    jit.ffcx_jit = lambda *_, **__: function
     try:
         yield
     finally:

@@ -89,18 +89,18 @@ def _lines(body: str) -> Iterator[str]:
             continue
         if line in ("{", "}") or _TABLE.fullmatch(line) or _LOOP.fullmatch(line):
             yield line
-        elif found := _ARRAY.fullmatch(line):
-            yield f"lanes {found.group(1)} = {{ZERO}};"
+        elif match := _ARRAY.fullmatch(line):
+            yield f"lanes {match.group(1)} = {{ZERO}};"
         elif not set(_CALL.findall(line)) <= _FUNCTIONS or _OTHER.search(line):
             yield ""
-        elif found := _STATEMENT.fullmatch(line):
-            new, target, sign, value = found.groups()
+        elif match := _STATEMENT.fullmatch(line):
+            new, target, sign, value = match.groups()
             yield f"{'lanes ' if new else ''}{target} {sign} {_vector(value)};"
-        elif found := _COMPARISON.fullmatch(line):
-            name, one, sign, two = found.groups()
+        elif match := _COMPARISON.fullmatch(line):
+            name, one, sign, two = match.groups()
             yield f"marks {name} = {_vector(one)} {sign} {_vector(two)};"
-        elif found := _CHOICE.fullmatch(line):
-            name, mark, one, two = found.groups()
+        elif match := _CHOICE.fullmatch(line):
+            name, mark, one, two = match.groups()
             yield f"lanes {name} = CHOOSE({mark}, {_vector(one)}, {_vector(two)});"
         else:
             yield ""

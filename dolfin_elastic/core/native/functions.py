@@ -75,14 +75,14 @@ def prototypes(text: str) -> dict[str, list[Parameter]]:
     Raises:
         ValueError: An array has no length.
     """
-    found: dict[str, list[Parameter]] = {}
+    result: dict[str, list[Parameter]] = {}
     for name, listed in _PROTOTYPE.findall(text):
-        found[name] = []
+        result[name] = []
         for one in listed.split(",") if listed != "void" else []:
             if not (parsed := _PARAMETER.fullmatch(one.strip())):
                 raise ValueError(f"{name}: {one.strip()} is neither a number nor an array[length]")
-            found[name].append(Parameter(parsed["name"], parsed["kind"], parsed["length"]))
-    return found
+            result[name].append(Parameter(parsed["name"], parsed["kind"], parsed["length"]))
+    return result
 
 
 def declarations(functions: Mapping[str, Sequence[Parameter]]) -> str:

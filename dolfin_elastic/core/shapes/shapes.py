@@ -61,13 +61,13 @@ class Shape(Record):
         Args:
             scale: Metres per unit of length of the mesh.
         """
-        found: dict[str, object] = {
+        result: dict[str, object] = {
             key: tuple(metres(x, scale) for x in value)
             if isinstance(value, tuple)
             else metres(value, scale)
             for key, value in self._given_lengths()
         }
-        return self.model_copy(update=found)
+        return self.model_copy(update=result)
 
     def bare_lengths(self) -> list[float]:
         """Numbers without a unit, which are in the mesh's."""
@@ -83,13 +83,13 @@ class Shape(Record):
 
         Further coordinates of its places than the body has are left out. See `point_of`.
         """
-        found: dict[str, object] = {
+        result: dict[str, object] = {
             key: point_of(value, scale, dim, f"{where}.{key}")
             if isinstance(value, tuple)
             else metres(value, scale)
             for key, value in self._given_lengths()
         }
-        return self.model_copy(update=found)
+        return self.model_copy(update=result)
 
     @property
     def placed(self) -> bool:
@@ -138,8 +138,12 @@ class Shape(Record):
 
     def gap(self, x: Sequence[Scalar], number: Constant, root: Root) -> Distance:
         """Signed distance and normal towards the side on which bodies may be. See `distance`."""
-        found, normal = self.distance(x, number, root)
-        return (-1.0 * found, [-1.0 * item for item in normal]) if self.hollow else (found, normal)
+        distance, normal = self.distance(x, number, root)
+        return (
+            (-1.0 * distance, [-1.0 * item for item in normal])
+            if self.hollow
+            else (distance, normal)
+        )
 
     def off(self, x: FloatArray) -> FloatArray:
         """Signed distances of points, shape (..., dim), of a shape in metres."""
@@ -151,8 +155,8 @@ class Shape(Record):
 
     def drawn(self, near: Box, dim: int) -> Triangles:
         """Its surface, counter-clockwise seen from where bodies may be. See `triangles`."""
-        points, found = self.triangles(near, dim)
-        return points, found[:, ::-1] if self.hollow else found
+        points, triangles = self.triangles(near, dim)
+        return points, triangles[:, ::-1] if self.hollow else triangles
 
     @abstractmethod
     def triangles(self, near: Box, dim: int) -> Triangles:
@@ -313,14 +317,14 @@ class Cylinder(Shape):
         Raises:
             MeshError: The axis lies in the plane of a plane body.
         """
-        found = super().selecting(scale, dim, where)
+        shape = super().selecting(scale, dim, where)
         if dim == 2 and any(self.direction[:2]):
             raise MeshError(
                 "the body is plane: the axis of a cylinder must be z",
                 where=f"{where}.axis",
                 expected='"z"',
             )
-        return found
+        return shape
 
     def check(self, dim: int, *, axisymmetric: bool) -> None:
         """See `Shape.check`."""

@@ -257,10 +257,12 @@ def _same_places(raw: RawMesh, piece: IntArray) -> IntArray:
     """Vertices that are where one of another piece is, one of each place."""
     nodes = np.unique(_corners(raw))
     near = 1e-9 * np.linalg.norm(np.ptp(raw.points[nodes], axis=0))
-    places = np.round(raw.points[nodes] / near)
-    order = np.lexsort((piece[nodes], *places.T))
+    coordinates = np.round(raw.points[nodes] / near)
+    order = np.lexsort((piece[nodes], *coordinates.T))
     here, there = order[:-1], order[1:]
-    same = (places[here] == places[there]).all(axis=1) & (piece[nodes[here]] != piece[nodes[there]])
+    same = (coordinates[here] == coordinates[there]).all(axis=1) & (
+        piece[nodes[here]] != piece[nodes[there]]
+    )
     return np.asarray(nodes[there[same]])
 
 
@@ -307,8 +309,8 @@ def unused_points(comm: MPI.Comm, cells: IntArray, points: int) -> IntArray:
     used = np.zeros(points, dtype=bool)
     for part in comm.alltoall([here[a:b] for a, b in pairwise(ends)]):
         used[part - starts[comm.rank]] = True
-    mine = starts[comm.rank] + np.flatnonzero(~used)
-    return np.concatenate(comm.allgather(mine.astype(np.int64)))
+    local = starts[comm.rank] + np.flatnonzero(~used)
+    return np.concatenate(comm.allgather(local.astype(np.int64)))
 
 
 def without(numbers: IntArray, unused: IntArray) -> IntArray:

@@ -85,14 +85,14 @@ def _converted(path: Path, target: Path, *, force: bool) -> Conversion:
     _check_target(path, target, force=force)
     read, permutation = reader(path, _no_cad, Permission())
     try:
-        found = clean(assemble(read(), source=path.name))
+        mesh = clean(assemble(read(), source=path.name))
     except MeshError as error:
         raise error if error.where else error.at(path.name) from None
     # What is still doubtful in the corrected mesh is said whenever that is read.
-    lasting = clean(replace(found, notes=(), information=()))
+    lasting = clean(replace(mesh, notes=(), information=()))
     unit = stated_unit_of(path)
     _write(lasting, target, unit, permutation)
-    return _conversion(found, unit.name if unit else "")
+    return _conversion(mesh, unit.name if unit else "")
 
 
 def _conversion(raw: RawMesh, unit: str) -> Conversion:
@@ -223,10 +223,10 @@ class _Writer:
         self, grid: Element, name: str, centre: str, path: str, values: AnyArray
     ) -> Element:
         shape = _SHAPES.get(values.shape[1], "Matrix")
-        found = SubElement(grid, "Attribute", Name=name, AttributeType=shape, Center=centre)
+        element = SubElement(grid, "Attribute", Name=name, AttributeType=shape, Center=centre)
         self._file.create_dataset(path, data=values)
-        self._refer(found, path)
-        return found
+        self._refer(element, path)
+        return element
 
     def _refer(self, parent: Element, path: str) -> None:
         values = self._file[path]

@@ -63,14 +63,14 @@ def is_number(data: AnyArray) -> bool:
 
 def _cell_data(mesh: meshio.Mesh, i: int) -> dict[str, FloatArray]:
     """Cell data that are fields; integers name parts instead, see `sets_by_value`."""
-    found = {}
+    result = {}
     for name, blocks in mesh.cell_data.items():
         if name in IGNORED or name in REFERENCES or i >= len(blocks):
             continue
         data = np.asarray(blocks[i])
         if is_number(data) and not sets_by_value(data, name, {}):
-            found[str(name)] = as_columns(data, len(mesh.cells[i].data), str(name))
-    return found
+            result[str(name)] = as_columns(data, len(mesh.cells[i].data), str(name))
+    return result
 
 
 def check_hdf5(path: Path, where: str) -> None:

@@ -48,8 +48,8 @@ def data_rows(views: Mapping[str, View], tags: IntArray) -> dict[str, FloatArray
     Returns:
         Name to values, shape (n, columns).
     """
-    found = {name: view.rows(tags) for name, view in views.items() if len(view.tags)}
-    return {name: rows for name, rows in found.items() if rows is not None}
+    result = {name: view.rows(tags) for name, view in views.items() if len(view.tags)}
+    return {name: rows for name, rows in result.items() if rows is not None}
 
 
 def views(sections: Sequence[bytes], kind: str, *, binary: bool, swap: bool) -> dict[str, View]:
@@ -62,11 +62,11 @@ def views(sections: Sequence[bytes], kind: str, *, binary: bool, swap: bool) -> 
     Raises:
         MeshError: A section is damaged.
     """
-    found = {}
+    result = {}
     for data in sections:
         name, view = _view(data, kind, binary=binary, swap=swap)
-        found[name] = view
-    return found
+        result[name] = view
+    return result
 
 
 def _view(data: bytes, kind: str, *, binary: bool, swap: bool) -> tuple[str, View]:
@@ -277,16 +277,16 @@ def read_msh(path: Path) -> MeshFile:
 
     if version < 3:
         tags, points = _nodes2(numbers("Nodes"), binary)
-        found = list(_elements2(numbers("Elements"), binary))
+        elements = list(_elements2(numbers("Elements"), binary))
     else:
         groups = _entities4(numbers("Entities")) if sections.get("Entities", b"").strip() else {}
         tags, points = _nodes4(numbers("Nodes"))
-        found = list(_elements4(numbers("Elements"), groups))
+        elements = list(_elements4(numbers("Elements"), groups))
     of_cells, of_points = (
         views(every.get(kind, []), kind, binary=binary, swap=swap)
         for kind in ("ElementData", "NodeData")
     )
-    mesh = _named(points, tags, found, names, of_cells)
+    mesh = _named(points, tags, elements, names, of_cells)
     return replace(mesh, point_data=data_rows(of_points, tags))
 
 
@@ -300,8 +300,8 @@ def mesh_alone(data: bytes) -> bytes:
     Raises:
         MeshError: There is no header.
     """
-    found = _BEFORE.match(data)
-    mesh = data[found.end() if found else 0 :]
+    match = _BEFORE.match(data)
+    mesh = data[match.end() if match else 0 :]
     if not re.match(rb"\$(?:NOD|MeshFormat)[ \t\r]*\n", mesh):
         raise MeshError("this is not a Gmsh mesh (no $MeshFormat at the start)")
     return mesh
@@ -326,7 +326,7 @@ def _header(data: bytes) -> tuple[float, bool, bool]:
 
 def _sections(data: bytes) -> dict[str, list[bytes]]:
     """Name to the contents of all sections of that name."""
-    found: dict[str, list[bytes]] = {}
+    result: dict[str, list[bytes]] = {}
     at = 0
     while (start := data.find(b"$", at)) >= 0:
         line_end = data.find(b"\n", start)
@@ -334,9 +334,9 @@ def _sections(data: bytes) -> dict[str, list[bytes]]:
         end = data.find(f"$End{name}".encode("latin-1"), line_end)
         if line_end < 0 or end < 0:
             raise MeshError(f"section ${name[:40]} has no end; the file is damaged or cut short")
-        found.setdefault(name, []).append(data[line_end + 1 : end])
+        result.setdefault(name, []).append(data[line_end + 1 : end])
         at = end + len(name) + 4
-    return found
+    return result
 
 
 def _names(data: bytes) -> dict[tuple[int, int], str]:
@@ -439,13 +439,13 @@ def _elements4(numbers: _Numbers, entities: dict[tuple[int, int], IntArray]) -> 
 def _named(
     points: FloatArray,
     tags: IntArray,
-    found: list[_Run],
+    file: list[_Run],
     names: dict[tuple[int, int], str],
     data: dict[str, View],
 ) -> MeshFile:
     order = np.argsort(tags)
     blocks, used = [], set()
-    for run in found:
+    for run in file:
         block = Block(_TYPES[run.kind][0], _rows(tags, order, run.nodes))
         parts: dict[str, IntArray] = {}
         for group in np.unique(run.groups[run.groups != 0]):

@@ -198,7 +198,7 @@ class RawMesh:
         return {3: 2, 6: 2, 4: 3, 10: 3}[self.cells.shape[1]]
 
 
-def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh:
+def assemble(file: MeshFile, *, source: str, dim: int | None = None) -> RawMesh:
     """Assembles the elements of the highest dimension to one mesh.
 
     Local.  Elements one dimension lower give the named surfaces, lines in 3D the edges, and
@@ -210,7 +210,7 @@ def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh
     Raises:
         MeshError: There are no triangles or tetrahedra, or others beside them.
     """
-    blocks = [b for b in found.blocks if len(b.nodes)]
+    blocks = [b for b in file.blocks if len(b.nodes)]
     dim = max((b.dim for b in blocks), default=0) if dim is None else dim
     solid = [b for b in blocks if b.dim == dim]
     order = _order(solid, blocks, dim, source)
@@ -221,9 +221,9 @@ def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh
     single = [b for b in blocks if b.dim == 0]
     nodes = {n: np.unique(rows) for n, rows in _gather(single, [b.nodes for b in single]).items()}
     uncovered: dict[str, int] = {}
-    for name, rows in found.point_sets.items():
+    for name, rows in file.point_sets.items():
         nodes[name] = np.union1d(nodes.get(name, rows), rows)
-    for name, (facets, missed) in _from_points(solid, dim, found.point_sets).items():
+    for name, (facets, missed) in _from_points(solid, dim, file.point_sets).items():
         if name not in surfaces:
             surfaces[name] = facets
             uncovered |= {name: missed} if missed else {}
@@ -231,11 +231,11 @@ def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh
     own = [np.arange(len(b.nodes)) + start for b, start in zip(solid, starts, strict=False)]
     regions = {name: np.unique(r) for name, r in _gather(solid, own).items()}
     cells = np.concatenate([b.nodes for b in solid])
-    notes = (*found.notes, *_left_out(blocks, dim))
+    notes = (*file.notes, *_left_out(blocks, dim))
     cell_data = _cell_data(solid)
-    at_points = {n: data for n, data in found.point_data.items() if n not in cell_data}
+    at_points = {n: data for n, data in file.point_data.items() if n not in cell_data}
     return RawMesh(
-        found.points,
+        file.points,
         cells,
         order,
         regions,
@@ -246,21 +246,21 @@ def assemble(found: MeshFile, *, source: str, dim: int | None = None) -> RawMesh
         edges=edges,
         nodes=nodes,
         uncovered=uncovered,
-        incomplete=found.incomplete,
-        information=tuple(found.information),
-        faces=tuple(found.faces),
-        face_facets=_of_faces(below, lambda b: b.nodes[:, :dim]) if found.faces else {},
-        face_normals=_of_faces(below, lambda b: _normals(b, dim)) if found.faces else {},
+        incomplete=file.incomplete,
+        information=tuple(file.information),
+        faces=tuple(file.faces),
+        face_facets=_of_faces(below, lambda b: b.nodes[:, :dim]) if file.faces else {},
+        face_normals=_of_faces(below, lambda b: _normals(b, dim)) if file.faces else {},
     )
 
 
 def _of_faces(below: Sequence[Block], rows: Callable[[Block], Array]) -> dict[int, Array]:
     """Number of a CAD face to rows of its facets."""
-    found: dict[int, list[Array]] = {}
+    result: dict[int, list[Array]] = {}
     for block in below:
         if block.entity:
-            found.setdefault(block.entity, []).append(rows(block))
-    return {number: cast("Array", np.concatenate(parts)) for number, parts in found.items()}
+            result.setdefault(block.entity, []).append(rows(block))
+    return {number: cast("Array", np.concatenate(parts)) for number, parts in result.items()}
 
 
 def _normals(block: Block, dim: int) -> FloatArray:
@@ -272,13 +272,13 @@ def _normals(block: Block, dim: int) -> FloatArray:
 
 def _cell_data(solid: Sequence[Block]) -> dict[str, FloatArray]:
     """Data of all blocks concatenated, NaN where a block has none."""
-    found = {}
+    result = {}
     for name in dict.fromkeys(name for block in solid for name in block.data):
         width = max(block.data[name].shape[1] for block in solid if name in block.data)
         rows = [block.data.get(name, np.full((len(block.nodes), width), np.nan)) for block in solid]
         if all(part.shape[1] == width for part in rows):
-            found[name] = np.concatenate(rows)
-    return found
+            result[name] = np.concatenate(rows)
+    return result
 
 
 def _order(solid: Sequence[Block], blocks: Sequence[Block], dim: int, source: str) -> int:
@@ -325,12 +325,12 @@ def _found(blocks: Iterable[Block]) -> str:
 
 
 def _gather(blocks: Sequence[Block], items: Sequence[IntArray]) -> dict[str, IntArray]:
-    found: dict[str, list[IntArray]] = {}
+    result: dict[str, list[IntArray]] = {}
     for block, item in zip(blocks, items, strict=True):
         for name, rows in block.parts.items():
             if len(rows):
-                found.setdefault(name, []).append(item[rows])
-    return {name: np.concatenate(parts) for name, parts in found.items()}
+                result.setdefault(name, []).append(item[rows])
+    return {name: np.concatenate(parts) for name, parts in result.items()}
 
 
 def _left_out(blocks: Sequence[Block], dim: int) -> list[str]:
@@ -353,15 +353,15 @@ def _from_points(
         return {}
     facets = boundary([b.nodes[:, : dim + 1] for b in solid])
     midsides = _midsides(solid, dim, facets)
-    found = {}
+    result = {}
     for name, rows in point_sets.items():
         held = np.isin(facets, rows).all(axis=1)
         if np.isin(midsides, rows).any():
             held &= np.isin(midsides, rows).all(axis=1)
         if held.any():
             nodes = np.concatenate([facets[held].ravel(), midsides[held].ravel()])
-            found[name] = (facets[held], len(np.setdiff1d(rows, nodes)))
-    return found
+            result[name] = (facets[held], len(np.setdiff1d(rows, nodes)))
+    return result
 
 
 def _midsides(solid: Sequence[Block], dim: int, facets: IntArray) -> IntArray:
@@ -402,9 +402,9 @@ def match_rows(table: IntArray, rows: IntArray) -> IntArray:
     both = np.concatenate([table, rows])
     _, group = np.unique(both, axis=0, return_inverse=True)
     group = group.reshape(-1)
-    place = np.full(len(both), -1, dtype=np.int64)
-    place[group[: len(table)]] = np.arange(len(table))
-    return np.asarray(place[group[len(table) :]])
+    offset = np.full(len(both), -1, dtype=np.int64)
+    offset[group[: len(table)]] = np.arange(len(table))
+    return np.asarray(offset[group[len(table) :]])
 
 
 def format_points(points: npt.ArrayLike, count: int, unit: str) -> str:

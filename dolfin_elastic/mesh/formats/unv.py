@@ -145,21 +145,21 @@ def read_unv(path: Path) -> MeshFile:
     Raises:
         MeshError: The file is damaged, or has no nodes or elements.
     """
-    found = _Contents()
+    contents = _Contents()
     for dataset in _datasets(path):
         if dataset.number in _NODES:
-            _take_nodes(found, dataset)
+            _take_nodes(contents, dataset)
         elif dataset.number in _ELEMENTS:
-            _take_elements(found, dataset)
+            _take_elements(contents, dataset)
         elif dataset.number in _GROUPS:
-            _take_groups(found, dataset)
+            _take_groups(contents, dataset)
         elif dataset.number in _UNREAD:
             raise dataset.error("elements of this kind of dataset are not read")
-    if not found.points or not found.elements:
+    if not contents.points or not contents.elements:
         raise MeshError(
             "there are no nodes (dataset 2411) or no elements (dataset 2412)", where=path.name
         )
-    return _mesh(found, path)
+    return _mesh(contents, path)
 
 
 def _datasets(path: Path) -> Iterator[_Dataset]:
@@ -196,7 +196,7 @@ def _dataset(path: Path, start: int, lines: list[str]) -> _Dataset:
     return _Dataset(int(head[0]), start + 2, lines[1:], path.name)
 
 
-def _take_nodes(found: _Contents, dataset: _Dataset) -> None:
+def _take_nodes(contents: _Contents, dataset: _Dataset) -> None:
     numbers = dataset.floats()
     if len(numbers) % 7:
         raise dataset.error("the nodes are cut short", len(dataset.lines) - 1)
@@ -207,11 +207,11 @@ def _take_nodes(found: _Contents, dataset: _Dataset) -> None:
     systems = np.unique(rows[:, 1])
     if dataset.number != 2411 and (systems > 1).any():  # of 2411, coordinates are of the part
         raise dataset.error(f"nodes in the coordinate system {systems[-1]:g}, which is not read")
-    found.labels.append(labels)
-    found.points.append(np.asarray(rows[:, 4:], dtype=np.float64))
+    contents.labels.append(labels)
+    contents.points.append(np.asarray(rows[:, 4:], dtype=np.float64))
 
 
-def _take_elements(found: _Contents, dataset: _Dataset) -> None:
+def _take_elements(contents: _Contents, dataset: _Dataset) -> None:
     width, beam = _ELEMENTS[dataset.number]
     numbers = [int(n) for n in dataset.integers()]
     at = 0
@@ -223,14 +223,14 @@ def _take_elements(found: _Contents, dataset: _Dataset) -> None:
         at += width + (beam if kind in _BEAMS else 0)
         if count < 0 or at + count > len(numbers):
             raise dataset.error(f"the element {label} is cut short", len(dataset.lines) - 1)
-        found.first.setdefault((kind, count), f"{dataset.file}:{dataset.start}")
-        labels, nodes = found.elements.setdefault((kind, count), ([], []))
+        contents.first.setdefault((kind, count), f"{dataset.file}:{dataset.start}")
+        labels, nodes = contents.elements.setdefault((kind, count), ([], []))
         labels.append(label)
         nodes.append(numbers[at : at + count])
         at += count
 
 
-def _take_groups(found: _Contents, dataset: _Dataset) -> None:
+def _take_groups(contents: _Contents, dataset: _Dataset) -> None:
     width, row, lines = _GROUPS[dataset.number], 0, dataset.lines
     while row < len(lines):
         head = dataset.integers(row, row + 1)
@@ -243,17 +243,17 @@ def _take_groups(found: _Contents, dataset: _Dataset) -> None:
         numbers = dataset.integers(row + 2, last)
         if len(numbers) != count * width:
             raise dataset.error(f"the group '{name}' has not {count} entities of {width} numbers")
-        _take_group(found, name, numbers.reshape(-1, width))
+        _take_group(contents, name, numbers.reshape(-1, width))
         row = last
 
 
-def _take_group(found: _Contents, name: str, rows: IntArray) -> None:
-    nodes, elements = found.groups.setdefault(name, ([], []))
+def _take_group(contents: _Contents, name: str, rows: IntArray) -> None:
+    nodes, elements = contents.groups.setdefault(name, ([], []))
     nodes.append(rows[rows[:, 0] == _NODE, 1])
     elements.append(rows[rows[:, 0] == _ELEMENT, 1])
     others = len(rows) - len(nodes[-1]) - len(elements[-1])
     if others:
-        found.lost[name] = f"{others} of its {len(rows)} members are neither nodes nor elements"
+        contents.lost[name] = f"{others} of its {len(rows)} members are neither nodes nor elements"
 
 
 def unit_of_unv(path: Path) -> LengthUnit | None:
@@ -284,21 +284,21 @@ def _unit(dataset: _Dataset) -> LengthUnit:
     return LengthUnit.of(next(named, 1 / factor), stated=True)
 
 
-def _mesh(found: _Contents, path: Path) -> MeshFile:
-    labels, first = np.unique(np.concatenate(found.labels), return_index=True)
-    if len(labels) < sum(map(len, found.labels)):
+def _mesh(contents: _Contents, path: Path) -> MeshFile:
+    labels, first = np.unique(np.concatenate(contents.labels), return_index=True)
+    if len(labels) < sum(map(len, contents.labels)):
         raise MeshError("nodes stand twice", where=path.name)
-    points = np.concatenate(found.points)[first]
+    points = np.concatenate(contents.points)[first]
     blocks, left_out = [], []
-    members = {name: np.unique(joined(elements)) for name, (_, elements) in found.groups.items()}
+    members = {name: np.unique(joined(elements)) for name, (_, elements) in contents.groups.items()}
     present = []
-    for (number, count), (own, nodes) in found.elements.items():
+    for (number, count), (own, nodes) in contents.elements.items():
         kind = _kind(number, count)
         if kind is None and number not in _OTHERS:
             raise MeshError(
                 f"{len(own)} elements of the type {number} with {count} nodes, such as {own[0]}, "
                 "are not understood",
-                where=found.first[number, count],
+                where=contents.first[number, count],
                 expected="tetrahedra (111, 118) or triangles (41, 91, 42, 92 ...)",
             )
         if kind is None:
@@ -309,8 +309,8 @@ def _mesh(found: _Contents, path: Path) -> MeshFile:
         present.append(numbers)
         parts = {name: np.flatnonzero(np.isin(numbers, m)) for name, m in members.items()}
         blocks.append(Block(kind, rows[:, _ORDER.get(kind, slice(None))], parts))
-    every, lost, sets = np.unique(joined(present)), dict(found.lost), {}
-    for name, (nodes_of, _) in found.groups.items():
+    every, lost, sets = np.unique(joined(present)), dict(contents.lost), {}
+    for name, (nodes_of, _) in contents.groups.items():
         wanted = np.unique(joined(nodes_of))
         rows = find(labels, wanted)
         if len(wanted):

@@ -173,13 +173,13 @@ class _File:
 
     def _data(self, piece: ElementTree.Element, part: str, rows: int) -> dict[str, AnyArray]:
         """Numbers of all cells or points; texts are left out."""
-        found = {}
+        result = {}
         for array in piece.findall(f"{part}/DataArray"):
             if array.get("type") in _TYPES and rows:
                 columns = _count(array, "NumberOfComponents", 1)
                 values = self._array(array, rows, columns)
-                found[array.get("Name", "")] = values.reshape(rows, -1) if columns > 1 else values
-        return found
+                result[array.get("Name", "")] = values.reshape(rows, -1) if columns > 1 else values
+        return result
 
     def _array(self, array: ElementTree.Element, rows: int, columns: int) -> AnyArray:
         """As many numbers of an array as it must have, flat."""
@@ -262,11 +262,11 @@ class _File:
             raise MeshError(f"{block * (count - 1) + last} bytes, {need} are needed")
         at = start + (_characters(head) if encoded else head)
         packed = _whole(source.take(at, sum(sizes[3:])), sum(sizes[3:]))
-        parts, place = [], 0
+        parts, offset = [], 0
         for i, size in enumerate(sizes[3:]):
             want = block if i < count - 1 else last
-            parts.append(_whole(self._decompress(packed[place : place + size], want), want))
-            place += size
+            parts.append(_whole(self._decompress(packed[offset : offset + size], want), want))
+            offset += size
         return b"".join(parts)
 
     def _sizes(self, data: bytes, count: int) -> list[int]:

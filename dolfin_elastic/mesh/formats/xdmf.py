@@ -250,10 +250,10 @@ def _share(comm: MPI.Comm, path: Path, array: Array) -> AnyArray:
 
 def _contents(path: Path) -> _Contents:
     try:
-        found = _in(read_xml(path), path)
-        if found.kind:
-            check_arrays(path, found.arrays())
-        return found
+        result = _in(read_xml(path), path)
+        if result.kind:
+            check_arrays(path, result.arrays())
+        return result
     except ElementTree.ParseError as error:
         raise MeshError(f"this is no XML file: {error}", where=path.name) from None
     except MeshError as error:
@@ -285,11 +285,11 @@ def _in(root: ElementTree.Element, path: Path) -> _Contents:
         return _Contents()
     tags = [t for g in grids if _kind(g) in _DIMS for t in _tags(g)]
     data = _data(main, [g for g in root.iter("Grid") if g.find("Topology") is None])
-    found = _topology(kind, cells)
+    contents = _topology(kind, cells)
     said = [*_information(main)]
     return _Contents(
         kind,
-        found,
+        contents,
         Array.of(points),
         tuple(tags),
         tuple(data),
@@ -388,7 +388,7 @@ def is_shared(path: Path, dim: int | None) -> bool:
 
 def _tags(grid: ElementTree.Element) -> list[_Tags]:
     """Cell data of a grid that may be integers; DOLFINx writes tags without a number type."""
-    found: list[_Tags] = []
+    result: list[_Tags] = []
     cells = grid.find("Topology/DataItem")
     for attribute in grid.findall("Attribute"):
         item = attribute.find("DataItem")
@@ -401,13 +401,13 @@ def _tags(grid: ElementTree.Element) -> list[_Tags]:
             if values.shape not in ((topology.rows,), (topology.rows, 1)):
                 continue
             name, named = attribute.get("Name", ""), _is_named(grid) or _is_named(attribute)
-            found.append(_Tags(name, _kind(grid), topology, values, named))
-    return found
+            result.append(_Tags(name, _kind(grid), topology, values, named))
+    return result
 
 
 def _data(main: ElementTree.Element, functions: list[ElementTree.Element]) -> list[_Data]:
     """Fields of the mesh's grid and of DOLFINx's functions; of several time steps the last."""
-    found: dict[str, _Data] = {}
+    result: dict[str, _Data] = {}
     counts = {"cell": _rows(main, "Topology"), "point": _rows(main, "Geometry")}
     for grid in [main, *functions]:
         for attribute in grid.findall("Attribute"):
@@ -415,8 +415,8 @@ def _data(main: ElementTree.Element, functions: list[ElementTree.Element]) -> li
             data = _one(attribute, "Int" if grid is main else "Float")
             if data is None or (grid is not main and data.array.rows != counts[data.centre]):
                 continue
-            found[data.name] = data
-    return list(found.values())
+            result[data.name] = data
+    return list(result.values())
 
 
 def _one(attribute: ElementTree.Element, usual: str) -> _Data | None:
@@ -448,7 +448,7 @@ def _width(grid: ElementTree.Element) -> int:
 
 def _data_files(path: Path, root: ElementTree.Element) -> list[str]:
     """The HDF5 files that the text names, which are beside it."""
-    found = {}
+    result = {}
     for item in root.iter("DataItem"):
         if item.get("Format") == "Binary":
             _check_binary(path, Path((item.text or "").strip()))
@@ -460,8 +460,8 @@ def _data_files(path: Path, root: ElementTree.Element) -> list[str]:
                     where=path.name,
                     expected=not_shown(path.parent / name) or "keep the .xdmf and the .h5 together",
                 )
-            found[name] = True
-    return list(found)
+            result[name] = True
+    return list(result)
 
 
 def _check_binary(path: Path, named: Path) -> None:
@@ -518,7 +518,7 @@ def _parts(
     if tags.cells == contents.cells:
         what = f"the region '{tags.attribute}'"
         local = distributed(body, "cell", path, tags.values, what).values[:, 0]
-        found = {v: np.flatnonzero(local == v).astype(np.int32) for v in _values(mesh.comm, local)}
+        result = {v: np.flatnonzero(local == v).astype(np.int32) for v in _values(mesh.comm, local)}
     else:
         cells = _cells(mesh.comm, path, tags.kind, tags.cells)
         numbers: IndexArray = _share(mesh.comm, path, tags.values).reshape(-1).astype(np.int32)
@@ -528,14 +528,14 @@ def _parts(
         cells, numbers = without(cells[~gone], unused), numbers[~gone]
         values = _values(mesh.comm, numbers)
         if tags.dim == 0:
-            found = _nodes(mesh, cells[:, 0], numbers, values)
+            result = _nodes(mesh, cells[:, 0], numbers, values)
         else:
-            found = _entities(mesh, tags.dim, cells, numbers, values)
+            result = _entities(mesh, tags.dim, cells, numbers, values)
         if tags.named:
-            lost |= _missing(mesh, tags, numbers, found)
+            lost |= _missing(mesh, tags, numbers, result)
     if tags.named:
-        return {tags.attribute: found[1]} if 1 in found else {}, lost
-    return {f"{tags.attribute}_{value}": rows for value, rows in found.items()}, lost
+        return {tags.attribute: result[1]} if 1 in result else {}, lost
+    return {f"{tags.attribute}_{value}": rows for value, rows in result.items()}, lost
 
 
 def _values(comm: MPI.Comm, numbers: AnyArray) -> list[int]:
@@ -563,17 +563,17 @@ def _entities(
         mesh.topology.create_connectivity(dim, mesh.topology.dim)
     mesh.topology.create_connectivity(dim, 0)
     entities, at = distribute_entity_data(mesh, dim, cells, numbers)
-    found = meshtags_from_entities(mesh, dim, graph.adjacencylist(entities), at)
-    return {value: _shared(mesh, dim, found.find(value)) for value in values}
+    lists = meshtags_from_entities(mesh, dim, graph.adjacencylist(entities), at)
+    return {value: _shared(mesh, dim, lists.find(value)) for value in values}
 
 
 def _missing(
-    mesh: Mesh, tags: _Tags, numbers: IndexArray, found: Mapping[int, IndexArray]
+    mesh: Mesh, tags: _Tags, numbers: IndexArray, result: Mapping[int, IndexArray]
 ) -> dict[str, str]:
     """What is missing of a named part whose members are none of the mesh. Collective."""
     if tags.dim == 0:
         return {}
-    own = found.get(1, np.empty(0, np.int32)) < mesh.topology.index_map(tags.dim).size_local
+    own = result.get(1, np.empty(0, np.int32)) < mesh.topology.index_map(tags.dim).size_local
     here, count = total(mesh.comm, np.array([np.count_nonzero(own), np.sum(numbers == 1)]))
     things = "facets" if tags.dim == mesh.topology.dim - 1 else "edges"
     text = f"{count - here} of its {count} {things} are no {things} of a cell"
@@ -582,13 +582,13 @@ def _missing(
 
 def _lost(comm: MPI.Comm, tags: _Tags, numbers: IndexArray, gone: BoolArray) -> dict[str, str]:
     """Name to what a part has lost with points that no cell uses. Collective."""
-    found = {}
+    result = {}
     for value in _values(comm, numbers[gone]):
-        mine = np.array([np.sum(gone & (numbers == value)), np.sum(numbers == value)])
-        count, every = total(comm, mine)
+        local = np.array([np.sum(gone & (numbers == value)), np.sum(numbers == value)])
+        count, every = total(comm, local)
         name = tags.attribute if tags.named else f"{tags.attribute}_{value}"
-        found[name] = f"{count} of its {every} members belong to no cell"
-    return found
+        result[name] = f"{count} of its {every} members belong to no cell"
+    return result
 
 
 def _check_nodes(mesh: Mesh, cells: IntArray, tags: _Tags, points: int) -> None:

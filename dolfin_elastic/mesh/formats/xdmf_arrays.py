@@ -130,8 +130,8 @@ def hdf_rows(file: Path, array: Array, start: int = 0, stop: int | None = None) 
     with hdf5.opened(file.parent / array.file, checked=True) as data:
         flat = len(hdf5.shape_in(data, array.path)) == 1
         each = array.columns if flat else 1
-        found = hdf5.rows_of(data, array.path, start * each, stop * each)
-    return found.reshape(stop - start, array.columns)
+        result = hdf5.rows_of(data, array.path, start * each, stop * each)
+    return result.reshape(stop - start, array.columns)
 
 
 def distributed(
@@ -159,8 +159,8 @@ def distributed(
         if kept is None:
             return np.asarray(hdf_rows(file, array, start, stop), dtype=np.float64)
         rows = kept[start:stop]
-        found = hdf_rows(file, array, int(rows[0]), int(rows[-1]) + 1)
-        return np.asarray(found[rows - rows[0]], dtype=np.float64)
+        result = hdf_rows(file, array, int(rows[0]), int(rows[-1]) + 1)
+        return np.asarray(result[rows - rows[0]], dtype=np.float64)
 
     shape = array.rows if kept is None else len(kept), array.columns
     try:

@@ -124,9 +124,9 @@ class BoundaryShape:
     def _arcs(self) -> BoolArray:
         """Edges whose neighbour is parallel and has a like angle. Collective."""
         before = None if self._known is None else self._known.arcs
-        found = (self._next_is_alike() if before is None else before).astype(float)
+        alike = (self._next_is_alike() if before is None else before).astype(float)
         within = (np.abs(self.turns) > _FLAT) & (np.abs(self.turns) < _ARC)
-        return within & (self._ridges.of_rows(found[..., None])[..., 0] > 0.5)
+        return within & (self._ridges.of_rows(alike[..., None])[..., 0] > 0.5)
 
     def _next_is_alike(self) -> BoolArray:
         """Whether at the corner opposite to each edge there are others like it. Collective."""
@@ -179,20 +179,20 @@ class BoundaryShape:
         turns, areas = np.where(self.arcs, self.turns, 0.0), facet_areas(mesh, self.facets)
         x = facet_corners(mesh, self.facets)
         if d == 2:
-            found = areas * turns.sum(axis=1) / 24
+            result = areas * turns.sum(axis=1) / 24
         else:
             sides = np.stack([x[:, (k + 2) % 3] - x[:, (k + 1) % 3] for k in range(3)], axis=1)
-            found = areas / 6 * (turns / np.linalg.norm(sides, axis=2)).sum(axis=1)
+            result = areas / 6 * (turns / np.linalg.norm(sides, axis=2)).sum(axis=1)
         if known is None:
-            return np.asarray(found)
-        found = np.where(np.isfinite(known.gap), known.gap, found)
+            return np.asarray(result)
+        result = np.where(np.isfinite(known.gap), known.gap, result)
         rises = [
             np.sum((known.normals[:, j] - known.normals[:, i]) * (x[:, j] - x[:, i]), axis=1) / 8
             for i in range(d)
             for j in range(i)
         ]
         exact = np.mean(rises, axis=0) * (2 / 3 if d == 2 else 1.0)
-        return np.asarray(np.where(np.isfinite(exact), exact, found))
+        return np.asarray(np.where(np.isfinite(exact), exact, result))
 
     @cached_property
     def turn(self) -> FloatArray:
@@ -201,13 +201,13 @@ class BoundaryShape:
         Of straight facets without exact normals that to the next one of the same face.
         """
         kinks = np.where(self.smooth & (np.abs(self.turns) > _FLAT), np.abs(self.turns), 0.0)
-        found = kinks.max(axis=1, initial=0.0)
+        result = kinks.max(axis=1, initial=0.0)
         if self._mesh.geometry.cmap.degree > 1:  # normals vary linearly along quadratic facets
-            found = np.maximum(found, 2 * _spread(self._frames[..., :3]))
+            result = np.maximum(result, 2 * _spread(self._frames[..., :3]))
         if self._known is not None:
             exact = _spread(self._known.normals)
-            found = np.where(np.isfinite(exact), exact, found)
-        return found
+            result = np.where(np.isfinite(exact), exact, result)
+        return result
 
     @cached_property
     def bend(self) -> FloatArray:
@@ -223,8 +223,8 @@ class BoundaryShape:
         first = _unit(steps[:, 0])
         plane = np.stack([first, _unit(_without(steps[:, 1], first))], axis=2)
         changes, steps = changes @ plane, steps @ plane
-        found = np.linalg.solve(steps, changes)
-        values = np.linalg.eigvalsh((found + np.swapaxes(found, 1, 2)) / 2)
+        result = np.linalg.solve(steps, changes)
+        values = np.linalg.eigvalsh((result + np.swapaxes(result, 1, 2)) / 2)
         largest = np.argmax(np.abs(values), axis=1)[:, None]
         return np.asarray(np.take_along_axis(values, largest, axis=1)[:, 0])
 
@@ -236,10 +236,10 @@ class BoundaryShape:
             half = np.where(self.smooth, self.turns, 0.0) / 2
             middles = middles - half[..., None] * self._frames[..., 3 : 3 + d]
         # Of normals that vary linearly, those at the middles of edges give those at the corners.
-        found = middles.sum(axis=1, keepdims=True) - 2 * middles if d == 3 else middles[:, ::-1]
+        result = middles.sum(axis=1, keepdims=True) - 2 * middles if d == 3 else middles[:, ::-1]
         if self._known is not None:
-            found = np.where(np.isfinite(self._known.normals), self._known.normals, found)
-        return np.asarray(found)
+            result = np.where(np.isfinite(self._known.normals), self._known.normals, result)
+        return np.asarray(result)
 
     def known(self) -> KnownSurface:
         """What a mesh that is refined from this one takes over."""
@@ -253,12 +253,12 @@ class BoundaryShape:
 
 def _spread(normals: FloatArray) -> FloatArray:
     """Largest angle between the n unit normals of each facet; NaN of unknown ones."""
-    found = np.zeros(len(normals))
+    result = np.zeros(len(normals))
     for i in range(normals.shape[1]):
         for j in range(i):
             apart = np.linalg.norm(normals[:, i] - normals[:, j], axis=1)
-            found = np.maximum(found, 2 * np.arcsin(np.minimum(apart / 2, 1.0)))
-    return found
+            result = np.maximum(result, 2 * np.arcsin(np.minimum(apart / 2, 1.0)))
+    return result
 
 
 def facet_vertices(dim: int) -> IntArray:
@@ -285,7 +285,7 @@ def facet_ridges(dim: int, local: IndexArray) -> tuple[IntArray, IndexArray]:
 def _frames(mesh: Mesh, cells: IndexArray, local: IndexArray) -> FloatArray:
     """Outward normal and direction into the facet at its edges, shape (facets, d, 6). Local."""
     d = mesh.topology.dim
-    found = np.zeros((len(cells), d, 6))
+    result = np.zeros((len(cells), d, 6))
     for facet in range(d + 1):
         rows = np.flatnonzero(local == facet)
         nodes = mesh.geometry.x[mesh.geometry.dofmap[cells[rows]], :d]
@@ -293,8 +293,8 @@ def _frames(mesh: Mesh, cells: IndexArray, local: IndexArray) -> FloatArray:
         for k in range(d):
             ridge = tuple(cell_ridges(d)[numbers[0, k]])
             frame = _frame(nodes, mesh.geometry.cmap.degree, facet, ridge, int(corners[0, k]))
-            found[rows, k] = frame
-    return found
+            result[rows, k] = frame
+    return result
 
 
 def _frame(
@@ -312,16 +312,16 @@ def _frame(
         along = J @ (corners[ridge[1]] - corners[ridge[0]])
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         inward -= np.sum(inward * along, axis=1, keepdims=True) * along
-    found = np.zeros((len(nodes), 6))
-    found[:, :dim] = n / np.linalg.norm(n, axis=1, keepdims=True)
-    found[:, 3 : 3 + dim] = inward / np.linalg.norm(inward, axis=1, keepdims=True)
-    return found
+    result = np.zeros((len(nodes), 6))
+    result[:, :dim] = n / np.linalg.norm(n, axis=1, keepdims=True)
+    result[:, 3 : 3 + dim] = inward / np.linalg.norm(inward, axis=1, keepdims=True)
+    return result
 
 
 def _exact_frames(normals: FloatArray, x: FloatArray) -> FloatArray:
     """As `_frames`, from the exact normals at the corners; NaN where these are not known."""
     d = normals.shape[1]
-    found = np.zeros((len(normals), d, 6))
+    result = np.zeros((len(normals), d, 6))
     for k in range(d):
         ends = [j for j in range(d) if j != k]
         n = _unit(normals[:, ends].sum(axis=1))
@@ -329,8 +329,8 @@ def _exact_frames(normals: FloatArray, x: FloatArray) -> FloatArray:
         inward = _without(inward, n)
         if d == 3:  # both in the tangent plane, so that they agree on both sides of a smooth edge
             inward = _without(inward, _unit(_without(x[:, ends[1]] - x[:, ends[0]], n)))
-        found[:, k, :d], found[:, k, 3 : 3 + d] = n, _unit(inward)
-    return found
+        result[:, k, :d], result[:, k, 3 : 3 + d] = n, _unit(inward)
+    return result
 
 
 def _without(vectors: FloatArray, direction: FloatArray) -> FloatArray:

@@ -65,12 +65,12 @@ def _places(body: Body, bad: BoolArray, middle: FloatArray) -> tuple[int, str]:
     """Number of marked cells on all ranks, and midpoints of the first in the file. Collective."""
     mesh = body.mesh
     number = np.asarray(mesh.topology.original_cell_index)
-    mine = np.flatnonzero(bad)
-    mine = mine[np.argsort(number[mine])]
-    found = mesh.comm.allgather((number[mine[:5]], middle[mine[:5]]))
-    order = np.argsort(np.concatenate([numbers for numbers, _ in found]))
-    first = np.concatenate([rows for _, rows in found])[order]
-    count = int(total(mesh.comm, len(mine)))
+    local = np.flatnonzero(bad)
+    local = local[np.argsort(number[local])]
+    result = mesh.comm.allgather((number[local[:5]], middle[local[:5]]))
+    order = np.argsort(np.concatenate([numbers for numbers, _ in result]))
+    first = np.concatenate([rows for _, rows in result])[order]
+    count = int(total(mesh.comm, len(local)))
     return count, format_points(first, count, body.unit.name)
 
 

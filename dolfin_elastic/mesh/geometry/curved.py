@@ -59,8 +59,8 @@ def cell_gradients(nodes: FloatArray, degree: int, points: FloatArray) -> FloatA
     tdim = points.shape[1]
     slopes = _slopes(tdim, degree, points).transpose(1, 0, 2)  # by node, point and direction
     rows = nodes.transpose(0, 2, 1).reshape(-1, nodes.shape[1])  # one product, not one a cell
-    found = (rows @ slopes.reshape(len(slopes), -1)).reshape(-1, nodes.shape[2], len(points), tdim)
-    return found.transpose(0, 2, 1, 3)
+    result = (rows @ slopes.reshape(len(slopes), -1)).reshape(-1, nodes.shape[2], len(points), tdim)
+    return result.transpose(0, 2, 1, 3)
 
 
 def shape_functions(mesh: Mesh, points: FloatArray) -> FloatArray:
@@ -106,12 +106,12 @@ def cell_jacobians(mesh: Mesh, points: FloatArray, cells: IndexArray | None = No
     """
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
     rows = mesh.geometry.dofmap if cells is None else mesh.geometry.dofmap[cells]
-    found = np.empty((len(rows), len(points)))
+    result = np.empty((len(rows), len(points)))
     for first in range(0, len(rows), _CHUNK):
         some = slice(first, first + _CHUNK)
         nodes = np.asarray(mesh.geometry.x[rows[some], :d], dtype=np.float64)
-        found[some] = determinants(cell_gradients(nodes, degree, points))
-    return found
+        result[some] = determinants(cell_gradients(nodes, degree, points))
+    return result
 
 
 def cell_volumes(mesh: Mesh) -> FloatArray:
@@ -163,8 +163,8 @@ def facet_points(
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
     nodes = _facet_nodes(mesh, facets)
     table = facet_shape_functions(d, degree, points)
-    places = np.einsum("pk,fkj->fpj", table, nodes)
-    return np.asarray(places), cell_gradients(nodes, degree, points)
+    coordinates = np.einsum("pk,fkj->fpj", table, nodes)
+    return np.asarray(coordinates), cell_gradients(nodes, degree, points)
 
 
 def facet_shape_functions(dim: int, degree: int, points: FloatArray) -> FloatArray:

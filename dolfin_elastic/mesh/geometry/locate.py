@@ -63,14 +63,16 @@ def locate(
             )
     wanted = {name: np.asarray(point, dtype=np.float64) for name, point in points.items()}
     ranking = _CellOrder(body, order)
-    found = {name: _in_own_cells(body.mesh, point, ranking) for name, point in wanted.items()}
-    everywhere = body.comm.allgather([key for key, _, _ in found.values()])
-    best = [min((keys[k], rank) for rank, keys in enumerate(everywhere)) for k in range(len(found))]
+    located = {name: _in_own_cells(body.mesh, point, ranking) for name, point in wanted.items()}
+    everywhere = body.comm.allgather([key for key, _, _ in located.values()])
+    best = [
+        min((keys[k], rank) for rank, keys in enumerate(everywhere)) for k in range(len(located))
+    ]
     _refuse_outside(body, wanted, [key[0] for key, _ in best])
     return {
-        name: LocatedPoint(point, rank, found[name][1] if rank == body.comm.rank else -1, local)
+        name: LocatedPoint(point, rank, located[name][1] if rank == body.comm.rank else -1, local)
         for (name, point), (_, rank) in zip(wanted.items(), best, strict=True)
-        for local in [found[name][2]]
+        for local in [located[name][2]]
     }
 
 

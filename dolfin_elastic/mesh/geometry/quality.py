@@ -124,11 +124,11 @@ def quality_at(body: Body, place: Sequence[float]) -> float:
     """
     corners = cell_corners(body.mesh, body.owned_cells())
     far = np.linalg.norm(corners.mean(axis=1)[:, : len(place)] - np.asarray(place), axis=1)
-    mine = (np.inf, 1.0)
+    local = (np.inf, 1.0)
     if len(far):
         cell = int(np.argmin(far))
-        mine = float(far[cell]), float(qualities(corners[cell : cell + 1])[0])
-    return min(body.comm.allgather(mine))[1]
+        local = float(far[cell]), float(qualities(corners[cell : cell + 1])[0])
+    return min(body.comm.allgather(local))[1]
 
 
 def _worst(
@@ -139,8 +139,8 @@ def _worst(
     count: int,
 ) -> tuple[CellQuality, ...]:
     rows = np.argsort(shape)[:count]
-    mine = [
+    local = [
         CellQuality(float(shape[i]), tuple(map(float, middle[i])), float(volumes[i])) for i in rows
     ]
-    everyone = [cell for cells in body.comm.allgather(mine) for cell in cells]
+    everyone = [cell for cells in body.comm.allgather(local) for cell in cells]
     return tuple(sorted(everyone, key=lambda cell: (cell.quality, cell.middle))[:count])

@@ -52,10 +52,10 @@ def sums_by_row(rows: IndexArray | IntArray, values: FloatArray, count: int) -> 
     """
     flat, table = rows.reshape(-1), values.reshape(rows.size, values.shape[-1])
     # Not by a sparse matrix: importing scipy takes longer.
-    found = np.empty((count, table.shape[1]))
+    result = np.empty((count, table.shape[1]))
     for column in range(table.shape[1]):
-        found[:, column] = np.bincount(flat, table[:, column], minlength=count)
-    return found
+        result[:, column] = np.bincount(flat, table[:, column], minlength=count)
+    return result
 
 
 class Ridges:

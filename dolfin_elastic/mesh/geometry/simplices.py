@@ -165,9 +165,9 @@ def node_cells(mesh: Mesh, nodes: IndexArray) -> tuple[IndexArray, IndexArray]:
     rows = np.asarray(mesh.geometry.dofmap)
     first = np.full(len(mesh.geometry.x), rows.size, dtype=np.int64)
     np.minimum.at(first, rows.ravel(), np.arange(rows.size))
-    places = first[nodes]
+    offsets = first[nodes]
     width = rows.shape[1]
-    return (places // width).astype(np.int32), (places % width).astype(np.int32)
+    return (offsets // width).astype(np.int32), (offsets % width).astype(np.int32)
 
 
 def facet_corners(mesh: Mesh, facets: IndexArray) -> FloatArray:

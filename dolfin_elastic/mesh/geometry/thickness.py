@@ -84,10 +84,10 @@ class _Walk:
         self._dim, comm = mesh.topology.dim, mesh.comm
         mesh.topology.create_connectivity(self._dim, 0)
         self._loops = compile_c(comm, "thickness.c", {"DIM": self._dim}, options(comm))
-        places, width = mesh.topology.index_map(0), 8 if self._dim == 3 else 4
-        self._shape = places.size_local + places.num_ghosts, width
+        index_map, width = mesh.topology.index_map(0), 8 if self._dim == 3 else 4
+        self._shape = index_map.size_local + index_map.num_ghosts, width
         self._sums = {
-            kind: None if comm.size == 1 else la.vector(places, width, dtype=kind)
+            kind: None if comm.size == 1 else la.vector(index_map, width, dtype=kind)
             for kind in (np.float64, np.float32)
         }
         self._vertices = mesh.topology.connectivity(self._dim, 0).array
@@ -112,9 +112,9 @@ class _Walk:
         owned = mesh.topology.index_map(self._dim).size_local
         if mesh.geometry.cmap.degree > 1:
             return cell_volumes(mesh)[:owned]
-        found, nodes, x = np.empty(owned), mesh.geometry.dofmap, mesh.geometry.x
-        self._loops.call("take_volumes", owned, nodes.shape[1], nodes, len(x), x, found)
-        return found
+        result, nodes, x = np.empty(owned), mesh.geometry.dofmap, mesh.geometry.x
+        self._loops.call("take_volumes", owned, nodes.shape[1], nodes, len(x), x, result)
+        return result
 
     def _rows(self, kind: type[np.float64 | np.float32]) -> AnyArray:
         """Zeros for all local vertices, of some precision, until the next ones of it."""
@@ -171,12 +171,12 @@ class _Walk:
         weights = _power(_STEPS - 1)
         before = (rows / self._length ** (self._dim - 1)).astype(np.float32)
         now = 2 * stepped(before) * inverse - before  # Chebyshev polynomials of 2 x - 1
-        found = weights[0] * before + weights[1] * now
+        result = weights[0] * before + weights[1] * now
         for degree in range(2, len(weights)):
             sums = stepped(now)
-            last = (inverse, sums, degree, weights, before, now, found)
+            last = (inverse, sums, degree, weights, before, now, result)
             self._loops.call("next_polynomial", len(inverse), *last)
-        return found
+        return result
 
     def thickness(self, density: SingleArray, metric: FloatArray) -> Thickness:
         """What follows for each cell from the means of its vertices. Not collective.
@@ -185,11 +185,11 @@ class _Walk:
             density: Of the boundary's n n by relative volume, as `far` has it.
             metric: Of the edges' e e [m^2].
         """
-        found = [np.empty(len(self._volumes)) for _ in range(3)]
+        result = [np.empty(len(self._volumes)) for _ in range(3)]
         means = (len(density), density, metric)
-        self._loops.call("at_cells", len(self._volumes), self._vertices, *means, *found)
-        found[0] *= self._length
-        return Thickness(self._volumes, *found)
+        self._loops.call("at_cells", len(self._volumes), self._vertices, *means, *result)
+        result[0] *= self._length
+        return Thickness(self._volumes, *result)
 
 
 def _power(n: int) -> SingleArray:

@@ -110,14 +110,14 @@ class CadSurfaces:
         nodes = facet_nodes(body.mesh, facets)
         used, rows = np.unique(nodes, return_inverse=True)
         rows = rows.reshape(nodes.shape)
-        places = _padded(body.mesh.geometry.x[used, : body.dim] / self._source.scale)
+        coordinates = _padded(body.mesh.geometry.x[used, : body.dim] / self._source.scale)
         near = near / self._source.scale
         middle = np.full((1, body.dim - 1), 1.0 / body.dim)
         middles = _padded(facet_points(body.mesh, facets, middle)[0][:, 0] / self._source.scale)
         tags = np.zeros(len(facets), dtype=np.int64)
         best = np.full(len(facets), np.inf)
         for tag in model.surfaces:
-            on = model.distances(tag, places, near) <= near
+            on = model.distances(tag, coordinates, near) <= near
             candidates = np.flatnonzero(on[rows].all(axis=1))
             away = model.distances(tag, middles[candidates], np.inf)
             closer = away < best[candidates]
@@ -127,8 +127,8 @@ class CadSurfaces:
     def _project(self, model: _Model, links: _NodeSurfaces, moved: FloatArray) -> None:
         """Moves nodes to the nearest points of their surfaces or curves. Local."""
         groups = dict[tuple[int, ...], list[int]]()
-        for node, found in links.items():
-            groups.setdefault(tuple(sorted({t.surface for t in found})), []).append(node)
+        for node, result in links.items():
+            groups.setdefault(tuple(sorted({t.surface for t in result})), []).append(node)
         for surfaces, nodes in groups.items():
             old = _padded(moved[nodes] / self._source.scale)
             new = model.closest(surfaces, old)
@@ -152,55 +152,59 @@ class _Model:
         self._model, self._dim = model, dim - 1
         self.surfaces = model.entities(self._dim)
 
-    def distances(self, tag: int, places: FloatArray, near: float) -> FloatArray:
+    def distances(self, tag: int, coordinates: FloatArray, near: float) -> FloatArray:
         """Distances of places to a surface; infinite outside of its box by more than `near`.
 
         Args:
-            places: In the file's unit, shape (n, 3).
+            coordinates: In the file's unit, shape (n, 3).
             near: In the file's unit.
         """
         box = self._model.box(self._dim, tag)
-        inside = ((places >= box[:3] - near) & (places <= box[3:] + near)).all(axis=1)
-        found = np.full(len(places), np.inf)
-        chosen = places[inside]
-        found[inside] = np.linalg.norm(self._model.nearest(self._dim, tag, chosen) - chosen, axis=1)
-        return found
+        inside = ((coordinates >= box[:3] - near) & (coordinates <= box[3:] + near)).all(axis=1)
+        result = np.full(len(coordinates), np.inf)
+        chosen = coordinates[inside]
+        result[inside] = np.linalg.norm(
+            self._model.nearest(self._dim, tag, chosen) - chosen, axis=1
+        )
+        return result
 
-    def closest(self, surfaces: tuple[int, ...], places: FloatArray) -> FloatArray | None:
+    def closest(self, surfaces: tuple[int, ...], coordinates: FloatArray) -> FloatArray | None:
         """Nearest places on one surface, or on the curves in which two meet; None: they stay.
 
         Args:
-            places: In the file's unit, shape (n, 3).
+            coordinates: In the file's unit, shape (n, 3).
         """
         straight = [self._model.kind(self._dim, tag) in _STRAIGHT for tag in surfaces]
         if all(straight) or len(surfaces) > self._dim:
             return None
         if len(surfaces) == 1:
-            return self._model.nearest(self._dim, surfaces[0], places)
+            return self._model.nearest(self._dim, surfaces[0], coordinates)
         around = [self._model.below(self._dim, s) for s in surfaces]
         curves = sorted(set.intersection(*around))
-        found = [self._model.nearest(self._dim - 1, curve, places) for curve in curves]
-        if not found:
+        result = [self._model.nearest(self._dim - 1, curve, coordinates) for curve in curves]
+        if not result:
             return None
-        away = np.array([np.linalg.norm(f - places, axis=1) for f in found])
-        return np.asarray(np.array(found)[np.argmin(away, axis=0), np.arange(len(places))])
+        away = np.array([np.linalg.norm(f - coordinates, axis=1) for f in result])
+        return np.asarray(np.array(result)[np.argmin(away, axis=0), np.arange(len(coordinates))])
 
 
 def _on_each_rank(comm: MPI.Comm, action: Callable[[], T]) -> T:
     """Runs a local action on each rank; an error of one rank is raised on all. Collective."""
-    found: T | None = None
+    result: T | None = None
     error: MeshError | None = None
     try:
-        found = action()
+        result = action()
     except MeshError as caught:
         error = caught
     agree(comm, error)
-    return cast(T, found)
+    return cast(T, result)
 
 
-def _padded(places: AnyArray) -> FloatArray:
+def _padded(coordinates: AnyArray) -> FloatArray:
     """Places with three coordinates."""
-    return np.asarray(np.pad(places, ((0, 0), (0, 3 - places.shape[1]))), dtype=np.float64)
+    return np.asarray(
+        np.pad(coordinates, ((0, 0), (0, 3 - coordinates.shape[1]))), dtype=np.float64
+    )
 
 
 def _links(
@@ -220,11 +224,11 @@ def _links(
     closure = lagrange(d, int(body.mesh.geometry.cmap.degree)).entity_closure_dofs[d - 1]
     links: _NodeSurfaces = {}
     for i in range(d + 1):
-        mine = cells[local == i]
-        corners = np.delete(division.corners[mine], i, axis=1)
+        own = cells[local == i]
+        corners = np.delete(division.corners[own], i, axis=1)
         within = (corners == 0.0).all(axis=1)  # in which facet of the parent
-        surface = (of_cells[division.parents[mine]] * within).sum(axis=1)
-        nodes = space.dofmap.list[mine][:, closure[i]]
+        surface = (of_cells[division.parents[own]] * within).sum(axis=1)
+        nodes = space.dofmap.list[own][:, closure[i]]
         # The first d nodes of a facet are its corners.
         size = longest_edges(x[nodes[:, :d]])
         for row, tag, edge in zip(nodes, surface, size, strict=True):
@@ -251,9 +255,9 @@ def _merge(
     index: IndexMap, links: _NodeSurfaces, received: Mapping[int, list[_NodeSurface]]
 ) -> None:
     nodes = index.global_to_local(np.array([*received], dtype=np.int64))
-    for node, found in zip(nodes, received.values(), strict=True):
+    for node, result in zip(nodes, received.values(), strict=True):
         if node >= 0:
-            links.setdefault(int(node), []).extend(found)
+            links.setdefault(int(node), []).extend(result)
 
 
 def _from_owners(space: fem.FunctionSpace, x: FloatArray) -> None:

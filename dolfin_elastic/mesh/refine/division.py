@@ -126,20 +126,20 @@ def _skeleton(mesh: Mesh) -> Mesh:
     return Mesh(straight, ufl.Mesh(basix.ufl.element("Lagrange", mesh.basix_cell(), 1, shape=(d,))))
 
 
-def interpolated(dim: int, degree: int, places: FloatArray, values: AnyArray) -> FloatArray:
+def interpolated(dim: int, degree: int, coordinates: FloatArray, values: AnyArray) -> FloatArray:
     """Values of a Lagrange element at points of its cells.
 
     Args:
         dim: 2 or 3.
-        places: Barycentric coordinates, shape (cells, k, dim + 1).
+        coordinates: Barycentric coordinates, shape (cells, k, dim + 1).
         values: At the nodes of the cells, shape (cells, nodes, columns).
 
     Returns:
         Shape (cells, k, columns).
     """
-    points = np.ascontiguousarray(places[..., 1:]).reshape(-1, dim)
+    points = np.ascontiguousarray(coordinates[..., 1:]).reshape(-1, dim)
     # Finer cells have only a few positions in their parents: each is tabulated once.
     unique, inverse = np.unique(points, axis=0, return_inverse=True)
     table = lagrange(dim, degree).tabulate(0, unique)[0, :, :, 0]
-    shapes = table[inverse.reshape(-1)].reshape(*places.shape[:2], table.shape[1])
+    shapes = table[inverse.reshape(-1)].reshape(*coordinates.shape[:2], table.shape[1])
     return np.asarray(np.einsum("ckn,cnj->ckj", shapes, values))

@@ -78,9 +78,9 @@ def refined_locally(body: Body, sizes: Sequence[LocalSize]) -> Body:
 
 def _finer(body: Body, cells: IndexArray) -> Body:
     """The refined body, with the remarks about the one that was read."""
-    found = refine_body(body, cells).body
-    notes = tuple(dict.fromkeys((*body.notes, *found.notes)))
-    return replace(found, notes=notes, information=body.information)
+    finer = refine_body(body, cells).body
+    notes = tuple(dict.fromkeys((*body.notes, *finer.notes)))
+    return replace(finer, notes=notes, information=body.information)
 
 
 def _check_count(body: Body, cells: float, where: str) -> None:
@@ -121,18 +121,18 @@ def _lengths(body: Body) -> FloatArray:
 def _inside(body: Body, one: LocalSize, where: str) -> BoolArray:
     """Which owned cells belong to a place: have a vertex in it, or are of a region. Collective."""
     cells = body.owned_cells()
-    found = np.zeros(len(cells), dtype=bool)
+    mask = np.zeros(len(cells), dtype=bool)
     for name in one.parts:
-        found |= _of_part(body, name, f"{where}.on")
+        mask |= _of_part(body, name, f"{where}.on")
     if one.parts:
-        return found
+        return mask
     corners = cell_corners(body.mesh, cells)
     outside = one.shape(body.unit.metres, body.dim, where).outside
-    found = outside(corners).min(axis=1, initial=np.inf) <= 0.0
-    if not total(body.comm, int(np.count_nonzero(found))):
+    mask = outside(corners).min(axis=1, initial=np.inf) <= 0.0
+    if not total(body.comm, int(np.count_nonzero(mask))):
         # The place may lie between the vertices of a cell: these are the cells that may hold it.
-        found = outside(corners.mean(axis=1)) <= _lengths(body).max(axis=1, initial=0.0)
-    return found
+        mask = outside(corners.mean(axis=1)) <= _lengths(body).max(axis=1, initial=0.0)
+    return mask
 
 
 def _of_part(body: Body, name: str, where: str) -> BoolArray:
@@ -140,9 +140,9 @@ def _of_part(body: Body, name: str, where: str) -> BoolArray:
     size = len(body.owned_cells())
     name = spelling(body, name)
     if name in body.regions:
-        found = np.zeros(size, dtype=bool)
-        found[body.owned_cells(name)] = True
-        return found
+        mask = np.zeros(size, dtype=bool)
+        mask[body.owned_cells(name)] = True
+        return mask
     if name not in body.surfaces:
         known = {*body.regions, *body.surfaces}
         advice = nearest(name, known)

@@ -38,12 +38,12 @@ def carry_parts(
     """
     coarse = body.mesh
     regions = of_parents(_marks(body.regions, len(coarse.geometry.dofmap)))
-    found = {"regions": _named(body.regions, regions, np.arange(len(regions)))}
+    result = {"regions": _named(body.regions, regions, np.arange(len(regions)))}
     d = coarse.topology.dim
-    found["surfaces"] = _entities(body.surfaces, coarse, mesh, d - 1, corners, of_parents)
-    found["edges"] = _entities(body.edges, coarse, mesh, 1, corners, of_parents)
-    found["points"] = _points(body.points, coarse, mesh, corners, of_parents)
-    return found
+    result["surfaces"] = _entities(body.surfaces, coarse, mesh, d - 1, corners, of_parents)
+    result["edges"] = _entities(body.edges, coarse, mesh, 1, corners, of_parents)
+    result["points"] = _points(body.points, coarse, mesh, corners, of_parents)
+    return result
 
 
 def _marks(parts: Parts, count: int) -> AnyArray:
@@ -152,12 +152,12 @@ def _entities_within(d: int, dim: int, corners: FloatArray) -> AnyArray:
     """Whether each entity of a finer cell lies in each of its parent, (cells, own, parent's)."""
     entities: list[Any] = basix.topology(_SHAPES[d])[dim]
     zero = corners == 0.0
-    found = np.zeros((len(corners), len(entities), len(entities)), dtype=bool)
+    result = np.zeros((len(corners), len(entities), len(entities)), dtype=bool)
     for i, own in enumerate(entities):
         for j, other in enumerate(entities):
             away = [k for k in range(d + 1) if k not in other]
-            found[:, i, j] = zero[:, own][:, :, away].all(axis=(1, 2))
-    return found
+            result[:, i, j] = zero[:, own][:, :, away].all(axis=(1, 2))
+    return result
 
 
 def _points(
@@ -173,8 +173,8 @@ def _points(
     marks = _marks(parts, len(coarse.geometry.x))
     of_parent = of_parents(marks[coarse.geometry.dofmap])  # (finer cells, parent's node, parts)
     reference = barycentric(lagrange(coarse.topology.dim, int(coarse.geometry.cmap.degree)).points)
-    places = np.einsum("kv,cvj->ckj", reference, corners)
+    coordinates = np.einsum("kv,cvj->ckj", reference, corners)
     # Coordinates are multiples of 1/4.
-    same = (np.abs(places[:, :, None] - reference) < 0.1).all(axis=3)
+    same = (np.abs(coordinates[:, :, None] - reference) < 0.1).all(axis=3)
     own = np.einsum("ckn,cnp->ckp", same.astype(np.uint8), of_parent)
     return _named(parts, own, mesh.geometry.dofmap)

@@ -69,9 +69,9 @@ class CellLinks:
             [out, self._given * width, MPI._typedict[rows.dtype.char]],
             [got, self._asked * width, MPI._typedict[rows.dtype.char]],
         )
-        found = np.empty_like(got)
-        found[self._order] = got
-        return found.reshape(len(found), *rows.shape[1:])
+        result = np.empty_like(got)
+        result[self._order] = got
+        return result.reshape(len(result), *rows.shape[1:])
 
 
 @dataclass(frozen=True)
@@ -102,8 +102,8 @@ class Refinement:
         """
         d = self.body.dim
         nodes = barycentric(lagrange(d, degree).points)
-        places = np.einsum("kv,cvj->ckj", nodes, self.corners)
-        return interpolated(d, degree, places, self.of_parents(values))
+        coordinates = np.einsum("kv,cvj->ckj", nodes, self.corners)
+        return interpolated(d, degree, coordinates, self.of_parents(values))
 
 
 def refine_body(body: Body, cells: IndexArray) -> Refinement:
@@ -158,11 +158,11 @@ def _node_places(body: Body, division: Division, space: fem.FunctionSpace) -> Fl
     """Coordinates [m] of all local nodes of the finer mesh, from the geometry of the coarse one."""
     mesh, d, order = body.mesh, body.dim, int(body.mesh.geometry.cmap.degree)
     nodes = mesh.geometry.x[mesh.geometry.dofmap[division.parents], :d]
-    places = division.places(lagrange(d, order).points)
-    found = interpolated(d, order, places, nodes)
+    coordinates = division.places(lagrange(d, order).points)
+    result = interpolated(d, order, coordinates, nodes)
     index = space.dofmap.index_map
     x = np.zeros((index.size_local + index.num_ghosts, d))
-    x[space.dofmap.list] = found
+    x[space.dofmap.list] = result
     return x
 
 
@@ -172,7 +172,7 @@ def _carried_field(refinement: Refinement, field: MeshField) -> MeshField:
         return MeshField("cell", np.asarray(refinement.of_parents(field.values)))
     coarse, fine = refinement.coarse.mesh.geometry, refinement.body.mesh.geometry
     degree = int(coarse.cmap.degree)
-    found = refinement.interpolated(degree, field.values[coarse.dofmap])
+    result = refinement.interpolated(degree, field.values[coarse.dofmap])
     values = np.zeros((len(fine.x), field.columns))
-    values[fine.dofmap] = found
+    values[fine.dofmap] = result
     return MeshField("point", values)

@@ -102,26 +102,26 @@ class Cavity(Load):
         """The prescribed pressure [Pa] or volume [m^3], a number or formula in t."""
         key = self.key
         with keyed(key):
-            found = component(getattr(self, key), UNITS[key])
-        if isinstance(found, Formula) and not found.names <= {"t"}:
+            parts = component(getattr(self, key), UNITS[key])
+        if isinstance(parts, Formula) and not parts.names <= {"t"}:
             raise InputError(
                 "a cavity has one pressure and one volume",
                 where=key,
                 expected="a number, or a formula in t",
             )
-        return (found,)
+        return (parts,)
 
     @cached_property
     def origin_components(self) -> tuple[Component, ...]:
         """The origin [m]; empty if it is zero."""
         if self.origin is None:
             return ()
-        found = components(self.origin, "m", key="origin")
-        if any(isinstance(item, Formula) for item in found):
+        parts = components(self.origin, "m", key="origin")
+        if any(isinstance(item, Formula) for item in parts):
             raise InputError(
                 "the origin of a cavity does not move", where="origin", expected="numbers"
             )
-        return found
+        return parts
 
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:

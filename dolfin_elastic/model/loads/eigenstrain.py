@@ -92,15 +92,15 @@ class Growth(Eigenstrain):
         if len(written) == 3 and all(isinstance(row, list | tuple) for row in written):
             if any(len(row) != 3 for row in written):
                 raise InputError("this is no 3x3 list", expected=_GROWTH)
-            found = [[component(item, "") for item in row] for row in written]
-            if all(isinstance(item, float) for row in found for item in row):
-                change = float(np.linalg.det(np.array(found, dtype=np.float64)))
+            result = [[component(item, "") for item in row] for row in written]
+            if all(isinstance(item, float) for row in result for item in row):
+                change = float(np.linalg.det(np.array(result, dtype=np.float64)))
                 if not change > 0:
                     raise InputError(
                         f"the determinant of this growth is {change:.3g}",
                         expected="a determinant above 0: the factor by which the volume grows",
                     )
-            return found
+            return result
         if len(written) not in (2, 3) or any(isinstance(row, list | tuple) for row in written):
             raise InputError(f"{written!r} is no growth", expected=_GROWTH)
         stretches = [component(item, "") for item in [*written, 1.0][:3]]

@@ -207,12 +207,12 @@ class Centrifugal(Load):
         """The axis or the point as numbers; empty if it is not given."""
         written = axis_vector(getattr(self, key))
         with keyed(key):
-            found = () if written is None else components(written, "" if key == "axis" else "m")
-            if not all(isinstance(item, float) for item in found):
+            parts = () if written is None else components(written, "" if key == "axis" else "m")
+            if not all(isinstance(item, float) for item in parts):
                 raise InputError("a formula cannot stand here", expected="expected numbers")
-            if key == "axis" and found and not any(found):
+            if key == "axis" and parts and not any(parts):
                 raise InputError("the axis has no length", expected='for example "z" or [0, 0, 1]')
-        return [float(item) for item in found]  # type: ignore[arg-type]
+        return [float(item) for item in parts]  # type: ignore[arg-type]
 
     def virtual_work(self, context: LoadContext) -> ufl.Form:
         """See the class."""

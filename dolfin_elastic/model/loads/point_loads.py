@@ -75,10 +75,10 @@ class ConcentratedLoad(Load):
             InputError: It is no list of numbers.
         """
         with keyed(key):
-            found = components(getattr(self, key), "m")
-            if not all(isinstance(item, float) for item in found):
+            parts = components(getattr(self, key), "m")
+            if not all(isinstance(item, float) for item in parts):
                 raise InputError("a formula cannot stand here", expected="expected numbers")
-        return tuple(float(item) for item in found)  # type: ignore[arg-type]
+        return tuple(float(item) for item in parts)  # type: ignore[arg-type]
 
     @property
     def points(self) -> dict[str, Point]:

@@ -35,8 +35,8 @@ T = TypeVar("T")
 def as_floats(value: object) -> float | list[float] | None:
     """A number, or a list of numbers, as floats; None for anything else."""
     if isinstance(value, list | tuple):
-        found = [x for item in value if isinstance(x := as_floats(item), float)]
-        return found if found and len(found) == len(value) else None
+        result = [x for item in value if isinstance(x := as_floats(item), float)]
+        return result if result and len(result) == len(value) else None
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return float(value) if is_number else None  # type: ignore[arg-type]
 
@@ -191,9 +191,9 @@ class Law(spatial.SpatialRecord):
 
         Lists are constants of several values: how many is the form's, what they are is not.
         """
-        found = {name: as_floats(value) for name, value in self.__dict__.items()}
+        result = {name: as_floats(value) for name, value in self.__dict__.items()}
         derived = self.derived
-        return {n: value for n, value in found.items() if value is not None and n not in derived}
+        return {n: value for n, value in result.items() if value is not None and n not in derived}
 
     @property
     def relaxes(self) -> bool:
@@ -223,10 +223,10 @@ class Law(spatial.SpatialRecord):
             values: Numbers, arrays or UFL expressions, by the names of `constants` and
                 `spatial_constants`.
         """
-        found = self.model_copy()
-        found.__dict__.update(values)  # `update=` would count what follows from them as given
-        found.complete()
-        return found
+        result = self.model_copy()
+        result.__dict__.update(values)  # `update=` would count what follows from them as given
+        result.complete()
+        return result
 
     def complete(self) -> None:
         """Computes the `derived` constants from those given: numbers, arrays or UFL expressions."""

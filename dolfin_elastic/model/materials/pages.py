@@ -34,12 +34,12 @@ KEYS = {"lmbda": "lambda"}
 
 def descriptions(kind: type[Record]) -> dict[str, str]:
     """Field to its description in the docstring of a record's class or of a base."""
-    found: dict[str, str] = {}
+    result: dict[str, str] = {}
     for base in kind.__mro__:
         section = _SECTION.search(inspect.cleandoc(base.__doc__ or ""))
         for name, text in _KEY.findall(section[1] if section else ""):
-            found.setdefault(name, " ".join(text.split()))
-    return found
+            result.setdefault(name, " ".join(text.split()))
+    return result
 
 
 def page(kind: type[Law]) -> str:

@@ -228,13 +228,13 @@ class SpatialRecord(Record):
 @lru_cache
 def units_of(kind: type[BaseModel]) -> dict[str, str]:
     """Key, other spellings included, to SI unit, for the fields that are single quantities."""
-    found = {}
+    units = {}
     for name, info in kind.model_fields.items():
         if (unit := _unit(info)) is not None:
             alias = info.validation_alias
             others = alias.choices if isinstance(alias, AliasChoices) else ()
-            found.update(dict.fromkeys([name, *map(str, others)], unit))
-    return found
+            units.update(dict.fromkeys([name, *map(str, others)], unit))
+    return units
 
 
 def _unit(info: FieldInfo) -> str | None:
@@ -334,18 +334,18 @@ class Range:
     @classmethod
     def of(cls, metadata: Iterable[object]) -> Range:
         """The range that pydantic's gt, ge, lt and le leave."""
-        found: dict[str, Any] = {}
+        result: dict[str, Any] = {}
         for item in metadata:
             match item:
                 case annotated_types.Gt(gt=low):
-                    found |= {"low": low, "low_too": False}
+                    result |= {"low": low, "low_too": False}
                 case annotated_types.Ge(ge=low):
-                    found |= {"low": low, "low_too": True}
+                    result |= {"low": low, "low_too": True}
                 case annotated_types.Lt(lt=high):
-                    found |= {"high": high, "high_too": False}
+                    result |= {"high": high, "high_too": False}
                 case annotated_types.Le(le=high):
-                    found |= {"high": high, "high_too": True}
-        return cls(**found)
+                    result |= {"high": high, "high_too": True}
+        return cls(**result)
 
     def distance(self, values: FloatArray) -> FloatArray:
         """How far values lie outside; -1: inside; what is not finite is infinitely far off."""

@@ -49,14 +49,14 @@ class UserEnergy(Law):
     def _values_or_varying(cls, table: object) -> dict[str, float | SpatialValue]:
         if not isinstance(table, Mapping):
             raise InputError(f"{quoted(table)} is wrong", expected='expected {mu = "1 MPa", ...}')
-        found = {}
+        result = {}
         for name, value in table.items():
             with keyed(str(name)):
                 read = spatial.constant(value, None)
-                found[name] = (
+                result[name] = (
                     read if isinstance(read, SpatialValue) else to_base(cast("float | str", read))
                 )
-        return found
+        return result
 
     @model_validator(mode="after")
     def _one_before_two(self) -> Self:
@@ -79,23 +79,23 @@ class UserEnergy(Law):
 
     def constants(self) -> dict[str, float | list[float]]:
         """See `Law.constants`; parameters have a dot in their names."""
-        found = super().constants()
-        found |= {
+        result = super().constants()
+        result |= {
             f"parameters.{name}": value
             for name, value in self.parameters.items()
             if not isinstance(value, SpatialValue)
         }
-        return found
+        return result
 
     def spatial_constants(self) -> dict[str, SpatialValue]:
         """See `Law.spatial_constants`; parameters have a dot in their names."""
-        found = super().spatial_constants()
-        found |= {
+        constants = super().spatial_constants()
+        constants |= {
             f"parameters.{name}": value
             for name, value in self.parameters.items()
             if isinstance(value, SpatialValue)
         }
-        return found
+        return constants
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
         """See `Law.with_values`."""
@@ -312,8 +312,8 @@ class Energy(UserEnergy):
     def written_energy(self, F: Expr) -> Expr:
         """The function's value [J/m^3], a UFL scalar."""
         arguments = inspect.signature(self.function).parameters
-        found = self._values(F, [name for name in arguments if name not in self.parameters])
-        result = self.function(**found, **self.parameters)
+        values = self._values(F, [name for name in arguments if name not in self.parameters])
+        result = self.function(**values, **self.parameters)
         if self._in_place and isinstance(result, Expr):
             result = replace(result, dict(self._in_place))
         if not isinstance(result, Expr) or result.ufl_shape:

@@ -78,17 +78,17 @@ def values(
         **_fibres(F, C, fibre, fibre2),
     }
     stretches = cache(lambda: principal_stretches(F))
-    found: dict[str, Expr] = {}
+    result: dict[str, Expr] = {}
     for name in wanted:
         if name in tensors:
-            found[name] = tensors[name]
+            result[name] = tensors[name]
         elif name in COMPONENTS:
-            found[name] = tensors[name[0]][int(name[1]) - 1, int(name[2]) - 1]
+            result[name] = tensors[name[0]][int(name[1]) - 1, int(name[2]) - 1]
         elif name in _STRETCHES:
-            found[name] = stretches()[_STRETCHES.index(name)]
+            result[name] = stretches()[_STRETCHES.index(name)]
         elif name in makers:
-            found[name] = makers[name]()
-    return found
+            result[name] = makers[name]()
+    return result
 
 
 def _fibres(

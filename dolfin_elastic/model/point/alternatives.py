@@ -89,12 +89,12 @@ def elliptic_laws(law: Law, F: AnyArray, *, flat: bool = False) -> tuple[str, ..
     F = F[np.linalg.det(F) > 0.0]
     u, s, v = np.linalg.svd(F)
     further = np.concatenate([F, (u * s[:, None, :] ** _FURTHER) @ v])
-    found = []
+    result = []
     for kind in LARGE_STRAINS:
         if isinstance(law, kind):
             continue
         with np.errstate(all="ignore"):
             other = kind(E=law.E, nu=law.nu)
             if np.all(least_eigenvalues(other, further, flat=flat) > 0.0):
-                found.append(kind.name())
-    return tuple(found[:2])
+                result.append(kind.name())
+    return tuple(result[:2])

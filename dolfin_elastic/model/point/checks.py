@@ -333,14 +333,14 @@ def small_strain(tested: LawUnderTest) -> Iterator[Finding]:
 @np.errstate(all="ignore")
 def checks(tested: LawUnderTest) -> list[Finding]:
     """All checks at single deformation gradients; of a law that is not finite only the first."""
-    found: list[Finding] = []
+    result: list[Finding] = []
     for check in (finite, rest_energy, rest_stress):
-        found += check(tested)
-    if any(f.verdict == "fail" and f.check == "finite values" for f in found):
-        return found
+        result += check(tested)
+    if any(f.verdict == "fail" and f.check == "finite values" for f in result):
+        return result
     for check in (stable, objectivity, material_symmetry, derivatives, symmetric_tangent):
-        found += check(tested)
-    return found + list(small_strain(tested))
+        result += check(tested)
+    return result + list(small_strain(tested))
 
 
 _SHORT = (finite, rest_energy, rest_stress, objectivity, symmetric_tangent, stable)
@@ -359,7 +359,7 @@ def check_energy(law: Law) -> None:
     tested = LawUnderTest(law)
     with np.errstate(all="ignore"), keyed("energy"):
         failed = (f for check in _SHORT for f in check(tested) if f.verdict == "fail")
-        found = next(failed, None)  # the later ones want finite values
-    if found is not None:
-        raise InputError(f"{found.check}: {found.text}", where="energy")
+        failure = next(failed, None)  # the later ones want finite values
+    if failure is not None:
+        raise InputError(f"{failure.check}: {failure.text}", where="energy")
     law.mark_checked()

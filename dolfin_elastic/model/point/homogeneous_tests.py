@@ -117,11 +117,11 @@ def response_curve(point: LawAtPoints, mode: DeformationMode, targets: AnyArray)
     up = _branch(point, mode, targets[targets > mode.rest])
     down = _branch(point, mode, targets[targets < mode.rest][::-1])
     rest = (mode.rest, mode.place(mode.rest))
-    found = [*reversed(down.states), rest, *up.states]
-    F = np.array([state for _, state in found])
+    result = [*reversed(down.states), rest, *up.states]
+    F = np.array([state for _, state in result])
     energy = point.energy(F) if point.law.has_energy else np.full(len(F), np.nan)
     ends = tuple(branch.end for branch in (down, up) if branch.end)
-    values = np.array([value for value, _ in found])
+    values = np.array([value for value, _ in result])
     return ResponseCurve(mode, values, F, point.stress(F), energy, ends)
 
 
@@ -142,9 +142,9 @@ def _branch(point: LawAtPoints, mode: DeformationMode, targets: AnyArray) -> _Br
         start = value
         while done < 1.0:
             trial = start + min(done + share, 1.0) * (target - start)
-            found = _equilibrium(point, mode, value, F, trial)
-            if found is not None:
-                done, value, F = done + share, trial, found
+            equilibrium = _equilibrium(point, mode, value, F, trial)
+            if equilibrium is not None:
+                done, value, F = done + share, trial, equilibrium
             elif (share := share / 2) < 0.5**_HALVINGS:
                 where = f"{mode.name} ends at {mode.symbol} {value:.4g}"
                 branch.end = f"{where}: no state with free sides follows"

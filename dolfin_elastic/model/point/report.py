@@ -79,5 +79,5 @@ def material_report(law: Law, *, largest: float = LARGEST) -> MaterialReport:
             for mode in DEFORMATION_MODES
         }
         findings += [*energy_growth(tested), *ellipticity(tested, curves)]
-    notes += [end for found in curves.values() for end in found.ends]
+    notes += [end for curve in curves.values() for end in curve.ends]
     return MaterialReport(law, tuple(findings), curves, tuple(notes))

@@ -82,4 +82,4 @@ def limits(law: Law) -> str:
     Returns:
         Empty where it is stable throughout.
     """
-    return ", ".join(found.in_words() for found in stable_ranges(law) if not found.whole)
+    return ", ".join(stable.in_words() for stable in stable_ranges(law) if not stable.whole)

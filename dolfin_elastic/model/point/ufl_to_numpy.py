@@ -200,11 +200,11 @@ class NumpyProgram:
     def __init__(self, expression: Expr, symbol: Expr) -> None:
         self.shape = expression.ufl_shape
         nodes = [e for e in unique_post_traversal(expression) if not isinstance(e, _NO_VALUE)]
-        place = {e: n for n, e in enumerate(nodes)}
+        offset = {e: n for n, e in enumerate(nodes)}
         self._steps = [
             (
                 None if e == symbol else _step(e),
-                [place[o] for o in e.ufl_operands if not isinstance(o, _NO_VALUE)],
+                [offset[o] for o in e.ufl_operands if not isinstance(o, _NO_VALUE)],
             )
             for e in nodes
         ]

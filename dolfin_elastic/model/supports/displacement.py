@@ -313,14 +313,14 @@ class Rotation(PrescribingSupport):
     ) -> tuple[Component, ...]:
         if written is None:
             return ()
-        found = components(written, "m", key=key)
-        for item in found:
+        parts = components(written, "m", key=key)
+        for item in parts:
             if isinstance(item, Formula) and not set(item.names) <= set(allowed):
                 wanted = "numbers or formulas in t" if allowed else "numbers"
                 raise InputError(
                     "a rigid motion is the same at all places", where=key, expected=wanted
                 )
-        return found
+        return parts
 
     @cached_property
     def rotation_angle(self) -> Component:
@@ -337,12 +337,12 @@ class Rotation(PrescribingSupport):
             t: Time [s], or load parameter.
             default: Amplitude where the support has no curve.
         """
-        found = np.zeros(3)
-        found[: len(self.centre)] = [float(x or 0.0) for x in self.centre]  # type: ignore[arg-type]
+        result = np.zeros(3)
+        result[: len(self.centre)] = [float(x or 0.0) for x in self.centre]  # type: ignore[arg-type]
         for i, item in enumerate(self.translation):
             value = np.asarray(_evaluated(item, np.zeros((1, 3)), t)).item()
-            found[i] += self._scale(item, t, default) * value
-        return found
+            result[i] += self._scale(item, t, default) * value
+        return result
 
     @cached_property
     def direction(self) -> tuple[float, ...]:

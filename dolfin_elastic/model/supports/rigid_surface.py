@@ -93,12 +93,12 @@ class Rigid(Restraint):
     @cached_property
     def centre(self) -> tuple[Component, ...]:
         """The reference point [m]; empty: the centroid of the surface."""
-        found = self._components("point", self.point, "m", free=False)
-        if any(isinstance(item, Formula) for item in found):
+        parts = self._components("point", self.point, "m", free=False)
+        if any(isinstance(item, Formula) for item in parts):
             raise InputError(
                 "a point of reference does not move", where="point", expected="numbers"
             )
-        return found
+        return parts
 
     @cached_property
     def _parsed(self) -> dict[str, tuple[Component, ...]]:
@@ -119,21 +119,21 @@ class Rigid(Restraint):
         """Numbers, formulas in t, or None for free components; empty if the key is not given."""
         if written is None:
             return ()
-        found: tuple[Component, ...]
+        result: tuple[Component, ...]
         try:
             if isinstance(written, list | tuple) and len(written) == 1:
-                found = (_single(written[0], unit, free),)
+                result = (_single(written[0], unit, free),)
             else:
-                found = components(written, unit, may_be_free=free)
+                result = components(written, unit, may_be_free=free)
         except InputError as error:
             raise error.at(key) from None
-        if any(isinstance(item, Formula) and not item.names <= {"t"} for item in found):
+        if any(isinstance(item, Formula) and not item.names <= {"t"} for item in result):
             raise InputError(
                 "a rigid motion is the same at all places",
                 where=key,
                 expected="numbers or formulas in t",
             )
-        return found
+        return result
 
     @property
     def vectors(self) -> Mapping[str, tuple[Component, ...]]:

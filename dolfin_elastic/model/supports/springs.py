@@ -141,16 +141,16 @@ class ResistingSupport(Restraint):
     @cached_property
     def _readings(self) -> dict[str, tuple[Component, ...]]:
         """Kind of part to the coefficients in its unit, where the units that are written fit."""
-        found: dict[str, tuple[Component, ...]] = {}
+        result: dict[str, tuple[Component, ...]] = {}
         errors = []
         for kind in _POWERS:
             try:
-                found[kind] = self._read_in(self._unit_on(kind))
+                result[kind] = self._read_in(self._unit_on(kind))
             except InputError as error:
                 errors.append(error)
-        if not found:
+        if not result:
             raise errors[0]
-        return found
+        return result
 
     def _unit_on(self, kind: str) -> str:
         return self.unit + ("" if self.total else _POWERS[kind])
@@ -171,8 +171,8 @@ class ResistingSupport(Restraint):
             {key: (_located(key, component, getattr(self, key) or 0.0, unit),) for key in keys}
         )
 
-    def _checked(self, found: Mapping[str, tuple[Component, ...]]) -> tuple[Component, ...]:
-        for key, values in found.items():
+    def _checked(self, readings: Mapping[str, tuple[Component, ...]]) -> tuple[Component, ...]:
+        for key, values in readings.items():
             for value in values:
                 if isinstance(value, Formula):
                     if self.total or "t" in value.names:
@@ -187,7 +187,7 @@ class ResistingSupport(Restraint):
                     raise InputError(
                         f"{value:g} is negative", where=key, expected="a number of at least 0"
                     )
-        return tuple(value for values in found.values() for value in values)
+        return tuple(value for values in readings.values() for value in values)
 
     @property
     def by_normal(self) -> bool:

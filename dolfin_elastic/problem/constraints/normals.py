@@ -75,16 +75,16 @@ def surface_normals(body: Body, V: fem.FunctionSpace, name: str) -> SurfaceNorma
     length = float(np.linalg.norm(mean))
     whole = total(body.comm, float(areas.sum()))
     mean = unit_normals(mean[None] / length)[0] if length > FLAT * whole else np.zeros(dim)
-    found = np.flatnonzero(rows[:, dim] > 0.0).astype(np.int32)
+    result = np.flatnonzero(rows[:, dim] > 0.0).astype(np.int32)
     off = np.linalg.norm(areas * mean - shares, axis=1) / np.maximum(areas[:, 0], 1e-300)
     flat = largest(body.comm, float(np.max(off, initial=0.0))) < FLAT
-    heights = V.tabulate_dof_coordinates()[found, :dim] @ mean
+    heights = V.tabulate_dof_coordinates()[result, :dim] @ mean
     low = smallest(body.comm, float(np.min(heights, initial=np.inf)))
     high = largest(body.comm, float(np.max(heights, initial=-np.inf)))
     flat = flat and high - low < FLAT * span(body)
-    sharp = np.linalg.norm(rows[found, :dim], axis=1) / rows[found, dim]
+    sharp = np.linalg.norm(rows[result, :dim], axis=1) / rows[result, dim]
     normals = unit_normals(
-        rows[found, :dim] / np.linalg.norm(rows[found, :dim], axis=1, keepdims=True)
+        rows[result, :dim] / np.linalg.norm(rows[result, :dim], axis=1, keepdims=True)
     )
     if smallest(body.comm, float(np.min(sharp, initial=1.0))) < KINK:
         log.warning(
@@ -93,7 +93,7 @@ def surface_normals(body: Body, V: fem.FunctionSpace, name: str) -> SurfaceNorma
             name,
         )
     return SurfaceNormals(
-        nodes=found,
+        nodes=result,
         normals=np.broadcast_to(mean, normals.shape) if flat else normals,
         flat=flat,
         unevenness=high - low if np.any(mean) else np.nan,
@@ -132,15 +132,15 @@ def spring_directions(spring: Spring, body: Body, V: fem.FunctionSpace) -> Itera
             nodes = nodes[nodes < size]
             yield nodes, np.tile(np.diag(stiff), (len(nodes), 1, 1))
             continue
-        found = surface_normals(body, V, name)
-        own = found.nodes < size
-        n = found.normals[own]
+        normals = surface_normals(body, V, name)
+        own = normals.nodes < size
+        n = normals.normals[own]
         if spring.by_normal:
             along = n[:, :, None] * n[:, None, :]
             P = stiff[0] * along + stiff[1] * (np.eye(dim) - along)
         else:
             P = np.tile(np.diag(stiff), (len(n), 1, 1))
-        yield found.nodes[own], P
+        yield normals.nodes[own], P
 
 
 def unit_normals(normals: FloatArray) -> FloatArray:
@@ -162,7 +162,7 @@ def _shares(body: Body, V: fem.FunctionSpace, facets: IndexArray) -> tuple[Float
     normals = basix.cell.facet_outward_normals(cell)
     areas = basix.cell.facet_reference_volumes(cell)
     pairs = integration_entities(mesh, facets).reshape(-1, 2)
-    found, where = [np.empty((0, dim))], [np.empty(0, dtype=np.int32)]
+    result, where = [np.empty((0, dim))], [np.empty(0, dtype=np.int32)]
     for side in range(dim + 1):
         cells = pairs[pairs[:, 1] == side, 0]
         closure = V.dofmap.dof_layout.entity_closure_dofs(dim - 1, side)
@@ -170,6 +170,6 @@ def _shares(body: Body, V: fem.FunctionSpace, facets: IndexArray) -> tuple[Float
         J = np.einsum("tpb,cbi->cpit", slopes[:, closure], x)
         volume = np.abs(np.linalg.det(J))[..., None]
         turned = np.einsum("cpti,t->cpi", np.linalg.inv(J), normals[side])
-        found.append((areas[side] * volume * turned).reshape(-1, dim))
+        result.append((areas[side] * volume * turned).reshape(-1, dim))
         where.append(V.dofmap.list[cells][:, closure].reshape(-1))
-    return np.concatenate(found), np.concatenate(where)
+    return np.concatenate(result), np.concatenate(where)

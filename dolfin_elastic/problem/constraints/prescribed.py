@@ -121,11 +121,11 @@ class PrescribedComponents:
         V: fem.FunctionSpace,
         supports: Sequence[Restraint],
         *,
-        places: FloatArray,
+        coordinates: FloatArray,
         axisymmetric: bool,
     ) -> None:
         self._body, self._V, self._axisymmetric = body, V, axisymmetric
-        self._x, self._dim = places, V.dofmap.index_map_bs
+        self._x, self._dim = coordinates, V.dofmap.index_map_bs
         self.components: list[PrescribedComponent] = []
         self.rigid_motions: list[RigidMotion] = []
         labels = []
@@ -178,8 +178,8 @@ class PrescribedComponents:
 
     def _nodes(self, support: Restraint) -> IndexArray:
         """Nodes of its parts, owned and ghost, sorted. Collective."""
-        found = [part_nodes(self._body, self._V, name) for name in support.surfaces]
-        return np.unique(np.concatenate(found)).astype(np.int32)
+        result = [part_nodes(self._body, self._V, name) for name in support.surfaces]
+        return np.unique(np.concatenate(result)).astype(np.int32)
 
     def _along_axis(
         self, support: PrescribingSupport | RigidMotion | None, i: int, nodes: IndexArray
@@ -189,11 +189,11 @@ class PrescribedComponents:
 
     def _along_normal(self, support: PrescribingSupport, name: str) -> PrescribedComponent:
         """The component along a surface's normal. Collective."""
-        found = surface_normals(self._body, self._V, name)
-        if support.needs_flat and not found.flat:
+        normals = surface_normals(self._body, self._V, name)
+        if support.needs_flat and not normals.flat:
             deviation = (
-                f"its nodes lie {found.unevenness:.3g} m apart across it"
-                if np.isfinite(found.unevenness)
+                f"its nodes lie {normals.unevenness:.3g} m apart across it"
+                if np.isfinite(normals.unevenness)
                 else "it is closed"
             )
             raise InputError(
@@ -201,7 +201,9 @@ class PrescribedComponents:
                 where=f"support '{support.label}'.on",
                 expected='a plane of symmetry is flat; kind = "normal" takes any surface',
             )
-        return PrescribedComponent(support, NORMAL, found.nodes, found.normals, not found.flat)
+        return PrescribedComponent(
+            support, NORMAL, normals.nodes, normals.normals, not normals.flat
+        )
 
     def _turn_into_planes(self) -> None:
         """Projects normals of curved surfaces onto adjacent planes of symmetry and the axis.
@@ -239,7 +241,7 @@ class PrescribedComponents:
         Args:
             chosen: Which local nodes.
         """
-        found: list[PrescribedDofs] = []
+        result: list[PrescribedDofs] = []
         taken: IndexArray = np.empty(0, dtype=np.int32)
         for component in reversed(self.components):
             here = component.at(chosen[component.nodes])
@@ -248,5 +250,5 @@ class PrescribedComponents:
             free = ~np.isin(dofs, taken)
             taken = np.union1d(taken, dofs).astype(np.int32)
             signs = here.directions[np.flatnonzero(free), axis[free]]
-            found.append(PrescribedDofs(here.at(free), dofs[free], signs))
-        return found[::-1]
+            result.append(PrescribedDofs(here.at(free), dofs[free], signs))
+        return result[::-1]

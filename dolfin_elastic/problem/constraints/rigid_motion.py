@@ -53,9 +53,9 @@ class RigidMotion:
             t: Time [s], or load parameter.
             default: Amplitude where the user gave none.
         """
-        found = np.array(self.support.at_time(self._motion, t, default))
-        found[list(self.free)] = self.values
-        return found
+        result = np.array(self.support.at_time(self._motion, t, default))
+        result[list(self.free)] = self.values
+        return result
 
     def applied(self, t: float, default: Amplitude) -> FloatArray:
         """Forces and moments on the free degrees of freedom [N, N m].
@@ -94,11 +94,11 @@ class RigidMotion:
         _, theta = self._apart(self.all_at(t, default))
         arms = (x - self.centre) @ rotation(theta).T
         spins = np.cross(tangent(theta).T[None], arms[:, None])  # point, rotation, component
-        found = np.zeros((len(x), self._dim, len(self.names)))
-        found[:, range(self._dim), range(self._dim)] = 1.0
+        result = np.zeros((len(x), self._dim, len(self.names)))
+        result[:, range(self._dim), range(self._dim)] = 1.0
         about = slice(None) if self._dim == 3 else slice(2, 3)
-        found[:, :, self._dim :] = spins[:, about, : self._dim].transpose(0, 2, 1)
-        return found
+        result[:, :, self._dim :] = spins[:, about, : self._dim].transpose(0, 2, 1)
+        return result
 
     def place(self, t: float, default: Amplitude) -> FloatArray:
         """The reference point's present place [m], of shape (3,).

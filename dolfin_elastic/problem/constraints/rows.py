@@ -145,11 +145,11 @@ class Rows:
         Args:
             size: Entries of the vector, those of a node side by side.
         """
-        found = np.tile(np.eye(dim), (size // dim, 1))
+        result = np.tile(np.eye(dim), (size // dim, 1))
         if self.skewed:
-            found[self.skew_dofs] -= self.P
-        found[self.prescribed_dofs] = 0.0
-        return found
+            result[self.skew_dofs] -= self.P
+        result[self.prescribed_dofs] = 0.0
+        return result
 
     @property
     def count(self) -> int:
@@ -167,10 +167,10 @@ class Rows:
         Args:
             soft: In place of ones where entries follow others.
         """
-        places, dim = self.skew_dofs, self.skew_dofs.shape[1]
+        coordinates, dim = self.skew_dofs, self.skew_dofs.shape[1]
         return (
-            np.concatenate([self.tied_dofs, np.repeat(places, dim, axis=1).ravel()]),
-            first + np.concatenate([self.tied_dofs, np.tile(places, dim).ravel()]),
+            np.concatenate([self.tied_dofs, np.repeat(coordinates, dim, axis=1).ravel()]),
+            first + np.concatenate([self.tied_dofs, np.tile(coordinates, dim).ravel()]),
             np.concatenate([np.full(len(self.tied_dofs), soft), self.P.ravel()]),
         )
 
@@ -207,18 +207,20 @@ class Constraints(Rows):
         supports: Sequence[Restraint],
         ties: Sequence[Tie] = (),
         *,
-        places: FloatArray,
+        coordinates: FloatArray,
         axis: bool = False,
         pinned: tuple[IndexArray, IndexArray] | None = None,
     ) -> None:
         self.values = fem.Function(V)
         self._V, self._bs = V, V.dofmap.index_map_bs
-        self._x = without_round_off(places, span(body))
-        found = PrescribedComponents(body, V, supports, places=places, axisymmetric=axis)
-        self.rigid_motions, self.labels = found.rigid_motions, found.labels
-        off_axis = found.off_axis
-        self.skew = self._skew(found, off_axis)
-        self._entries = found.along_axes(~off_axis)
+        self._x = without_round_off(coordinates, span(body))
+        prescribed = PrescribedComponents(
+            body, V, supports, coordinates=coordinates, axisymmetric=axis
+        )
+        self.rigid_motions, self.labels = prescribed.rigid_motions, prescribed.labels
+        off_axis = prescribed.off_axis
+        self.skew = self._skew(prescribed, off_axis)
+        self._entries = prescribed.along_axes(~off_axis)
         dofs = np.concatenate([np.empty(0, np.int32), *(entry.dofs for entry in self._entries)])
         self.dofs = np.unique(dofs).astype(np.int32)
         size = V.dofmap.index_map.size_local * self._bs
@@ -226,7 +228,7 @@ class Constraints(Rows):
         # nodes DOLFINx 0.9 takes ghosts for its own (it compares them with the number of entries).
         pair = [self.dofs, self.dofs]
         self.bcs = [fem.dirichletbc(self.values, pair, V)] if self._entries else []
-        self.reaction_dofs = {label: self._dofs_of(label, size) for label in found.labels}
+        self.reaction_dofs = {label: self._dofs_of(label, size) for label in prescribed.labels}
         owned = self.dofs[self.dofs < size]
         if pinned is not None:
             self.dofs, owned = np.sort(pinned[0]), pinned[1]
@@ -242,13 +244,13 @@ class Constraints(Rows):
             super().__init__(owned, rows, self.ties.row_products)
         self._t, self._default = 0.0, CONSTANT
 
-    def _skew(self, found: PrescribedComponents, off_axis: BoolArray) -> SkewNodes | None:
+    def _skew(self, prescribed: PrescribedComponents, off_axis: BoolArray) -> SkewNodes | None:
         """All components at nodes with a direction that is no axis. Collective."""
         if not total(self._V.mesh.comm, int(off_axis.sum())):
             return None
-        check_rigid_surfaces(found.components, off_axis, self._V.mesh.comm)
+        check_rigid_surfaces(prescribed.components, off_axis, self._V.mesh.comm)
         return SkewNodes(
-            [component.at(off_axis[component.nodes]) for component in found.components],
+            [component.at(off_axis[component.nodes]) for component in prescribed.components],
             size=self._V.dofmap.index_map.size_local,
             x=self._x,
             dim=self._bs,
@@ -256,12 +258,12 @@ class Constraints(Rows):
 
     def _dofs_of(self, label: str, size: int) -> IndexArray:
         """Owned entries of the supports with this label, sorted."""
-        found: list[IndexArray] = [np.empty(0, np.int32)]
+        result: list[IndexArray] = [np.empty(0, np.int32)]
         for entry in self._entries:
             support = entry.component.support
             if support is not None and support.label == label:
-                found.append(entry.dofs[entry.dofs < size])
-        return np.sort(np.concatenate(found))
+                result.append(entry.dofs[entry.dofs < size])
+        return np.sort(np.concatenate(result))
 
     def set_time(self, t: float, default: Amplitude = CONSTANT) -> None:
         """Sets the values of time t. Not collective.
@@ -306,13 +308,13 @@ class Constraints(Rows):
             Entries of the local vector, and du/dq, of shape (entries, degrees of freedom).
         """
         found_dofs: list[IndexArray] = [np.empty(0, np.int32)]
-        found: list[FloatArray] = [np.empty((0, len(motion.names)))]
+        result: list[FloatArray] = [np.empty((0, len(motion.names)))]
         for entry in self._of(motion):
             x = self._x[entry.component.nodes]
             D = motion.directions(x, self._t, self._default)
-            found.append(entry.signs[:, None] * D[:, entry.component.which])
+            result.append(entry.signs[:, None] * D[:, entry.component.which])
             found_dofs.append(entry.dofs)
-        return np.concatenate(found_dofs), np.concatenate(found)
+        return np.concatenate(found_dofs), np.concatenate(result)
 
     def moment(
         self, motion: RigidMotion | Rotation, forces: FloatArray, u: FloatArray
@@ -342,12 +344,12 @@ class Constraints(Rows):
         """
         now, values = (self._t, self._default), self.values.x.array
         saved = values.copy()
-        found = []
+        result = []
         for t in moments:
             self.set_time(t, default)
-            found.append(values.copy())
+            result.append(values.copy())
         (self._t, self._default), values[:] = now, saved
-        return found
+        return result
 
     @property
     def targets(self) -> FloatArray:
@@ -356,11 +358,11 @@ class Constraints(Rows):
 
     def targets_at(self, times: Iterable[float]) -> list[FloatArray]:
         """The targets at several times [s]; sets the last of these times. Not collective."""
-        found = []
+        result = []
         for t in times:
             self.set_time(t)
-            found.append(self.targets)
-        return found
+            result.append(self.targets)
+        return result
 
     def nodes_combined(self) -> IndexArray:
         """Local nodes whose entries are combined with others."""
@@ -404,19 +406,19 @@ class Constraints(Rows):
 
     def _along_axes(self, dofs: IndexArray, forces: FloatArray) -> tuple[IndexArray, FloatArray]:
         """Nodes and forces of entries."""
-        found = np.zeros((len(dofs), self._bs))
-        found[np.arange(len(dofs)), dofs % self._bs] = forces[dofs]
-        return dofs // self._bs, found
+        result = np.zeros((len(dofs), self._bs))
+        result[np.arange(len(dofs)), dofs % self._bs] = forces[dofs]
+        return dofs // self._bs, result
 
     def check_finite(self) -> None:
         """Raises on all ranks when a formula gave no finite number. Collective."""
         comm = self._V.mesh.comm
         if not total(comm, int((~np.isfinite(self.targets)).sum())):
             return
-        found = first_of(comm, self._bad())
+        first = first_of(comm, self._bad())
         where, at = "support", "some nodes"  # skew ones, whose values belong to several supports
-        if found is not None:
-            where, at = f"support '{found[0]}'", f"({', '.join(f'{x:.6g}' for x in found[1])}) m"
+        if first is not None:
+            where, at = f"support '{first[0]}'", f"({', '.join(f'{x:.6g}' for x in first[1])}) m"
         raise InputError(
             f"the prescribed displacement is not finite at {at} at t = {self._t:g}",
             where=where,
@@ -425,10 +427,10 @@ class Constraints(Rows):
 
     def _bad(self) -> list[tuple[str, tuple[float, ...]]]:
         """Labels of supports whose entries have no value, each with the lowest place of them."""
-        found: list[tuple[str, tuple[float, ...]]] = []
+        result: list[tuple[str, tuple[float, ...]]] = []
         for label, entries in self.reaction_dofs.items():
             nodes = entries[~np.isfinite(self.values.x.array[entries])] // self._bs
-            places = self._x[nodes, : self._bs].round(12) + 0.0
-            if len(places):
-                found.append((label, min(tuple(float(c) for c in row) for row in places)))
-        return found
+            coordinates = self._x[nodes, : self._bs].round(12) + 0.0
+            if len(coordinates):
+                result.append((label, min(tuple(float(c) for c in row) for row in coordinates)))
+        return result

@@ -117,11 +117,11 @@ class SkewNodes:
         Args:
             forces: Out of balance, owned entries of the displacement [N].
         """
-        places, _ = self.rows
-        along = np.einsum("nik,ni->nk", self._lift[: len(places)], forces[places])
+        coordinates, _ = self.rows
+        along = np.einsum("nik,ni->nk", self._lift[: len(coordinates)], forces[coordinates])
         for s in self._dofs:
             if s.component.support is not None:
-                own = s.where < len(places)
+                own = s.where < len(coordinates)
                 at = s.where[own], s.row[own]
                 yield s.component.support, self.nodes[at[0]], along[at][:, None] * self._rows[at]
 

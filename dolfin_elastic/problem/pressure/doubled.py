@@ -146,11 +146,11 @@ class _Pairs:
             known: Keys of the pairs of this rank's cells.
             asking: Which rank has asked.
         """
-        pairs, place = np.unique(self._asked, return_inverse=True)
+        pairs, offset = np.unique(self._asked, return_inverse=True)
         lowest = np.full(len(pairs), np.iinfo(np.int64).max)
-        np.minimum.at(lowest, place, asking)
+        np.minimum.at(lowest, offset, asking)
         lowest[np.isin(pairs, known)] = rank
-        return np.asarray(lowest[place])
+        return np.asarray(lowest[offset])
 
     def key(self, pairs: IntArray) -> IntArray:
         """A number for each pair, in the order of entries and groups."""
@@ -164,13 +164,13 @@ class _Pairs:
         Args:
             own: Numbers of this rank's own pairs, -1 at others.
         """
-        mine, ghost = self.mine & ~self._ghost, self._ghost
+        local, ghost = self.mine & ~self._ghost, self._ghost
         told = self._exchange.send(own[ghost][:, None])[:, 0]
-        keys = np.concatenate([self.key(self.here)[mine], self._asked])
-        pairs, place = np.unique(keys, return_inverse=True)
+        keys = np.concatenate([self.key(self.here)[local], self._asked])
+        pairs, offset = np.unique(keys, return_inverse=True)
         known = np.full(len(pairs), -1, dtype=np.int64)
-        np.maximum.at(known, place, np.concatenate([own[mine], told]))
-        found = own.copy()
-        answer = known[place[int(mine.sum()) :]]
-        found[ghost] = self._exchange.send_back(answer[:, None])[:, 0]
-        return found
+        np.maximum.at(known, offset, np.concatenate([own[local], told]))
+        result = own.copy()
+        answer = known[offset[int(local.sum()) :]]
+        result[ghost] = self._exchange.send_back(answer[:, None])[:, 0]
+        return result

@@ -31,13 +31,13 @@ def stiffness_step(body: Body, law: Law, cells: IndexArray) -> float:
     stresses = {name for name, unit in units_of(type(law)).items() if unit == "Pa"}
     # Volume moduli have no part in the jump: the traction is continuous.
     stresses -= {"allowable", "lmbda", getattr(law, "volume_modulus", "")}
-    found = 1.0
+    result = 1.0
     for name in type(law).model_fields:
         constant = getattr(law, name)
         if name in stresses and isinstance(constant, fem.Function):
             rows = constant.function_space.dofmap.list[cells]
-            found = max(found, _step(body, np.abs(constant.x.array[rows]).mean(axis=1), cells))
-    return found
+            result = max(result, _step(body, np.abs(constant.x.array[rows]).mean(axis=1), cells))
+    return result
 
 
 def _step(body: Body, values: FloatArray, cells: IndexArray) -> float:

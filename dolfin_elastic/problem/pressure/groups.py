@@ -56,10 +56,10 @@ def pressure_groups(
     known = np.unique(np.concatenate(body.comm.allgather(known)))
     if len(known) == 1:
         return None
-    found = la.vector(cells, 1, dtype=np.int64)
-    found.array[:] = np.searchsorted(known, code)
-    found.scatter_forward()
-    return np.asarray(found.array.copy())
+    result = la.vector(cells, 1, dtype=np.int64)
+    result.array[:] = np.searchsorted(known, code)
+    result.scatter_forward()
+    return np.asarray(result.array.copy())
 
 
 def _relevant(law: Law) -> Law:

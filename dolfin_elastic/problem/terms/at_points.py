@@ -139,8 +139,10 @@ class FormulaSpace(ABC):
         """
         rows = function.x.array.reshape(-1, max(self._width, 1))
         for start in range(0, len(self._points.cells), _CHUNK):
-            places = self._places_for(start, values)
-            self._store(rows, start, np.stack([number_at(v, places, t) for v in values], axis=2))
+            coordinates = self._places_for(start, values)
+            self._store(
+                rows, start, np.stack([number_at(v, coordinates, t) for v in values], axis=2)
+            )
 
     @abstractmethod
     def _store(self, rows: FloatArray, start: int, table: FloatArray) -> None:
@@ -158,18 +160,18 @@ class FormulaSpace(ABC):
     def places(self) -> FloatArray:
         """All points of this rank [m], shape (n, 3). Not collective."""
         starts = range(0, len(self._points.cells), _CHUNK)
-        found = [np.zeros((0, 3)), *(self._places(start).reshape(-1, 3) for start in starts)]
-        return np.concatenate(found)
+        result = [np.zeros((0, 3)), *(self._places(start).reshape(-1, 3) for start in starts)]
+        return np.concatenate(result)
 
     def _places(self, start: int) -> FloatArray:
         sets, geometry = self._points.sets, self._mesh.geometry
         cells, which = (a[start : start + _CHUNK] for a in (self._points.cells, self._points.which))
-        found = np.empty((len(cells), sets.shape[1], 3))
+        result = np.empty((len(cells), sets.shape[1], 3))
         for i, own in enumerate(sets):
             here = which == i
             nodes = geometry.x[geometry.dofmap[cells[here]]]
-            found[here] = np.einsum("kn,cnj->ckj", shape_functions(self._mesh, own), nodes)
-        return found
+            result[here] = np.einsum("kn,cnj->ckj", shape_functions(self._mesh, own), nodes)
+        return result
 
 
 class CellwiseSpace(FormulaSpace):
@@ -234,10 +236,10 @@ class PointsSpace(FormulaSpace):
         rows[first : first + size] = table.reshape(size, -1)
 
     def _places_for(self, start: int, values: tuple[Component, ...]) -> FloatArray:
-        places = self._kept[start] if start in self._kept else self._places(start)
+        coordinates = self._kept[start] if start in self._kept else self._places(start)
         if depends_on_time(values):
-            self._kept[start] = places
-        return places
+            self._kept[start] = coordinates
+        return coordinates
 
 
 class FormulaValues:
@@ -274,19 +276,19 @@ class FormulaValues:
             the integral, or anywhere in cells.
         """
         width, timed = 0 if scalar else len(values), depends_on_time(values)
-        found: Constant | fem.Function
+        function: Constant | fem.Function
         follow: Callable[[float], None]
         if not any(isinstance(value, Formula) and value.names & PLACE for value in values):
-            found = Constant(self._mesh, np.zeros(width or ()))
-            follow = partial(_set_constant, found, values)
+            function = Constant(self._mesh, np.zeros(width or ()))
+            follow = partial(_set_constant, function, values)
         else:
             space = self._space(parts, width)
-            found = space.function()
-            follow = partial(space.fill, found, values)
-            self.moving += [found] * timed
+            function = space.function()
+            follow = partial(space.fill, function, values)
+            self.moving += [function] * timed
         follow(self._t)
         self._timed += [follow] * timed
-        return found
+        return function
 
     def places(self, parts: Parts) -> FloatArray:
         """Points of this rank at which formulas on parts are evaluated [m], (n, 3). Collective.
@@ -321,5 +323,5 @@ class FormulaValues:
 
 def _set_constant(constant: Constant, values: tuple[Component, ...], t: float) -> None:
     # At one point, as an array: whether a value is finite is the solver's to tell, as elsewhere.
-    found = [number_at(value, np.zeros((1, 3)), t)[0] for value in values]
-    constant.value = np.reshape(found, constant.value.shape)
+    result = [number_at(value, np.zeros((1, 3)), t)[0] for value in values]
+    constant.value = np.reshape(result, constant.value.shape)

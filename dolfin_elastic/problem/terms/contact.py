@@ -115,8 +115,8 @@ class ContactPair(Term):
         cells, heights = self._heights
         eps = np.zeros(len(cells))
         for region in self._context.regions:
-            mine = np.isin(cells, region.cells)
-            eps[mine] = FACTOR * _modulus(region) / heights[mine]
+            local = np.isin(cells, region.cells)
+            eps[local] = FACTOR * _modulus(region) / heights[local]
         if self.contact.stiffness is not None:
             eps[:] = self.contact.stiffness
         dofs = self.penalty.function_space.dofmap.list[:, 0]
@@ -188,10 +188,10 @@ class ContactPair(Term):
     def _gap(self) -> tuple[Expr, Expr]:
         """Gap and normal of the current place."""
         place = self._context.X + self._context.u - self.shift
-        found, normal = self.contact.obstacle.gap(
+        distance, normal = self.contact.obstacle.gap(
             [place[i] for i in range(self._dim)], self._context.constant, ufl.sqrt
         )
-        return found, ufl.as_vector(normal)
+        return distance, ufl.as_vector(normal)
 
     @cached_property
     def _trial_pressure(self) -> Expr:
@@ -234,8 +234,8 @@ class ContactPair(Term):
         """Gaps [m] and obstacle's normals at the owned nodes, (n,) and (n, dim). Not collective."""
         u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
         x = self.places() + u[self.nodes_of_displacement] - self.shift.value
-        found, normal = self.contact.obstacle.gap(list(x.T), float, np.sqrt)
-        gaps = np.asarray(found, dtype=np.float64)
+        distance, normal = self.contact.obstacle.gap(list(x.T), float, np.sqrt)
+        gaps = np.asarray(distance, dtype=np.float64)
         normals = [np.broadcast_to(item, gaps.shape) for item in normal]
         return gaps, np.stack(normals, axis=1)
 
@@ -273,13 +273,13 @@ class ContactPair(Term):
         return compile_forms(self.comm, [area], options(self.comm))[0]
 
     @stage("contact")
-    def add_results(self, found: dict[str, float]) -> None:
+    def add_results(self, result: dict[str, float]) -> None:
         """See `Term`: largest penetration [m] and area under pressure [m^2]."""
         depth = largest(self.comm, float(np.max(-self.gaps()[0], initial=0.0)))
         first, second = f"penetration_{self.label}", f"contact_area_{self.label}"
-        found[first] = max(found.get(first, 0.0), depth)
+        result[first] = max(result.get(first, 0.0), depth)
         area = total(self.comm, float(fem.assemble_scalar(self._area)))
-        found[second] = found.get(second, 0.0) + area
+        result[second] = result.get(second, 0.0) + area
 
 
 def make_contacts(contacts: Sequence[Contact], context: FormContext) -> tuple[ContactPair, ...]:
@@ -357,9 +357,9 @@ def _heights(body: Body, facets: IndexArray) -> tuple[IndexArray, FloatArray]:
     gram = np.linalg.det(np.einsum("nik,njk->nij", edges, edges))
     area = np.sqrt(np.maximum(gram, np.finfo(float).tiny)) / (d - 1)
     height = d * np.abs(signed_volumes(cell_corners(mesh, beside))) / area
-    cells, place = np.unique(beside, return_inverse=True)
+    cells, offset = np.unique(beside, return_inverse=True)
     smallest = np.full(len(cells), np.inf)
-    np.minimum.at(smallest, place, height)
+    np.minimum.at(smallest, offset, height)
     return cells.astype(np.int32), smallest
 
 
@@ -367,8 +367,8 @@ def _mean(body: Body, facets: IndexArray, heights: tuple[IndexArray, FloatArray]
     """Mean height over the facets that ranks own [m]. Collective."""
     own = facets[facets < body.mesh.topology.index_map(body.dim - 1).size_local]
     beside, _ = cells_beside_facets(body.mesh, own)
-    found = heights[1][np.searchsorted(heights[0], beside)]
-    sums = total(body.comm, np.array([found.sum(), len(found)]))
+    result = heights[1][np.searchsorted(heights[0], beside)]
+    sums = total(body.comm, np.array([result.sum(), len(result)]))
     return float(sums[0] / max(sums[1], 1.0))
 
 

@@ -121,11 +121,11 @@ class PointIntegrals:
 
     def _rule(self, local: int, degree: int) -> dict[str, object]:
         """The points as UFL's metadata, in tuples, which have a signature."""
-        places, weights = self._points(local, degree)
+        coordinates, weights = self._points(local, degree)
         return {
             "quadrature_rule": "custom",
             "quadrature_degree": degree,
-            "quadrature_points": _rows(places),
+            "quadrature_points": _rows(coordinates),
             "quadrature_weights": tuple(map(float, weights)),
         }
 

@@ -120,9 +120,9 @@ class NodalLoads(Term):
         if load.on is not None:
             return self._on_parts(load)
         key, points, weights = self._points(load)
-        x, cells, mine = self._located(points, load, key)
-        nodes, shapes = self._shapes(x[mine], cells[mine])
-        return _Spread(load, points[mine], weights[mine], nodes, shapes)
+        x, cells, local = self._located(points, load, key)
+        nodes, shapes = self._shapes(x[local], cells[local])
+        return _Spread(load, points[local], weights[local], nodes, shapes)
 
     def _on_parts(self, load: ConcentratedLoad) -> _Spread:
         """Named nodes, or Gauss points of named edges, that this rank owns. Collective."""
@@ -201,20 +201,20 @@ class NodalLoads(Term):
         """Nearest point in owned cells, the cell and the distance; of no cell infinite."""
         mesh, count = self._body.mesh, len(points)
         x, off = points.copy(), np.full(count, np.inf)
-        found = np.full(count, -1, dtype=np.int32)
+        result = np.full(count, -1, dtype=np.int32)
         own = self._body.owned_cells()
         if not len(own):
-            return x, found, off
+            return x, result, off
         tree = geometry.bb_tree(mesh, self._dim, entities=own)
         inside = geometry.compute_colliding_cells(
             mesh, geometry.compute_collisions_points(tree, points), points
         )
         for i, point in enumerate(points):
             if len(hit := inside.links(i)):
-                found[i], off[i] = hit[0], 0.0
+                result[i], off[i] = hit[0], 0.0
             else:
-                found[i], off[i], x[i] = self._closest(own, point)
-        return x, found, off
+                result[i], off[i], x[i] = self._closest(own, point)
+        return x, result, off
 
     def _closest(self, own: IndexArray, point: FloatArray) -> tuple[int, float, FloatArray]:
         mesh = self._body.mesh

@@ -93,6 +93,6 @@ class _Supports:
 
     def _in_plane(self, axis: int, nodes: IndexArray, points: IndexArray) -> bool:
         """The edge lies in a plane normal to the axis, at all prescribed values."""
-        places = [self.body.mesh.geometry.x[nodes, axis]]
-        places += [values[points, axis] for values in self._values]
-        return all(np.ptp(place) <= self._tolerance for place in places)
+        coordinates = [self.body.mesh.geometry.x[nodes, axis]]
+        coordinates += [values[points, axis] for values in self._values]
+        return all(np.ptp(place) <= self._tolerance for place in coordinates)

@@ -80,8 +80,8 @@ def undefined_formula(
     """
     bad = X[~np.isfinite(number_at(formula, X, t))]
     # Rounded, lest the last digits differ with the number of ranks.
-    found = first_of(comm, [tuple(float(x) + 0.0 for x in row.round(12)) for row in bad])
-    return None if found is None else no_value(formula, where, found, t)
+    first = first_of(comm, [tuple(float(x) + 0.0 for x in row.round(12)) for row in bad])
+    return None if first is None else no_value(formula, where, first, t)
 
 
 def no_value(

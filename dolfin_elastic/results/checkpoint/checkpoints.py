@@ -363,16 +363,16 @@ def _check_formats(path: Path, steps: Sequence[int]) -> None:
     Raises:
         RestartError: Another version of the program has written them.
     """
-    found = set()
+    result = set()
     for step in steps:
         try:
-            found.add(int(json.loads(_files(path, step)[1].read_text(encoding="utf-8"))["format"]))
+            result.add(int(json.loads(_files(path, step)[1].read_text(encoding="utf-8"))["format"]))
         except _UNREADABLE:
             return
-    if not found or FORMAT in found:
+    if not result or FORMAT in result:
         return
-    written = ", ".join(map(str, sorted(found)))
-    which = "a newer" if min(found) > FORMAT else "an older"
+    written = ", ".join(map(str, sorted(result)))
+    which = "a newer" if min(result) > FORMAT else "an older"
     raise RestartError(
         f"{which} version of the program, with other defaults and fields, has written its "
         f"checkpoints (format {written}, this one knows {FORMAT})",
@@ -413,10 +413,10 @@ def _damage(comm: MPI.Comm, fields: Path, arrays: Mapping[str, Any]) -> str:
                 rows = hdf5.Rows(values, first, count)
         except _UNREADABLE as error:
             why = f": {error}" if isinstance(error, UnsafeHdf5Error) else ""
-        found = comm.allgather((rows is not None, why))  # one text, though ranks read other rows
-        whole = all(good for good, _ in found)
+        answers = comm.allgather((rows is not None, why))  # one text, though ranks read other rows
+        whole = all(good for good, _ in answers)
         if not whole or rows is None or array_checksum(comm, rows) != known["sum"]:
-            said = next((text for _, text in found if text), "")
+            said = next((text for _, text in answers if text), "")
             return f"{fields.name} is not as it was written{said}"
     return ""
 
@@ -448,8 +448,8 @@ def _steps(path: Path) -> list[int]:
     """Steps of the checkpoints in a folder, the newest first. Not collective."""
     if not path.is_dir():
         return []
-    found = [int(m[1]) for file in path.iterdir() if (m := _NAME.fullmatch(file.name))]
-    return sorted(found, reverse=True)
+    steps = [int(m[1]) for file in path.iterdir() if (m := _NAME.fullmatch(file.name))]
+    return sorted(steps, reverse=True)
 
 
 def _remove(path: Path, steps: Sequence[int]) -> None:

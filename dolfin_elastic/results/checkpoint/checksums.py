@@ -15,7 +15,7 @@ _ROWS = 1 << 16
 _GOLDEN, _FIRST, _SECOND = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 
 
-def checksum(values: AnyArray, places: AnyArray) -> int:
+def checksum(values: AnyArray, offsets: AnyArray) -> int:
     """Sum over all entries of a hash of value and position, modulo 2^64. Not collective.
 
     The checksums of parts add up to that of the whole array.  The hash is splitmix64: G. L. Steele,
@@ -23,17 +23,17 @@ def checksum(values: AnyArray, places: AnyArray) -> int:
 
     Args:
         values: Numbers of 8 bytes, shape (n, columns).
-        places: Number of each row in the whole array, shape (n,).
+        offsets: Number of each row in the whole array, shape (n,).
     """
     cuts = range(0, len(values), _ROWS)
-    return sum(_hash_sum(values[i : i + _ROWS], places[i : i + _ROWS]) for i in cuts) & _ALL
+    return sum(_hash_sum(values[i : i + _ROWS], offsets[i : i + _ROWS]) for i in cuts) & _ALL
 
 
-def _hash_sum(values: AnyArray, places: AnyArray) -> int:
+def _hash_sum(values: AnyArray, offsets: AnyArray) -> int:
     bits = np.ascontiguousarray(values).view(np.uint64)
     columns = np.arange(bits.shape[1], dtype=np.uint64)
-    place = places.astype(np.uint64)[:, None] * np.uint64(bits.shape[1]) + columns
-    z = bits ^ ((place + np.uint64(1)) * np.uint64(_GOLDEN))
+    offset = offsets.astype(np.uint64)[:, None] * np.uint64(bits.shape[1]) + columns
+    z = bits ^ ((offset + np.uint64(1)) * np.uint64(_GOLDEN))
     z = (z ^ (z >> np.uint64(30))) * np.uint64(_FIRST)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(_SECOND)
     return int(np.sum(z ^ (z >> np.uint64(31)), dtype=np.uint64))
@@ -46,8 +46,8 @@ def array_checksum(comm: MPI.Comm, rows: Rows) -> str:
         comm: The ranks that hold its rows.
         rows: This rank's rows.
     """
-    places = np.arange(rows.first, rows.first + len(rows.values))
-    return _text(total(comm, checksum(rows.values, places)))
+    offsets = np.arange(rows.first, rows.first + len(rows.values))
+    return _text(total(comm, checksum(rows.values, offsets)))
 
 
 def fingerprint(body: Body) -> dict[str, object]:
@@ -73,8 +73,8 @@ def _lower_parts(body: Body) -> dict[str, object]:
     """Numbers of edges and nodes by name, if there are any. Collective."""
     edges = {name: int(total(body.comm, len(body.owned_edges(name)))) for name in body.edges}
     points = {name: int(total(body.comm, len(body.owned_points(name)))) for name in body.points}
-    found = {"edges": edges, "points": points}
-    return {kind: dict(sorted(parts.items())) for kind, parts in found.items() if parts}
+    result = {"edges": edges, "points": points}
+    return {kind: dict(sorted(parts.items())) for kind, parts in result.items() if parts}
 
 
 def _text(value: int) -> str:

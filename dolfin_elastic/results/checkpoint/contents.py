@@ -48,7 +48,7 @@ def _two(value: object) -> bool:
     return isinstance(value, list) and len(value) == 2 and all(map(_any_number, value))
 
 
-def _offence(value: object) -> bool:
+def _violation(value: object) -> bool:
     if isinstance(value, str):  # of older checkpoints
         return True
     return (
@@ -78,8 +78,8 @@ LISTS = Kind("a list of tables", lambda v: isinstance(v, list) and all(map(TABLE
 NUMBERS = Kind("a list of numbers", _nested)
 PAIRS = Kind("a list of pairs of numbers", lambda v: isinstance(v, list) and all(map(_two, v)))
 MEASURES = Kind("a list of numbers", lambda v: isinstance(v, list) and all(map(_any_number, v)))
-OFFENCES = Kind(
-    "a table of offences", lambda v: isinstance(v, dict) and all(map(_offence, v.values()))
+VIOLATIONS = Kind(
+    "a table of violations", lambda v: isinstance(v, dict) and all(map(_violation, v.values()))
 )
 SCALARS = Kind(
     "a table of single values",
@@ -138,11 +138,11 @@ _NUMBERS = {
     "audit.stored": MEASURED,
     "audit.energy": MEASURED,
     "audit.change": MEASURED,
-    "audit.warned": OFFENCES,
+    "audit.warned": VIOLATIONS,
     "audit.unbalanced": FLAG,
     "audit.far": TEXT,
     "audit.worst": Kind("two numbers", _two),
-    "audit.reasons": OFFENCES,
+    "audit.reasons": VIOLATIONS,
     "audit.off": MEASURED,
     "audit.scale": MEASURED,
     "audit.resolution": MEASURES,
@@ -171,7 +171,7 @@ _NUMBERS = {
     "lookout.first": MEASURES,
     "lookout.most": MEASURED,
     "lookout.start": MEASURED,
-    "lookout.offences": OFFENCES,
+    "lookout.violations": VIOLATIONS,
 }
 _OUTPUT = {
     "frames": COUNT,
@@ -230,8 +230,8 @@ def _first(table: Mapping[str, object], kinds: Mapping[str, Kind], path: str) ->
         path: What stands before them in the message.
     """
     for key, kind in kinds.items():
-        found, value = _at(table, key.split("."))
-        if found and not kind.fits(value):
+        is_there, value = _at(table, key.split("."))
+        if is_there and not kind.fits(value):
             return f"'{path}{key}' is {str(value)[:60]!r}, not {kind.name}"
     return ""
 

@@ -1,4 +1,4 @@
-"""`FolderLock`: one run at a time writes into a folder of results; rank 0 has the lease."""
+"""`FolderLease`: one run at a time writes into a folder of results; rank 0 has the lease."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PATIENCE = 2.0
 """Seconds to wait for another process, for one that has just been killed may not be gone yet."""
 
 
-class FolderLock:
+class FolderLease:
     """Exclusive right to write into a folder, from `acquire` to `close` or the process's end.
 
     Args:

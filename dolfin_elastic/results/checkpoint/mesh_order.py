@@ -89,6 +89,6 @@ def _dof_keys(V: fem.FunctionSpace, cells: AnyArray) -> IntArray:
     np.minimum.at(keys, cells, first + np.arange(width))
     # The first cell of a node may be on another rank, which has the node as a ghost.
     exchange = RankExchange(V.mesh.comm, np.asarray(imap.owners))
-    found = exchange.send(np.column_stack([imap.ghosts, keys[imap.size_local :]]))
-    np.minimum.at(keys, found[:, 0] - imap.local_range[0], found[:, 1])
+    result = exchange.send(np.column_stack([imap.ghosts, keys[imap.size_local :]]))
+    np.minimum.at(keys, result[:, 0] - imap.local_range[0], result[:, 1])
     return keys[: imap.size_local]

@@ -60,14 +60,14 @@ def nodal_function(state: State, field: str) -> fem.Function:
     Raises:
         InputError: A field of motion is asked for in statics.
     """
-    found: fem.Function | None = getattr(state, NODAL[field])
-    if found is None:
+    function: fem.Function | None = getattr(state, NODAL[field])
+    if function is None:
         raise InputError(
             f"there is no '{field}' in statics",
             where=_WHERE,
             expected="leave it out, or use [dynamics]",
         )
-    return found
+    return function
 
 
 @dataclass(frozen=True)
@@ -198,14 +198,14 @@ class PartNumbers:
             if grid is not None and FIELDS[name].centre == "node"
         }
         inside = [self._evaluated(piece) for piece in self.pieces]
-        found: dict[str, FloatArray] = {}
+        result: dict[str, FloatArray] = {}
         for name in self.fields:
             values = [
                 self._at_points(name, piece, known, nodal, rows)
                 for piece, known in zip(self.pieces, inside, strict=True)
             ]
-            found |= self._numbers(name, values, nodal.get(name))
-        return found
+            result |= self._numbers(name, values, nodal.get(name))
+        return result
 
     def _evaluated(self, piece: Piece) -> dict[str, FloatArray]:
         """Fields with a formula at the points of a piece. Not collective."""
@@ -215,11 +215,11 @@ class PartNumbers:
         if piece.kernel is not None and len(piece.cells):
             table[..., piece.kernel.columns] = self._of_side(piece.kernel(piece.cells), piece.side)
         parts = np.split(table, np.cumsum(widths)[:-1], axis=2) if widths else []
-        found = {}
+        result = {}
         for name, part in zip(self._inside, parts, strict=True):
             rows = FIELDS[name].finished(part.reshape(shape[0] * shape[1], part.shape[2]))
-            found[name] = rows.reshape(*shape, rows.shape[1])
-        return found
+            result[name] = rows.reshape(*shape, rows.shape[1])
+        return result
 
     def _at_points(
         self,
@@ -259,14 +259,14 @@ class PartNumbers:
         peaks = points if nodal is None or several else columns(nodal[self._nodes])
         weights = np.concatenate([piece.weights.ravel() for piece in self.pieces])
         samples = Samples(self.problem.body.comm, self.size, weights, points, peaks)
-        found: dict[str, FloatArray] = {}
+        result: dict[str, FloatArray] = {}
         for statistic, (reduction, number) in self._reductions.items():
             end = ending(statistic, "area" if self.kind == "surface" else "volume")
             numbers = reduction(samples, number)
-            found[f"{name}_{end}"] = numbers[:size]
+            result[f"{name}_{end}"] = numbers[:size]
             if has_length(name) and reduction.factor is None:
-                found[f"{name}_length_{end}"] = numbers[size:]
-        return found
+                result[f"{name}_length_{end}"] = numbers[size:]
+        return result
 
     def _plane(self, name: str, width: int) -> int:
         """Number of components that are shown: vectors of a plane body have two."""

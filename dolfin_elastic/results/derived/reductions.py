@@ -26,8 +26,8 @@ def _maximum(samples: Samples, sign: float) -> FloatArray:
     """Largest value of each column; nan where no row has one. Collective."""
     rows = sign * samples.peaks
     known = np.where(np.isnan(rows), -np.inf, rows)
-    found = np.max(samples.comm.allgather(known.max(axis=0, initial=-np.inf)), axis=0)
-    return sign * np.where(np.isinf(found), np.nan, found)
+    result = np.max(samples.comm.allgather(known.max(axis=0, initial=-np.inf)), axis=0)
+    return sign * np.where(np.isinf(result), np.nan, result)
 
 
 def _percentiles(samples: Samples, number: float) -> FloatArray:
@@ -113,9 +113,11 @@ def reduced_unit(column: str, unit_of_field: Callable[[str], str | None]) -> str
     for example, row in REDUCTIONS.items():
         name, colon, _ = example.partition(":")
         over, number = "_(area|volume)" if row.over else "()", r"_[\d.]+" if colon else ""
-        found = re.search(rf"(?:_length)?{over}_{name}{number}(_[xyz]{{1,2}})?$", column)
-        unit = None if found is None else unit_of_field(column[: found.start()] + (found[2] or ""))
-        if found is not None and unit is not None:
-            measure = {"area": "m^2", "volume": "m^3"}.get(found[1], "")
+        result = re.search(rf"(?:_length)?{over}_{name}{number}(_[xyz]{{1,2}})?$", column)
+        unit = (
+            None if result is None else unit_of_field(column[: result.start()] + (result[2] or ""))
+        )
+        if result is not None and unit is not None:
+            measure = {"area": "m^2", "volume": "m^3"}.get(result[1], "")
             return f"{unit} {measure}".strip() if row.unit is None else row.unit
     return None

@@ -178,7 +178,7 @@ class SectionForces:
         if self._moves:
             x = x + state.u.x.array[:size].reshape(-1, dim)
         dofs = self.problem.unknowns.mixed_dofs(np.arange(size, dtype=np.int32))
-        found = {}
+        result = {}
         for name, (sides, nodes, about) in self._cuts.items():
             self._inside.x.array[: len(sides)] = sides == 1
             vector = fem.assemble_vector(form)
@@ -186,24 +186,24 @@ class SectionForces:
             force = -vector.array[dofs].reshape(-1, dim)[nodes]
             moment = moment_of(x[nodes] - about, force)
             sums = total(self.problem.body.comm, np.hstack([force, moment]).sum(axis=0))
-            found[name] = (
+            result[name] = (
                 SectionForce(sums[1:2], None)
                 if self._axial
                 else SectionForce(sums[:dim], Moment(sums[dim:], about))
             )
-        return found
+        return result
 
     def numbers(self, state: State) -> dict[str, float]:
         """Column of the history to value, "section_force_NAME_x" [N], "section_moment_NAME_x"."""
         columns: dict[str, float] = {}
-        for name, found in self(state).items():
-            axes = "y" if found.moment is None else "xyz"
+        for name, force in self(state).items():
+            axes = "y" if force.moment is None else "xyz"
             columns |= {
                 f"section_force_{name}_{axis}": float(value)
-                for axis, value in zip(axes, found.force, strict=False)
+                for axis, value in zip(axes, force.force, strict=False)
             }
-            if found.moment is not None:
-                values = found.moment.value
+            if force.moment is not None:
+                values = force.moment.value
                 columns |= {
                     f"section_moment_{name}_{axis}": float(value)
                     for axis, value in zip("xyz"[-len(values) :], values, strict=True)

@@ -134,8 +134,8 @@ def along(
     grid = run.grid(step)
     if any(run.frame(step).arrays[name].centre == "cell" for name in names):
         grid = grid.cell_data_to_point_data()
-    found = pv.PolyData(points).sample(grid, tolerance=_TOLERANCE * grid.length)
-    inside = np.asarray(found.point_data["vtkValidPointMask"]).astype(bool)
+    sampled = pv.PolyData(points).sample(grid, tolerance=_TOLERANCE * grid.length)
+    inside = np.asarray(sampled.point_data["vtkValidPointMask"]).astype(bool)
     if not inside.any():
         raise InputError(
             "all its points lie outside the body",
@@ -145,11 +145,11 @@ def along(
     curves = []
     for name in names:
         field = FIELDS.get(name)
-        unit, values = field.unit if field else "", np.asarray(found.point_data[name])
+        unit, values = field.unit if field else "", np.asarray(sampled.point_data[name])
         if values.ndim == 2 and values.shape[1] == 3:
             parts = [(f"{name}_{axis}", values[:, i]) for i, axis in enumerate("xyz"[: run.dim])]
         else:
-            parts = [(name, shown(found.point_data, name))]
+            parts = [(name, shown(sampled.point_data, name))]
         curves += [Axis(n, np.where(inside, v, np.nan), unit) for n, v in parts]
     return Curves(over, curves, _title(run))
 

@@ -138,8 +138,8 @@ def _panel(
     values = {"u": u}
     tensor = name == "von_mises" and "cauchy_stress" in grid.point_data
     if not names:
-        found = np.asarray(whole.point_data["cauchy_stress" if tensor else name], dtype=float)
-        values["value"] = found.reshape(len(found), -1)
+        result = np.asarray(whole.point_data["cauchy_stress" if tensor else name], dtype=float)
+        values["value"] = result.reshape(len(result), -1)
     numbers = np.asarray(grid.cell_data[name]).astype(np.int64) if names else None
     faces, of = outer_faces(cells.astype(np.int64), x)
     surface = divided(

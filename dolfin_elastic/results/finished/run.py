@@ -95,8 +95,8 @@ def _field_unit(column: str) -> str | None:
     name, _, last = column.rpartition("_")
     vector, tensor = last in _AXES, len(last) == 2 and set(last) <= set(_AXES)
     text = name if vector or tensor else column
-    found = [field for field in FIELDS if text.endswith(f"_{field}")]
-    return FIELDS[max(found, key=len)].unit if found else None
+    result = [field for field in FIELDS if text.endswith(f"_{field}")]
+    return FIELDS[max(result, key=len)].unit if result else None
 
 
 _SUMMARY, _HISTORY, _FIELDS = "summary.json", "history.csv", "results.xdmf"
@@ -150,8 +150,8 @@ class FinishedRun:
     @cached_property
     def model(self) -> Mapping[str, Any]:
         """The record of its model in the summary; empty of older runs."""
-        found = self.summary.get("model")
-        return found if isinstance(found, Mapping) else {}
+        record = self.summary.get("model")
+        return record if isinstance(record, Mapping) else {}
 
     @property
     def moving(self) -> bool:
@@ -199,8 +199,8 @@ class FinishedRun:
     def metres(self) -> float:
         """Metres per unit of length of the mesh, in which places beside it are written."""
         mesh = self.model.get("mesh")
-        found = mesh.get("metres", 1.0) if isinstance(mesh, dict) else 1.0
-        return float(found) if isinstance(found, int | float) and found > 0 else 1.0
+        result = mesh.get("metres", 1.0) if isinstance(mesh, dict) else 1.0
+        return float(result) if isinstance(result, int | float) and result > 0 else 1.0
 
     def fields(self, step: int = -1) -> tuple[str, ...]:
         """Names of the fields of a step.
@@ -227,12 +227,12 @@ class FinishedRun:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise damaged(f"cannot be read: {error}", str(path)) from None
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise damaged("this is no summary of a run", str(path))
-    return found
+    return content
 
 
 def _read_history(path: Path) -> dict[str, FloatArray]:
@@ -247,8 +247,8 @@ def _read_history(path: Path) -> dict[str, FloatArray]:
     # The last row may be in the making.
     whole = [row for row in rows if len(row) == len(head)]
     columns = {name: [row[i] for row in whole] for i, name in enumerate(head)}
-    found = {name: _numbers(column) for name, column in columns.items()}
-    return {name: numbers for name, numbers in found.items() if numbers is not None}
+    result = {name: _numbers(column) for name, column in columns.items()}
+    return {name: numbers for name, numbers in result.items() if numbers is not None}
 
 
 def _numbers(column: list[str]) -> FloatArray | None:

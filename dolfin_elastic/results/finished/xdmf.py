@@ -128,10 +128,10 @@ def _name(row: ElementTree.Element) -> str:
 
 
 def _child(parent: ElementTree.Element, name: str) -> ElementTree.Element:
-    found = parent.find(name)
-    if found is None:
+    element = parent.find(name)
+    if element is None:
         raise ValueError(f"a step has no {name}")
-    return found
+    return element
 
 
 def _stored(parent: ElementTree.Element, centre: str = "node") -> Stored:
@@ -157,18 +157,18 @@ def read_array(folder: Path, stored: Stored) -> AnyArray:
     if kind := next(filter(None, map(irregular, (*above, path))), ""):
         raise damaged(f"this is {kind}, which is not followed", str(path))
     try:
-        found = hdf5.read_rows(path, stored.name)
+        result = hdf5.read_rows(path, stored.name)
     except OSError as error:
         raise InputError(
             f"cannot be read: {error}",
             where=f"{path}:/{stored.name}",
             expected="keep results.xdmf and the folder results_data together",
         ) from None
-    if found.shape != stored.shape:
+    if result.shape != stored.shape:
         raise damaged(
-            f"it has the shape {found.shape}, not {stored.shape}", f"{path}:/{stored.name}"
+            f"it has the shape {result.shape}, not {stored.shape}", f"{path}:/{stored.name}"
         )
-    return found
+    return result
 
 
 def read_grid(folder: Path, frame: Frame) -> pyvista.UnstructuredGrid:

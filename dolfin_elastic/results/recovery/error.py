@@ -138,25 +138,25 @@ class ErrorEstimator:
         known = state.derived.get(ERROR)
         if isinstance(known, ErrorEstimate):
             return known
-        found = self._estimated(state)
-        state.derived.update({ERROR: found, STRESS: found.stress})
-        return found
+        estimate = self._estimated(state)
+        state.derived.update({ERROR: estimate, STRESS: estimate.stress})
+        return estimate
 
     def _estimated(self, state: State) -> ErrorEstimate:
         self._w.x.array[:] = (state.w or state.u).x.array
         problem, V = self._problem, self._problem.V
         own = len(problem.body.owned_cells())
         cells, elastic, in_cells = np.zeros((3, own))
-        found, errors = [], np.zeros((len(self._regions), V.dofmap.index_map.size_local))
+        result, errors = [], np.zeros((len(self._regions), V.dofmap.index_map.size_local))
         largest = np.zeros(errors.shape[1])
         for number, region in enumerate(self._regions):
             of = region()
             chosen = region.part.cells
             cells[chosen], elastic[chosen], in_cells[chosen] = of.energy, of.elastic, of.stress
-            found.append((region.part, of.recovered))
+            result.append((region.part, of.recovered))
             errors[number] = of.at_nodes
             largest[:] = np.fmax(largest, von_mises(of.difference))
-        stress = NodalStress.of(V, found)
+        stress = NodalStress.of(V, result)
         sums = np.array([cells.sum(), elastic.sum(), _cut_off(problem, elastic)])
         within, stored, geometry = total(problem.body.comm, sums)
         energy = within + geometry
@@ -275,9 +275,9 @@ class _RegionError:
         Args:
             squares: Integral of its square over each cell, and volume of the cell.
         """
-        found, means = self.part.patches.sums(squares), NodalMeans(self._V, 1)
+        result, means = self.part.patches.sums(squares), NodalMeans(self._V, 1)
         for part in self.part.chunks():
-            sums = found(part)
+            sums = result(part)
             corners = np.sqrt(_LARGEST * sums[..., 0] / sums[..., 1])
             values = np.concatenate([corners, corners[:, self._edges].max(axis=2)], axis=1)
             means.add(self.part.patches, part, values[..., None])

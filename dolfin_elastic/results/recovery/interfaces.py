@@ -88,7 +88,7 @@ def angles_at_interfaces(problem: Problem) -> list[tuple[IndexArray, IndexArray,
         return [(none, none, np.empty((0, 1)))]
     vertices = mesh.topology.connectivity(dim, 0).array.reshape(-1, dim + 1)
     shared = _touch_several(problem, vertices)
-    found: list[tuple[IndexArray, IndexArray, FloatArray]] = []
+    result: list[tuple[IndexArray, IndexArray, FloatArray]] = []
     for part in problem.regions:
         several = shared[vertices[part.cells]]
         numbers, rows = np.nonzero([several[:, ridge].all(axis=1) for ridge in cell_ridges(dim)])
@@ -96,8 +96,8 @@ def angles_at_interfaces(problem: Problem) -> list[tuple[IndexArray, IndexArray,
         for number, ridge in enumerate(cell_ridges(dim)):
             here = numbers == number
             angles[here, 0] = _angle(cell_corners(mesh, part.cells[rows[here]]), ridge)
-        found.append((part.cells[rows], numbers.astype(np.int32), angles))
-    return found
+        result.append((part.cells[rows], numbers.astype(np.int32), angles))
+    return result
 
 
 def _touch_several(problem: Problem, vertices: IndexArray) -> BoolArray:

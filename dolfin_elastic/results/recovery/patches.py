@@ -150,11 +150,11 @@ class Patches:
         size = len(self._powers)
         sums = _Sums(self._mesh, self._used, size * width)
         for part in self.parts():
-            found = np.ascontiguousarray(values(part))
-            if found.any():  # else as of a body at rest
+            result = np.ascontiguousarray(values(part))
+            if result.any():  # else as of a body at rest
                 cells, corners = self.cells[part], self._corners[part]
                 where = (len(cells), cells, *self._geometry, self._samples, corners)
-                others = (len(self._used), self._centres, self._size, width, found)
+                others = (len(self._used), self._centres, self._size, width, result)
                 self._loops.call("add_moments", *where, *others, sums.rows)
         right = sums.over_ranks().reshape(-1, size, width)
         if not total(self._mesh.comm, float(right.any())):
@@ -211,7 +211,7 @@ class Patches:
         """
         chosen, width = self.cells[cells], recovered.shape[2]
         assert width <= _WIDEST
-        found = np.zeros((len(chosen), 4))
+        result = np.zeros((len(chosen), 4))
         difference = np.empty((*recovered.shape[:2], 6))
         self._loops.call(
             "add_errors",
@@ -232,10 +232,10 @@ class Patches:
             raw.first,
             raw.step,
             raw.values,
-            found,
+            result,
             difference,
         )
-        return found, difference
+        return result, difference
 
     # --- geometry ---
 
@@ -312,13 +312,13 @@ class Patches:
     def _extrapolate(self, fitted: FloatArray, step: _Extrapolation) -> None:
         """Fills in the polynomials of one round."""
         rows, width = np.flatnonzero(step.new), fitted.shape[1] * fitted.shape[2]
-        place = np.empty(len(fitted), dtype=np.int32)
-        place[rows] = np.arange(len(rows), dtype=np.int32)
+        offset = np.empty(len(fitted), dtype=np.int32)
+        offset[rows] = np.arange(len(rows), dtype=np.int32)
         sums = np.zeros((len(rows), *fitted.shape[1:]))
         for a, b in permutations(range(self._dim + 1), 2):
             to, of = step.corners[:, a], step.corners[:, b]
             both = step.new[to] & step.known[of]
-            np.add.at(sums, place[to[both]], self._shift(fitted[of[both]], of[both], to[both]))
+            np.add.at(sums, offset[to[both]], self._shift(fitted[of[both]], of[both], to[both]))
         if self._mesh.comm.size > 1:
             table = _Sums(self._mesh, self._used, width)
             table.rows[rows] = sums.reshape(-1, width)
@@ -352,14 +352,14 @@ class Patches:
             fitted: From `fit`.
         """
         chosen, width = self.cells[cells], fitted.shape[2]
-        found = np.empty((len(chosen), len(self._nodes), width))
+        result = np.empty((len(chosen), len(self._nodes), width))
         edges = self._edges.astype(np.int32)
         vertices = (len(self._used), self._centres, self._size)
         where = (self._nodes, self._corners[cells], *vertices, edges)
         self._loops.call(
-            "take_nodal", len(chosen), chosen, *self._geometry, *where, width, fitted, found
+            "take_nodal", len(chosen), chosen, *self._geometry, *where, width, fitted, result
         )
-        return found
+        return result
 
 
 class _Sums:
@@ -460,11 +460,11 @@ class _Extrapolation:
 
 def _powers(dim: int, degree: int) -> list[tuple[int, ...]]:
     """Exponents of the monomials up to a degree, the lowest first."""
-    found = []
+    result = []
     for order in range(degree + 1):
         for factors in combinations_with_replacement(range(dim), order):
-            found.append(tuple(factors.count(axis) for axis in range(dim)))
-    return found
+            result.append(tuple(factors.count(axis) for axis in range(dim)))
+    return result
 
 
 def _shift_matrices(
@@ -481,21 +481,21 @@ def _shift_matrices(
         Shape (n, monomials, monomials).
     """
     number = {power: i for i, power in enumerate(powers)}
-    found = np.zeros((len(offset), len(powers), len(powers)))
+    result = np.zeros((len(offset), len(powers), len(powers)))
     for column, power in enumerate(powers):
         # The product of (offset_j + ratio y_j) over the factors j of the monomial.
         factors = [axis for axis, exponent in enumerate(power) for _ in range(exponent)]
         for taken in _subsets(len(factors)):
             row = [0] * len(power)
             value: FloatArray = np.ones(len(offset))
-            for place, axis in enumerate(factors):
-                if place in taken:
+            for offsets, axis in enumerate(factors):
+                if offsets in taken:
                     row[axis] += 1
                     value = value * ratio
                 else:
                     value = value * offset[:, axis]
-            found[:, number[tuple(row)], column] += value
-    return found
+            result[:, number[tuple(row)], column] += value
+    return result
 
 
 def _subsets(size: int) -> Iterator[frozenset[int]]:

@@ -143,35 +143,37 @@ class Peaks:
         return [f"{r.label}: {r.text}" for r in self._remarks(norm) if r.reserved]
 
     def _remarks(self, norm: float) -> list[Remark]:
-        found = [Remark("largest von Mises stress", self.largest.text(), indented=False)]
+        result = [Remark("largest von Mises stress", self.largest.text(), indented=False)]
         if self.largest.singular:
-            found.append(_unbounded(self.largest, "grows"))
+            result.append(_unbounded(self.largest, "grows"))
         if self.elsewhere is not None:
             known = np.isfinite(self.elsewhere.error)
             error = f", {ERROR} {percent(self.elsewhere.error)}" if known else ""
-            found.append(Remark("largest elsewhere", self.elsewhere.text() + error))
+            result.append(Remark("largest elsewhere", self.elsewhere.text() + error))
         elif not self.largest.singular and np.isfinite(self.largest.error):
-            found.append(Remark(ERROR, percent(self.largest.error)))
+            result.append(Remark(ERROR, percent(self.largest.error)))
         if self.regular is not None:
-            found += _doubts(self.regular, self.rival)
+            result += _doubts(self.regular, self.rival)
         if self.safety is not None:
             least = f"{self.safety.value:.3g} {self.safety.where()}"
-            found.append(Remark("smallest safety factor", least, indented=False))
+            result.append(Remark("smallest safety factor", least, indented=False))
             if self.safety.singular:
-                found.append(_unbounded(self.safety, "falls"))
+                result.append(_unbounded(self.safety, "falls"))
             elif not np.isfinite(self.safety.error):
-                found.append(Remark("not known", "its error, as that of the stress", reserved=True))
+                result.append(
+                    Remark("not known", "its error, as that of the stress", reserved=True)
+                )
         if self.safety_elsewhere is not None:
             beside = self.safety_elsewhere
-            found.append(Remark("smallest elsewhere", f"{beside.value:.3g} {beside.where()}"))
+            result.append(Remark("smallest elsewhere", f"{beside.value:.3g} {beside.where()}"))
         share = f"{percent(norm)} of the stresses on average (energy norm)"
         if not np.isfinite(norm):
             share = "none is known: its energy at these strains has no finite value"
-        found.append(Remark(ERROR, share, not np.isfinite(norm), indented=False))
+        result.append(Remark(ERROR, share, not np.isfinite(norm), indented=False))
         if self.cut_off > _CUT_OFF:
             text = f"their facets cut {percent(self.cut_off)} of the energy off at curved faces"
-            found.append(Remark("straight elements", text, reserved=True))
-        return found
+            result.append(Remark("straight elements", text, reserved=True))
+        return result
 
 
 def _unbounded(peak: Peak, changes: str) -> Remark:
@@ -221,16 +223,16 @@ def find_peaks(problem: Problem, estimate: ErrorEstimate) -> Peaks:
     Args:
         problem: The problem that is solved, in the state of the estimate.
     """
-    found = _Finder(problem, estimate, singular_places(problem))
+    finder = _Finder(problem, estimate, singular_places(problem))
     stress = estimate.stress
-    highest, elsewhere, rival = found.pair(von_mises(stress.stress), stress.region)
+    highest, elsewhere, rival = finder.pair(von_mises(stress.stress), stress.region)
     if all(region.law.allowable is None for region in problem.regions):
         return Peaks(highest, elsewhere, rival=rival, cut_off=estimate.cut_off)
     # The share of the allowable stress is largest where the factor is smallest.
     use = 1 / np.where(stress.safety > 0, stress.safety, np.nan)
     least, other = (
         None if peak is None or peak.value <= 0 else replace(peak, value=1 / peak.value)
-        for peak in found.pair(use, stress.safety_region)[:2]
+        for peak in finder.pair(use, stress.safety_region)[:2]
     )
     return Peaks(highest, elsewhere, least, other, rival=rival, cut_off=estimate.cut_off)
 
@@ -244,14 +246,14 @@ def largest(
         chosen: Which of the owned nodes count.
         places: Where the stress is singular.
     """
-    found = _Finder(problem, estimate, places)
+    finder = _Finder(problem, estimate, places)
     values = von_mises(estimate.stress.stress)
     values = np.where(np.isfinite(values) & chosen, values, -np.inf)
-    peak = found.at_largest(values, estimate.stress.region, singular=True)
+    peak = finder.at_largest(values, estimate.stress.region, singular=True)
     if peak.singular:
         return peak
-    regular = found.regular(values)
-    return found.judged(peak, values, regular, regular, estimate.stress.region)[0]
+    regular = finder.regular(values)
+    return finder.judged(peak, values, regular, regular, estimate.stress.region)[0]
 
 
 class _Finder:
@@ -393,8 +395,8 @@ class _Finder:
                 self._places.reason(node) if singular else "",
                 self._unresolved(node),
             )
-        found: Peak = comm.bcast(own, root=best.rank)
-        return best.value, found
+        peak: Peak = comm.bcast(own, root=best.rank)
+        return best.value, peak
 
     def _unresolved(self, node: int) -> str:
         """Why a node's stress is not resolved; empty where it is. Not collective."""
@@ -410,15 +412,15 @@ class _Finder:
 
 def _surface_at(problem: Problem, node: int, rank: int) -> str:
     """Name of the smallest surface with a node of one rank; empty if there is none. Collective."""
-    body, found = problem.body, []
+    body, names = problem.body, []
     for name in sorted(body.surfaces):
         facets = body.surfaces[name]
         nodes = fem.locate_dofs_topological(problem.V, body.dim - 1, facets)
         here = body.comm.rank == rank and node in nodes
         on, size = total(body.comm, np.array([int(here), len(facets)]))
         if on:
-            found.append((int(size), name))
-    return min(found)[1] if found else ""
+            names.append((int(size), name))
+    return min(names)[1] if names else ""
 
 
 def _local_maxima(V: fem.FunctionSpace, values: FloatArray) -> BoolArray:

@@ -78,7 +78,7 @@ def resolution(problem: Problem) -> Resolution:
     _, local = cells_beside_facets(problem.body.mesh, shape.facets)
     nodes = V.dofmap.list[shape.cells[:, None], closure[local]]
     straight = problem.body.mesh.geometry.cmap.degree == 1
-    found = largest_at_nodes(
+    result = largest_at_nodes(
         V,
         nodes,
         np.column_stack(
@@ -90,7 +90,7 @@ def resolution(problem: Problem) -> Resolution:
             ]
         ),
     )
-    return Resolution(found[:, 0], np.maximum(found[:, 1], 1.0), found[:, 2], found[:, 3])
+    return Resolution(result[:, 0], np.maximum(result[:, 1], 1.0), result[:, 2], result[:, 3])
 
 
 def largest_at_nodes(V: fem.FunctionSpace, nodes: IndexArray, values: FloatArray) -> FloatArray:
@@ -105,10 +105,10 @@ def largest_at_nodes(V: fem.FunctionSpace, nodes: IndexArray, values: FloatArray
     """
     index = V.dofmap.index_map
     own, first = index.size_local, index.local_range[0]
-    found = np.zeros((own + index.num_ghosts, values.shape[1]))
+    result = np.zeros((own + index.num_ghosts, values.shape[1]))
     for column in range(nodes.shape[1]):
-        np.maximum.at(found, nodes[:, column], values)
+        np.maximum.at(result, nodes[:, column], values)
     exchange = RankExchange(V.mesh.comm, np.asarray(index.owners, dtype=np.int64))
     there = exchange.send(np.asarray(index.ghosts, dtype=np.int64)[:, None])[:, 0] - first
-    np.maximum.at(found, there, exchange.send(found[own:]))
-    return found[:own]
+    np.maximum.at(result, there, exchange.send(result[own:]))
+    return result[:own]

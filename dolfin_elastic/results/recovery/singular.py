@@ -87,8 +87,8 @@ class SingularPlaces:
 
     def reason(self, node: int) -> str:
         """Why the stress is singular near an owned node; empty if it is not."""
-        found = np.flatnonzero(self.near[node])
-        return self.reasons[found[0]] if len(found) else ""
+        near = np.flatnonzero(self.near[node])
+        return self.reasons[near[0]] if len(near) else ""
 
 
 def singular_places(problem: Problem) -> SingularPlaces:
@@ -147,25 +147,25 @@ def _with_neighbours(V: fem.FunctionSpace, table: FloatArray) -> BoolArray:
 def _nodes_of_edges_and_points(problem: Problem, names: Sequence[str]) -> IndexArray:
     """Nodes of the parts of some names that are edges or points. Collective."""
     body, V = problem.body, problem.V
-    found: list[IndexArray] = [np.empty(0, dtype=np.int32)]
+    result: list[IndexArray] = [np.empty(0, dtype=np.int32)]
     for name in names:
         kinds = body.kinds(name)
         if "surface" in kinds:
             continue
         if "edge" in kinds:
-            found.append(fem.locate_dofs_topological(V, 1, body.edges[name]))
+            result.append(fem.locate_dofs_topological(V, 1, body.edges[name]))
         if "point" in kinds:
-            found.append(_nearest_nodes(problem, body.points[name]))
-    return np.unique(np.concatenate(found)).astype(np.int32)
+            result.append(_nearest_nodes(problem, body.points[name]))
+    return np.unique(np.concatenate(result)).astype(np.int32)
 
 
 def _nearest_nodes(problem: Problem, points: IndexArray) -> IndexArray:
     """Local nodes of the space at nodes of the geometry. Not collective."""
     if not len(points):
         return np.empty(0, dtype=np.int32)
-    x, places = problem.places, problem.body.mesh.geometry.x[points]
-    found = [int(np.argmin(np.sum((x - place) ** 2, axis=1))) for place in places]
-    return np.array(found, dtype=np.int32)
+    x, coordinates = problem.places, problem.body.mesh.geometry.x[points]
+    result = [int(np.argmin(np.sum((x - place) ** 2, axis=1))) for place in coordinates]
+    return np.array(result, dtype=np.int32)
 
 
 # --- edges of the boundary ---
@@ -241,8 +241,8 @@ def _directions(problem: Problem, support: Restraint) -> int:
     if isinstance(support, Rigid):
         return every
     if isinstance(support, PrescribingSupport):
-        found = set(support.prescribed_components(dim))
-        return sum(_NORMAL_BIT if i < 0 else 1 << i for i in found)
+        parts = set(support.prescribed_components(dim))
+        return sum(_NORMAL_BIT if i < 0 else 1 << i for i in parts)
     assert isinstance(support, Spring)
     surfaces = [name for name in support.surfaces if name in problem.body.surfaces]
     if not surfaces:
@@ -281,11 +281,11 @@ def _pressed(
 
 def _nu(problem: Problem, cells: IndexArray) -> FloatArray:
     """Poisson's ratio in cells."""
-    found = np.zeros(len(problem.body.owned_cells()))
+    result = np.zeros(len(problem.body.owned_cells()))
     for region in problem.regions:
-        found[region.cells] = min(max(poisson(region.typical), 0.0), 0.5)
+        result[region.cells] = min(max(poisson(region.typical), 0.0), 0.5)
     # A boundary facet belongs to the rank of its cell.
-    return np.asarray(found[np.minimum(cells, len(found) - 1)]) if len(found) else np.zeros(0)
+    return np.asarray(result[np.minimum(cells, len(result) - 1)]) if len(result) else np.zeros(0)
 
 
 def _classify(sums: FloatArray, problem: Problem, sources: tuple[int, int]) -> BoolArray:

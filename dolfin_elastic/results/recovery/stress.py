@@ -82,17 +82,17 @@ class StressAtPoints:
         comm = problem.body.comm
         self._parts: list[tuple[RegionStress, dict[str, int]]] = []
         for region in problem.regions:
-            mine = [n for n, p in places.items() if p.cell >= 0 and p.cell in region.cells]
-            if total(comm, len(mine)):
-                cells = cells_around(problem, region, [places[name].cell for name in mine], _RINGS)
+            local = [n for n, p in places.items() if p.cell >= 0 and p.cell in region.cells]
+            if total(comm, len(local)):
+                cells = cells_around(problem, region, [places[name].cell for name in local], _RINGS)
                 part = RegionStress(problem, region, self._w, cells)
-                rows = {n: int(np.searchsorted(cells, places[n].cell)) for n in mine}
+                rows = {n: int(np.searchsorted(cells, places[n].cell)) for n in local}
                 self._parts.append((part, rows))
 
     def __call__(self, state: State) -> dict[str, PointStress]:
         """Name of the point to the stress there."""
         self._w.x.array[:] = (state.w or state.u).x.array
-        found = {n: PointStress(np.zeros((1, 6)), np.zeros(1)) for n in self._places}
+        result = {n: PointStress(np.zeros((1, 6)), np.zeros(1)) for n in self._places}
         for part, rows in self._parts:
             stress, allowable = part(), part.allowable()
             for name, row in rows.items():
@@ -100,8 +100,8 @@ class StressAtPoints:
                 shape = self._element.tabulate(0, local[None])[0, :, :, 0]
                 sigma = shape @ stress[row]
                 factor = safety_factor(shape @ allowable[row], von_mises(sigma))
-                found[name] = PointStress(sigma, factor)
-        return found
+                result[name] = PointStress(sigma, factor)
+        return result
 
 
 def cells_around(
@@ -188,22 +188,22 @@ class NodalStress:
 
     @classmethod
     def of(
-        cls, V: fem.FunctionSpace, found: Sequence[tuple[RegionStress, FloatArray]]
+        cls, V: fem.FunctionSpace, parts: Sequence[tuple[RegionStress, FloatArray]]
     ) -> NodalStress:
         """Puts the stresses of all regions together. Collective.
 
         Args:
-            found: Each region with its recovered values at the owned nodes, the first six the
+            parts: Each region with its recovered values at the owned nodes, the first six the
                 stress, see `RegionStress.at_owned_nodes`.
         """
         count = V.dofmap.index_map.size_local
         stress, region = np.full((count, 6), np.nan), np.full(count, -1)
         safety, safety_region = np.full(count, np.nan), np.full(count, -1)
         highest, utilisation = np.full(count, -1.0), np.broadcast_to(np.nan, (count, 6))
-        limited = any(part.region.law.allowable is not None for part, _ in found)
+        limited = any(part.region.law.allowable is not None for part, _ in parts)
         if limited:
             utilisation = utilisation.copy()
-        for number, (part, values) in enumerate(found):
+        for number, (part, values) in enumerate(parts):
             here, rows = values[:, -1] > 0, values[:, :6]
             allowable, value = part.allowable_at_nodes(), von_mises(rows)
             # A comparison with NaN is false: so NaN counts as the largest stress.
@@ -397,9 +397,9 @@ class StressRecovery:
         if isinstance(known, NodalStress):
             return known
         self._w.x.array[:] = (state.w or state.u).x.array
-        found = NodalStress.of(self._problem.V, [(p, p.at_owned_nodes()) for p in self._regions])
-        state.derived[STRESS] = found
-        return found
+        stress = NodalStress.of(self._problem.V, [(p, p.at_owned_nodes()) for p in self._regions])
+        state.derived[STRESS] = stress
+        return stress
 
 
 class NodalMeans:

@@ -93,17 +93,17 @@ def _conditions(
         power: lambda, shape (n,).
     """
     end = first.angle + second.angle
-    found = np.zeros((len(power), 8, 8), dtype=np.complex128)
+    result = np.zeros((len(power), 8, 8), dtype=np.complex128)
     scale = first.mu
-    found[:, 2:6, :4] = _on_ray(first, first.angle, power, scale)
-    found[:, 2:6, 4:] = -_on_ray(second, first.angle, power, scale)
+    result[:, 2:6, :4] = _on_ray(first, first.angle, power, scale)
+    result[:, 2:6, 4:] = -_on_ray(second, first.angle, power, scale)
     begin, last = _on_ray(first, 0.0, power, scale), _on_ray(second, end, power, scale)
     if face is None:
-        found[:, (0, 1, 6, 7), :4], found[:, (0, 1, 6, 7), 4:] = begin, -last
+        result[:, (0, 1, 6, 7), :4], result[:, (0, 1, 6, 7), 4:] = begin, -last
     else:
         rows = list(_ROWS[face])
-        found[:, :2, :4], found[:, 6:, 4:] = begin[:, rows], last[:, rows]
-    return found
+        result[:, :2, :4], result[:, 6:, 4:] = begin[:, rows], last[:, rows]
+    return result
 
 
 def _on_ray(wedge: Wedge, angle: float, power: ComplexArray, scale: float) -> ComplexArray:

@@ -95,9 +95,9 @@ def _curves(body: Body) -> list[Curve]:
         for number in sorted(body.faces.faces.keys() - named_numbers):
             facets = body.faces.facets_of([number])
             parts.append((str(number), False, facets[facets < size]))
-    found = []
+    result = []
     for label, named, facets in parts:
         x, _ = facet_points(body.mesh, facets, np.array([[0.0], [0.5], [1.0]]))
         every = np.concatenate(body.comm.allgather(x))
-        found.append(Curve(label, named, np.pad(every, ((0, 0), (0, 0), (0, 1)))))
-    return found
+        result.append(Curve(label, named, np.pad(every, ((0, 0), (0, 0), (0, 1)))))
+    return result

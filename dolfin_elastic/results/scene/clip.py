@@ -122,12 +122,12 @@ def _left(
     parts: Sequence[pyvista.DataSet], planes: Sequence[tuple[FloatArray, FloatArray, bool]]
 ) -> list[pyvista.DataSet]:
     """What planes leave of a surface, and of what lies in each of them."""
-    found = list(parts)
+    result = list(parts)
     for i, (normal, origin, above) in enumerate(planes):
-        for j, part in enumerate(found):
+        for j, part in enumerate(result):
             if j != i + 1 and part.n_cells:
-                found[j] = part.clip(normal=normal, origin=origin, invert=above)
-    return found
+                result[j] = part.clip(normal=normal, origin=origin, invert=above)
+    return result
 
 
 def _meetings(t: IntArray, in_plane: BoolArray) -> IntArray:
@@ -181,5 +181,5 @@ def _attach(data: pyvista.DataSet, surface: Surface) -> None:
 
 
 def _columns(values: AnyArray) -> AnyArray:
-    found = np.asarray(values, dtype=float)
-    return found[:, None] if found.ndim == 1 else found
+    result = np.asarray(values, dtype=float)
+    return result[:, None] if result.ndim == 1 else result

@@ -282,8 +282,8 @@ def _patches(plot: pv.Plotter, picture: Picture) -> IntArray:
     plot.render()
     image = np.asarray(plot.screenshot(return_img=True)).astype(np.int64)
     low = image // 4
-    found = low[..., 0] + 64 * low[..., 1] + 4096 * low[..., 2]
-    return np.where(image.sum(axis=2) == 0, -1, found - 1)
+    result = low[..., 0] + 64 * low[..., 1] + 4096 * low[..., 2]
+    return np.where(image.sum(axis=2) == 0, -1, result - 1)
 
 
 class Drawing:

@@ -280,8 +280,8 @@ def _mode_title(mode: Mode) -> str:
 
 def picture_files(path: Path) -> list[Path]:
     """Existing pictures of an output with this file, in the order of steps. Not collective."""
-    found = [(number, p) for p in path.parent.iterdir() if (number := _number(path, p)) >= 0]
-    return [*([path] if path.is_file() else []), *(p for _, p in sorted(found))]
+    result = [(number, p) for p in path.parent.iterdir() if (number := _number(path, p)) >= 0]
+    return [*([path] if path.is_file() else []), *(p for _, p in sorted(result))]
 
 
 def _number(path: Path, file: Path) -> int:
@@ -292,8 +292,8 @@ def _number(path: Path, file: Path) -> int:
         file: Any file in its folder.
     """
     stem, suffix = re.escape(path.stem), re.escape(path.suffix)
-    found = re.fullmatch(rf"{stem}_(\d{{4,}}){suffix}", file.name)
-    return int(found[1]) if found else -1
+    match = re.fullmatch(rf"{stem}_(\d{{4,}}){suffix}", file.name)
+    return int(match[1]) if match else -1
 
 
 class Painter:

@@ -154,17 +154,17 @@ def _display() -> tuple[subprocess.Popen[bytes] | None, dict[str, str]]:
     None is needed where VTK draws into memory, with OSMesa or EGL.
     """
     # With an MPI rank's variables the child might try to join the run.
-    mine = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMIX_", "PMI_"))}
+    local = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMIX_", "PMI_"))}
     if window := _window_in_memory():
         log.debug("pictures are drawn by VTK's %s, without a display", window)
-        mine.pop("DISPLAY", None)
-        return None, {**mine, "VTK_DEFAULT_OPENGL_WINDOW": window}
+        local.pop("DISPLAY", None)
+        return None, {**local, "VTK_DEFAULT_OPENGL_WINDOW": window}
     if not which("Xvfb"):
-        log.debug("pictures are drawn on the display %s", mine.get("DISPLAY", "that is not there"))
-        return None, mine
+        log.debug("pictures are drawn on the display %s", local.get("DISPLAY", "that is not there"))
+        return None, local
     server, number = _start_xvfb()
     log.debug("pictures are drawn on a virtual display, Xvfb :%d", number)
-    return server, {**mine, "DISPLAY": f":{number}"}
+    return server, {**local, "DISPLAY": f":{number}"}
 
 
 def _window_in_memory() -> str:

@@ -86,8 +86,14 @@ class Glyphs:
     @classmethod
     def of(cls, row: Mapping[str, Any]) -> Glyphs:
         """From `plain`."""
-        places, along = (np.array(row[k], dtype=float).reshape(-1, 3) for k in ("places", "along"))
-        arrays = {"places": places, "along": along, "tails": np.array(row["tails"], dtype=bool)}
+        coordinates, along = (
+            np.array(row[k], dtype=float).reshape(-1, 3) for k in ("places", "along")
+        )
+        arrays = {
+            "places": coordinates,
+            "along": along,
+            "tails": np.array(row["tails"], dtype=bool),
+        }
         return cls(**{**row, **arrays})
 
     def length(self, size: float) -> float:
@@ -291,9 +297,9 @@ def load(path: Path) -> Picture:
     """Reads a picture that `save` has written."""
     with np.load(path) as file:
         arrays = dict(file)
-    found = _read(json.loads(arrays["words"].tobytes()), arrays)
-    assert isinstance(found, Picture)
-    return found
+    content = _read(json.loads(arrays["words"].tobytes()), arrays)
+    assert isinstance(content, Picture)
+    return content
 
 
 def _written(value: Any, arrays: dict[str, AnyArray]) -> Any:
@@ -315,8 +321,8 @@ def _read(value: Any, arrays: Mapping[str, AnyArray]) -> Any:
     if not isinstance(value, dict):
         return value
     if "array" in value:
-        found = arrays[value["array"]]
-        return found.astype({"f": np.float64, "i": np.int64}.get(found.dtype.kind, found.dtype))
+        result = arrays[value["array"]]
+        return result.astype({"f": np.float64, "i": np.int64}.get(result.dtype.kind, result.dtype))
     if "pairs" in value:
         return {key: _read(one, arrays) for key, one in value["pairs"]}
     return _KINDS[value["class"]](**{k: _read(v, arrays) for k, v in value["fields"].items()})
@@ -394,14 +400,14 @@ def bar_of(
     if ends is None and small:
         ends = 0.0, SAFEST
     shown = spread if ends is None else np.array(ends)
-    found = make_colour_bar(shown, unit, noise, exact=ends is not None)
-    text = f"[{found.unit}]" if found.unit else ""
+    result = make_colour_bar(shown, unit, noise, exact=ends is not None)
+    text = f"[{result.unit}]" if result.unit else ""
     if tensor:
         text = f"norm of the tensor\n{text}"
-    if small and len(values) and np.nanmax(values) / found.factor > found.ticks[-1]:
-        text = f"{found.ticks[-1]:g} and more alike"
+    if small and len(values) and np.nanmax(values) / result.factor > result.ticks[-1]:
+        text = f"{result.ticks[-1]:g} and more alike"
     label = f"{fill(label_of(field), _LINE)}\n{text}".strip()
-    return replace(found, label=label, reversed=small)
+    return replace(result, label=label, reversed=small)
 
 
 def marked(picture: Picture) -> Picture:

@@ -111,9 +111,9 @@ class Series:
     def _take(self, panels: Sequence[Picture]) -> None:
         """Widens range, camera and floor to what a picture shows."""
         self._windows.append(joined_windows([panel.seen for panel in panels]))
-        found = [_ends(panel, self._limits) for panel in panels]
-        before = self._ends or [None] * len(found)
-        self._ends = [_wider(a, b) for a, b in zip(before, found, strict=True)]
+        result = [_ends(panel, self._limits) for panel in panels]
+        before = self._ends or [None] * len(result)
+        self._ends = [_wider(a, b) for a, b in zip(before, result, strict=True)]
         floor = panels[0].scene.obstacles
         if _size(floor) >= _size(self._floor):
             self._floor = floor

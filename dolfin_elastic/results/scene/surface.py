@@ -82,15 +82,15 @@ def gather_surface(
     used, local = np.unique(faces, return_inverse=True)
     numbers = nodes.index_map.local_to_global(used.astype(np.int32))
     points = nodes.x[used]
-    mine = None if of_cells is None else of_cells[cells]
+    local_rows = None if of_cells is None else of_cells[cells]
     if of_faces is not None:
-        mine = of_faces(facets)
+        local_rows = of_faces(facets)
     own = (
         local.reshape(faces.shape),
         numbers,
         points,
         {k: v[used] for k, v in values.items()},
-        mine,
+        local_rows,
     )
     parts = _to_root(nodes.mesh.comm, own)
     return divided(_joined(parts), linear) if nodes.mesh.comm.rank == 0 else None
@@ -189,15 +189,15 @@ def divided(faces: Surface, linear: Collection[str]) -> Surface:
     _, first, new = np.unique(numbers, return_index=True, return_inverse=True)
     smooth = _shape_functions(lattice / n, nodes.shape[1])
     kinked = _hat_functions(lattice / n, nodes.shape[1])
-    face, place = np.divmod(first, len(lattice))
+    face, offset = np.divmod(first, len(lattice))
 
     def between(values: AnyArray, shape: AnyArray) -> AnyArray:
         # A node without a value (NaN) matters where its shape function is not zero only.
         unknown = np.isnan(values)
-        known, weights = np.where(unknown, 0.0, values)[nodes[face]], shape[place]
-        found = np.einsum("pn,pnj->pj", weights, known)
+        known, weights = np.where(unknown, 0.0, values)[nodes[face]], shape[offset]
+        result = np.einsum("pn,pnj->pj", weights, known)
         gaps = np.einsum("pn,pnj->pj", (weights != 0).astype(float), unknown[nodes[face]])
-        return np.asarray(np.where(gaps > 0, np.nan, found))
+        return np.asarray(np.where(gaps > 0, np.nan, result))
 
     pieces = _pieces(n)
     return Surface(
@@ -205,7 +205,7 @@ def divided(faces: Surface, linear: Collection[str]) -> Surface:
         between(faces.points, smooth),
         {k: between(v, kinked if k in linear else smooth) for k, v in faces.values.items()},
         None if faces.of_cells is None else np.repeat(faces.of_cells, len(pieces), axis=0),
-        smooth.max(axis=1)[place] > 1 - _AT_NODE,
+        smooth.max(axis=1)[offset] > 1 - _AT_NODE,
     )
 
 
@@ -217,13 +217,13 @@ def _lattice(n: int) -> AnyArray:
 def _pieces(n: int) -> AnyArray:
     """Triangles between the points of `_lattice`, oriented as the whole one, shape (n^2, 3)."""
     number = {(b, c): i for i, (_, b, c) in enumerate(_lattice(n).tolist())}
-    found = []
+    result = []
     for (p, q), here in number.items():
         if p + q < n:
-            found.append((here, number[p + 1, q], number[p, q + 1]))
+            result.append((here, number[p + 1, q], number[p, q + 1]))
         if p + q < n - 1:
-            found.append((number[p + 1, q], number[p + 1, q + 1], number[p, q + 1]))
-    return np.array(found)
+            result.append((number[p + 1, q], number[p + 1, q + 1], number[p, q + 1]))
+    return np.array(result)
 
 
 def _numbered(corners: AnyArray, lattice: AnyArray, n: int) -> AnyArray:
@@ -234,7 +234,7 @@ def _numbered(corners: AnyArray, lattice: AnyArray, n: int) -> AnyArray:
         lattice: See `_lattice`.
     """
     count = int(corners.max(initial=-1)) + 1
-    found = np.empty((len(corners), len(lattice)), dtype=np.int64)
+    result = np.empty((len(corners), len(lattice)), dtype=np.int64)
     ends = corners[:, _SIDES]
     low, high = ends.min(axis=2).astype(np.int64), ends.max(axis=2)
     keys, sides = np.unique(low * count + high, return_inverse=True)
@@ -243,15 +243,15 @@ def _numbered(corners: AnyArray, lattice: AnyArray, n: int) -> AnyArray:
     for i, weights in enumerate(lattice):
         touched = np.flatnonzero(weights)
         if len(touched) == 1:
-            found[:, i] = corners[:, touched[0]]
+            result[:, i] = corners[:, touched[0]]
         elif len(touched) == 2:
             side = _SIDES.index((int(touched[0]), int(touched[1])))
             a, b = ends[:, side, 0], ends[:, side, 1]
             along = np.where(a < b, weights[touched[1]], weights[touched[0]])
-            found[:, i] = count + sides[:, side] * (n - 1) + along - 1
+            result[:, i] = count + sides[:, side] * (n - 1) + along - 1
         else:
-            found[:, i] = inside + i
-    return found
+            result[:, i] = inside + i
+    return result
 
 
 def _shape_functions(x: AnyArray, nodes: int) -> AnyArray:

@@ -133,11 +133,11 @@ def row(state: State) -> dict[str, Number | str]:
         if name in state.momenta:
             values.update(_components(column, state.momenta[name]))
     values.update(state.numbers)
-    found = {name: v if isinstance(v, int) else float(v) for name, v in values.items()}
+    numbers = {name: v if isinstance(v, int) else float(v) for name, v in values.items()}
     audited = _audit_columns(state.audit)
     if state.v is not None:  # in motion the work is among the energies
         audited.pop("external_work", None)
-    return {**found, **audited}
+    return {**numbers, **audited}
 
 
 def _audit_columns(audit: Audit | None) -> dict[str, Number | str]:

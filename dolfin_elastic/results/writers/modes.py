@@ -143,8 +143,8 @@ def listing(folder: Path) -> list[Path]:
     """Files of the animations in a folder, in the order of the modes. Not collective."""
     if not folder.is_dir():
         return []
-    found = [path for path in folder.iterdir() if _ANIMATION.fullmatch(path.name)]
-    return sorted(found, key=lambda path: int(path.stem.removeprefix("mode_")))
+    files = [path for path in folder.iterdir() if _ANIMATION.fullmatch(path.name)]
+    return sorted(files, key=lambda path: int(path.stem.removeprefix("mode_")))
 
 
 def row(mode: Mode) -> dict[str, object]:

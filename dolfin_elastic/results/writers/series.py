@@ -281,8 +281,8 @@ class IndexedSeries(SeriesWriter):
     def _cut(self, count: int) -> list[str]:
         make_folder(self.data)
         with writing(self.path):
-            found = self._entries() if self.path.is_file() else []
-        frames = found[:count]
+            entries = self._entries() if self.path.is_file() else []
+        frames = entries[:count]
         needed = {name for entry in frames for name in self._named(entry)}
         if len(frames) < count or any(not (self.data / name).is_file() for name in needed):
             raise missing_results(self.path, "steps")

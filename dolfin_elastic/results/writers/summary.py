@@ -186,7 +186,7 @@ class SummaryWriter:
 
     def restart_state(self) -> Numbers:
         """See `Writer`."""
-        found = {
+        content = {
             "started": self._started,
             "newton": self._newton,
             "krylov": self._krylov,
@@ -197,14 +197,14 @@ class SummaryWriter:
             "restarts": self._restarts,
             "audits": self._audits.restart_state(),
         }
-        return self.comm.bcast(found)  # clocks differ
+        return self.comm.bcast(content)  # clocks differ
 
     def close(self, status: str = "completed", error: object = None) -> None:
         """See `Writer`; adds status, reason and the extremes of the last converged step."""
         with timing.stage("output"):
             state = self._last_state.state
-            found = self._extremes.of(state) if state and self._extremes else {}
-            unloaded = state is not None and self._unloaded(state, found)
+            content = self._extremes.of(state) if state and self._extremes else {}
+            unloaded = state is not None and self._unloaded(state, content)
             # What remains of stresses is round-off, of which there is no error to estimate.
             wanted = None if unloaded else self._estimator
             estimate = wanted(state) if state and wanted else None
@@ -214,15 +214,15 @@ class SummaryWriter:
                 "finished": _now(),
                 "extremes": {
                     name: {"value": one.value, "place": one.place, "part": one.part}
-                    for name, one in found.items()
+                    for name, one in content.items()
                 },
             }
             if estimate:
                 extra["error"] = _error(self.problem, estimate, logs=self._logs)
             if isinstance(error, SolveError) and error.diagnosis is not None:
                 extra["diagnosis"] = asdict(error.diagnosis)
-            if self.problem.mixed and found:
-                J = [found[name].value for name in ("min_jacobian", "max_jacobian")]
+            if self.problem.mixed and content:
+                J = [content[name].value for name in ("min_jacobian", "max_jacobian")]
                 extra["volume_change"] = max(abs(value - 1) for value in J)
             self._save(status, str(error) if error else "", extra)
 
@@ -266,13 +266,13 @@ class SummaryWriter:
 
     def _numbers(self) -> dict[str, object]:
         counts = {"newton_iterations": self._newton, "krylov_iterations": self._krylov}
-        found: dict[str, object] = {
+        content: dict[str, object] = {
             "audit": self._audits.as_json(),
             "convergence": self._convergence,
         }
         if self._largest:
-            found["largest"] = self._largest
-        return {**self._last, **counts, **found, **self._of_modes()}
+            content["largest"] = self._largest
+        return {**self._last, **counts, **content, **self._of_modes()}
 
     def _of_modes(self) -> dict[str, object]:
         """The modes, masses and inertias of the body, and shares of the modes' effective masses."""
@@ -334,13 +334,13 @@ def _numbers(state: State) -> dict[str, object]:
     }
 
 
-def _stability(found: Stability) -> dict[str, object]:
+def _stability(stability: Stability) -> dict[str, object]:
     """Whether the equilibrium of a state is stable; a verdict "not judged" has a reason."""
     return {
-        "verdict": found.verdict,
-        "negative_eigenvalues": found.negative,
-        "at_least": found.at_least,
-        "reason": found.reason,
+        "verdict": stability.verdict,
+        "negative_eigenvalues": stability.negative,
+        "at_least": stability.at_least,
+        "reason": stability.reason,
     }
 
 
@@ -379,7 +379,7 @@ def _error(problem: Problem, estimate: ErrorEstimate, *, logs: bool) -> dict[str
             log.info("%s", line, extra={"result": True})
         if locking is not None:
             log.info("  not to be relied on     %s", locking.text(), extra={"result": True})
-    found = {
+    table = {
         "energy_norm": estimate.relative,
         "energy": estimate.energy,
         "von_mises": asdict(peaks.largest),
@@ -395,9 +395,9 @@ def _error(problem: Problem, estimate: ErrorEstimate, *, logs: bool) -> dict[str
     }
     if peaks.safety is not None:
         other = peaks.safety_elsewhere
-        found["safety_factor"] = asdict(peaks.safety)
-        found["safety_factor_elsewhere"] = asdict(other) if other else None
-    return found
+        table["safety_factor"] = asdict(peaks.safety)
+        table["safety_factor_elsewhere"] = asdict(other) if other else None
+    return table
 
 
 def mark_stopped(
@@ -455,7 +455,7 @@ def versions() -> dict[str, str]:
 def _text(content: object) -> str:
     """JSON for people, too: a list of numbers stands in one line."""
     text = json.dumps(_plain(content), indent=2, ensure_ascii=False, allow_nan=False)
-    return _NUMBERS_ONLY.sub(lambda found: f"[{' '.join(found[0][1:-1].split())}]", text) + "\n"
+    return _NUMBERS_ONLY.sub(lambda value: f"[{' '.join(value[0][1:-1].split())}]", text) + "\n"
 
 
 # A text holds no line break in JSON, so that nothing in one can look like this.

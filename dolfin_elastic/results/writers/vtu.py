@@ -90,8 +90,8 @@ class VtuWriter(IndexedSeries):
         """Local points of the piece, their places [m], and the cells by their positions there."""
         grid = self._evaluate.grid
         local = grid.local_cells()
-        used, places = np.unique(local, return_inverse=True)
-        cells = places.reshape(local.shape).astype(np.int64)
+        used, offsets = np.unique(local, return_inverse=True)
+        cells = offsets.reshape(local.shape).astype(np.int64)
         return used, np.asarray(grid.V.tabulate_dof_coordinates()[used]), cells
 
     def _write_piece(
@@ -125,7 +125,7 @@ class VtuWriter(IndexedSeries):
 
     def _entries(self) -> list[str]:
         text = self.path.read_text(encoding="utf-8")
-        return [found.group(0) for found in _ENTRY.finditer(text)]
+        return [match.group(0) for match in _ENTRY.finditer(text)]
 
     def _replace_index(self, frames: Sequence[str]) -> None:
         text = (

@@ -117,8 +117,8 @@ class Reactions:
 
     def restraints(self, without: Collection[str] = ()) -> FloatArray:
         """Nodal forces of springs, dashpots and contact pairs, owned entries [N]."""
-        found = (forces for _, forces in self._restraining(without))
-        return np.asarray(sum(found, np.zeros(self._dofs.size)))
+        result = (forces for _, forces in self._restraining(without))
+        return np.asarray(sum(result, np.zeros(self._dofs.size)))
 
     def restraint_norm(self) -> float:
         """Norm of the nodal forces of springs, dashpots and contact pairs, each by itself [N]."""
@@ -130,10 +130,10 @@ class Reactions:
     def by_label(self) -> dict[str, FloatArray]:
         """Label of springs, dashpots and contact pairs to nodal forces, shape (nodes, dim) [N]."""
         dofs, dim = self._dofs.displacement_dofs, self._dofs.problem.body.dim
-        found: dict[str, FloatArray] = {}
+        result: dict[str, FloatArray] = {}
         for label, forces in self._restraining():
-            found[label] = found.get(label, 0.0) + forces[dofs].reshape(-1, dim)
-        return found
+            result[label] = result.get(label, 0.0) + forces[dofs].reshape(-1, dim)
+        return result
 
 
 class Tangent:
@@ -169,9 +169,9 @@ class Tangent:
         self._take(self._assembled.petsc)
 
     def _blocks_of_terms(self) -> Blocks:
-        found = blocks_of(self._dofs.problem.terms)
-        assert found is not None
-        return found
+        result = blocks_of(self._dofs.problem.terms)
+        assert result is not None
+        return result
 
     def _by_entries(self) -> TangentMatrix:
         dofs = self._dofs
@@ -401,9 +401,9 @@ class Residual:
         forces = (self.owned - dofs.constrained_part(self.owned))[dofs.displacement_dofs]
         norms = np.linalg.norm(forces.reshape(-1, problem.body.dim), axis=1)
         norms = np.where(np.isfinite(norms), norms, np.inf)
-        places, dim = problem.unknowns.unknown_places, problem.body.dim
-        found = largest_row(dofs.comm, norms, lambda nodes: places[nodes, :dim])
-        return (-1.0, np.zeros(dim)) if found is None else (found.value, np.array(found.place))
+        coordinates, dim = problem.unknowns.unknown_places, problem.body.dim
+        row = largest_row(dofs.comm, norms, lambda nodes: coordinates[nodes, :dim])
+        return (-1.0, np.zeros(dim)) if row is None else (row.value, np.array(row.place))
 
 
 class Assembler(ConstrainedDofs):
@@ -437,11 +437,11 @@ class Assembler(ConstrainedDofs):
         residual = weak_form.residual if extra is None else weak_form.residual + extra
         loads = [] if weak_form.external is None else [weak_form.external]
         restraints = weak_form.restraint_works
-        found = compiled(problem, [*loads, *restraints.values()])
-        by_label = dict(zip(restraints, found[len(loads) :], strict=True))
+        forms = compiled(problem, [*loads, *restraints.values()])
+        by_label = dict(zip(restraints, forms[len(loads) :], strict=True))
         self.cell = None if problem.cell is None else CellStress(problem)
         self.pressures = problem.unknowns.count("pressure")
-        self.reactions = Reactions(self, found[0] if loads else None, by_label, self.cell)
+        self.reactions = Reactions(self, forms[0] if loads else None, by_label, self.cell)
         self.tangent = Tangent(self, tangent_form(problem, extra_tangent), iterated=iterated)
         self.residual = Residual(self, residual, self.tangent, self.reactions)
 
@@ -449,7 +449,7 @@ class Assembler(ConstrainedDofs):
         """Compares the volumes of enclosed bodies with what supports leave them. Collective.
 
         Raises:
-            InputError: See `PressureLevel.check_volumes`.
+            InputError: See `HydrostaticConstant.check_volumes`.
         """
         if self.level is not None:
             self.level.check_volumes(self.residual.owned)
@@ -483,8 +483,8 @@ def in_cells(problem: Problem, form: ufl.Form) -> tuple[CellIntegrals | None, fe
     for one in form.integrals():
         ours = all(field is problem.w for field in extract_coefficients(one.integrand()))
         parts[one.integral_type() != "cell" or not ours].append(one)
-    found = iter(compiled(problem, [ufl.Form(part) for part in parts if part]))
-    cells, others = (next(found) if part else None for part in parts)
+    forms = iter(compiled(problem, [ufl.Form(part) for part in parts if part]))
+    cells, others = (next(forms) if part else None for part in parts)
     if cells is None:
         return None, others
     return CellIntegrals(cells, problem.w, problem.jit), others

@@ -82,7 +82,7 @@ class CellStress:
         """Macroscopic stress [Pa] and deformation gradient by name. Collective."""
         dims = range(self.problem.body.dim)
         P, F = self.stress(), self.cell.gradient
-        found = {f"P{i + 1}{j + 1}": float(P[i, j]) for i in dims for j in dims}
+        result = {f"P{i + 1}{j + 1}": float(P[i, j]) for i in dims for j in dims}
         if len(dims) == 2:
-            found["P33"] = self.component(2, 2)
-        return found | {f"F{i + 1}{j + 1}": float(F[i, j]) for i in dims for j in dims}
+            result["P33"] = self.component(2, 2)
+        return result | {f"F{i + 1}{j + 1}": float(F[i, j]) for i in dims for j in dims}

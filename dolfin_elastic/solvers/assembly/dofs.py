@@ -12,8 +12,8 @@ from petsc4py import PETSc
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.constraints.rows import Rows
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.hydrostatic_constant import HydrostaticConstant
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm
-from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
 
 
 class Multiplied(Protocol):
@@ -72,11 +72,11 @@ class ConstrainedDofs(Rows):
             pinned = fem.dirichletbc(self._values, self.level.pinned)
             self.bcs, self._lifted_bcs = [*self.bcs, pinned], [*self._lifted_bcs, pinned]
 
-    def _find_level(self) -> PressureLevel | None:
+    def _find_level(self) -> HydrostaticConstant | None:
         """Looks for enclosed bodies where a material is incompressible. Collective."""
         if not any(part.incompressible for part in self.problem.regions):
             return None
-        level = PressureLevel(self.problem)
+        level = HydrostaticConstant(self.problem)
         return level if level.bodies else None
 
     def balanced(self, rows: FloatArray) -> FloatArray:
@@ -139,12 +139,12 @@ class ConstrainedDofs(Rows):
             Owned entries of all unknowns.
         """
         g = self.problem.constraints.values.x.array if target is None else target
-        found = self.constrained_part(self.problem.w.x.array[: self.size])
+        result = self.constrained_part(self.problem.w.x.array[: self.size])
         given = self._of_displacement
-        found[self.prescribed_dofs] -= g[given.prescribed_dofs]
+        result[self.prescribed_dofs] -= g[given.prescribed_dofs]
         if self.skewed:
-            found[self.skew_dofs] -= g[given.skew_dofs]
-        return found
+            result[self.skew_dofs] -= g[given.skew_dofs]
+        return result
 
     def lift(
         self,

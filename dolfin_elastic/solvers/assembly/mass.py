@@ -52,7 +52,7 @@ def initial_acceleration(assembler: Assembler, prescribed: FloatArray, a: fem.Fu
     ksp.setOperators(matrix)
     ksp.setTolerances(rtol=TOLERANCE, atol=1e-300, max_it=5000)
     ksp.solve(b, x)
-    reason, found = ksp.getConvergedReason(), constraints.free_part(x.array_r)
+    reason, converged = ksp.getConvergedReason(), constraints.free_part(x.array_r)
     for thing in (ksp, x, b, constrained, plain):
         thing.destroy()
     # Round-off may keep it just above the tolerance: only a breakdown is a fault.
@@ -61,8 +61,8 @@ def initial_acceleration(assembler: Assembler, prescribed: FloatArray, a: fem.Fu
             f"the initial acceleration cannot be found: {linear(ksp_reason(reason))[0]}",
             advice="is every density positive, and are all initial values finite?",
         )
-    constraints.extend(found)
-    a.x.array[:size] += found
+    constraints.extend(converged)
+    a.x.array[:size] += converged
     a.x.scatter_forward()
 
 
@@ -91,8 +91,8 @@ def prescribed_acceleration(problem: Problem, h: float) -> FloatArray:
     """
     values = problem.constraints.targets_at(k * h for k in range(4))
     problem.set_time(0.0)
-    found = (2 * values[0] - 5 * values[1] + 4 * values[2] - values[3]) / h**2
-    return np.asarray(np.nan_to_num(found, nan=0.0, posinf=0.0, neginf=0.0))
+    acceleration = (2 * values[0] - 5 * values[1] + 4 * values[2] - values[3]) / h**2
+    return np.asarray(np.nan_to_num(acceleration, nan=0.0, posinf=0.0, neginf=0.0))
 
 
 def prescribed_rates(problem: Problem, t: float, h: float) -> tuple[FloatArray, FloatArray]:

@@ -138,11 +138,11 @@ class TangentMatrix:
     def _entry_on_diagonal(self, rows: IndexArray) -> IntArray:
         """Which native values are on the diagonal of owned rows."""
         start, columns = self._native.indptr, self._native.indices
-        found = [
+        result = [
             start[row] + int(np.flatnonzero(columns[start[row] : start[row + 1]] == row)[0])
             for row in rows
         ]
-        return np.array(found, dtype=np.int64)
+        return np.array(result, dtype=np.int64)
 
     def _value_order(self) -> tuple[slice | BoolArray, IntArray]:
         """Which native values go, in which order, to PETSc's own-column and other-column parts.
@@ -153,13 +153,13 @@ class TangentMatrix:
         rows = self._rows()
         count = int(self._native.indptr[rows])
         local = self._native.indices[:count]
-        mine = local < rows
-        if mine.all():
+        own = local < rows
+        if own.all():
             return slice(0, count), np.empty(0, dtype=np.int64)
         row = np.repeat(np.arange(rows), np.diff(self._native.indptr[: rows + 1]))
-        others = np.flatnonzero(~mine)
+        others = np.flatnonzero(~own)
         order = np.lexsort((self._global_columns()[:count][others], row[others]))
-        return mine, others[order]
+        return own, others[order]
 
     def assemble(self, bcs: Sequence[fem.DirichletBC]) -> None:
         """Assembles the form, with ones on the diagonal of constrained rows. Collective.
@@ -255,17 +255,17 @@ def transformation(
         displacement: Owned rows of it that are displacements, in their order.
         prescribed: Diagonal of prescribed rows; one by default, as K has it.
     """
-    start, places = like.getOwnershipRange()[0], rows.skew_dofs
+    start, offsets = like.getOwnershipRange()[0], rows.skew_dofs
     ones = np.ones(like.getLocalSize()[0])
     ones[rows.tied_dofs], ones[rows.prescribed_dofs] = 0.0, prescribed
     alone = np.ones(len(ones), dtype=bool)
-    alone[places] = False
-    others, dim = np.flatnonzero(alone), places.shape[1]
+    alone[offsets] = False
+    others, dim = np.flatnonzero(alone), offsets.shape[1]
     parts = [
         (others, others + start, ones[others]),
         (
-            np.repeat(places, dim, axis=1).ravel(),
-            start + np.tile(places, dim).ravel(),
+            np.repeat(offsets, dim, axis=1).ravel(),
+            start + np.tile(offsets, dim).ravel(),
             (np.eye(dim) - rows.P).ravel(),
         ),
     ]

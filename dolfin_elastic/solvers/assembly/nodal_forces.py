@@ -178,9 +178,9 @@ def _used(form: fem.Form, field: fem.Function, first: int) -> set[tuple[fem.Inte
     """Integrals that read a field: the others leave its columns empty."""
     saved = field.x.array.copy()
     field.x.array[:] = 1.0
-    found = pack_coefficients(form._cpp_object)
+    coefficients = pack_coefficients(form._cpp_object)
     field.x.array[:] = saved
-    return {key for key, values in found.items() if len(values) and values[0, first] == 1.0}
+    return {key for key, values in coefficients.items() if len(values) and values[0, first] == 1.0}
 
 
 def _cells(entities: IndexArray, rows: int) -> IndexArray:

@@ -63,8 +63,10 @@ class NodeBlocks:
         matrix.setBlockSize(bs)
         matrix.setType(PETSc.Mat.Type.AIJ)
         shape = (len(rows), dim, dim)
-        places = (np.broadcast_to(a, shape).reshape(-1) for a in (i[:, :, None], j[:, None, :]))
-        room_for_entries(matrix, *places)
+        coordinates = (
+            np.broadcast_to(a, shape).reshape(-1) for a in (i[:, :, None], j[:, None, :])
+        )
+        room_for_entries(matrix, *coordinates)
         return matrix
 
     def free(self) -> PETSc.Mat:
@@ -96,10 +98,10 @@ class NodeBlocks:
         x, y = B.createVecs()
         x.array_w[:] = direction
         B.mult(x, y)
-        found = np.array(y.array_r)
+        result = np.array(y.array_r)
         x.destroy()
         y.destroy()
-        return found
+        return result
 
     def destroy(self) -> None:
         """Frees PETSc's objects. Collective."""

@@ -53,8 +53,8 @@ class PressureParts:
             entries: Of all unknowns, those of the pressures of some cells, shape (cells, corners).
         """
         here, rows = np.unique(entries, return_inverse=True)
-        mine, own = connected_components(len(here), rows.reshape(entries.shape))
-        counts = self._comm.allgather(mine)
+        local, own = connected_components(len(here), rows.reshape(entries.shape))
+        counts = self._comm.allgather(local)
         start = sum(counts[: self._comm.rank])
         numbers = la.vector(self._map, 1, dtype=np.int64)
         numbers.array[:] = -1
@@ -65,9 +65,9 @@ class PressureParts:
         ghosts = size + np.flatnonzero(known[size:] >= 0)
         pairs = np.unique(np.stack([known[ghosts], numbers.array[ghosts]], axis=1), axis=0)
         links = np.concatenate(self._comm.allgather(pairs))
-        count, found = connected_components(sum(counts), links)
+        count, labels = connected_components(sum(counts), links)
         first = rows.reshape(entries.shape)[:, 0]
-        return count, np.asarray(found[start + own[first]])
+        return count, np.asarray(labels[start + own[first]])
 
     # --- what their uniform pressures do work on ---
 
@@ -105,18 +105,18 @@ class PressureParts:
         rows = np.concatenate([v.reshape(-1, dim) for _, _, v in chosen])
         entry, part, rows = self._at_owners(*self._summed(entry, part, rows))
         moves = problem.unknowns.displacement_dofs
-        place = np.full(self._map.size_local, -1, dtype=np.int64)
-        place[moves] = np.arange(len(moves))
-        node, part, rows = self._summed(place[entry] // dim, part, rows)
+        offset = np.full(self._map.size_local, -1, dtype=np.int64)
+        offset[moves] = np.arange(len(moves))
+        node, part, rows = self._summed(offset[entry] // dim, part, rows)
         share = largest(self._comm, float(np.max(np.abs(shares), initial=0.0)))
         return node, part, rows, share
 
     def _summed(
-        self, place: IntArray, part: IntArray, rows: FloatArray
+        self, offset: IntArray, part: IntArray, rows: FloatArray
     ) -> tuple[IntArray, IntArray, FloatArray]:
         """Rows of the same place and part as one, sorted by both."""
         width = max(self.count, 1)
-        keys, back = np.unique(place * width + part, return_inverse=True)
+        keys, back = np.unique(offset * width + part, return_inverse=True)
         sums = np.zeros((len(keys), rows.shape[1]))
         np.add.at(sums, back, rows)
         return keys // width, keys % width, sums
@@ -172,9 +172,9 @@ class PressureParts:
         inside = np.isin(self._parts, parts)
         rows = np.zeros((len(moves) // dim, dim))
         np.add.at(rows, self._nodes[inside], self._rows[inside])
-        found = np.zeros(self._map.size_local)
-        found[moves] = rows.reshape(-1)
-        return found
+        result = np.zeros(self._map.size_local)
+        result[moves] = rows.reshape(-1)
+        return result
 
 
 def pressure_dofs(problem: Problem) -> IndexArray:

@@ -30,10 +30,10 @@ from dolfin_elastic.solvers.assembly.assembler import (
     StrainEnergy,
 )
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
-from dolfin_elastic.solvers.audit.offences import (
-    Found,
-    Offence,
-    WorstOffences,
+from dolfin_elastic.solvers.audit.violations import (
+    Violation,
+    Violations,
+    WorstViolations,
     add_worse,
 )
 from dolfin_elastic.solvers.messages import coordinates, count
@@ -96,7 +96,7 @@ class EquilibriumAuditor:
         self._previous: _Previous | None = None
         self._work = self._stored = self._round_off_share = 0.0
         self._out_of_balance = False  # the last state was no equilibrium
-        self._offences = WorstOffences()
+        self._violations = WorstViolations()
         self._strains = SmallStrains(problem, watch)
 
     @stage("audit")
@@ -107,7 +107,7 @@ class EquilibriumAuditor:
             energy: Stored energy [J]; nan where a law has none.
             stability: Of the equilibrium; None where nobody asks for it.
         """
-        reasons: Found = {}
+        reasons: Violations = {}
         self._round_off_share = 0.0
         noise, energy_noise = round_off(self._assembler)
         external, forces, u = self._present()
@@ -124,16 +124,16 @@ class EquilibriumAuditor:
         if np.isfinite(energy) or self._problem.weak_form.strain_energy is None:
             self._check_energy(forces, u, energy, energy_noise, reasons)
         else:
-            reasons["energy"] = Offence("the strain energy has no finite value", np.inf)
+            reasons["energy"] = Violation("the strain energy has no finite value", np.inf)
         if stability is not None and stability.negative is None:
-            reasons["stability"] = Offence(f"stability not judged: {stability.reason}", 0.0)
+            reasons["stability"] = Violation(f"stability not judged: {stability.reason}", 0.0)
         stored = self._stored if np.isfinite(energy) else np.nan
-        found = StepBalance(force, moment, self._work, stored)
+        balance = StepBalance(force, moment, self._work, stored)
         self._strains.check(self._when(t))
-        return self._verdict(t, reasons, found, self._notes(energy))
+        return self._verdict(t, reasons, balance, self._notes(energy))
 
     def _verdict(
-        self, t: float, reasons: Found, found: StepBalance, notes: tuple[str, ...]
+        self, t: float, reasons: Violations, balance: StepBalance, notes: tuple[str, ...]
     ) -> Audit:
         """The audit, with what det F has to say. Collective.
 
@@ -145,17 +145,17 @@ class EquilibriumAuditor:
         inverted = self._watch.inverted() if self._watch.survives else None
         if not low[0] > 0.0:
             J, place = low[0], coordinates(low[1])
-            offence = Offence(f"a cell is inside out: det F = {J:.3g} at {place} m", -J)
+            violation = Violation(f"a cell is inside out: det F = {J:.3g} at {place} m", -J)
             if inverted is not None:
                 cells = count(self._problem.body.num_cells, "cell")
-                offence = Offence(
+                violation = Violation(
                     f"{inverted} of {cells} inverted, smallest det F = {J:.3g} at {place} m", -J
                 )
-            reasons["jacobian"] = offence
+            reasons["jacobian"] = violation
         if reasons:
-            self._offences.add(reasons, self._when(t))
+            self._violations.add(reasons, self._when(t))
         audit = Audit(
-            **vars(found),
+            **vars(balance),
             min_jacobian=low[0],
             max_jacobian=high[0],
             min_place=tuple(float(x) for x in low[1][: self._dim]),
@@ -163,7 +163,7 @@ class EquilibriumAuditor:
             inverted=inverted,
             notes=notes,
         )
-        return self._offences.judged(audit, reasons) if self._offences.worst else audit
+        return self._violations.judged(audit, reasons) if self._violations.worst else audit
 
     def restart_state(self) -> dict[str, Any]:
         """See `Restartable`; forces follow from the state itself. Not collective."""
@@ -171,7 +171,7 @@ class EquilibriumAuditor:
         return {
             "work": self._work,
             "stored": self._stored,
-            "warned": self._offences.restart_state(),
+            "warned": self._violations.restart_state(),
             "energy": last.energy if last else 0.0,
             "change": last.change if last else 0.0,
             "unbalanced": self._out_of_balance,
@@ -185,7 +185,7 @@ class EquilibriumAuditor:
             forces = self._internal_forces(forces.shape)
         self._previous = _Previous(u, forces, saved["energy"], saved["change"])
         self._work, self._stored = saved["work"], saved["stored"]
-        self._offences.restore(saved["warned"])
+        self._violations.restore(saved["warned"])
         self._strains.restore(saved["far"])
 
     def _present(self) -> tuple[list[FloatArray], FloatArray, FloatArray]:
@@ -254,11 +254,11 @@ class EquilibriumAuditor:
         left, size = total(self._comm, np.array([np.sum(off**2), np.sum(forces**2)]))
         return bool(np.sqrt(left) > FORCE_TOLERANCE * np.sqrt(size) + noise)
 
-    def _check_contacts(self, reasons: Found) -> None:
+    def _check_contacts(self, reasons: Violations) -> None:
         """No node that presses is farther off its obstacle than the tolerance. Collective."""
         for pair in self._problem.contact_pairs:
             if (off := pair.gap_error()) > pair.tolerance:
-                reasons[f"contact {pair.label}"] = Offence(
+                reasons[f"contact {pair.label}"] = Violation(
                     f"contact '{pair.label}': a node that presses is {off:.3g} m off the "
                     f"obstacle, above gap_tolerance = {pair.tolerance:.3g} m; a larger stiffness "
                     "or more load steps help",
@@ -275,17 +275,21 @@ class EquilibriumAuditor:
         here = slice(None) if self._comm.rank == 0 else slice(0)
         return np.asarray(forces[here] / length), moved[here] * length
 
-    def _force_balance(self, external: list[FloatArray], noise: float, reasons: Found) -> float:
+    def _force_balance(
+        self, external: list[FloatArray], noise: float, reasons: Violations
+    ) -> float:
         rows = external
         if self._problem.geometry == "axisymmetric":  # radial forces need not sum up to anything
             rows = [force[:, 1:] for force in external]
         share, size, allowed = self._imbalance(rows, noise)
         if share > allowed:
             what = f"loads and reactions do not balance: {share:.2g} of their {size:.3g} N is left"
-            add_worse(reasons, {"force": Offence(what, share)})
+            add_worse(reasons, {"force": Violation(what, share)})
         return share
 
-    def _moment_balance(self, external: list[FloatArray], noise: float, reasons: Found) -> float:
+    def _moment_balance(
+        self, external: list[FloatArray], noise: float, reasons: Violations
+    ) -> float:
         if self._moment_frame == "none":
             return float("nan")
         x = self._X[:, : self._dim]
@@ -302,7 +306,7 @@ class EquilibriumAuditor:
                 f"the moments of loads and reactions about the origin do not balance: {share:.2g} "
                 f"of their {size:.3g} N m is left"
             )
-            add_worse(reasons, {"moment": Offence(what, share)})
+            add_worse(reasons, {"moment": Violation(what, share)})
         return share
 
     def _tied_forces(self) -> FloatArray:
@@ -329,9 +333,9 @@ class EquilibriumAuditor:
         """
         lengths = [float(np.linalg.norm(row, axis=1).sum()) for row in rows]
         sums = np.sum([row.sum(axis=0) for row in rows], axis=0)
-        found = total(self._comm, np.array([*lengths, *sums]))
-        size = float(np.max(found[: len(rows)]))
-        left = float(np.linalg.norm(found[len(rows) :]))
+        result = total(self._comm, np.array([*lengths, *sums]))
+        size = float(np.max(result[: len(rows)]))
+        left = float(np.linalg.norm(result[len(rows) :]))
         if FORCE_TOLERANCE * size < noise < size:
             self._round_off_share = max(self._round_off_share, noise / size)
             return left / size, size, noise / size
@@ -345,7 +349,7 @@ class EquilibriumAuditor:
         u: FloatArray,
         energy: float,
         noise: float,
-        reasons: Found,
+        reasons: Violations,
     ) -> None:
         """Adds the work of a step and compares it with what has been stored. Collective.
 
@@ -378,7 +382,7 @@ class EquilibriumAuditor:
             allowed += SMALL * max(abs(energy), abs(last.energy))
         judged = not (self._problem.unknowns.stabilised or self._problem.eigenstrains)
         if abs(work - stored) > allowed and judged:
-            reasons["energy"] = Offence(
+            reasons["energy"] = Violation(
                 f"the work of the step, {work:.4g} J, and what it has stored, {stored:.4g} J, "
                 f"differ by more than a smooth path allows ({allowed:.2g} J): the body has jumped "
                 "to another equilibrium, or a force is not what it should be",

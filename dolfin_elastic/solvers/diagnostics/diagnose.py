@@ -150,8 +150,8 @@ class _CauseSearch:
             self._inverted_cells,
         )
         for check in checks:
-            if (found := check()) is not None:
-                return found
+            if (diagnosis := check()) is not None:
+                return diagnosis
         return self._stopped()
 
     def _make(self, cause: str, text: str, advice: str, place: tuple[float, ...] = ()) -> Diagnosis:
@@ -167,17 +167,17 @@ class _CauseSearch:
     def _loose_part(self) -> Diagnosis | None:
         if self._moving or not self.states.tangent(self.good):
             return None
-        found, start, advice = find_loose_part(self.assembler), "", messages.HOLD
-        if found is None and pulled_off_obstacles(self.assembler):
+        part, start, advice = find_loose_part(self.assembler), "", messages.HOLD
+        if part is None and pulled_off_obstacles(self.assembler):
             with without_contact(self.problem):
-                found = find_loose_part(self.assembler) if self.states.tangent(self.good) else None
+                part = find_loose_part(self.assembler) if self.states.tangent(self.good) else None
             start, advice = "the load pulls it off its obstacles, and then ", messages.LIFTED
-        if found is None:
+        if part is None:
             return None
-        what = "the body" if found.whole else f"a piece of it about {coordinates(found.place)} m"
-        what += f" ({found.name})" if found.name and not found.whole else ""
-        text = f"{start}nothing holds {what}: as a rigid body it can {', '.join(found.motions)}"
-        return self._make("rigid-motion", text, advice, found.place)
+        what = "the body" if part.whole else f"a piece of it about {coordinates(part.place)} m"
+        what += f" ({part.name})" if part.name and not part.whole else ""
+        text = f"{start}nothing holds {what}: as a rigid body it can {', '.join(part.motions)}"
+        return self._make("rigid-motion", text, advice, part.place)
 
     def _not_finite(self) -> Diagnosis | None:
         self.states.residual(self.failed)
@@ -230,12 +230,12 @@ class _CauseSearch:
             text += (
                 f"; the last iterate has {messages.count(count, 'such cell')} in {self._names()}"
             )
-        found = self._make("inverted", text, messages.SMALLER, place)
-        return explained(self.problem, found)
+        diagnosis = self._make("inverted", text, messages.SMALLER, place)
+        return explained(self.problem, diagnosis)
 
     def _names(self) -> str:
-        found = sorted({cell.material for cell in self.worst if cell.jacobian <= 0.0})
-        return messages.material(self.problem, found)
+        names = sorted({cell.material for cell in self.worst if cell.jacobian <= 0.0})
+        return messages.material(self.problem, names)
 
     def _round_off(self) -> Diagnosis | None:
         """The residual has stopped falling where round-off of the internal forces begins."""

@@ -104,9 +104,9 @@ class Cells:
             for j, f, x in zip(J, force, self.middles, strict=True)
         ]
         first = sorted(range(len(keys)), key=keys.__getitem__)[:WORST]
-        mine = [(keys[k], self._bad(k, float(J[k]), float(force[k]))) for k in first]
-        found = [pair for part in self.comm.allgather(mine) for pair in part]
-        return tuple(cell for _, cell in sorted(found, key=lambda pair: pair[0])[:WORST])
+        local = [(keys[k], self._bad(k, float(J[k]), float(force[k]))) for k in first]
+        result = [pair for part in self.comm.allgather(local) for pair in part]
+        return tuple(cell for _, cell in sorted(result, key=lambda pair: pair[0])[:WORST])
 
     def _bad(self, cell: int, J: float, force: float) -> BadCell:
         body = self.problem.body
@@ -178,27 +178,29 @@ def blind_to_inversion(problem: Problem, cells: Sequence[BadCell]) -> bool:
     return any(p.law.blind_to_inversion for p in problem.regions if first in ("", p.name))
 
 
-def explained(problem: Problem, found: Diagnosis) -> Diagnosis:
+def explained(problem: Problem, diagnosis: Diagnosis) -> Diagnosis:
     """The diagnosis of inverted cells, with why the law did not resist, or that one is a sliver.
 
     Collective.
 
     Args:
-        found: Any diagnosis; others than "inverted" are left as they are.
+        diagnosis: Any diagnosis; others than "inverted" are left as they are.
     """
-    if found.cause != "inverted" or not found.place:
-        return found
-    if blind_to_inversion(problem, found.cells):
-        found = replace(
-            found,
-            text=f"{found.text}; {messages.MIRRORED}",
-            advice=f"{found.advice}; or {messages.SEES_INVERSION}",
+    if diagnosis.cause != "inverted" or not diagnosis.place:
+        return diagnosis
+    if blind_to_inversion(problem, diagnosis.cells):
+        diagnosis = replace(
+            diagnosis,
+            text=f"{diagnosis.text}; {messages.MIRRORED}",
+            advice=f"{diagnosis.advice}; or {messages.SEES_INVERSION}",
         )
-    quality = quality_at(problem.body, found.place)
+    quality = quality_at(problem.body, diagnosis.place)
     if quality > SLIVER:
-        return found
+        return diagnosis
     return replace(
-        found, text=f"{found.text}; {messages.sliver(quality)}", advice=messages.WITHOUT_SLIVERS
+        diagnosis,
+        text=f"{diagnosis.text}; {messages.sliver(quality)}",
+        advice=messages.WITHOUT_SLIVERS,
     )
 
 

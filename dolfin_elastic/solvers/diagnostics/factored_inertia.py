@@ -27,7 +27,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.negative_curvature import (
     ROUND_OFF,
-    Found,
+    Inertia,
     by_directions,
     noise,
     start_vector,
@@ -42,7 +42,7 @@ GLANCE, SEARCH = 2, 24
 modes of a square column are equal."""
 
 
-def count_by_factors(newton: Newton, symmetric_part: int | None = None) -> Found:
+def count_by_factors(newton: Newton, symmetric_part: int | None = None) -> Inertia:
     """Negative eigenvalues of the fields' last tangent, those of pressures left out. Collective.
 
     Args:
@@ -53,31 +53,31 @@ def count_by_factors(newton: Newton, symmetric_part: int | None = None) -> Found
     with newton.linear.left_as_it_is():
         odd = _is_odd(newton.ksp.getPC(), newton.assembler)
         if symmetric_part == 0:
-            return Found(0)
+            return Inertia(0)
         space = _Krylov(newton)
-        found = _found(space, symmetric_part)
+        inertia = _inertia(space, symmetric_part)
         space.destroy()
-    if odd is None or found.negative is None or found.negative % 2 == odd:
-        return found
-    return replace(found, negative=found.negative + 1, at_least=True)
+    if odd is None or inertia.negative is None or inertia.negative % 2 == odd:
+        return inertia
+    return replace(inertia, negative=inertia.negative + 1, at_least=True)
 
 
-def _found(space: _Krylov, symmetric_part: int | None) -> Found:
+def _inertia(space: _Krylov, symmetric_part: int | None) -> Inertia:
     if symmetric_part is None:
         space.grow(1)
         space.grow(1)
         X = space.negative()
-        return space.verdict(X, at_least=True) if len(X) else Found(0)
+        return space.verdict(X, at_least=True) if len(X) else Inertia(0)
     while True:
         space.grow(2)
         X = space.negative()
         if len(X) >= symmetric_part:
             return space.verdict(X, at_least=False)
         if space.count >= SEARCH:
-            found = space.verdict(X, at_least=True) if len(X) else Found(0)
-            return Found(
+            inertia = space.verdict(X, at_least=True) if len(X) else Inertia(0)
+            return Inertia(
                 None,
-                direction=found.direction,
+                direction=inertia.direction,
                 reason=f"its tangent is not symmetric, and of {symmetric_part} directions of "
                 f"negative stiffness {len(X)} are known",
             )
@@ -123,7 +123,7 @@ class _Krylov:
         values, vectors = np.linalg.eigh(scale[:, None] * (G + G.T) / 2 * scale)
         return np.asarray((vectors[:, values < -ROUND_OFF] * scale[:, None]).T)
 
-    def verdict(self, X: FloatArray, *, at_least: bool) -> Found:
+    def verdict(self, X: FloatArray, *, at_least: bool) -> Inertia:
         """What D = M X says. Collective.
 
         Args:
@@ -137,13 +137,13 @@ class _Krylov:
             image = (row @ np.array(self._F) + self._y.array_r[self._moves]) / 2
             D.append(self._orthonormal(D, self._free(image)))
         Y = [self._inverse(d)[self._moves] for d in D]
-        found = by_directions(self._comm, np.array(D), np.array(Y), at_least=at_least)
-        if found.direction is None:
-            return found
+        inertia = by_directions(self._comm, np.array(D), np.array(Y), at_least=at_least)
+        if inertia.direction is None:
+            return inertia
         w = np.zeros(self._assembler.size)
-        w[self._moves] = found.direction
+        w[self._moves] = inertia.direction
         self._assembler.extend(w)
-        return replace(found, direction=w)
+        return replace(inertia, direction=w)
 
     def _inverse(self, f: FloatArray) -> FloatArray:
         """A^-1 f, owned entries of all unknowns. Collective."""

@@ -238,15 +238,15 @@ def _largest_motion(
     # Nodes that move alike: the same one on any number of ranks.
     near = np.flatnonzero(lengths >= (1 - 1e-3) * top)
     node = min(near, key=lambda n: tuple(places[n].round(12)), default=None)
-    mine = None
+    local = None
     if node is not None:
-        mine = (
+        local = (
             tuple((places[node].round(12) + 0.0).tolist()),
             rows[node],
             _material_at(problem, node),
         )
-    found = [one for one in comm.allgather(mine) if one is not None]
-    place, moved, name = min(found, key=lambda one: one[0])
+    result = [one for one in comm.allgather(local) if one is not None]
+    place, moved, name = min(result, key=lambda one: one[0])
     unit = np.array(moved) / np.linalg.norm(moved)
     unit *= np.sign(unit[np.argmax(np.abs(unit))])  # a mode has no sign of its own
     return place, tuple(float(c) for c in unit.round(3) + 0.0), name

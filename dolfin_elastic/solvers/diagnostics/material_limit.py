@@ -79,8 +79,8 @@ def softest_spot(cells: Cells) -> SoftSpot | None:
     Anal. 63 (1977) 337, section 4.
     """
     F, problem = cells.gradients(), cells.problem
-    mine = [spot for part in problem.regions if (spot := _of_region(cells, part, F)) is not None]
-    least = min(mine, key=_order, default=None)
+    local = [spot for part in problem.regions if (spot := _of_region(cells, part, F)) is not None]
+    least = min(local, key=_order, default=None)
     every: list[SoftSpot] = [one for one in cells.comm.allgather(least) if one is not None]
     return min(every, key=_order, default=None)
 

@@ -71,7 +71,7 @@ _REAL = 1e-6
 
 
 @dataclass(frozen=True)
-class Found:
+class Inertia:
     """What the directions of negative curvature say of a tangent.
 
     Attributes:
@@ -88,7 +88,7 @@ class Found:
     reason: str = ""
 
 
-def count_negative(newton: Newton, *, exactly: bool = False) -> Found:
+def count_negative(newton: Newton, *, exactly: bool = False) -> Inertia:
     """Negative eigenvalues of the fields' last tangent, those of pressures left out. Collective.
 
     For factors of one that is not symmetric see `factored_inertia`.
@@ -106,13 +106,13 @@ def count_negative(newton: Newton, *, exactly: bool = False) -> Found:
             not tangent.stiffen() or tangent.is_negative_along(kept)
         ):
             directions.begin(kept)
-        found = _count(tangent, directions, exactly=exactly)
+        inertia = _count(tangent, directions, exactly=exactly)
         newton.soft = directions.kept()
         tangent.destroy()
-    return found
+    return inertia
 
 
-def _count(tangent: _Tangent, directions: _Directions, *, exactly: bool) -> Found:
+def _count(tangent: _Tangent, directions: _Directions, *, exactly: bool) -> Inertia:
     begin = _begin(tangent)
     enough = tangent.symmetric and not exactly  # of others, one proves nothing before the end
     while True:
@@ -120,31 +120,31 @@ def _count(tangent: _Tangent, directions: _Directions, *, exactly: bool) -> Foun
         if ended.definite:
             return directions.verdict(at_least=False)
         if ended.direction is None:
-            return Found(None, reason=ended.reason)
+            return Inertia(None, reason=ended.reason)
         if enough and tangent.is_whole:
             return _proven(tangent, ended.direction)
         if not directions.count and tangent.stiffen():
             continue  # cheaper than a solve for a direction, which it may save
         if not directions.add(ended.direction):
-            return Found(None, reason="the linear solver does not converge with its tangent")
+            return Inertia(None, reason="the linear solver does not converge with its tangent")
         if enough and directions.verdict(at_least=True).negative:
             return directions.verdict(at_least=True)
         if directions.count >= MOST_DIRECTIONS:
-            return Found(
+            return Inertia(
                 None,
                 reason=f"its tangent has more than {MOST_DIRECTIONS} directions of little or "
                 "negative stiffness",
             )
 
 
-def _proven(tangent: _Tangent, d: FloatArray) -> Found:
+def _proven(tangent: _Tangent, d: FloatArray) -> Inertia:
     """A negative eigenvalue, where a symmetric tangent itself is negative along d. Collective.
 
     Conjugate gradients end with such a direction also where only the preconditioner is negative.
     """
     if tangent.dot(d, tangent.product(d)) > 0.0:
-        return Found(None, reason="its preconditioner is not positive definite")
-    return Found(1, at_least=True, direction=tangent.spread(d))
+        return Inertia(None, reason="its preconditioner is not positive definite")
+    return Inertia(1, at_least=True, direction=tangent.spread(d))
 
 
 class _Tangent:
@@ -194,11 +194,11 @@ class _Tangent:
         """M x [N] of a vector without constrained components. Collective."""
         self._put(x)
         self._A.mult(self._x, self._y)
-        found = self._y.array_r
+        result = self._y.array_r
         if self._is_skew:
             self._A.multTranspose(self._x, self._z)
-            found = (found + self._z.array_r) / 2
-        return found.copy() if self._softer is None else self._softer.eliminate(found)
+            result = (result + self._z.array_r) / 2
+        return result.copy() if self._softer is None else self._softer.eliminate(result)
 
     def precondition(self, r: FloatArray) -> FloatArray:
         """An approximation of M^-1 r, without constrained components as r. Collective."""
@@ -311,9 +311,9 @@ class _Tangent:
     def spread(self, x: FloatArray) -> FloatArray:
         """Owned entries of all unknowns; pressures are zero, tied ones follow. Collective."""
         self._take(x)
-        found = self._x.array_r.copy()
-        self._assembler.extend(found)
-        return found
+        result = self._x.array_r.copy()
+        self._assembler.extend(result)
+        return result
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""
@@ -371,21 +371,21 @@ class _Directions:
         self._whole.append(y)
         return True
 
-    def verdict(self, *, at_least: bool) -> Found:
+    def verdict(self, *, at_least: bool) -> Inertia:
         """What the eigenvalues of D^T A^-1 D say. Collective.
 
         Args:
             at_least: The tangent need not be positive definite on their complement.
         """
         if not self._d:
-            return Found(0)
+            return Inertia(0)
         D = np.array(self._d)
         Y = np.array([self._tangent.on_rows(y) for y in self._whole])
         symmetric = self._tangent.symmetric
-        found = by_directions(self._tangent.comm, D, Y, symmetric=symmetric, at_least=at_least)
-        if found.direction is None:
-            return found
-        return replace(found, direction=self._tangent.spread(found.direction))
+        inertia = by_directions(self._tangent.comm, D, Y, symmetric=symmetric, at_least=at_least)
+        if inertia.direction is None:
+            return inertia
+        return replace(inertia, direction=self._tangent.spread(inertia.direction))
 
 
 def by_directions(
@@ -395,7 +395,7 @@ def by_directions(
     *,
     symmetric: bool = False,
     at_least: bool,
-) -> Found:
+) -> Inertia:
     """What the eigenvalues of D^T A^-1 D say. Collective.
 
     Args:
@@ -411,14 +411,14 @@ def by_directions(
     if symmetric:
         compliances, vectors = np.linalg.eigh((G + G.T) / 2)
     else:
-        found, vectors = np.linalg.eig(G)
-        if np.any(np.abs(found.imag) > _REAL * np.abs(found)):
-            return Found(None, reason=_FLUTTER)
-        compliances, vectors = found.real, vectors.real
+        inertia, vectors = np.linalg.eig(G)
+        if np.any(np.abs(inertia.imag) > _REAL * np.abs(inertia)):
+            return Inertia(None, reason=_FLUTTER)
+        compliances, vectors = inertia.real, vectors.real
     weakest = int(np.argmin(compliances))
     if compliances[weakest] > 0.0:
         weakest = int(np.argmax(compliances))
-    return Found(int(np.sum(compliances < 0.0)), at_least, vectors[:, weakest] @ Y)
+    return Inertia(int(np.sum(compliances < 0.0)), at_least, vectors[:, weakest] @ Y)
 
 
 @dataclass(frozen=True)

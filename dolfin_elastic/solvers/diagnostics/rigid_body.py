@@ -68,8 +68,8 @@ def find_loose_part(assembler: Assembler) -> LoosePart | None:
         return None
     for k in range(bodies.count):
         inside = bodies.of_node == k
-        if (found := _motions(assembler, inside)) is not None:
-            words, place = found
+        if (part := _motions(assembler, inside)) is not None:
+            words, place = part
             return LoosePart(tuple(words), place, _name(problem, inside), bodies.count == 1)
     return None
 
@@ -88,8 +88,8 @@ def _motions(assembler: Assembler, inside: BoolArray) -> tuple[list[str], tuple[
     inside = inside[:own]
     x = problem.places[:own, :dim]
     now = x + problem.u.x.array[: own * dim].reshape(-1, dim)
-    mine = total(comm, np.array([inside.sum(), *x[inside].sum(axis=0), *now[inside].sum(axis=0)]))
-    centre = mine[1 + dim :] / mine[0]
+    local = total(comm, np.array([inside.sum(), *x[inside].sum(axis=0), *now[inside].sum(axis=0)]))
+    centre = local[1 + dim :] / local[0]
     radius = largest(comm, float(np.max(np.linalg.norm(now[inside] - centre, axis=1), initial=0.0)))
     modes = rigid_motions((now - centre) / (radius or 1.0)) * inside[:, None, None]
     if problem.geometry == "axisymmetric":
@@ -100,7 +100,7 @@ def _motions(assembler: Assembler, inside: BoolArray) -> tuple[list[str], tuple[
     null = null_combinations(assembler, columns, FREE)
     if not null.shape[1]:
         return None
-    place = tuple(float(c) for c in mine[1 : 1 + dim] / mine[0])
+    place = tuple(float(c) for c in local[1 : 1 + dim] / local[0])
     if problem.geometry == "axisymmetric":
         return ["move along y"], place
     return motions_in_words(null, centre, radius), place

@@ -55,15 +55,15 @@ def _basis(columns: FloatArray) -> list[FloatArray]:
     """Orthonormal vectors that span the columns, coordinate axes first."""
     left, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     span = left[:, sizes > _SAME]
-    found: list[FloatArray] = []
+    result: list[FloatArray] = []
     inside = span @ span.T
     for axis in [*np.eye(len(columns)), *span.T]:
-        rest = axis - sum((f * (f @ axis) for f in found), np.zeros(len(axis)))
+        rest = axis - sum((f * (f @ axis) for f in result), np.zeros(len(axis)))
         length = np.linalg.norm(rest)
         in_span = np.linalg.norm(inside @ axis - axis) < _SAME
-        if in_span and length > _SAME and len(found) < span.shape[1]:
-            found.append(rest / length)
-    return found
+        if in_span and length > _SAME and len(result) < span.shape[1]:
+            result.append(rest / length)
+    return result
 
 
 def _direction(vector: FloatArray) -> str:

@@ -27,7 +27,7 @@ from dolfin_elastic.problem.state import Stability
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.factored_inertia import count_by_factors
 from dolfin_elastic.solvers.diagnostics.negative_curvature import (
-    Found,
+    Inertia,
     count_negative,
     start_vector,
 )
@@ -61,8 +61,8 @@ def negative_pivots(pc: PETSc.PC, assembler: Assembler) -> int | None:
     """
     if not _counts_pivots(pc):
         return None
-    found = int(pc.getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS)) - assembler.pressures
-    return None if found < 0 else found
+    negative = int(pc.getFactorMatrix().getMumpsInfog(NEGATIVE_PIVOTS)) - assembler.pressures
+    return None if negative < 0 else negative
 
 
 def _counts_pivots(pc: PETSc.PC) -> bool:
@@ -136,18 +136,18 @@ def _has_checked_stiffness(problem: Problem) -> bool:
 _SINGULAR = "its tangent is singular"
 
 
-def _of_fields(newton: Newton, *, surely: bool) -> Found:
+def _of_fields(newton: Newton, *, surely: bool) -> Inertia:
     """The inertia of the fields' tangent: by pivots where there are any, for these are free."""
     pc = newton.ksp.getPC()
     if newton.linear.direct and newton.assembler.problem.symmetric and _counts_pivots(pc):
         below = negative_pivots(pc, newton.assembler)
-        return Found(below, reason=_SINGULAR if below is None else "")
+        return Inertia(below, reason=_SINGULAR if below is None else "")
     exactly = newton.bordered is not None and bool(np.any(newton.bordered.scalars.signs < 0.0))
     if not newton.linear.direct or newton.assembler.problem.symmetric:
         return count_negative(newton, exactly=exactly)
-    found = None if surely or exactly else count_by_factors(newton)
-    if found is not None and found.negative == 0:
-        return found
+    inertia = None if surely or exactly else count_by_factors(newton)
+    if inertia is not None and inertia.negative == 0:
+        return inertia
     return count_by_factors(newton, _of_symmetric_part(newton.assembler))
 
 

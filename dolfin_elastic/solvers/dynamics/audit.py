@@ -14,7 +14,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Audit
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor, StepBalance, round_off
-from dolfin_elastic.solvers.audit.offences import FAILING_GAIN, Found, Offence, restored
+from dolfin_elastic.solvers.audit.violations import FAILING_GAIN, Violation, Violations, restored
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 from dolfin_elastic.solvers.dynamics.rotation_error import RotationError
@@ -70,11 +70,11 @@ class TimeResolution:
         rows = np.linalg.norm(entries.reshape(-1, self._dim), axis=1)
         return largest(self._comm, float(rows.max(initial=0.0)))
 
-    def offence(self) -> Offence | None:
+    def violation(self) -> Violation | None:
         """The warning, if too many steps have turned round. Not collective."""
         if self._turned <= max(LEAST, SHARE * self._steps):
             return None
-        return Offence(
+        return Violation(
             f"the body moves within one step by {self._worst:.3g} times its largest displacement "
             "so far: hardly four steps make a period of this motion, whose time is wrong by a "
             "seventh and more; a smaller dt",
@@ -138,7 +138,7 @@ class MotionAuditor(EquilibriumAuditor):
         self._du: FloatArray = np.empty(0)
         self._unbalanced = False
         self._worst = [0.0, 0.0]
-        self._reasons: Found = {}
+        self._reasons: Violations = {}
         self._last_imbalance = self._scale = 0.0
 
     def add_step(self, forces: Forces, du: FloatArray) -> None:
@@ -152,11 +152,11 @@ class MotionAuditor(EquilibriumAuditor):
         self._resolution.add_step(forces.u, du)
         noise, _ = round_off(self._assembler)
         external = self._external_forces()
-        found = (
+        balances = (
             self._force_balance(external, noise, self._reasons),
             self._moment_balance(external, noise, self._reasons),
         )
-        self._worst = [max(pair) for pair in zip(self._worst, found, strict=True)]
+        self._worst = [max(pair) for pair in zip(self._worst, balances, strict=True)]
 
     def _external_forces(self) -> list[FloatArray]:
         assert self._forces is not None
@@ -185,10 +185,10 @@ class MotionAuditor(EquilibriumAuditor):
         if not (stabilised or self._problem.eigenstrains):
             off = balance.relative_imbalance(energies)
             reasons.update(self._persistent(self._energy(off), off, balance.scale, t))
-        if self._forces is not None and (rotated := self._rotation.offence(self._du)) is not None:
+        if self._forces is not None and (rotated := self._rotation.violation(self._du)) is not None:
             reasons["chords"] = rotated
         self._unbalanced = self._unbalanced or "energy" in reasons
-        turned = self._resolution.offence()
+        turned = self._resolution.violation()
         if turned is not None and self._is_last(t) and not self._unbalanced:
             reasons["resolution"] = turned  # else the energy has told the same
         force, moment = self._worst
@@ -196,11 +196,11 @@ class MotionAuditor(EquilibriumAuditor):
             moment = np.nan
         self._reasons, self._worst = {}, [0.0, 0.0]
         strain = energies["strain"]
-        found = StepBalance(force, moment, energies["external"], energies["total"])
+        result = StepBalance(force, moment, energies["external"], energies["total"])
         self._strains.check(self._when(t))
-        return self._verdict(t, reasons, found, self._notes(strain))
+        return self._verdict(t, reasons, result, self._notes(strain))
 
-    def _persistent(self, reasons: Found, off: float, scale: float, t: float) -> Found:
+    def _persistent(self, reasons: Violations, off: float, scale: float, t: float) -> Violations:
         """Reasons that hold in two successive states, or in the last one.
 
         While the energy still grows fast they count only if most of it is out of balance: then the
@@ -217,17 +217,17 @@ class MotionAuditor(EquilibriumAuditor):
         again = before > 0.0 and (settled or min(before, self._last_imbalance) > CERTAIN_SHARE)
         return reasons if last or again else {}
 
-    def _energy(self, off: float) -> Found:
+    def _energy(self, off: float) -> Violations:
         if off > MAX_ENERGY_GAIN:
             what = f"{100 * off:.3g} % of the energy has come from nowhere: a smaller dt is needed"
-            return {"energy": Offence(what, off, fails=off > FAILING_GAIN)}
+            return {"energy": Violation(what, off, fails=off > FAILING_GAIN)}
         if off < -MAX_ENERGY_LOSS and not self._parameters.damps:
             radius = ", or a larger spectral_radius," if self._parameters.can_damp_less else ""
             what = (
                 f"the scheme has damped {-100 * off:.3g} % of the energy away: a smaller dt"
                 f"{radius} keeps it"
             )
-            return {"energy": Offence(what, -off)}
+            return {"energy": Violation(what, -off)}
         return {}
 
     def _is_last(self, t: float) -> bool:
@@ -241,9 +241,9 @@ class MotionAuditor(EquilibriumAuditor):
     def restart_state(self) -> dict[str, Any]:
         """See `Restartable`. Not collective."""
         return {
-            "warned": self._offences.restart_state(),
+            "warned": self._violations.restart_state(),
             "worst": self._worst,
-            "reasons": {check: asdict(offence) for check, offence in self._reasons.items()},
+            "reasons": {check: asdict(violation) for check, violation in self._reasons.items()},
             "far": self._strains.note,
             "off": self._last_imbalance,
             "scale": self._scale,
@@ -253,8 +253,10 @@ class MotionAuditor(EquilibriumAuditor):
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """See `Restartable`. Not collective."""
-        self._offences.restore(saved["warned"])
-        self._reasons = {check: restored(offence) for check, offence in saved["reasons"].items()}
+        self._violations.restore(saved["warned"])
+        self._reasons = {
+            check: restored(violation) for check, violation in saved["reasons"].items()
+        }
         self._worst = [float(value) for value in saved["worst"]]
         self._strains.restore(str(saved.get("far", "")))
         self._last_imbalance, self._scale = float(saved["off"]), float(saved["scale"])

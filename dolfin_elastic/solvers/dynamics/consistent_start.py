@@ -183,9 +183,9 @@ class _IncompressibleStart:
     def _diagonal(self) -> FloatArray:
         self._tangent(0.0)
         diagonal = self._a.tangent.matrix.getDiagonal()
-        found = np.array(diagonal.array_r)
+        result = np.array(diagonal.array_r)
         diagonal.destroy()
-        return found
+        return result
 
     def project_displacement(self) -> None:
         """Projects the displacement onto those that keep the volumes. Collective.
@@ -269,15 +269,15 @@ class _IncompressibleStart:
             step: Between two of the four points [s].
         """
         moves, w = self._moving.displacement_dofs, self._problem.w.x.array
-        here, found = w[moves].copy(), np.zeros(len(self._moving.auxiliary_dofs))
+        here, result = w[moves].copy(), np.zeros(len(self._moving.auxiliary_dofs))
         for k, weight in enumerate(weights):
             w[moves] = here + k * step * self._v
             self._problem.set_time(k * step)
-            found += weight * self._rows()[self._moving.auxiliary_dofs]
+            result += weight * self._rows()[self._moving.auxiliary_dofs]
         w[moves] = here
         self._problem.set_time(0.0)
         self._update_ghosts()
-        return found
+        return result
 
     def _update_ghosts(self) -> None:
         self._problem.w.x.scatter_forward()
@@ -302,8 +302,8 @@ class _IncompressibleStart:
         """
         rows = np.where(self._no_compliance, 0.0, rows)
         if self._problem.unknowns.stabilised and wholly_incompressible(self._problem):
-            found = total(self._moving.comm, np.array([rows.sum(), float(len(rows))]))
-            rows = rows - found[0] / found[1]
+            sums = total(self._moving.comm, np.array([rows.sum(), float(len(rows))]))
+            rows = rows - sums[0] / sums[1]
         return rows + self._second_derivative / self._s if first else rows
 
     def correct(self, a: fem.Function, *, first: bool) -> None:
@@ -355,12 +355,12 @@ class AuxiliaryFields:
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        found = {
+        result = {
             extra.name: collapsed(problem.W.sub(1 + k))
             for k, extra in enumerate(problem.unknowns.auxiliary_fields)
         }
-        self._dofs = {name: dofs for name, (_, dofs) in found.items()}
-        self.fields = {name: fem.Function(S, name=name) for name, (S, _) in found.items()}
+        self._dofs = {name: dofs for name, (_, dofs) in result.items()}
+        self.fields = {name: fem.Function(S, name=name) for name, (S, _) in result.items()}
 
     def read(self) -> None:
         """Copies all unknowns to the fields. Not collective."""

@@ -89,7 +89,7 @@ def set_initial(
         speeds, unsure = _speeds(problem, 1e-7 * span)
     problem.set_time(0.0)
     constraints.check_finite()
-    found = [
+    result = [
         *_imposed(problem, u, "displacement", constraints.targets, SMALL * far),
         *_imposed(problem, v, "velocity", speeds, SMALL * far / span + unsure),
     ]
@@ -99,7 +99,7 @@ def set_initial(
     _check_finite(problem, v, "dynamics.initial_velocity")
     if displacement and not problem.linear:
         _check_upright(problem)
-    return found
+    return result
 
 
 def _check_upright(problem: Problem) -> None:
@@ -235,10 +235,10 @@ def support_jump(problem: Problem, t: float, step: float) -> str:
     change = np.zeros(problem.V.dofmap.index_map.size_local * problem.body.dim)
     constraints.impose(change, sudden)
     least = SUDDEN * largest(problem.body.comm, far)
-    found = list(support_jumps(problem, "displacement", change, least))
-    if not found:
+    jumps = list(support_jumps(problem, "displacement", change, least))
+    if not jumps:
         return ""
-    most = max(found, key=lambda one: one.most)
+    most = max(jumps, key=lambda one: one.most)
     at = f"by {most.most:.3g} m at {coordinates(most.place)} m"
     return f"the support '{most.support}' jumps there, {at}"
 

@@ -179,9 +179,9 @@ class DynamicResidual:
         before = a.copy()
         a[: len(v)] = v
         self._a.x.scatter_forward()
-        found = self.assembler.reactions.nodal(self._forms["inertia"]).copy()
+        forces = self.assembler.reactions.nodal(self._forms["inertia"]).copy()
         a[:] = before
-        return found
+        return forces
 
     @property
     def factor(self) -> float:
@@ -251,7 +251,7 @@ class DynamicResidual:
         """Forces at the state at which the residual was assembled last. Collective."""
         a = self.assembler
         nothing = np.zeros(a.size)
-        found = {name: a.reactions.nodal(form).copy() for name, form in self._forms.items()}
+        nodal = {name: a.reactions.nodal(form).copy() for name, form in self._forms.items()}
         per_contact = self.contact_forces()
         dim = self.problem.body.dim
         contact, restraints = nothing.copy(), a.reactions.restraints(self._contact_labels)
@@ -263,12 +263,12 @@ class DynamicResidual:
             loads=a.reactions.loads(),
             reactions=a.constrained_part(a.residual.owned),
             restraints=restraints,
-            dashpots=found.get("dashpots", nothing),
+            dashpots=nodal.get("dashpots", nothing),
             contact=contact,
             contact_resultants=np.array([p.reshape(-1, dim).sum(axis=0) for p in per_contact]),
-            inertia=found["inertia"],
-            damping=found.get("damping", nothing),
-            drag=found.get("drag", nothing),
+            inertia=nodal["inertia"],
+            damping=nodal.get("damping", nothing),
+            drag=nodal.get("drag", nothing),
             ties=a.residual.tied_nodal,
         )
 

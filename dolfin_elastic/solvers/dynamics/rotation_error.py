@@ -26,7 +26,7 @@ from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.kinematics import green_strain
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.audit.offences import Offence
+from dolfin_elastic.solvers.audit.violations import Violation
 
 SHARE = 0.06
 """Error over the largest strain so far up to which it is let pass.
@@ -62,7 +62,7 @@ class RotationError:
         self._expression = compile_expression(mesh.comm, squares, points, problem.jit)
         self._cells = problem.body.owned_cells()
 
-    def offence(self, du: FloatArray) -> Offence | None:
+    def violation(self, du: FloatArray) -> Violation | None:
         """The warning, if the error is too large in this state and in the one before. Collective.
 
         Args:
@@ -72,8 +72,8 @@ class RotationError:
             return None
         self._change.x.array[: len(du)] = du
         self._change.x.scatter_forward()
-        found = self._expression.eval(self._problem.body.mesh, self._cells).reshape(-1, 2)
-        squares = np.nan_to_num(found).max(axis=0, initial=0.0)
+        values = self._expression.eval(self._problem.body.mesh, self._cells).reshape(-1, 2)
+        squares = np.nan_to_num(values).max(axis=0, initial=0.0)
         turn, strain = (largest(self._problem.body.comm, float(s)) ** 0.5 for s in squares)
         settled = strain <= GROWTH * self._largest_strain
         self._largest_strain = max(self._largest_strain, strain)
@@ -82,7 +82,7 @@ class RotationError:
         if not (before and self._exceeded):
             return None
         angle, share = np.degrees(np.sqrt(turn / np.sqrt(2))), 100 * error / self._largest_strain
-        return Offence(
+        return Violation(
             f"the body rotates by {angle:.2g} degrees a step, with a strain error of {error:.2g} "
             f"at the ends of steps, {share:.2g} % of its largest strain: "
             "stresses and reactions are off by as much and more; a smaller dt, or scheme = "

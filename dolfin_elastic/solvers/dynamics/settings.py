@@ -256,14 +256,14 @@ def _refuse_tiny(key: str, step: float, end: float, share: float) -> None:
 
 def _initial_values(key: str, written: Sequence[object], unit: str) -> tuple[Component, ...]:
     """Components of a vector at the start, which cannot depend on time."""
-    found = components(written, unit, key=key) if written else ()
-    if depends_on_time(found):
+    parts = components(written, unit, key=key) if written else ()
+    if depends_on_time(parts):
         raise InputError(
             "an initial value does not depend on t",
             where=key,
             expected="a formula in x, y, z",
         )
-    return found
+    return parts
 
 
 def _unused(s: DynamicsSettings) -> Iterator[UnusedKeys]:

@@ -157,13 +157,13 @@ class EnergyBalance:
         moves = self._moving.displacement_dofs
         outside = forces.loads + forces.reactions + forces.restraints - forces.contact
         rows = (outside, forces.damping, -forces.dashpots)
-        mine = np.array([np.dot(row[moves], du) for row in rows])
+        local = np.array([np.dot(row[moves], du) for row in rows])
         before, self._obstacle_shifts = self._obstacle_shifts, self._shifts()
-        mine[0] += np.sum(forces.contact_resultants * (self._obstacle_shifts - before))
+        local[0] += np.sum(forces.contact_resultants * (self._obstacle_shifts - before))
         if self._supports_move:
-            mine[0] += self._work_against_inertia(forces, du)
-        found = total(self._moving.comm, mine)
-        for name, value in zip(_NAMES, found, strict=True):
+            local[0] += self._work_against_inertia(forces, du)
+        sums = total(self._moving.comm, local)
+        for name, value in zip(_NAMES, sums, strict=True):
             self._sums[name] += float(value)
 
     def _work_against_inertia(self, forces: Forces, du: FloatArray) -> float:
@@ -194,22 +194,22 @@ class EnergyBalance:
             stored: Energy of the present displacement, strain and penalties [J]; nan where a law
                 has none.
         """
-        found = {"external": self._sums["external"]}
+        result = {"external": self._sums["external"]}
         if not self._moving.damping.none:
-            found["damping"] = self._sums["damping"]
+            result["damping"] = self._sums["damping"]
         if self._moving.problem.dashpots:
-            found["dashpots"] = self._sums["dashpots"]
+            result["dashpots"] = self._sums["dashpots"]
         if self._constant:
-            found["potential"] = self._potential()
+            result["potential"] = self._potential()
         if math.isfinite(stored):
             if self._initial is None:
                 self._initial = kinetic + stored
-            found["balance"] = (
+            result["balance"] = (
                 kinetic + stored - self._initial + self._sums["damping"] - self._sums["external"]
             )
             moved = abs(self._sums["external"]) + self._sums["damping"]
             self.scale = max(self.scale, kinetic, abs(stored), moved)
-        return found
+        return result
 
     def relative_imbalance(self, energies: Mapping[str, float]) -> float:
         """Energy out of balance over the largest energy so far; positive: a gain. Not collective.

@@ -135,20 +135,20 @@ class Buckling(PreloadedAnalysis):
         """
         share = self.settings.preload
         both = self.settings.negative and share == 0.0
-        found = [*self._linearised(share, [1, -1] if both else [1]), *opposite]
-        if not found:
+        modes = [*self._linearised(share, [1, -1] if both else [1]), *opposite]
+        if not modes:
             raise ConvergenceError(
                 "the body does not buckle: the loads make it only stiffer",
                 advice="buckling.negative = true for the reversed loads",
             )
-        for k, (pair, base) in enumerate(found, start=1):
+        for k, (pair, base) in enumerate(modes, start=1):
             yield Mode(
                 number=k,
                 kind="buckling",
                 u=shape(self.problem, pair.vector)[0],
                 base=base,
                 eigenvalue=pair.value,
-                done=k / len(found),
+                done=k / len(modes),
             )
 
     def _linearised(self, share: float, signs: Sequence[int]) -> list[_Buckled]:
@@ -160,16 +160,16 @@ class Buckling(PreloadedAnalysis):
         log.info("%s", self.choice.why)
         base = fem.Function(self.problem.V, name="displacement")
         base.x.array[:] = self.problem.u.x.array
-        path, found = _Path(self.problem, share), list[_Buckled]()
+        path, buckled = _Path(self.problem, share), list[_Buckled]()
         try:
             with failing_together(self.problem.body.comm):
                 for sign in signs:
                     pairs = self._pairs(path, share, sign)
-                    _warn_of_strains(pairs, path.straining, share)
-                    found += [(pair, base) for pair in pairs]
+                    _warn_of_strains(pairs, path.strain_rate, share)
+                    buckled += [(pair, base) for pair in pairs]
         finally:
             path.destroy()
-        return found
+        return buckled
 
     def _pairs(self, path: _Path, share: float, sign: int) -> list[Pair]:
         """Load factors and modes, beginning with the nearest."""
@@ -197,10 +197,10 @@ class Buckling(PreloadedAnalysis):
         return [Pair(share + sign * p.value, p.vector) for p in pairs]
 
 
-def _warn_of_strains(pairs: Sequence[Pair], straining: float, share: float) -> None:
+def _warn_of_strains(pairs: Sequence[Pair], strain_rate: float, share: float) -> None:
     """Warns where the strains between the linearised state and the nearest mode are large."""
     away = min((p.value for p in pairs), key=lambda value: abs(value - share), default=share)
-    strain = abs(away - share) * straining
+    strain = abs(away - share) * strain_rate
     if strain > LARGE:
         log.warning(
             "on the way to load factor %.6g the body is strained by %.2g %% (mean), too "
@@ -219,7 +219,7 @@ class _Path:
     Attributes:
         stiffness: K(s0), ones on the diagonal where displacements are prescribed.
         rate: dK/ds, zero there.
-        straining: Rate of the strain along the path, root of its mean square.
+        strain_rate: Rate of the strain along the path, root of its mean square.
     """
 
     def __init__(self, problem: Problem, share: float) -> None:
@@ -242,7 +242,7 @@ class _Path:
             raise InputError(
                 "no load deforms the body", where="load", expected="at least one that does"
             )
-        self.straining = self._straining(along)
+        self.strain_rate = self._strain_rate(along)
         step = STRAIN * cell_size(problem.body) / top
         self.rate: PETSc.Mat = self._tangent(base + step * along, self._share + step).copy()
         before = self._tangent(base - step * along, self._share - step)
@@ -291,7 +291,7 @@ class _Path:
             thing.destroy()
         return np.array(along.x.array)
 
-    def _straining(self, along: FloatArray) -> float:
+    def _strain_rate(self, along: FloatArray) -> float:
         """Root of the mean square of dE/ds = sym(F^T dF/ds), E = (F^T F - I)/2."""
         problem, w = self._problem, fem.Function(self._problem.W)
         w.x.array[:] = along
@@ -311,10 +311,10 @@ class _Path:
         x, f = assembler.create_vector(), assembler.create_vector()
         assembler.get(x)
         assembler.residual.evaluate(x, f)
-        found = f.array_r.copy()
+        result = f.array_r.copy()
         x.destroy()
         f.destroy()
-        return found
+        return result
 
     def destroy(self) -> None:
         """Frees both matrices. Collective."""
@@ -344,7 +344,7 @@ def _check_proportional(problem: Problem) -> None:
         )
     own = {"load": [load.amplitude is not None for load in problem.loads], "support": []}
     for support in problem.supports:
-        timed = any(depends_on_time(course) for course in support.time_functions)
+        timed = any(depends_on_time(function) for function in support.time_functions)
         timed = timed or getattr(support, "curve", None) is not None
         own["support"].append(timed and not support.at_rest)
     for key, rows in own.items():

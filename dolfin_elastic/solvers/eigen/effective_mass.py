@@ -160,12 +160,12 @@ def rigid_modes(assembler: Assembler, mass: Mass) -> list[RigidMode]:
     problem = assembler.problem
     bodies = ConnectedBodies(problem)
     own, names = len(assembler.displacement_dofs) // problem.body.dim, bodies.names()
-    found = []
+    modes = []
     for number in range(bodies.count):
         frame = Frame(problem, mass, bodies.of_node[:own] == number)
         label = f"{names[number]}: " if names[number] else ""
-        found += [RigidMode(m.vector, label + m.name) for m in _free(assembler, frame)]
-    return found
+        modes += [RigidMode(m.vector, label + m.name) for m in _free(assembler, frame)]
+    return modes
 
 
 def _free(assembler: Assembler, frame: Frame) -> list[RigidMode]:
@@ -193,11 +193,11 @@ def _orthogonal(null: FloatArray, gram: FloatArray) -> list[FloatArray]:
     """
     candidates = (null @ null.T).T
     pure = [c for k, c in enumerate(candidates) if np.linalg.norm(c - np.eye(len(c))[k]) < SAME]
-    found: list[FloatArray] = []
+    result: list[FloatArray] = []
     for candidate in [*pure, *candidates]:
         size = np.sqrt(candidate @ gram @ candidate)
-        rest = candidate - sum((f * (f @ gram @ candidate) for f in found), np.zeros(len(gram)))
+        rest = candidate - sum((f * (f @ gram @ candidate) for f in result), np.zeros(len(gram)))
         length = np.sqrt(max(rest @ gram @ rest, 0.0))
-        if len(found) < null.shape[1] and length > SAME * max(size, 1e-300):
-            found.append(rest / length)
-    return found
+        if len(result) < null.shape[1] and length > SAME * max(size, 1e-300):
+            result.append(rest / length)
+    return result

@@ -26,7 +26,7 @@ from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.problem.problem import Problem, partly_incompressible
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
+from dolfin_elastic.solvers.assembly.hydrostatic_constant import HydrostaticConstant
 from dolfin_elastic.solvers.eigen.effective_mass import (
     Frame,
     Mass,
@@ -184,7 +184,7 @@ class Vibration:
             self.rigid = rigid_modes(self.assembler, self.mass)
             self.mass.constrain()
             if self.assembler.problem.mixed:
-                PressureLevel(self.assembler.problem).report()
+                HydrostaticConstant(self.assembler.problem).report()
             self.room = self._room() - constrained_motions(self.assembler) - len(self.rigid)
         if self.room <= 0 and not self.rigid:
             raise InputError(
@@ -215,11 +215,11 @@ class Vibration:
         pairs = self._pairs(shift, count)
         base = fem.Function(self.problem.V, name="displacement")
         base.x.array[:] = self.problem.u.x.array
-        found: list[RigidMode | Pair] = [*self.rigid, *pairs]
+        result: list[RigidMode | Pair] = [*self.rigid, *pairs]
         if pairs and self._grows(pairs[0].value):
             log.warning("the state is unstable: some modes have no stiffness, but grow")
-        for k, one in enumerate(found, start=1):
-            yield self._mode(k, one, base, k / len(found))
+        for k, one in enumerate(result, start=1):
+            yield self._mode(k, one, base, k / len(result))
 
     def _wanted(self) -> tuple[float, int]:
         """The shift, and how many modes to look for."""
@@ -295,14 +295,14 @@ class Vibration:
             shift = -first  # nearer, for the sake of the lowest ones
         return pairs[:count]
 
-    def _mode(self, number: int, found: Pair | RigidMode, base: fem.Function, done: float) -> Mode:
-        vector = found.vector.copy()
+    def _mode(self, number: int, pair: Pair | RigidMode, base: fem.Function, done: float) -> Mode:
+        vector = pair.vector.copy()
         self.assembler.extend(vector)
         images = self.mass.times(vector[:, None])[:, 0]
         mass = self._product(vector, images)
         shared: FloatArray = total(self._comm, self.whole.images.T @ vector)
-        rigid = isinstance(found, RigidMode)
-        value = 0.0 if isinstance(found, RigidMode) else found.value
+        rigid = isinstance(pair, RigidMode)
+        value = 0.0 if isinstance(pair, RigidMode) else pair.value
         u, size = shape(self.problem, vector)
         return Mode(
             number=number,
@@ -315,7 +315,7 @@ class Vibration:
             participation=self._named(shared / mass * size),
             effective=self._named(np.square(shared) / mass),
             whole=self._named(self.whole.whole),
-            name=found.name if isinstance(found, RigidMode) else "",
+            name=pair.name if isinstance(pair, RigidMode) else "",
             done=done,
         )
 

@@ -147,15 +147,15 @@ def complete(
         values = np.array([pair.value for pair in pairs])
         if not len(values):
             return pairs
-        top, found = _gap(values, count)
+        top, result = _gap(values, count)
         vectors = [*known, *(pair.vector for pair in pairs)]
         left = room - len(pairs)
         if spectrum.counted:
             below = _counted(spectrum, top)
-            missing = below - found - zeros
+            missing = below - result - zeros
             if missing < 0:
                 raise ConvergenceError(
-                    f"{found + zeros} modes were found where there are only {below}",
+                    f"{result + zeros} modes were found where there are only {below}",
                     advice="a smaller tolerance",
                 )
             if missing == 0 or left == 0:

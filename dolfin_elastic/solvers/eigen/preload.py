@@ -71,7 +71,7 @@ class PreloadedAnalysis(ABC):
 
     def modes(self) -> Generator[Mode, None, None]:
         """Yields the modes only, see `steps`. Collective."""
-        modes = (found for found in self._steps() if isinstance(found, Mode))
+        modes = (mode for mode in self._steps() if isinstance(mode, Mode))
         return loop_together(self.problem.body.comm, modes)
 
     def about_this_state(self) -> Generator[Mode, None, None]:
@@ -94,14 +94,14 @@ class PreloadedAnalysis(ABC):
         """
         return shared(self.petsc)[1] if loaded else self.petsc
 
-    def _warn_of_dashpots(self, found: str) -> None:
+    def _warn_of_dashpots(self, reason: str) -> None:
         """Warns that dashpots have no effect on modes.
 
         Args:
-            found: What the analysis computes, for the message.
+            reason: What the analysis computes, for the message.
         """
         for dashpot in self.problem.dashpots:
-            log.warning("the dashpot '%s' does nothing to %s", dashpot.label, found)
+            log.warning("the dashpot '%s' does nothing to %s", dashpot.label, reason)
 
     def _load(self, settings: StaticsSettings) -> Generator[State, None, None]:
         """Yields the states on the way to the loaded one. Collective.

@@ -361,10 +361,10 @@ def solve(eps: SLEPc.EPS) -> None:
         raise_if_agreed(comm)
 
 
-def _stops(eps: SLEPc.EPS, iteration: int, most: int, found: int, wanted: int) -> int:
+def _stops(eps: SLEPc.EPS, iteration: int, most: int, converged: int, wanted: int) -> int:
     """SLEPc's own test after each restart, and whether the run shall stop. Collective."""
     reason = SLEPc.EPS.ConvergedReason
-    if found >= wanted:
+    if converged >= wanted:
         return int(reason.CONVERGED_TOL)
     if stop_agreed(eps.comm.tompi4py()):
         return int(reason.CONVERGED_USER)

@@ -71,10 +71,10 @@ def smoothed_interpolation(
     halo.fill(tentative)
     halo.fill(modes)
     member, coarse = _of_ghosts(halo, own, count)
-    start, place = np.empty(n + 1, dtype=np.int64), np.full(coarse.size, -1, dtype=np.int32)
+    start, offset = np.empty(n + 1, dtype=np.int64), np.full(coarse.size, -1, dtype=np.int32)
     members = (halo.size, member, coarse.size)
-    loops.call("count_smoothed", n, *pattern, strong, *members, place, start)
-    place[:] = -1
+    loops.call("count_smoothed", n, *pattern, strong, *members, offset, start)
+    offset[:] = -1
     columns, blocks = np.empty(start[-1], dtype=np.int32), room_for(start[-1], R, C)
     room = np.empty((int(np.diff(start).max(initial=0)), R, LANES))
     turned, step = _inverse_factors(factors), np.array([SMOOTHING / diagonal.largest])
@@ -82,7 +82,7 @@ def smoothed_interpolation(
         loops.call(
             *("fill_smoothed", R, C, first, rows, *pattern, part, strong, diagonal.inverse),
             *(halo.size, modes, tentative, member, count, turned, step, start, columns),
-            *(with_room(blocks), coarse.size, place, len(room), room),
+            *(with_room(blocks), coarse.size, offset, len(room), room),
         )
     return Interpolation(start, columns, blocks, coarse), factors
 
@@ -95,9 +95,9 @@ def _with_ghosts_behind(modes: FloatArray, halo: Halo) -> FloatArray:
     """
     if halo.size == len(modes):
         return modes
-    found = np.zeros((halo.size, *modes.shape[1:]))
-    found[: len(modes)] = modes
-    return found
+    result = np.zeros((halo.size, *modes.shape[1:]))
+    result[: len(modes)] = modes
+    return result
 
 
 def _inverse_factors(factors: FloatArray) -> FloatArray:
@@ -137,8 +137,8 @@ def _of_ghosts(halo: Halo, member: IndexArray, count: int) -> tuple[IndexArray, 
     others = numbers[halo.owned :]
     coarse = Halo(halo.comm, count, np.unique(others[others >= 0]))
     none.destroy()
-    found = np.where(numbers >= 0, coarse.local(numbers), -1)
-    return found.astype(np.int32), coarse
+    result = np.where(numbers >= 0, coarse.local(numbers), -1)
+    return result.astype(np.int32), coarse
 
 
 def galerkin(A: BlockRows, P: Interpolation, loops: CFunctions) -> BlockRows:
@@ -160,8 +160,8 @@ def galerkin(A: BlockRows, P: Interpolation, loops: CFunctions) -> BlockRows:
     for first, count, part in A.parts():
         rows = (first, count, *A.pattern(), part)
         loops.call("galerkin", P.R, P.C, *rows, *interpolation, *coarse, *work)
-    found = _summed(P.halo, numbers, *pattern, blocks)
-    return HalfRows(*found, loops) if A.symmetric else BlockRows(*found)
+    result = _summed(P.halo, numbers, *pattern, blocks)
+    return HalfRows(*result, loops) if A.symmetric else BlockRows(*result)
 
 
 Pattern: TypeAlias = tuple[IntArray, IndexArray]
@@ -210,8 +210,8 @@ def _product_pattern(
     # Most of this is never touched and takes no memory; to count columns first would take as long.
     inner = len(B[0]) - 1
     columns = np.empty(loops.call("most_of_product", rows, *A, inner, B[0]), dtype=np.int32)
-    found = (mark, start, len(columns), columns)
-    loops.call("product_pattern", rows, *A, inner, *B, size, *half, *found)
+    result = (mark, start, len(columns), columns)
+    loops.call("product_pattern", rows, *A, inner, *B, size, *half, *result)
     return start, columns[: start[-1]]
 
 
@@ -226,8 +226,8 @@ def _with_ghosts(
     numbers = coarse.globally(np.arange(coarse.size, dtype=np.int32))
     if coarse.comm.size == 1:
         return P.start, P.columns, P.blocks, numbers
-    found = A.halo.rows(P.start, coarse.globally(P.columns), P.blocks)
-    columns = found.columns
+    result = A.halo.rows(P.start, coarse.globally(P.columns), P.blocks)
+    columns = result.columns
     own = (columns >= coarse.first) & (columns < coarse.first + coarse.owned)
     further = np.setdiff1d(columns[~own], coarse.ghosts)
     known = own | np.isin(columns, coarse.ghosts)
@@ -236,9 +236,9 @@ def _with_ghosts(
     ).astype(np.int32)
     count = len(P.columns)
     blocks = room_for(count + len(local), P.R, P.C)
-    blocks[:count], blocks[count:] = P.blocks, found.blocks
+    blocks[:count], blocks[count:] = P.blocks, result.blocks
     return (
-        np.concatenate([P.start, P.start[-1] + found.start[1:]]),
+        np.concatenate([P.start, P.start[-1] + result.start[1:]]),
         np.concatenate([P.columns, local]),
         blocks,
         np.concatenate([numbers, further]),

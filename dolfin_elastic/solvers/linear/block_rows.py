@@ -125,9 +125,9 @@ class BlockRows:
         blocks = np.empty((self.start[-1], self.R, self.C))
         for first, count, part in self.parts():
             blocks[self.start[first] : self.start[first + count]] = part
-        found = BlockRows(self.start, self.columns, blocks, self._halo_of_its_own())
-        found.symmetric = self.symmetric
-        return found
+        result = BlockRows(self.start, self.columns, blocks, self._halo_of_its_own())
+        result.symmetric = self.symmetric
+        return result
 
     def _halo_of_its_own(self) -> Halo:
         return self.halo

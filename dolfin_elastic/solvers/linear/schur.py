@@ -109,10 +109,10 @@ class PressureSplit:
         x, y = K.createVecs()
         x.array_w[:] = r
         self._ksp.getPC().apply(x, y)
-        found = y.array_r.copy()
+        result = y.array_r.copy()
         x.destroy()
         y.destroy()
-        return np.asarray(found)
+        return np.asarray(result)
 
     def destroy(self) -> None:
         """Frees what it owns, not the PC. Collective."""

@@ -231,16 +231,16 @@ class Bordered:
         the nodal forces stand, and nothing is assembled.
         """
         steps, only_prescribing = self.scalars.steps, self.scalars.prescribing
-        found = {
+        result = {
             j: self._difference(values, j, steps[j]) for j in np.flatnonzero(~only_prescribing)
         }
         self.scalars.put(values)
         self.assembler.residual.evaluate(self._x, self._b)  # back to where we are
         for j in np.flatnonzero(only_prescribing):
-            found[j] = self._difference(values, j, steps[j], constrained_only=True)
+            result[j] = self._difference(values, j, steps[j], constrained_only=True)
         self.scalars.put(values)
         self.assembler.residual.constrain(self._b)
-        columns, corner = zip(*(found[j] for j in range(len(steps))), strict=True)
+        columns, corner = zip(*(result[j] for j in range(len(steps))), strict=True)
         return list(columns), np.column_stack(corner)
 
     def _difference(

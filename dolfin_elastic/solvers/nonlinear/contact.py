@@ -92,10 +92,10 @@ class Augmentation:
 
 def results_of_terms(problem: Problem) -> dict[str, float]:
     """Results of the problem's terms by name [SI units]. Collective."""
-    found: dict[str, float] = {}
+    result: dict[str, float] = {}
     for term in problem.terms:
-        term.add_results(found)
-    return found
+        term.add_results(result)
+    return result
 
 
 @contextmanager
@@ -143,9 +143,9 @@ def pulled_off_obstacles(assembler: Assembler) -> bool:
         normals += n[gaps <= pair.size].sum(axis=0)
     forces = assembler.reactions.loads()[assembler.displacement_dofs].reshape(-1, dim)
     sums = [normals, forces.sum(axis=0), [np.abs(forces).sum()]]
-    found = total(problem.body.comm, np.concatenate(sums))
-    away = float(found[:dim] @ found[dim : 2 * dim])
-    return away > 1e-6 * float(np.linalg.norm(found[:dim])) * float(found[-1])
+    result = total(problem.body.comm, np.concatenate(sums))
+    away = float(result[:dim] @ result[dim : 2 * dim])
+    return away > 1e-6 * float(np.linalg.norm(result[:dim])) * float(result[-1])
 
 
 def largest_gap(pair: ContactPair) -> float:
@@ -224,20 +224,20 @@ def initial_gaps(problem: Problem, *, moving: bool) -> list[Gap]:
     """
     if problem.contact_pairs:
         problem.set_time(0.0, default=CONSTANT if moving else PROPORTIONAL)
-    found = []
+    result = []
     for pair in problem.contact_pairs:
         gaps = pair.gaps()[0]
-        mine = [
+        local = [
             (float(gap), tuple(place.round(12).tolist()))
             for gap, place in zip(gaps, pair.places(), strict=True)
             if gap <= np.min(gaps, initial=np.inf) + 1e-9 * pair.size
         ]
-        rows = [row for part in pair.comm.allgather(mine) for row in part]
+        rows = [row for part in pair.comm.allgather(local) for row in part]
         # Nodes that are equally near: the same one on any number of ranks.
         least = min((gap for gap, _ in rows), default=np.inf) + 1e-9 * pair.size
         near = (row for row in rows if row[0] <= least)
-        found.append(min(near, key=lambda row: row[1], default=(np.inf, ())))
-    return found
+        result.append(min(near, key=lambda row: row[1], default=(np.inf, ())))
+    return result
 
 
 def warn_of_untouched(problem: Problem, states: States) -> States:

@@ -62,7 +62,7 @@ MAX_STIFFENING = 1e6
 """Growth of the largest stiffness beyond which a cell is crushed: no larger round-off counts."""
 
 
-Course = Callable[[PETSc.SNES, int, float], bool]
+IterationCheck = Callable[[PETSc.SNES, int, float], bool]
 """From solver, iteration and norm of the free residual [N] to whether to give up at once."""
 
 
@@ -247,7 +247,7 @@ class ConvergenceTest:
             False,
             False,
         )
-        self._course: Course | None = None
+        self._check: IterationCheck | None = None
 
     def begin(
         self,
@@ -255,19 +255,19 @@ class ConvergenceTest:
         backtracks: bool = False,
         patient: bool = False,
         max_iterations: int | None = None,
-        course: Course | None = None,
+        check: IterationCheck | None = None,
     ) -> None:
         """Forgets the last solve. Collective.
 
         Args:
             backtracks: Steps are shortened until the residual falls: then it may stall.
             patient: Steps that are shortened again and again are no reason to give up.
-            course: Watches iterates that must not stray; no step may then have to be shortened.
+            check: Watches iterates that must not stray; no step may then have to be shortened.
 
         Raises:
             InputError: A load has no finite value now.
         """
-        self._backtracks, self._patient, self._course = backtracks, patient, course
+        self._backtracks, self._patient, self._check = backtracks, patient, check
         self._max_iterations = max_iterations or self._tolerance.max_iterations
         self.residuals.clear()
         self.predicted = 0.0
@@ -387,15 +387,15 @@ class ConvergenceTest:
         return 0
 
     def _strays(self, snes: PETSc.SNES, iteration: int) -> bool:
-        course = self._course
-        return course is not None and course(snes, iteration, self.residuals[-1])
+        check = self._check
+        return check is not None and check(snes, iteration, self.residuals[-1])
 
     def _shortened_too_often(self) -> bool:
         """Too many Newton steps were shortened: a smaller load step is faster."""
         guard = self._guard
         if guard is None:
             return False
-        if self._course is not None and guard.rejected:
+        if self._check is not None and guard.rejected:
             return True
         return guard.stuck or (guard.rejected > PATIENCE and not self._patient)
 

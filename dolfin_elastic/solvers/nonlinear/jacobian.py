@@ -118,8 +118,8 @@ class JacobianWatch:
 
         Asked again before anything has moved, nothing is evaluated again.
         """
-        found = self._now()
-        return found.low, found.high
+        result = self._now()
+        return result.low, result.high
 
     def _now(self) -> Extremes:
         """Extremes of all cells at the present displacement. Collective."""
@@ -171,24 +171,24 @@ class JacobianWatch:
             about: Value whose differences count: that of the undeformed body.
         """
         mesh, cells = self._problem.body.mesh, self._problem.body.owned_cells()
-        found = largest_row(
+        row = largest_row(
             self._problem.body.comm,
             values,
             lambda rows: _middles(mesh, cells[rows]),
             least=ROUND_OFF,
             about=about,
         )
-        return (-np.inf, NOWHERE) if found is None else (found.value, np.array(found.place))
+        return (-np.inf, NOWHERE) if row is None else (row.value, np.array(row.place))
 
 
 def _marks(problem: Problem, of_regions: Sequence[bool]) -> BoolArray | None:
     """Which owned cells lie in regions that are marked; None: no region is."""
     if not any(of_regions):
         return None
-    found = np.zeros(len(problem.body.owned_cells()), dtype=bool)
+    mask = np.zeros(len(problem.body.owned_cells()), dtype=bool)
     for part, mark in zip(problem.regions, of_regions, strict=True):
-        found[part.cells] = mark
-    return found
+        mask[part.cells] = mark
+    return mask
 
 
 class _ByLoop:
@@ -214,13 +214,13 @@ class _ByLoop:
     def __call__(self) -> CellExtremes:
         """Of the owned cells of this rank. Not collective."""
         count = self._count
-        found = CellExtremes(
+        result = CellExtremes(
             np.empty(count), np.empty(count), np.empty(count if self._linear else 0)
         )
         w = self._w.x.array
         arrays = (*self._cells, len(w), w, *self._tables)
-        self._loop.call("extremes", count, *arrays, int(self._linear), *found)
-        return found
+        self._loop.call("extremes", count, *arrays, int(self._linear), *result)
+        return result
 
 
 class _ByExpression:
@@ -247,7 +247,7 @@ class _ByExpression:
     def __call__(self) -> CellExtremes:
         """Of the owned cells of this rank. Not collective."""
         count = len(self._cells)
-        found = CellExtremes(
+        result = CellExtremes(
             np.empty(count), np.empty(count), np.empty(count if self._linear else 0)
         )
         for first in range(0, count, BLOCK):
@@ -256,10 +256,10 @@ class _ByExpression:
             seen = self._seen_in.eval(self._mesh, cells)
             seen = seen.reshape(len(cells), len(self._points), self._columns)
             J = np.where(np.isnan(seen[:, :, 0]), -np.inf, seen[:, :, 0])
-            found.least[here], found.most[here] = J.min(axis=1), J.max(axis=1)
+            result.least[here], result.most[here] = J.min(axis=1), J.max(axis=1)
             if self._linear:
-                found.squares[here] = np.nan_to_num(seen[:, :, 1]).max(axis=1)
-        return found
+                result.squares[here] = np.nan_to_num(seen[:, :, 1]).max(axis=1)
+        return result
 
 
 def _middles(mesh: Mesh, cells: IndexArray) -> FloatArray:
@@ -336,11 +336,11 @@ class InversionGuard:
             w.array[:size] = self._assembler.origin + (x.array_r[:size] - share * step)
             w.scatter_forward()
             self._move_scalars(x, y, share)
-            found = self.watch.refused() if self._lets_pass else self.watch.smallest()
-            if found[0] > 0.0:
+            smallest = self.watch.refused() if self._lets_pass else self.watch.smallest()
+            if smallest[0] > 0.0:
                 return share
             self.rejected += 1
-            self.worst = min(self.worst, found, key=lambda pair: pair[0])
+            self.worst = min(self.worst, smallest, key=lambda pair: pair[0])
             share /= 2
         return None
 

@@ -24,8 +24,8 @@ from dolfin_elastic.solvers.linear.ksp import LinearSolver
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered, ScalarUnknowns, python_solver
 from dolfin_elastic.solvers.nonlinear.convergence import (
     ConvergenceTest,
-    Course,
     Inertia,
+    IterationCheck,
     NewtonResult,
     Tolerance,
 )
@@ -155,11 +155,11 @@ class Newton:
         return self._fall_back(self.result.reason)
 
     def _fall_back(self, reason: str) -> bool:
-        found = self.linear.fall_back(reason)
+        changed = self.linear.fall_back(reason)
         if self._owns and self.bordered is None and self._matrix != self.assembler.tangent.matrix:
             self._matrix = self.assembler.tangent.matrix  # of entries, to be factorised
             self.snes.setJacobian(self._tangent, self._matrix)
-        return found
+        return changed
 
     def line_searches(self) -> tuple[str, ...]:
         """Line searches to try in turn, by PETSc's names.
@@ -179,7 +179,7 @@ class Newton:
         *,
         shift: Shift | None = None,
         max_iterations: int | None = None,
-        course: Course | None = None,
+        check: IterationCheck | None = None,
     ) -> NewtonResult:
         """Finds equilibrium from the problem's present displacement. Collective.
 
@@ -187,7 +187,7 @@ class Newton:
 
         Args:
             shift: What is added to the diagonal of the tangent; None: Newton's method.
-            course: See `ConvergenceTest.begin`.
+            check: See `ConvergenceTest.begin`.
 
         Raises:
             StoppedError: A signal has asked for the end of the run.
@@ -207,7 +207,7 @@ class Newton:
                 backtracks=line_search == "bt",
                 patient=shift is not None,
                 max_iterations=max_iterations,
-                course=course,
+                check=check,
             )
             if self.guard is not None:
                 self.guard.begin()
@@ -229,7 +229,7 @@ class Newton:
         backtracks: bool = False,
         patient: bool = False,
         max_iterations: int | None = None,
-        course: Course | None = None,
+        check: IterationCheck | None = None,
     ) -> None:
         """Forgets the last solve. Collective.
 
@@ -237,14 +237,14 @@ class Newton:
             backtracks: See `ConvergenceTest.begin`.
             patient: The same.
             max_iterations: The same.
-            course: The same.
+            check: The same.
 
         Raises:
             InputError: A load has no finite value now.
         """
         self.result, self.factorised = NewtonResult(), False
         self.test.begin(
-            backtracks=backtracks, patient=patient, max_iterations=max_iterations, course=course
+            backtracks=backtracks, patient=patient, max_iterations=max_iterations, check=check
         )
 
     def finish(self) -> NewtonResult:

@@ -69,28 +69,28 @@ class FreeStrains:
     def rows(self) -> list[FloatArray]:
         """Its derivative with respect to the fields."""
         self._measure_stiffness()
-        found, dofmap = [], self._mean.problem.W.dofmap
+        result, dofmap = [], self._mean.problem.W.dofmap
         size = dofmap.index_map.size_local * dofmap.index_map_bs
         for ij in self._free:
             self._mean.select(*ij)
             row = la.vector(dofmap.index_map, dofmap.index_map_bs)
             fem.assemble_vector(row.array, self._row)
             row.scatter_reverse(la.InsertMode.add)
-            found.append(row.array[:size] / self._cell.length)
-        return found
+            result.append(row.array[:size] / self._cell.length)
+        return result
 
     def _measure_stiffness(self) -> None:
         """Measures the stiffness of the cell by differences, for the round-off of stresses."""
         values = self.get()
-        found = np.zeros(self.size)
+        result = np.zeros(self.size)
         for b, h in enumerate(self.steps):
             sides = []
             for moved in (h, -h):
                 self.put(values + moved * (np.arange(self.size) == b))
                 sides.append(self.residual()[b])
-            found[b] = (sides[0] - sides[1]) / (2 * h)
+            result[b] = (sides[0] - sides[1]) / (2 * h)
         self.put(values)
-        self._stiffness = float(np.abs(found).max())
+        self._stiffness = float(np.abs(result).max())
 
     def settled(self, residual: FloatArray, target: float) -> bool:
         """The stresses are as prescribed, to the tolerance of forces or to round-off.
@@ -158,26 +158,26 @@ class Scalars:
             inertia: Forces of it at the owned displacements, if it is not among those [N].
         """
         cell = self._assembler.cell
-        found = {} if cell is None else cell.numbers()
+        result = {} if cell is None else cell.numbers()
         for chamber in self._cavities:
             if chamber.closed:
-                found[f"volume_{chamber.cavity.label}"] = chamber.volume()
-            found[f"pressure_{chamber.cavity.label}"] = chamber.cavity.pressure
+                result[f"volume_{chamber.cavity.label}"] = chamber.volume()
+            result[f"pressure_{chamber.cavity.label}"] = chamber.cavity.pressure
         for motion in self._prescribed.rigid_motions:
             values = self._prescribed.motion_values(motion)
             for name, value in zip(motion.names, values, strict=True):
-                found[f"{motion.label}_{name}"] = float(value)
+                result[f"{motion.label}_{name}"] = float(value)
             moment = self._moment(motion, inertia)
             for name in motion.names:
                 if name[0] == "r":
                     axis = name[1]
-                    found[f"moment_{motion.label}_{axis}"] = float(moment["xyz".index(axis)])
+                    result[f"moment_{motion.label}_{axis}"] = float(moment["xyz".index(axis)])
         for support in self._assembler.problem.supports:
             if isinstance(support, Rotation):
                 torque = float(np.dot(support.direction, self._moment(support, inertia)))
                 name = f"torque_{support.label}"
-                found[name] = found.get(name, 0.0) + torque
-        return found
+                result[name] = result.get(name, 0.0) + torque
+        return result
 
     def _moment(self, motion: RigidMotion | Rotation, inertia: FloatArray | None) -> FloatArray:
         """Moment of a support on the body about its point [N m], shape (3,). Collective."""
@@ -251,9 +251,9 @@ class CavityScalars:
         w = self._problem.w.x.array
         present = w.copy()
         w[:] = 0.0
-        found = self.volume(), self._is_closed()
+        result = self.volume(), self._is_closed()
         w[:] = present
-        return found
+        return result
 
     def volume(self) -> float:
         """Present volume [m^3]. Collective."""
@@ -336,14 +336,14 @@ class RigidSurface:
     def rows(self) -> list[FloatArray]:
         """Their derivatives. Collective."""
         dofs, D = self._directions()
-        places = self._problem.unknowns.mixed_dofs(dofs)
-        found = []
+        offsets = self._problem.unknowns.mixed_dofs(dofs)
+        result = []
         for column in D.T:
             self._along.x.array[:] = 0.0
-            self._along.x.array[places] = column
+            self._along.x.array[offsets] = column
             self._along.x.scatter_forward()
-            found.append(self._assembler.reactions.nodal(self._work))
-        return found
+            result.append(self._assembler.reactions.nodal(self._work))
+        return result
 
     def settled(self, residual: FloatArray, target: float) -> bool:
         """Forces out of balance are small, and moments over their levers, too.

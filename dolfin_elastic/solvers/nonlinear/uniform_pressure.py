@@ -2,7 +2,7 @@
 
 The motion of a rigid surface, or a macroscopic strain, does work against this pressure; free nodes
 do not.  So it is one more scalar unknown, whose equation is the volume of the body.  The pressure
-field is the deviation from it, with one entry fixed (`assembly.pressure_level`).
+field is the deviation from it, with one entry fixed (`assembly.hydrostatic_constant`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
-from dolfin_elastic.solvers.assembly.pressure_level import EnclosedBody
+from dolfin_elastic.solvers.assembly.hydrostatic_constant import EnclosedBody
 
 VOLUME = 1e-12
 """Error of the volume, as a share of it, that is round-off."""

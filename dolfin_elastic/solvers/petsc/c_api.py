@@ -124,8 +124,8 @@ def _sequential(matrix: PETSc.Mat) -> tuple[int, int, ctypes.c_void_p]:
         That of owned columns, that of others, and where the global numbers of the latter stand.
     """
     own, others, numbers = (ctypes.c_void_p() for _ in range(3))
-    handle, places = ctypes.c_void_p(matrix.handle), (own, others, numbers)
-    _check(_library().MatMPIAIJGetSeqAIJ(handle, *(ctypes.byref(place) for place in places)))
+    handle, offsets = ctypes.c_void_p(matrix.handle), (own, others, numbers)
+    _check(_library().MatMPIAIJGetSeqAIJ(handle, *(ctypes.byref(offset) for offset in offsets)))
     assert own.value is not None
     assert others.value is not None
     return own.value, others.value, numbers
@@ -192,8 +192,8 @@ def room_for_entries(matrix: PETSc.Mat, rows: IntArray, columns: IntArray) -> No
         rows: Global row of each entry of this rank; the same one may be there again.
         columns: Global column of each.
     """
-    places = [np.array(numbers, dtype=PETSc.IntType) for numbers in (rows, columns)]  # are changed
-    pointers = (ctypes.c_void_p(numbers.ctypes.data) for numbers in places)
+    offsets = [np.array(numbers, dtype=PETSc.IntType) for numbers in (rows, columns)]  # are changed
+    pointers = (ctypes.c_void_p(numbers.ctypes.data) for numbers in offsets)
     count = ctypes.c_ssize_t(len(rows))
     _check(_library().MatSetPreallocationCOO(ctypes.c_void_p(matrix.handle), count, *pointers))
 

@@ -54,8 +54,8 @@ class Halo:
         if not len(self.ghosts):
             return np.asarray(numbers - self.first, dtype=np.int32)
         order = np.argsort(self.ghosts, kind="stable")
-        found = np.searchsorted(self.ghosts, numbers, sorter=order)
-        others = self.owned + order[np.minimum(found, len(order) - 1)]
+        result = np.searchsorted(self.ghosts, numbers, sorter=order)
+        others = self.owned + order[np.minimum(result, len(order) - 1)]
         return np.where(own, numbers - self.first, others).astype(np.int32)
 
     def owners(self, numbers: IntArray) -> IntArray:
@@ -135,13 +135,13 @@ class Halo:
             return none[:, 0], none, np.zeros(0, dtype=np.int32)
         degree = np.asarray(self._sf.computeDegree())
         rank = np.full(len(self.ghosts), self.comm.rank, dtype=np.int64)
-        mine = np.stack([rank, start[self.owned : -1], start[self.owned + 1 :]], axis=1)
-        found = np.empty((int(degree.sum()), 3), dtype=np.int64)
-        unit = _unit(found)
-        self._sf.gatherBegin(unit, mine, found)
-        self._sf.gatherEnd(unit, mine, found)
+        local = np.stack([rank, start[self.owned : -1], start[self.owned + 1 :]], axis=1)
+        result = np.empty((int(degree.sum()), 3), dtype=np.int64)
+        unit = _unit(result)
+        self._sf.gatherBegin(unit, local, result)
+        self._sf.gatherEnd(unit, local, result)
         nodes = np.repeat(np.arange(self.owned, dtype=np.int32), degree)
-        return found[:, 0], found[:, 1:], nodes
+        return result[:, 0], result[:, 1:], nodes
 
     def _owners(self) -> IntArray:
         assert self._sf is not None
@@ -170,9 +170,9 @@ class Rows:
     nodes: IndexArray | None = None
 
 
-def _forest(comm: MPI.Comm, roots: int, ranks: IntArray, places: IntArray) -> PETSc.SF:
+def _forest(comm: MPI.Comm, roots: int, ranks: IntArray, offsets: IntArray) -> PETSc.SF:
     """A star forest whose leaves stand in a row. Collective."""
-    remote = np.stack([ranks, places], axis=1).astype(PETSc.IntType)
+    remote = np.stack([ranks, offsets], axis=1).astype(PETSc.IntType)
     forest = PETSc.SF().create(comm)
     forest.setGraph(roots, None, remote)
     forest.setUp()
@@ -226,10 +226,10 @@ class RowsOfOthers:
         Args:
             entries: What stands at all entries of the rows here, first axis.
         """
-        found = np.empty((self.start[-1], *entries.shape[1:]), dtype=entries.dtype)
+        result = np.empty((self.start[-1], *entries.shape[1:]), dtype=entries.dtype)
         if self._forest is not None:
-            _bring(self._forest, entries, found)
-        return found
+            _bring(self._forest, entries, result)
+        return result
 
     def destroy(self) -> None:
         """Frees PETSc's object. Collective."""
@@ -252,8 +252,8 @@ def _entries(
     """
     lengths = bounds[:, 1] - bounds[:, 0]
     start = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-    places = np.arange(start[-1]) + np.repeat(bounds[:, 0] - start[:-1], lengths)
-    return start, _forest(comm, roots, np.repeat(ranks, lengths), places)
+    offsets = np.arange(start[-1]) + np.repeat(bounds[:, 0] - start[:-1], lengths)
+    return start, _forest(comm, roots, np.repeat(ranks, lengths), offsets)
 
 
 def _rows(
@@ -268,12 +268,12 @@ def _rows(
         columns: Global column of each block that this rank has for others.
     """
     start, forest = _entries(comm, len(columns), ranks, bounds)
-    found = Rows(
+    result = Rows(
         start,
         np.empty(start[-1], dtype=np.int64),
         np.empty((start[-1], *blocks.shape[1:]), dtype=blocks.dtype),
     )
-    _bring(forest, columns, found.columns)
-    _bring(forest, blocks, found.blocks)
+    _bring(forest, columns, result.columns)
+    _bring(forest, blocks, result.blocks)
     forest.destroy()
-    return found
+    return result

@@ -207,15 +207,15 @@ class ArcLength:
         """
         if self._increment is None:
             longest = np.inf if chosen else FIRST_DISPLACEMENT * self._newton.span
-            found = self._first(first, smallest, longest)
-            if not found.result.converged:
-                yield found
+            result = self._first(first, smallest, longest)
+            if not result.result.converged:
+                yield result
                 return
             self._increment, self._size = self._length.increment(), self._length.arc()
             self._longest = MAX_GROWTH * self._size
             self._bordered.factorise()
-            self._slope, self._negative = self._slopes()[1], _counted(found.verdict)
-            yield found
+            self._slope, self._negative = self._slopes()[1], _counted(result.verdict)
+            yield result
         while self._length.t < self._end * (1 - 1e-12):
             here, t = self._newton.unknowns(), self._length.t
             point = self._next(self._increment)
@@ -314,14 +314,14 @@ class ArcLength:
         there, terms = self._bordered.unknowns(), self._retry.augmentation
         remembered = [] if terms is None else terms.copies()
         least = BALANCED * self._newton.tolerance.rtol
-        found = limit_points(begin, end, inside, least=least)
+        limits = limit_points(begin, end, inside, least=least)
         if inside.moved:
             self._bordered.put_back(there)
             if terms is not None:
                 terms.put(remembered)
             assert self._bordered.bordered is not None
             self._bordered.bordered.evaluate()
-        return found
+        return limits
 
     def _report(self, t: float, verdict: Verdict, limits: Sequence[LimitPoint]) -> Verdict:
         """Logs the limit points of a step, and bifurcations that its pivots show. Collective.
@@ -489,15 +489,15 @@ class _Inside:
     def __call__(self, s: float) -> Sample | None:
         """The point at a distance [m] from the beginning; None: not found."""
         self.moved = True
-        found, result = self._path.find(*self._begin, s)
+        sample, result = self._path.find(*self._begin, s)
         self.spent = replace(
             self.spent,
             newton=self.spent.newton + result.newton,
             krylov=self.spent.krylov + result.krylov,
         )
-        if found is not None:
-            self.found.append(found)
-        return found
+        if sample is not None:
+            self.found.append(sample)
+        return sample
 
 
 def _explained(change: int, limits: int) -> bool:

@@ -65,18 +65,18 @@ def limit_points(
         find: The point of the path at a distance; None where it is not found.
         least: Error of the load of a point of the path, over the load.
     """
-    found: list[LimitPoint] = []
+    points: list[LimitPoint] = []
     left, last, apart = begin, begin.s, APART * (end.s - begin.s)
     while roots := _further(left, end, last, apart):
         before = last
         point, limit, last = _located(left, end, roots[0], find)
-        if found and last <= before + apart:  # the same one again
+        if points and last <= before + apart:  # the same one again
             break
-        found.append(LimitPoint(limit.t, max(limit.error, least * abs(limit.t))))
-        if point is None or len(found) > 2:
+        points.append(LimitPoint(limit.t, max(limit.error, least * abs(limit.t))))
+        if point is None or len(points) > 2:
             break
         left = point
-    return found
+    return points
 
 
 def first_reached(
@@ -91,11 +91,11 @@ def first_reached(
     """
     a, b = next(pair for pair in pairwise(samples) if pair[0].t < t <= pair[1].t)
     for _ in range(MOST):
-        found = find(_reaching(a, b, t))
-        if found is None or abs(found.t - t) <= EXACT * abs(t):
-            return found
-        a, b = (found, b) if found.t < t else (a, found)
-    return found
+        sample = find(_reaching(a, b, t))
+        if sample is None or abs(sample.t - t) <= EXACT * abs(t):
+            return sample
+        a, b = (sample, b) if sample.t < t else (a, sample)
+    return sample
 
 
 def _reaching(a: Sample, b: Sample, t: float) -> float:
@@ -130,25 +130,25 @@ def _located(
     value = _cubic(left, right, x)
     error = max(abs(value - left.t), abs(value - right.t))
     for _ in range(MOST):
-        found = find(x)
-        if found is None:
+        result = find(x)
+        if result is None:
             break
-        point = found
-        if not np.isfinite(found.slope):  # the tangent is singular: it is the limit point
-            return point, LimitPoint(found.t, abs(value - found.t)), found.s
-        samples = [found, *sorted(samples, key=lambda sample: abs(sample.s - found.s))]
-        left, right = (left, found) if left.slope * found.slope <= 0.0 else (found, right)
+        point = result
+        if not np.isfinite(result.slope):  # the tangent is singular: it is the limit point
+            return point, LimitPoint(result.t, abs(value - result.t)), result.s
+        samples = [result, *sorted(samples, key=lambda sample: abs(sample.s - result.s))]
+        left, right = (left, result) if left.slope * result.slope <= 0.0 else (result, right)
         # The two nearest points give the better cubic, the two around the limit one with a root.
-        pair = found, samples[1]
+        pair = result, samples[1]
         roots = [at for at in _turns(*pair, inside=False) if left.s < at < right.s]
         if not roots:
             pair = left, right
             roots = _turns(left, right)
         if not roots:
             # The slope is all that is left to tell: the limit is within a step of Newton's method.
-            return found, LimitPoint(found.t, abs(found.slope * (right.s - left.s))), found.s
-        x = roots[int(np.argmin(np.abs(np.array(roots) - found.s)))]
-        value, error = _cubic(*pair, x), abs(found.slope * (x - found.s))
+            return result, LimitPoint(result.t, abs(result.slope * (right.s - left.s))), result.s
+        x = roots[int(np.argmin(np.abs(np.array(roots) - result.s)))]
+        value, error = _cubic(*pair, x), abs(result.slope * (x - result.s))
         if error <= EXACT * abs(value):
             break
     return point, LimitPoint(value, error), x

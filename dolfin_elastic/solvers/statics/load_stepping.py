@@ -61,7 +61,7 @@ class _Step:
 
 
 @dataclass(frozen=True)
-class NearEnd:
+class InitialGuess:
     """Unknowns near those of the full load, as those of a coarser mesh are.
 
     Attributes:
@@ -114,7 +114,7 @@ class LoadStepping:
         self._verdict: Verdict | None = None
 
     def run(
-        self, saved: SavedState | None = None, near: NearEnd | None = None
+        self, saved: SavedState | None = None, near: InitialGuess | None = None
     ) -> Generator[State, None, None]:
         """Yields the states; see `Statics.steps`. Collective.
 
@@ -229,7 +229,7 @@ class LoadStepping:
 
     # --- from unknowns near those of the end ---
 
-    def _straight(self, near: NearEnd) -> State | None:
+    def _straight(self, near: InitialGuess) -> State | None:
         """The equilibrium of the full load next to a guess, None if there is none. Collective.
 
         All unknowns are put back if there is none.
@@ -249,7 +249,7 @@ class LoadStepping:
         self._states.state(end, result)
         return self._states.state(end, result, verdict=self._verdict)
 
-    def _join_arrays(self, near: NearEnd) -> FloatArray:
+    def _join_arrays(self, near: InitialGuess) -> FloatArray:
         return np.concatenate([near.unknowns, np.array(near.scalars, dtype=np.float64)])
 
     def _refusal_of_guess(self) -> str:
@@ -266,8 +266,8 @@ class LoadStepping:
         sizes = self._sizes
         end, start = self._settings.end, self._newton.unknowns()
         whole = self._whole and self._t == 0.0
-        if whole and (found := try_whole_load(self._retry, self._path_check, end)) is not None:
-            result, self._verdict = found
+        if whole and (whole_load := try_whole_load(self._retry, self._path_check, end)) is not None:
+            result, self._verdict = whole_load
             self._accept(_Step(0.0, end, start), end, result, left_path=False)
             stored = self._path_check.energy
             yield self._states.state(end, result, verdict=self._verdict, stored=stored)
@@ -377,14 +377,14 @@ class LoadStepping:
             raise self._failure(step.t, goal, result.refused(refusal), step.start, failed)
         if refusal != ANOTHER:
             unstable = self._verdict if result.converged else None
-            found, self._verdict = flow_to_equilibrium(self._retry, unstable)
-            if not found.converged and self._jumped_to is not None:
-                goal, found = self._follow_jump(step, found)
+            reached, self._verdict = flow_to_equilibrium(self._retry, unstable)
+            if not reached.converged and self._jumped_to is not None:
+                goal, reached = self._follow_jump(step, reached)
             self._path_check.evaluate()
-            if not found.converged or not self._path_check.finite():
+            if not reached.converged or not self._path_check.finite():
                 # The first failure is diagnosed: what stopped the path, not what stopped the flow.
                 raise self._failure(step.t, goal, result.refused(refusal), step.start, failed)
-            result = found
+            result = reached
         self._jumps += refusal == ANOTHER
         what = "buckles or tips over" if refusal == UNSTABLE else "has snapped through"
         log.warning(
@@ -396,23 +396,23 @@ class LoadStepping:
         )
         return goal, result
 
-    def _follow_jump(self, step: _Step, found: NewtonResult) -> tuple[float, NewtonResult]:
+    def _follow_jump(self, step: _Step, reached: NewtonResult) -> tuple[float, NewtonResult]:
         """Goes where a larger step had jumped to, if that is still ahead. Collective.
 
         Args:
-            found: How the flow ended that did not find an equilibrium.
+            reached: How the flow ended that did not find an equilibrium.
         """
         assert self._jumped_to is not None
         goal, unknowns = self._jumped_to
         if goal <= step.t:
-            return step.goal, found
+            return step.goal, reached
         self._problem.set_time(goal, default=PROPORTIONAL)
-        found = self._retry.solve([("", unknowns)])
-        if found.converged:
+        reached = self._retry.solve([("", unknowns)])
+        if reached.converged:
             self._verdict = judge(self._newton)
             if self._verdict.stable is False:
-                found, self._verdict = flow_to_equilibrium(self._retry, self._verdict)
-        return goal, found
+                reached, self._verdict = flow_to_equilibrium(self._retry, self._verdict)
+        return goal, reached
 
     def _ends_early(self) -> bool:
         limit = self._settings.max_displacement

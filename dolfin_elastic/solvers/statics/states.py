@@ -59,8 +59,8 @@ class StaticStates:
 
     def _numbers(self) -> dict[str, float]:
         """Results of terms and scalar unknowns by name. Collective."""
-        found = results_of_terms(self._problem) if self._problem.terms else {}
-        return found if self._scalars is None else found | self._scalars.numbers()
+        result = results_of_terms(self._problem) if self._problem.terms else {}
+        return result if self._scalars is None else result | self._scalars.numbers()
 
     def state(
         self,
@@ -136,7 +136,7 @@ class StaticStates:
 
         self._newton.put_back(failed)
         fields = len(self._problem.w.x.array)
-        found = diagnose(
+        diagnosis = diagnose(
             self._assembler,
             result,
             good=good[:fields],
@@ -147,15 +147,15 @@ class StaticStates:
         state, suspicion = self.state(goal, result), self._suspicion()
         self._problem.set_time(goal, default=PROPORTIONAL)
         if suspicion:
-            found = replace(found, advice=f"{suspicion}; else {found.advice}")
+            diagnosis = replace(diagnosis, advice=f"{suspicion}; else {diagnosis.advice}")
         none = "no stable equilibrium" if result.reason == UNSTABLE else "no equilibrium"
         return ConvergenceError(
-            f"{none} beyond load factor {t:.6g}: {found.text}\n  at the end: "
+            f"{none} beyond load factor {t:.6g}: {diagnosis.text}\n  at the end: "
             f"{in_words(result.reason)}, Newton iterations: {result.newton}; the largest force "
             f"out of balance, {force:.3g} N, is at {coordinates(place)} m",
-            advice=found.advice,
+            advice=diagnosis.advice,
             state=state,
-            diagnosis=found,
+            diagnosis=diagnosis,
         )
 
     def _suspicion(self) -> str:

@@ -14,7 +14,7 @@ from dolfin_elastic.core.together import failing_together, loop_together
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
+from dolfin_elastic.solvers.assembly.hydrostatic_constant import HydrostaticConstant
 from dolfin_elastic.solvers.breakpoints import driven_by_formula
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_no_rigid_motion
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose, in_blocks
@@ -22,7 +22,7 @@ from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
-from dolfin_elastic.solvers.statics.load_stepping import LoadStepping, NearEnd
+from dolfin_elastic.solvers.statics.load_stepping import InitialGuess, LoadStepping
 from dolfin_elastic.solvers.statics.settings import FIRST, StaticsSettings, refuse_relaxing
 from dolfin_elastic.solvers.statics.step_size import StepSizes
 from dolfin_elastic.solvers.statics.whole_load import may_take_whole_load
@@ -62,7 +62,7 @@ class Statics:
         self._end: tuple[State, RestartState] | None = None
 
     def steps(
-        self, saved: SavedState | None = None, *, near: NearEnd | None = None
+        self, saved: SavedState | None = None, *, near: InitialGuess | None = None
     ) -> Generator[State, None, None]:
         """Yields the initial state and then one equilibrium a step. Collective.
 
@@ -79,7 +79,7 @@ class Statics:
         return loop_together(self.problem.body.comm, self._steps(saved, near))
 
     def _steps(
-        self, saved: SavedState | None, near: NearEnd | None
+        self, saved: SavedState | None, near: InitialGuess | None
     ) -> Generator[State, None, None]:
         check_no_rigid_motion(self.problem)
         self._check_path()
@@ -92,7 +92,7 @@ class Statics:
             yield self._end[0]
 
     def _before_the_last(
-        self, saved: SavedState | None, near: NearEnd | None
+        self, saved: SavedState | None, near: InitialGuess | None
     ) -> Generator[State, None, None]:
         """All states but the last one, which is left in `_end`. Collective.
 
@@ -102,7 +102,7 @@ class Statics:
             assembler = Assembler(self.problem, iterated=in_blocks(self.choice, self.petsc))
             owned.callback(assembler.destroy)
             if self.problem.mixed:
-                PressureLevel(self.problem).report()
+                HydrostaticConstant(self.problem).report()
             scalars = Scalars(assembler) if self.problem.has_scalars else None
             watch = JacobianWatch(self.problem)
             newton = Newton(

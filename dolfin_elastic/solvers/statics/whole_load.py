@@ -76,7 +76,7 @@ def may_take_whole_load(problem: Problem) -> bool:
     )
 
 
-class Course:
+class IterationCheck:
     """Watches the iterates of a trial; see the module.
 
     Args:
@@ -146,12 +146,12 @@ def try_whole_load(
 
 
 def _solved(newton: Newton, path_check: PathEnergyCheck) -> NewtonResult:
-    guard, course = newton.guard, Course(newton.assembler)
+    guard, check = newton.guard, IterationCheck(newton.assembler)
     most = min(ITERATIONS, newton.tolerance.max_iterations)
-    result = newton.solve("basic", max_iterations=most, course=course)
+    result = newton.solve("basic", max_iterations=most, check=check)
     if not result.converged:
         return result
-    if result.newton > 1 and course.far(newton.snes):
+    if result.newton > 1 and check.far(newton.snes):
         return result.refused(FARTHER)
     if guard is not None and guard.watch.smallest()[0] <= 0.0:
         return result.refused("a cell has turned inside out")

@@ -32,14 +32,14 @@ from dolfin_elastic.mesh.refine.marking import bulk
 from dolfin_elastic.mesh.refine.refinement import Refinement, refine_body
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, State
-from dolfin_elastic.results.checkpoint.lock import FolderLock
+from dolfin_elastic.results.checkpoint.lock import FolderLease
 from dolfin_elastic.results.quantity import Measured
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.peaks import Peak, find_peaks, largest, percent
 from dolfin_elastic.results.recovery.singular import singular_places
 from dolfin_elastic.results.writers.summary import SummaryWriter, mark_stopped
 from dolfin_elastic.solvers.messages import coordinates
-from dolfin_elastic.solvers.statics.load_stepping import NearEnd
+from dolfin_elastic.solvers.statics.load_stepping import InitialGuess
 from dolfin_elastic.solvers.statics.statics import Statics
 from dolfin_elastic.study.converge.extrapolation import extrapolate, grows
 from dolfin_elastic.study.converge.report import Level, Progress, Verdict, write_report
@@ -85,10 +85,10 @@ def _carried(
     """The local array of a function of a Lagrange space, continuous or not. Collective."""
     width = before.dofmap.index_map_bs
     rows = values.reshape(-1, width)[before.dofmap.list]
-    found = refinement.interpolated(int(before.ufl_element().degree), rows)
+    result = refinement.interpolated(int(before.ufl_element().degree), rows)
     index = after.dofmap.index_map
     table = np.zeros((index.size_local + index.num_ghosts, width))
-    table[after.dofmap.list] = found
+    table[after.dofmap.list] = result
     return table.reshape(-1)
 
 
@@ -153,7 +153,7 @@ def _locked(
     case: Case, goal: Goal, folder: Path, petsc: PetscOptions | None, comm: MPI.Comm
 ) -> Generator[Progress, None, None]:
     """All meshes, while no other run can write into the folder. Collective."""
-    with closing(FolderLock(comm, folder, case.output.names())) as lock:
+    with closing(FolderLease(comm, folder, case.output.names())) as lock:
         lock.acquire()
         if comm.rank == 0:
             remove_stop_file(folder)
@@ -215,7 +215,7 @@ class _Convergence:
     folder: Path
     petsc: dict[str, PetscValue]
     comm: MPI.Comm
-    lock: FolderLock
+    lock: FolderLease
 
     def levels(self) -> Generator[Progress, None, None]:
         """All meshes. Collective."""
@@ -282,7 +282,7 @@ class _Convergence:
         near = None
         if refinement is not None and before is not None:
             unknowns = refined_unknowns(refinement, before.problem, before.problem.w, problem)
-            near = NearEnd(unknowns, tuple(before.saved.numbers["scalars"]))
+            near = InitialGuess(unknowns, tuple(before.saved.numbers["scalars"]))
         newton, state, saved = 0, None, None
         with locate_errors(self.case.file), closing(solver.steps(near=near)) as steps:
             for state in steps:
@@ -314,7 +314,7 @@ class _Convergence:
         local = len(sizes) > 1 and bool(np.all(sizes[1:] < 0.8 * sizes[:-1]))
         fineness = [float(h**-d) for h in sizes] if local else unknowns
         rate = self.goal.quantity.order(problem.degree) / d
-        found = extrapolate(fineness, values, rate=rate)
+        result = extrapolate(fineness, values, rate=rate)
         # Two meshes may agree by accident: displacements and energies are hardly known better than
         # by the energy's error, and peaks of stress by that of the recovered stress.  The forces of
         # supports balance the loads on every mesh.  A peak that is not resolved is not known (nan).
@@ -324,15 +324,15 @@ class _Convergence:
         least = least if solved.peak is None else recovered
         # No refinement of a finished mesh brings straight cells nearer to a curved face.
         cut_off = solved.estimate.cut_off if solved.peak is None else 0.0
-        estimated = float(np.maximum(found.error + cut_off, least))
+        estimated = float(np.maximum(result.error + cut_off, least))
         level = Level(
             number=len(levels) + 1,
             cells=problem.body.num_cells,
             unknowns=problem.num_dofs,
             value=measured.value,
             error=estimated if len(values) > 1 else recovered,
-            limit=found.limit,
-            rate=found.rate,
+            limit=result.limit,
+            rate=result.rate,
             energy_error=solved.estimate.relative,
             place=measured.place,
             size=measured.cell_size,

@@ -53,10 +53,10 @@ class Wanted:
         Raises:
             InputError: It is no name, and no name with a part.
         """
-        found = _TEXT.fullmatch(text)
-        if found is None:
+        match = _TEXT.fullmatch(text)
+        if match is None:
             raise InputError(f"'{text}' is no result of a run", expected=f"for example {_EXAMPLES}")
-        wanted = cls(found[2], found[3] or "", found[1] or "")
+        wanted = cls(match[2], match[3] or "", match[1] or "")
         if wanted.reduction:
             try:
                 assert wanted.quantity
@@ -163,30 +163,30 @@ class WantedNumber:
         if not isinstance(extreme, Extreme):
             return extreme.of(state), none
         values = extreme.values(state)
-        found = extreme.largest(state, values)
-        if not found.place:
+        result = extreme.largest(state, values)
+        if not result.place:
             raise InputError(
                 f"'{self._wanted}' has no value in this run",
                 where="--until",
                 expected="a result that is finite somewhere on that part",
             )
-        top = found.value if extreme.quantity.reduction == "max" else -found.value
+        top = result.value if extreme.quantity.reduction == "max" else -result.value
         peak = extreme.members[values >= (_PEAK * top if top > 0 else top / _PEAK)]
-        return found, self._touching(peak) if extreme.centre == "node" else peak
+        return result, self._touching(peak) if extreme.centre == "node" else peak
 
     def chosen(self) -> BoolArray:
         """Whether an owned node is one of those among which the extreme of a field is sought."""
         assert isinstance(self._measured, Extreme)
-        found = np.zeros(self._problem.V.dofmap.index_map.size_local, dtype=bool)
-        found[self._measured.members] = True
-        return found
+        mask = np.zeros(self._problem.V.dofmap.index_map.size_local, dtype=bool)
+        mask[self._measured.members] = True
+        return mask
 
     def _number(self, state: State) -> float:
         """A number that is there already: a column of the history, or the length of some."""
         q, columns = self._wanted, row(state)
         known = {"energy": "strain_energy"}.get(q.name, q.name)
-        if not q.part and isinstance(found := columns.get(known), int | float):
-            return float(found)
+        if not q.part and isinstance(column := columns.get(known), int | float):
+            return float(column)
         kind = _COMPONENTS.fullmatch(q.name)
         if q.part:
             stem = f"reaction_{q.part}" if q.name.startswith("reaction") else q.part

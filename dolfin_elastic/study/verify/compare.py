@@ -51,37 +51,37 @@ def compare(folders: Sequence[Path]) -> list[Difference]:
     Raises:
         InputError: They have different columns, or different numbers of modes.
     """
-    found = [_numbers(folder) for folder in folders]
-    for folder, other in zip(folders, found, strict=True):
-        if other.keys() != found[0].keys():
+    tables = [_numbers(folder) for folder in folders]
+    for folder, other in zip(folders, tables, strict=True):
+        if other.keys() != tables[0].keys():
             raise InputError(
                 "other columns or modes than on the first number of ranks",
                 where=str(folder),
                 expected="please report it, with the case",
             )
     scales: dict[str, float] = defaultdict(float)
-    for numbers in found:
+    for numbers in tables:
         for name, (_, scale) in numbers.items():
             group = _COMPONENT.sub("", name)
             scales[group] = max(scales[group], scale, _least_scale(group, numbers))
     return [
-        Difference(name, [one[name][0] for one in found], scales[_COMPONENT.sub("", name)])
-        for name in found[0]
+        Difference(name, [one[name][0] for one in tables], scales[_COMPONENT.sub("", name)])
+        for name in tables[0]
     ]
 
 
 def _numbers(folder: Path) -> dict[str, tuple[float, float]]:
     """Column to its last value, and to its largest absolute one."""
-    found = {}
+    result = {}
     rows = _rows(folder / "history.csv")
     for name in _columns(rows):
         values = [float(row[name]) for row in rows]
-        found[name] = (values[-1], max(map(abs, values)))
+        result[name] = (values[-1], max(map(abs, values)))
     for number, row in enumerate(_rows(folder / "modes.csv"), start=1):
         for name in ("frequency", "load_factor"):
             if row.get(name):
-                found[f"{name} of mode {number}"] = (float(row[name]), abs(float(row[name])))
-    return found
+                result[f"{name} of mode {number}"] = (float(row[name]), abs(float(row[name])))
+    return result
 
 
 def _least_scale(group: str, numbers: Mapping[str, tuple[float, float]]) -> float:

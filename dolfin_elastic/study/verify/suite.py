@@ -144,10 +144,10 @@ def outcome(one: Verification, comm: MPI.Comm) -> Outcome:
 
 
 def _read(one: Verification, results: Path) -> float:
-    found = json.loads((results / "summary.json").read_text(encoding="utf-8"))
+    content = json.loads((results / "summary.json").read_text(encoding="utf-8"))
     for key in one.value.split("."):
-        found = found[int(key) if isinstance(found, list) else key]
-    return float(found)
+        content = content[int(key) if isinstance(content, list) else key]
+    return float(content)
 
 
 @contextmanager

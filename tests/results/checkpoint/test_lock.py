@@ -18,7 +18,7 @@ from dolfin_elastic.core import lease
 from dolfin_elastic.core.errors import RestartError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.results.checkpoint import lock
-from dolfin_elastic.results.checkpoint.lock import LOCK, FolderLock, check_free
+from dolfin_elastic.results.checkpoint.lock import LOCK, FolderLease, check_free
 
 WORLD = MPI.COMM_WORLD
 GOING = r"a run is still going in this folder \(process \d+ on .*, since 20.*\); wait for its"
@@ -41,7 +41,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def test_one_run_at_a_time(folder: Path) -> None:
     """On all ranks alike; whoever gives it back leaves nothing behind."""
-    first, second = FolderLock(WORLD, folder), FolderLock(WORLD, folder)
+    first, second = FolderLease(WORLD, folder), FolderLease(WORLD, folder)
     first.acquire()
     first.acquire(create=True)  # once is enough
     with pytest.raises(RestartError, match=GOING):
@@ -54,7 +54,7 @@ def test_one_run_at_a_time(folder: Path) -> None:
 
 def test_a_folder_that_does_not_exist_yet(folder: Path) -> None:
     """It is made only when it is asked for."""
-    one = FolderLock(WORLD, folder / "new")
+    one = FolderLease(WORLD, folder / "new")
     one.acquire()
     assert not on_root(WORLD, (folder / "new").exists)
     one.acquire(create=True)
@@ -66,7 +66,7 @@ def test_a_file_left_behind_locks_nothing(folder: Path) -> None:
     """What a killed run leaves is a file that nobody has locked."""
     on_root(WORLD, lambda: (folder / LOCK).write_text('{"pid": 1'))
     on_root(WORLD, lambda: check_free(folder))
-    one = FolderLock(WORLD, folder)
+    one = FolderLease(WORLD, folder)
     one.acquire()
     with pytest.raises(RestartError, match=GOING):
         on_root(WORLD, lambda: check_free(folder))
@@ -75,7 +75,7 @@ def test_a_file_left_behind_locks_nothing(folder: Path) -> None:
 
 def test_another_date_and_another_name(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A clock set back and a host renamed change nothing: the lock is that of the file."""
-    one = FolderLock(WORLD, folder)
+    one = FolderLease(WORLD, folder)
     one.acquire()
     monkeypatch.setattr(lease.time, "time", lambda: 0.0)
     monkeypatch.setattr(lease.socket, "gethostname", lambda: "renamed")
@@ -99,13 +99,13 @@ def test_a_file_that_was_removed_is_no_lock(folder: Path, monkeypatch: Any) -> N
         calls.append(descriptor)
 
     monkeypatch.setattr(fcntl, "flock", flock)
-    one = FolderLock(WORLD, folder)
+    one = FolderLease(WORLD, folder)
     one.acquire()
     assert on_root(WORLD, lambda: len(calls)) == 2
     monkeypatch.undo()
     monkeypatch.setattr(lock, "PATIENCE", 0.0)
     with pytest.raises(RestartError, match=GOING):
-        FolderLock(WORLD, folder).acquire()
+        FolderLease(WORLD, folder).acquire()
     one.close()
 
 
@@ -126,7 +126,7 @@ def test_a_file_system_without_locks(folder: Path, monkeypatch: Any, caplog: Any
         ]
     assert not on_root(WORLD, (folder / LOCK).exists)
     on_root(WORLD, lambda: [(folder / LOCK).write_text('{"pid": 1'), None][1])
-    one = FolderLock(WORLD, folder)
+    one = FolderLease(WORLD, folder)
     one.acquire()
     one.close()
     assert on_root(WORLD, (folder / LOCK).exists)  # somebody else's

@@ -61,7 +61,7 @@ class Facets:
             members: Numbers of elements, all different.
             side: The face in capitals; empty: those on the boundary of the body.
         """
-        found, with_face, existing = [], 0, 0
+        result, with_face, existing = [], 0, 0
         for elements in self._elements:
             inside = np.isin(elements.labels, members)
             existing += int(np.count_nonzero(inside))
@@ -73,9 +73,9 @@ class Facets:
                 nodes = elements.nodes[inside][:, list(local)]
                 if not side and stem(elements.kind) == self._cells:
                     nodes = nodes[match_rows(self._boundary, np.sort(nodes, axis=1)) >= 0]
-                found.append((_KINDS[nodes.shape[1]], nodes))
+                result.append((_KINDS[nodes.shape[1]], nodes))
         missing = max(len(members) - with_face, 0)
-        return Picked(found, len(members), missing, existing > 0 and with_face == 0)
+        return Picked(result, len(members), missing, existing > 0 and with_face == 0)
 
     @cached_property
     def _boundary(self) -> IntArray:

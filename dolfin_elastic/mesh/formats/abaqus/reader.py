@@ -156,11 +156,11 @@ def _information(deck: _Deck) -> list[str]:
         name: Block(kind[0], _NO_NODES).dim for name in deck.types if (kind := element_kind(name))
     }
     low = [f"{deck.types[name]} {name}" for name in dims if dims[name] < max(dims.values())]
-    found = (
+    result = (
         [f"elements that name parts only and have no stiffness: {', '.join(low)}"] if low else []
     )
     others = ", ".join(dict.fromkeys(deck.others))
-    return [*found, f"not read, because the case file states it: {others}"] if others else found
+    return [*result, f"not read, because the case file states it: {others}"] if others else result
 
 
 # --- keywords ---
@@ -243,7 +243,7 @@ def _in_scope(deck: _Deck, card: Card, numbers: IntArray) -> IntArray:
 
 def _generated(card: Card) -> IntArray:
     """Numbers of lines "first, last, step"."""
-    found = []
+    result = []
     for row, line in enumerate(card.lines):
         words = [word.strip() for word in line.split(",") if word.strip()]
         if not 2 <= len(words) <= 3 or not all(word.isdigit() for word in words):
@@ -253,8 +253,8 @@ def _generated(card: Card) -> IntArray:
         first, last, step = [*(int(word) for word in words), 1][:3]
         if step < 1 or (last - first) // step > 1 << 31:
             raise card.error(f"'{line.strip()}' generates nothing", row=row)
-        found.append(np.arange(first, last + 1, step, dtype=np.int64))
-    return joined(found)
+        result.append(np.arange(first, last + 1, step, dtype=np.int64))
+    return joined(result)
 
 
 def _nodes_of(deck: _Deck, members: IntArray) -> IntArray:
@@ -358,13 +358,13 @@ def _blocks(deck: _Deck, numbers: IntArray) -> Iterator[Block]:
 def _surfaces(deck: _Deck, numbers: IntArray) -> Iterator[Block]:
     """Facets of each *SURFACE as blocks of elements; those of type NODE become sets of nodes."""
     facets = Facets(deck.elements)
-    found: dict[str, list[tuple[str, IntArray]]] = {}
+    result: dict[str, list[tuple[str, IntArray]]] = {}
     for key, card in deck.surfaces.items():
         if card.options.get("TYPE", "ELEMENT").upper() == "NODE":
             deck.nsets.setdefault(key, [_members(deck, card, "NSET")])
             continue
-        found[key] = list(_facets(deck, key, card, facets, found))
-        for kind, nodes in found[key]:
+        result[key] = list(_facets(deck, key, card, facets, result))
+        for kind, nodes in result[key]:
             rows = find_all(numbers, nodes)
             yield Block(kind, rows, {deck.names[key]: np.arange(len(rows))})
 

@@ -66,7 +66,7 @@ def exact_normals(gmsh: ModuleType, dim: int) -> list[tuple[int, FloatArray]]:
         dim, 3), in the order in which the mesh is saved; NaN where Gmsh does not know them, as at
         the tip of a cone.
     """
-    found = []
+    result = []
     for _, tag in gmsh.model.getEntities(dim - 1):
         kinds, _, nodes = gmsh.model.mesh.getElements(dim - 1, tag)
         rows: list[IntArray] = [np.empty((0, dim), dtype=np.int64)]
@@ -78,8 +78,8 @@ def exact_normals(gmsh: ModuleType, dim: int) -> list[tuple[int, FloatArray]]:
         order = np.argsort(tags, kind="stable")
         at = order[np.minimum(np.searchsorted(tags, vertices, sorter=order), len(tags) - 1)]
         known = (tags[at] == vertices)[..., None]
-        found.append((int(tag), np.where(known, normals[at], np.nan)))
-    return found
+        result.append((int(tag), np.where(known, normals[at], np.nan)))
+    return result
 
 
 def _at_nodes(gmsh: ModuleType, dim: int, tag: int) -> tuple[IntArray, FloatArray]:
@@ -115,11 +115,11 @@ _KINDS = {1: 8, 2: 9, 3: 11}
 def _nodes(gmsh: ModuleType, dim: int) -> tuple[IntArray, IntArray, FloatArray]:
     """Tags, nodes of shape (n, k) and their places (n, k, 3) of the quadratic cells of a kind."""
     cells, nodes = gmsh.model.mesh.getElementsByType(_KINDS[dim])
-    tags, places, _ = gmsh.model.mesh.getNodes()
+    tags, coordinates, _ = gmsh.model.mesh.getNodes()
     order = np.argsort(tags)
     nodes = np.asarray(nodes).reshape(len(cells), -1)
     at = order[np.searchsorted(tags, nodes, sorter=order)]
-    return np.asarray(cells), nodes, np.asarray(places).reshape(-1, 3)[at]
+    return np.asarray(cells), nodes, np.asarray(coordinates).reshape(-1, 3)[at]
 
 
 def _is_curved(gmsh: ModuleType, dim: int) -> bool:

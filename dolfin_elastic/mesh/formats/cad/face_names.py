@@ -41,16 +41,16 @@ def face_names(gmsh: ModuleType, path: Path, scale: float) -> tuple[dict[Entity,
     known = [(names, [scale * d for d in sizes]) for names, sizes in step.bodies() if any(names)]
     box = np.array(gmsh.model.getBoundingBox(-1, -1))
     near = _NEAR * float(np.linalg.norm(box[3:] - box[:3]))
-    found: dict[Entity, str] = {}
+    result: dict[Entity, str] = {}
     for body in gmsh.model.getEntities(3):
         faces = [(2, int(tag)) for tag in sorted(gmsh.model.getAdjacencies(*body)[1])]
         sizes = _sizes([_corners(gmsh, face) for face in faces])
         fitting = {tuple(names) for names, other in known if _same(sizes, other, near)}
         if len(fitting) == 1:
-            found |= {f: n for f, n in zip(faces, next(iter(fitting)), strict=True) if n}
-    lost = {name for names, _ in known for name in names if name} - set(found.values())
+            result |= {f: n for f, n in zip(faces, next(iter(fitting)), strict=True) if n}
+    lost = {name for names, _ in known for name in names if name} - set(result.values())
     note = f"names of faces that cannot be assigned (left out): {', '.join(sorted(lost))}"
-    return found, [note] if lost else []
+    return result, [note] if lost else []
 
 
 def _same(sizes: Sequence[FloatArray], other: Sequence[FloatArray], near: float) -> bool:
@@ -72,16 +72,16 @@ def _sizes(faces: Sequence[FloatArray]) -> list[FloatArray]:
 
 def _corners(gmsh: ModuleType, face: Entity) -> FloatArray:
     points = gmsh.model.getBoundary([face], combined=False, oriented=False, recursive=True)
-    places = [gmsh.model.getValue(0, tag, []) for _, tag in dict.fromkeys(points)]
-    return np.array(places, dtype=np.float64).reshape(-1, 3)
+    coordinates = [gmsh.model.getValue(0, tag, []) for _, tag in dict.fromkeys(points)]
+    return np.array(coordinates, dtype=np.float64).reshape(-1, 3)
 
 
 class _Step:
     """The entities of a STEP file (ISO 10303-21) that describe faces."""
 
     def __init__(self, text: str) -> None:
-        found = re.finditer(r"#(\d+)\s*=\s*([A-Z_]+)\s*\(((?:'[^']*'|[^';])*)\)\s*;", text)
-        self._entities: Mapping[str, tuple[str, str]] = {m[1]: (m[2], m[3]) for m in found}
+        match = re.finditer(r"#(\d+)\s*=\s*([A-Z_]+)\s*\(((?:'[^']*'|[^';])*)\)\s*;", text)
+        self._entities: Mapping[str, tuple[str, str]] = {m[1]: (m[2], m[3]) for m in match}
 
     def bodies(self) -> Iterator[tuple[list[str], list[FloatArray]]]:
         """For each solid the names of its faces, and their sizes, see `_sizes`."""
@@ -116,5 +116,7 @@ class _Step:
             ("CARTESIAN_POINT",),
         ):
             numbers = [n for number in numbers for n in self._of(self._entities[number][1], kinds)]
-        places = [re.findall(_NUMBERS, self._entities[n][1].rpartition("'")[2]) for n in numbers]
-        return np.array(places, dtype=np.float64).reshape(-1, 3)
+        coordinates = [
+            re.findall(_NUMBERS, self._entities[n][1].rpartition("'")[2]) for n in numbers
+        ]
+        return np.array(coordinates, dtype=np.float64).reshape(-1, 3)

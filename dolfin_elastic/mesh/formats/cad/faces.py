@@ -129,7 +129,7 @@ def describe_faces(gmsh: ModuleType, dim: int) -> list[dict[str, object]]:
             shapes[entity[1]] = _Shape("surface", np.empty((0, 3)), np.empty((0, 3)))
             with suppress(Exception):
                 shapes[entity[1]] = _Shape.of(gmsh, entity, exact=exact)
-    found = []
+    result = []
     for tag, shape in shapes.items():
         entity = (dim - 1, tag)
         form, area, centroid = "", None, list[float]()
@@ -144,8 +144,8 @@ def describe_faces(gmsh: ModuleType, dim: int) -> list[dict[str, object]]:
         own = {key: getattr(shape, key) for key in ("kind", "radius", "major", "angle")}
         own |= {key: np.nan_to_num(getattr(shape, key)) for key in ("axis", "samples", "normals")}
         own |= {"number": tag, "form": form, "area": area, "centroid": centroid}
-        found.append({**own, "names": [name for name in names if name]})
-    return found
+        result.append({**own, "names": [name for name in names if name]})
+    return result
 
 
 def face_curvature(gmsh: ModuleType, tag: int) -> float:
@@ -276,16 +276,16 @@ def _sampled_curve(
 
 def _edge_samples(gmsh: ModuleType, entity: tuple[int, int]) -> FloatArray:
     """Points on the edges of a face, or the ends of a curve, shape (n, 3)."""
-    found = [np.empty((0, 3))]
+    result = [np.empty((0, 3))]
     for dim, tag in gmsh.model.getBoundary([entity], combined=False, oriented=False):
         with suppress(Exception):  # a degenerate edge, such as the tip of a cone
             if dim == 0:
-                found.append(np.array([gmsh.model.getValue(0, tag, [])]))
+                result.append(np.array([gmsh.model.getValue(0, tag, [])]))
                 continue
             low, high = (b[0] for b in gmsh.model.getParametrizationBounds(1, tag))
             t = np.linspace(low, high, _SAMPLES).tolist()
-            found.append(np.array(gmsh.model.getValue(1, tag, t)).reshape(-1, 3))
-    return np.concatenate(found)
+            result.append(np.array(gmsh.model.getValue(1, tag, t)).reshape(-1, 3))
+    return np.concatenate(result)
 
 
 def _kind_by_curvature(k: FloatArray, x: FloatArray) -> str:
@@ -341,9 +341,9 @@ def _measured_torus(x: FloatArray, n: FloatArray, k: FloatArray) -> dict[str, An
                 major = np.linalg.norm(q - middle, axis=1)
                 off = float(np.ptp(major) + np.abs((q - middle) @ axis).max())
                 if off < best[0] and major.mean() > _SAME / one:
-                    found = {"radius": 1.0 / one, "major": float(major.mean())}
-                    found |= {"axis": _oriented(axis), "centre": middle, "concave": sign > 0}
-                    best = (off, found)
+                    result = {"radius": 1.0 / one, "major": float(major.mean())}
+                    result |= {"axis": _oriented(axis), "centre": middle, "concave": sign > 0}
+                    best = (off, result)
     return best[1]
 
 
@@ -401,7 +401,7 @@ def _continues(one: _Shape, other: _Shape) -> bool:
 
 def _smooth_neighbours(gmsh: ModuleType, tag: int, shapes: Mapping[int, _Shape]) -> Sequence[int]:
     """Faces that a face joins without an edge: the normals agree in the middle of the curve."""
-    found = []
+    result = []
     for curve in (abs(int(one)) for one in gmsh.model.getAdjacencies(2, tag)[1]):
         others = {int(f) for f in gmsh.model.getAdjacencies(1, curve)[0]} - {tag}
         with suppress(Exception):  # a degenerate edge, or a surface without parameters
@@ -410,8 +410,8 @@ def _smooth_neighbours(gmsh: ModuleType, tag: int, shapes: Mapping[int, _Shape])
             own = _normal_at(gmsh, tag, middle)
             for other in others & set(shapes):
                 if own @ _normal_at(gmsh, other, middle) > 1 - _SAME:
-                    found.append(other)
-    return found
+                    result.append(other)
+    return result
 
 
 def _normal_at(gmsh: ModuleType, tag: int, place: Sequence[float]) -> FloatArray:

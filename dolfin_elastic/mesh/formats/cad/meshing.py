@@ -132,9 +132,9 @@ def save_normals(gmsh: ModuleType, dim: int, folder: Path) -> list[tuple[int, in
     Returns:
         The faces, with the number of their elements.
     """
-    found = exact_normals(gmsh, dim)
-    np.concatenate([n.reshape(-1) for _, n in found]).astype("<f8").tofile(folder / NORMALS)
-    return [(tag, len(normals)) for tag, normals in found]
+    result = exact_normals(gmsh, dim)
+    np.concatenate([n.reshape(-1) for _, n in result]).astype("<f8").tofile(folder / NORMALS)
+    return [(tag, len(normals)) for tag, normals in result]
 
 
 def read_normals(

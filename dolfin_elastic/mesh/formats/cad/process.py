@@ -146,8 +146,8 @@ class GmshProcess:
             if not part:
                 raise self._ended()
             self._read += part
-        found, self._read = self._read, b""
-        return found
+        result, self._read = self._read, b""
+        return result
 
     def _ended(self) -> MeshError:
         """What is to be said of a process that has ended by itself."""

@@ -70,12 +70,12 @@ def mesh_cad(
             dim=dim,
             **lengths,
         )
-        found = read_msh(folder / RESULT)
+        file = read_msh(folder / RESULT)
         normals = read_normals(folder, answer["normals"], dim)
     return MeshFile(
-        found.points * factor,
-        [_with_normals(block, dim, normals) for block in found.blocks],
-        [*found.notes, *shapes["notes"], *answer["notes"], *notes_of(permission)],
+        file.points * factor,
+        [_with_normals(block, dim, normals) for block in file.blocks],
+        [*file.notes, *shapes["notes"], *answer["notes"], *notes_of(permission)],
         [*shapes["information"], *answer["information"], *local.information(known)],
         # Samples tell where faces are before there is a mesh; after that they are a burden.
         faces=[replace(face, samples=(), normals=()) for face in faces],
@@ -84,9 +84,11 @@ def mesh_cad(
 
 def _with_normals(block: Block, dim: int, normals: Mapping[int, FloatArray]) -> Block:
     """A block of facets with the normals of its face."""
-    found = normals.get(block.entity) if block.dim == dim - 1 else None
+    result = normals.get(block.entity) if block.dim == dim - 1 else None
     return (
-        block if found is None or len(found) != len(block.nodes) else replace(block, normals=found)
+        block
+        if result is None or len(result) != len(block.nodes)
+        else replace(block, normals=result)
     )
 
 
@@ -100,8 +102,8 @@ def convert_msh(path: Path, permission: Permission) -> MeshFile:
     within = Permission(seconds=permission.seconds)  # a mesh needs no trust
     with gmsh_process(path, files, within) as (gmsh, folder):
         gmsh.ask("convert")
-        found = read_msh(folder / RESULT)
-    return replace(found, notes=[*found.notes, *notes_of(within)])
+        file = read_msh(folder / RESULT)
+    return replace(file, notes=[*file.notes, *notes_of(within)])
 
 
 class CadModel:
@@ -138,20 +140,20 @@ class CadModel:
         """
         return {abs(int(t)) for t in self._ask("getAdjacencies", dim, tag)[1]}
 
-    def nearest(self, dim: int, tag: int, places: FloatArray) -> FloatArray:
+    def nearest(self, dim: int, tag: int, coordinates: FloatArray) -> FloatArray:
         """Nearest places on a curve or surface.
 
         Args:
             dim: 1 or 2.
-            places: In the model's unit, shape (n, 3).
+            coordinates: In the model's unit, shape (n, 3).
 
         Raises:
             MeshError: Gmsh finds none.
         """
-        if not len(places):
-            return places
-        found, _ = self._ask("getClosestPoint", dim, tag, places.reshape(-1).tolist())
-        return np.asarray(found, dtype=np.float64).reshape(-1, 3)
+        if not len(coordinates):
+            return coordinates
+        points, _ = self._ask("getClosestPoint", dim, tag, coordinates.reshape(-1).tolist())
+        return np.asarray(points, dtype=np.float64).reshape(-1, 3)
 
     def _ask(self, name: str, *arguments: Any) -> Any:
         return self._gmsh.ask("ask", name=name, arguments=arguments)

@@ -49,31 +49,31 @@ def files_of_script(path: Path) -> dict[Path, bytes]:
             where=path.name,
             expected="the body as STEP; --trust is for scripts of your own",
         )
-    folder, found = path.parent, dict[Path, bytes]()
+    folder, result = path.parent, dict[Path, bytes]()
     scripts = [Path(path.name)]
     while scripts:
         script = scripts.pop()
-        found[script] = (folder / script).read_bytes()
-        for file in _read_by(folder, script, found[script].decode("latin-1")):
-            if file in found or not (folder / file).is_file():
+        result[script] = (folder / script).read_bytes()
+        for file in _read_by(folder, script, result[script].decode("latin-1")):
+            if file in result or not (folder / file).is_file():
                 continue  # of a missing one Gmsh tells
             if file.suffix in (*SCRIPTS, ""):
                 scripts.append(file)
             else:
-                found[file] = (folder / file).read_bytes()
-    return found
+                result[file] = (folder / file).read_bytes()
+    return result
 
 
 def _read_by(folder: Path, script: Path, text: str) -> list[Path]:
     """The files that a script reads, relative to the folder; refuses commands and other folders."""
-    found = []
+    result = []
     for token in _TOKEN.finditer(text):
         fault = ""
         if token["word"] in _REFUSED:
             fault = f"'{token['word']}' {_REFUSED[token['word']]}"
         elif token["read"]:
-            found.append(script.parent / token["file"])
-            if not (folder / found[-1]).resolve().is_relative_to(folder.resolve()):
+            result.append(script.parent / token["file"])
+            if not (folder / result[-1]).resolve().is_relative_to(folder.resolve()):
                 fault = f"reads '{token['file']}', which is not in the folder of the script"
         if fault:
             raise MeshError(
@@ -82,4 +82,4 @@ def _read_by(folder: Path, script: Path, text: str) -> list[Path]:
                 where=script.name,
                 expected="leave the line out; --trust is for scripts of your own",
             )
-    return found
+    return result

@@ -59,9 +59,9 @@ class Lengths:
         power = f"^{dim}" if dim > 1 else ""
         return f"{value * self.factor**dim:.3g} {self.name}{power}"
 
-    def near(self, places: Sequence[Sequence[float]]) -> str:
+    def near(self, coordinates: Sequence[Sequence[float]]) -> str:
         """Places of the model, shape (n, 3)."""
-        return format_points(np.multiply(places, self.factor), len(places), self.name)
+        return format_points(np.multiply(coordinates, self.factor), len(coordinates), self.name)
 
 
 @dataclass
@@ -109,8 +109,8 @@ def import_shapes(gmsh: ModuleType, path: Path, *, join: bool, lengths: Lengths)
 def _add_groups(gmsh: ModuleType, names: Mapping[Entity, str]) -> None:
     """Makes physical groups of entities of one dimension by their names, one in each line."""
     for name in dict.fromkeys(n for lines in names.values() for n in lines.split("\n") if n):
-        found = [entity for entity, lines in names.items() if name in lines.split("\n")]
-        gmsh.model.addPhysicalGroup(found[0][0], [tag for _, tag in found], name=name)
+        entities = [entity for entity, lines in names.items() if name in lines.split("\n")]
+        gmsh.model.addPhysicalGroup(entities[0][0], [tag for _, tag in entities], name=name)
 
 
 def load_shapes(gmsh: ModuleType, path: Path) -> None:
@@ -191,13 +191,13 @@ def _edges(gmsh: ModuleType) -> dict[tuple[int, ...], list[Entity]]:
     The seam of a cylinder is there twice.
     """
     near = _NEAR * diagonal(gmsh)
-    found: dict[tuple[int, ...], list[Entity]] = {}
+    result: dict[tuple[int, ...], list[Entity]] = {}
     for face in gmsh.model.getEntities(2):
         for edge in gmsh.model.getBoundary([face], combined=False, oriented=False):
             box = np.array(gmsh.model.occ.getBoundingBox(*edge))
             place = (*gmsh.model.occ.getCenterOfMass(*edge), *(box[3:] - box[:3]))
-            found.setdefault(tuple(np.round(np.array(place) / near).astype(int)), []).append(face)
-    return found
+            result.setdefault(tuple(np.round(np.array(place) / near).astype(int)), []).append(face)
+    return result
 
 
 def _connected(faces: Sequence[Entity], edges: Iterable[Sequence[Entity]]) -> list[list[Entity]]:
@@ -234,21 +234,21 @@ def _join(
         Names of bodies and of faces afterwards; what two had in common has both, in two lines.
     """
     parents, dim = list(names), next(iter(names))[0]
-    found: dict[Entity, list[str]] = {}
+    result: dict[Entity, list[str]] = {}
     of_faces: dict[Entity, list[str]] = {}
-    places = {face: _place(gmsh, face) for face in faces}
+    coordinates = {face: _place(gmsh, face) for face in faces}
     parts = _fragments(gmsh, parents, list(faces))
     for parent, children in zip(parents, parts, strict=False):
         for child in children:
-            found.setdefault(child, []).append(names[parent])
+            result.setdefault(child, []).append(names[parent])
     after = {face: _place(gmsh, face) for face in gmsh.model.getEntities(2)} if faces else {}
     near = _NEAR * diagonal(gmsh)
     for parent, children in zip(faces, parts[len(parents) :], strict=True):
         # Of a face that stays as it is Gmsh may say nothing: it is found where it was.
-        same = [f for f, at in after.items() if np.abs(at - places[parent]).max() <= near]
+        same = [f for f, at in after.items() if np.abs(at - coordinates[parent]).max() <= near]
         for child in children or same:
             of_faces.setdefault(child, []).append(faces[parent])
-    for child, owners in found.items():
+    for child, owners in result.items():
         if len(owners) > 1:
             size = gmsh.model.occ.getMass(*child)
             remarks.notes.append(
@@ -256,17 +256,17 @@ def _join(
             )
     joined = [
         f"{_listed(pair)} ({lengths.text(area, dim - 1)})"
-        for pair, area, _ in _shared(gmsh, found)
+        for pair, area, _ in _shared(gmsh, result)
         if pair[0] != pair[1]  # a body and its part that overlaps another one
     ]
     if joined:
         remarks.information.append(f"bodies that touch are joined: {', '.join(joined)}")
-    remarks.notes += _gaps(gmsh, found, lengths)
-    return _lines(found), _lines(of_faces)
+    remarks.notes += _gaps(gmsh, result, lengths)
+    return _lines(result), _lines(of_faces)
 
 
-def _lines(found: Mapping[Entity, Sequence[str]]) -> dict[Entity, str]:
-    return {entity: "\n".join(dict.fromkeys(names)) for entity, names in found.items()}
+def _lines(result: Mapping[Entity, Sequence[str]]) -> dict[Entity, str]:
+    return {entity: "\n".join(dict.fromkeys(names)) for entity, names in result.items()}
 
 
 def _place(gmsh: ModuleType, face: Entity) -> FloatArray:
@@ -323,15 +323,15 @@ def _shared(
 ) -> list[tuple[tuple[str, ...], float, tuple[float, ...]]]:
     """Pairs of bodies with the area that they share and a place on it."""
     areas: dict[tuple[str, ...], float] = {}
-    places: dict[tuple[str, ...], tuple[float, ...]] = {}
+    coordinates: dict[tuple[str, ...], tuple[float, ...]] = {}
     dim = next(iter(names))[0]
     for face in gmsh.model.getEntities(dim - 1):
         owners = [(dim, tag) for tag in gmsh.model.getAdjacencies(*face)[0]]
         pair = tuple(sorted(names[owner][0] for owner in owners if owner in names))
         if len(pair) == 2:
             areas[pair] = areas.get(pair, 0.0) + gmsh.model.occ.getMass(*face)
-            places.setdefault(pair, tuple(gmsh.model.occ.getCenterOfMass(*face)))
-    return [(pair, area, places[pair]) for pair, area in areas.items()]
+            coordinates.setdefault(pair, tuple(gmsh.model.occ.getCenterOfMass(*face)))
+    return [(pair, area, coordinates[pair]) for pair, area in areas.items()]
 
 
 def touching(gmsh: ModuleType, lengths: Lengths, advice: str) -> list[str]:
@@ -358,7 +358,7 @@ def touching(gmsh: ModuleType, lengths: Lengths, advice: str) -> list[str]:
             for body, of_body in zip(bodies, parts, strict=False):
                 for part in of_body:
                     owners.setdefault(part, []).extend(names[body])
-            found = _shared(gmsh, owners) if owners else []
+            shared = _shared(gmsh, owners) if owners else []
         finally:
             gmsh.model.remove()
             gmsh.model.setCurrent(current)
@@ -367,6 +367,6 @@ def touching(gmsh: ModuleType, lengths: Lengths, advice: str) -> list[str]:
         f"{_listed(pair)} touch on {lengths.text(area - before.get(pair, 0.0), dim - 1)} "
         f"{lengths.near([place])}, but their meshes are not joined there, so that "
         f"each moves on its own: {advice}, [[tie]] ties their surfaces"
-        for pair, area, place in found
+        for pair, area, place in shared
         if area > (1 + _NEAR) * before.get(pair, 0.0)
     ]

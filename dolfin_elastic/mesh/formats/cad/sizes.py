@@ -80,26 +80,26 @@ def _field(gmsh: ModuleType, dim: int, one: LocalField, whole: float) -> int:
         field.setNumbers(distance, "SurfacesList" if dim == 3 else "CurvesList", faces)
         samples = min(math.ceil(2 * diagonal(gmsh) / size), _MOST_SAMPLES if dim == 3 else 10**5)
         field.setNumber(distance, "Sampling", samples)
-        found = field.add("Threshold")
+        number = field.add("Threshold")
         numbers = {"InField": distance, "SizeMin": size, "SizeMax": whole}
         # The first two layers have the size; distances are exact to half of the samples' spacing.
         numbers |= {"DistMin": 2 * size, "DistMax": 2 * size + reach}
     elif bodies := one.get("bodies"):
-        found = field.add("Constant")
-        field.setNumbers(found, "VolumesList" if dim == 3 else "SurfacesList", bodies)
+        number = field.add("Constant")
+        field.setNumbers(number, "VolumesList" if dim == 3 else "SurfacesList", bodies)
         numbers = {"VIn": size, "VOut": whole, "IncludeBoundary": 1}
     elif sphere := one.get("sphere"):
-        found = field.add("Ball")
+        number = field.add("Ball")
         numbers = dict(zip(("XCenter", "YCenter", "ZCenter", "Radius"), sphere, strict=True))
         numbers |= {"VIn": size, "VOut": whole, "Thickness": reach}
     else:
-        found = field.add("Box")
+        number = field.add("Box")
         keys = ("XMin", "YMin", "ZMin", "XMax", "YMax", "ZMax")
         numbers = dict(zip(keys, one["box"], strict=True))
         numbers |= {"VIn": size, "VOut": whole, "Thickness": reach}
     for key, value in numbers.items():
-        field.setNumber(found, key, value)
-    return int(found)
+        field.setNumber(number, key, value)
+    return int(number)
 
 
 # --- the default ---
@@ -179,7 +179,7 @@ def set_default_size(gmsh: ModuleType, dim: int) -> DefaultSize:
 
 def _measured(gmsh: ModuleType, faces: Sequence[tuple[int, int]]) -> tuple[FloatArray, FloatArray]:
     """Areas, and radii of the largest curvature, of the faces for which Gmsh knows both."""
-    found = []
+    result = []
     for dim, tag in faces:
         curvature = face_curvature(gmsh, tag)
         try:
@@ -187,8 +187,8 @@ def _measured(gmsh: ModuleType, faces: Sequence[tuple[int, int]]) -> tuple[Float
         except Exception:  # Gmsh's own error: a face of its own kernel
             continue
         if curvature > 0:
-            found.append((area, 1 / curvature))
-    areas, radii = np.array(found).reshape(-1, 2).T
+            result.append((area, 1 / curvature))
+    areas, radii = np.array(result).reshape(-1, 2).T
     return areas, radii
 
 

@@ -44,17 +44,17 @@ def stated_unit(path: Path) -> LengthUnit | None:
         None where the file states none; .brep files never do.
     """
     suffix, data = path.suffix.lower(), path.read_bytes().decode("latin-1")
-    found: set[float] = set()
+    result: set[float] = set()
     if suffix in (".step", ".stp"):
-        found = set(_step_units(data))
+        result = set(_step_units(data))
     elif suffix in (".iges", ".igs"):
-        found = set(_iges_units(data))
+        result = set(_iges_units(data))
     elif suffix == ".geo" and "OCCTargetUnit" not in data:
         merged = re.findall(r"\bMerge[^;]*?[\"']([^\"';]*)[\"']", data)
-        found = {1e-3} if any(Path(name).suffix.lower() in _MERGED for name in merged) else set()
-    if not found:
+        result = {1e-3} if any(Path(name).suffix.lower() in _MERGED for name in merged) else set()
+    if not result:
         return None
-    metres = found.pop() if len(found) == 1 else 1e-3
+    metres = result.pop() if len(result) == 1 else 1e-3
     near = (length for length in LENGTHS.values() if math.isclose(length, metres, rel_tol=1e-9))
     return LengthUnit.of(next(near, metres), stated=True)
 

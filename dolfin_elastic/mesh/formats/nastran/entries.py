@@ -70,13 +70,13 @@ class Entry:
     def real(self, index: int) -> float:
         """A number, with exponents as in "1.5-3"; a blank one is 0."""
         word = self.text(index)
-        found = _NUMBER.fullmatch(word) if word else None
-        if word and not found:
+        match = _NUMBER.fullmatch(word) if word else None
+        if word and not match:
             raise self.error(
                 f"field {index + 2} is '{word}', no number",
                 expected="for example 1.5, -2.E3 or 1.5-3",
             )
-        return float(f"{found[1]}e{found[2] or found[3] or 0}") if found else 0.0
+        return float(f"{match[1]}e{match[2] or match[3] or 0}") if match else 0.0
 
 
 def read_entries(path: Path) -> Iterator[Entry]:

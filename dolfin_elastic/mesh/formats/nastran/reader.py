@@ -78,7 +78,7 @@ def read_nastran(path: Path) -> MeshFile:
     if not bulk.grids or not bulk.elements:
         raise MeshError("there are no GRID or no elements", where=path.name)
     numbers, points = _points(bulk)
-    blocks = [_block(kind, found, numbers) for kind, found in bulk.elements.items()]
+    blocks = [_block(kind, elements, numbers) for kind, elements in bulk.elements.items()]
     return MeshFile(points, blocks, information=_information(bulk))
 
 
@@ -131,10 +131,10 @@ def _take_element(bulk: _Bulk, entry: Entry, kind: Kind) -> None:
     nodes = [entry.integer(kind.first + i) for i in range(corners)]
     if kind.order is not None:
         nodes = [nodes[i] for i in kind.order]
-    found = bulk.elements.setdefault(name, _Elements())
-    found.nodes.append(nodes)
-    found.parts.append(entry.integer(1, 0) if kind.part else 0)
-    found.entries.append(entry)
+    elements = bulk.elements.setdefault(name, _Elements())
+    elements.nodes.append(nodes)
+    elements.parts.append(entry.integer(1, 0) if kind.part else 0)
+    elements.entries.append(entry)
 
 
 def _points(bulk: _Bulk) -> tuple[IntArray, FloatArray]:
@@ -150,12 +150,12 @@ def _points(bulk: _Bulk) -> tuple[IntArray, FloatArray]:
     return numbers, points
 
 
-def _block(kind: str, found: _Elements, numbers: IntArray) -> Block:
-    nodes, parts = np.array(found.nodes, dtype=np.int64), np.array(found.parts)
+def _block(kind: str, elements: _Elements, numbers: IntArray) -> Block:
+    nodes, parts = np.array(elements.nodes, dtype=np.int64), np.array(elements.parts)
     rows = find(numbers, nodes)
     if (rows < 0).any():
         element, node = np.argwhere(rows < 0)[0].tolist()
-        raise found.entries[element].error(f"there is no GRID {nodes[element, node]}")
+        raise elements.entries[element].error(f"there is no GRID {nodes[element, node]}")
     named = {str(part): np.flatnonzero(parts == part) for part in np.unique(parts).tolist() if part}
     return Block(kind, rows, named)
 
@@ -165,16 +165,16 @@ def _information(bulk: _Bulk) -> list[str]:
     dims = {kind: Block(kind, _NO_NODES).dim for kind in bulk.elements}
     low = Counter(
         entry.name
-        for kind, found in bulk.elements.items()
+        for kind, elements in bulk.elements.items()
         if dims[kind] < max(dims.values())
-        for entry in found.entries
+        for entry in elements.entries
     )
     texts = {
         "elements that name parts only and have no stiffness": low,
         "not read, because the case file states it": bulk.others,
     }
     return [
-        f"{text}: {', '.join(f'{count} {name}' for name, count in found.items())}"
-        for text, found in texts.items()
-        if found
+        f"{text}: {', '.join(f'{count} {name}' for name, count in elements.items())}"
+        for text, elements in texts.items()
+        if elements
     ]

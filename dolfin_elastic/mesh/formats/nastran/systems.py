@@ -69,12 +69,12 @@ def systems_of(entry: Entry) -> dict[int, System]:
     if entry.name.startswith("CORD2"):
         x = np.array([entry.real(i) for i in range(2, 11)]).reshape(3, 3)
         return {_number(entry, 0): System(entry, kind, entry.integer(1, 0), x)}
-    found = {}
+    result = {}
     for at in (0, 4):
         if at == 0 or entry.text(at):
             first, second, third = (entry.integer(at + i) for i in (1, 2, 3))
-            found[_number(entry, at)] = System(entry, kind, grids=(first, second, third))
-    return found
+            result[_number(entry, at)] = System(entry, kind, grids=(first, second, third))
+    return result
 
 
 def _number(entry: Entry, index: int) -> int:
@@ -151,8 +151,8 @@ class Systems:
         return origin, np.stack([np.cross(y, z), y, z])
 
     def _of_grid(self, grid: int, entry: Entry, above: tuple[int, ...]) -> FloatArray:
-        found = self._point(grid)
-        if found is None:
+        point = self._point(grid)
+        if point is None:
             raise entry.error(f"there is no GRID {grid}")
-        number, x = found
+        number, x = point
         return self._placed(number, x[None, :], entry, above)[0]

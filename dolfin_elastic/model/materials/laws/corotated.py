@@ -44,8 +44,8 @@ class Corotated(Isotropic, SplitLaw):
     def stress(self, F: Expr) -> Expr:
         """2 mu (F - R) + lmbda tr(U - I) R, as R is the derivative of tr U."""
         # R and U once, not once a part: equal trees of this size take long to be found equal.
-        found = self._polar(F)
-        return 2 * self.mu * found.stretching + self.lmbda * found.trace * found.R
+        result = self._polar(F)
+        return 2 * self.mu * result.stretching + self.lmbda * result.trace * result.R
 
     def volume_strain(self, F: Expr) -> Expr:
         """Trace of U - I."""
@@ -57,5 +57,5 @@ class Corotated(Isotropic, SplitLaw):
 
     def strain(self, F: Expr) -> Expr:
         """Biot's strain U - I."""
-        found = self._polar(F)
-        return found.R.T * found.stretching
+        result = self._polar(F)
+        return result.R.T * result.stretching

@@ -58,5 +58,5 @@ class FixedCorotated(Isotropic, SplitLaw):
 
     def strain(self, F: Expr) -> Expr:
         """Biot's strain U - I."""
-        found = self._polar(F)
-        return found.R.T * found.stretching
+        result = self._polar(F)
+        return result.R.T * result.stretching

@@ -154,23 +154,23 @@ class PeriodicPairing:
         comm = self.body.comm
         ids, root = _classes(self._edges(V, fields))
         owner, number, (offset, count) = _renumbered(comm, V.dofmap.index_map, ids, root)
-        mine = owner == comm.rank
-        ghosts, first, back = np.unique(number[~mine], return_index=True, return_inverse=True)
+        local = owner == comm.rank
+        ghosts, first, back = np.unique(number[~local], return_index=True, return_inverse=True)
         new = np.empty(len(number), dtype=np.int32)
-        new[mine] = number[mine] - offset
-        new[~mine] = count + back
-        index_map = make_index_map(comm, count, ghosts, owner[~mine][first])
+        new[local] = number[local] - offset
+        new[~local] = count + back
+        index_map = make_index_map(comm, count, ghosts, owner[~local][first])
         return MergedDofmap(_space(V, index_map, new), new)
 
     def _edges(self, V: fem.FunctionSpace, fields: Sequence[Field]) -> IntArray:
         """Pairs of global indices that are one, shape (pairs, 2), the same on all ranks."""
-        found = []
+        result = []
         for field in fields:
             for k, vector in enumerate(self.vectors):
                 a, b = self._ends(field, k, V)
                 match = self._match(a.x, b.x, vector, k)
-                found.append(b.joined(a, match))
-        return np.concatenate(found)
+                result.append(b.joined(a, match))
+        return np.concatenate(result)
 
     def _ends(
         self, field: Field, k: int, V: fem.FunctionSpace | None = None
@@ -225,21 +225,21 @@ class PeriodicPairing:
             merged: The same with merged nodes.
         """
         imap, x = merged.space.dofmap.index_map, V.tabulate_dof_coordinates()
-        found = np.empty((imap.size_local + imap.num_ghosts, 3))
-        found[merged.new] = x
-        ids, places = self._images(x, V, merged)
+        result = np.empty((imap.size_local + imap.num_ghosts, 3))
+        result[merged.new] = x
+        ids, coordinates = self._images(x, V, merged)
         nodes, group = np.unique(ids, return_inverse=True)
         kept = np.ones(len(ids), dtype=bool)
-        for key in (np.linalg.norm(places, axis=1), *places.T):
+        for key in (np.linalg.norm(coordinates, axis=1), *coordinates.T):
             least = np.full(len(nodes), np.inf)
             np.minimum.at(least, group[kept], key[kept])
             kept &= key <= least[group] + self._near
         first = np.empty((len(nodes), 3))
-        first[group[kept]] = places[kept]
-        numbers = imap.local_to_global(np.arange(len(found), dtype=np.int32))
+        first[group[kept]] = coordinates[kept]
+        numbers = imap.local_to_global(np.arange(len(result), dtype=np.int32))
         on_faces = np.isin(numbers, nodes)
-        found[on_faces] = first[np.searchsorted(nodes, numbers[on_faces])]
-        return found
+        result[on_faces] = first[np.searchsorted(nodes, numbers[on_faces])]
+        return result
 
     def _images(
         self, x: FloatArray, V: fem.FunctionSpace, merged: MergedDofmap
@@ -264,8 +264,8 @@ class PeriodicPairing:
         """
         x = V.tabulate_dof_coordinates()
         here = np.flatnonzero(np.linalg.norm(x - self.corner, axis=1) <= self._near)
-        mine = merged.space.dofmap.index_map.local_to_global(merged.new[here])
-        pinned = np.unique(np.concatenate(self.body.comm.allgather(mine)))
+        local = merged.space.dofmap.index_map.local_to_global(merged.new[here])
+        pinned = np.unique(np.concatenate(self.body.comm.allgather(local)))
         nodes = merged.space.dofmap.index_map.local_to_global(merged.new)
         return np.flatnonzero(np.isin(nodes, pinned)).astype(np.int32)
 
@@ -331,8 +331,8 @@ def _renumbered(
     comm.Allreduce(MPI.IN_PLACE, about, op=MPI.MAX)
     old = imap.local_to_global(np.arange(size + imap.num_ghosts, dtype=np.int32))
     paired = np.isin(old, ids)
-    place = np.searchsorted(ids, old[paired])
-    new[paired], owner[paired] = about[:, place]
+    offsets = np.searchsorted(ids, old[paired])
+    new[paired], owner[paired] = about[:, offsets]
     return owner, new, (offset, count)
 
 

@@ -33,8 +33,8 @@ class Owners:
 
     def _sent(self, ranks: IntArray, arrays: Sequence[AnyArray]) -> list[AnyArray]:
         parts = [[array[ranks == r] for array in arrays] for r in range(self.comm.size)]
-        found = self.comm.alltoall(parts)
-        return [np.concatenate([part[k] for part in found]) for k in range(len(arrays))]
+        result = self.comm.alltoall(parts)
+        return [np.concatenate([part[k] for part in result]) for k in range(len(arrays))]
 
     def by_rank(self, ids: IntArray) -> list[IntArray]:
         """Sorted numbers, by their owners."""
@@ -101,11 +101,11 @@ class Product:
         """
         cuts = np.cumsum([len(part) for part in self._asked])[:-1]
         parts = self._owners.comm.alltoall(np.split(self._rows.T @ values, cuts))
-        for places, part in zip(self._given, parts, strict=True):
-            to[places] += part  # the numbers of one rank are unique
+        for coordinates, part in zip(self._given, parts, strict=True):
+            to[coordinates] += part  # the numbers of one rank are unique
 
     def at(self, numbers: Callable[[IndexArray], IndexArray]) -> Product:
         """The same for vectors that have their entries at other places; see `Rows`."""
-        found = copy(self)
-        found._given = [numbers(part) for part in self._given]
-        return found
+        result = copy(self)
+        result._given = [numbers(part) for part in self._given]
+        return result

@@ -73,8 +73,8 @@ def opposite(comm: MPI.Comm, near: Facets, far: Facets, margin: float) -> Facets
     for lowest, highest in boxes:
         inside = np.all((far.x.max(axis=1) >= lowest) & (far.x.min(axis=1) <= highest), axis=1)
         parts.append((far.x[inside], far.nodes[inside]))
-    found = comm.alltoall(parts)
-    return Facets(np.concatenate([x for x, _ in found]), np.concatenate([n for _, n in found]))
+    result = comm.alltoall(parts)
+    return Facets(np.concatenate([x for x, _ in result]), np.concatenate([n for _, n in result]))
 
 
 def areas(facets: Facets) -> FloatArray:

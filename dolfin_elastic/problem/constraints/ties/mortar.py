@@ -116,21 +116,21 @@ def _full(owners: Owners, near: Facets, transform: FloatArray) -> FloatArray:
     mean[:d] = 1 / d if len(mean) == d else (1 / 6 if d == 2 else 0.0)
     mean[d:] = 2 / 3 if d == 2 else 1 / 3
     values = areas(near)[:, None] * (mean @ transform)
-    found = owners.summed(
+    result = owners.summed(
         near.nodes.ravel(), np.zeros(near.nodes.size, dtype=np.int64), values.ravel()
     )
-    return np.asarray(found.sum(axis=1))
+    return np.asarray(result.sum(axis=1))
 
 
 def _transform(d: int, nodes: int) -> FloatArray:
     """Functions with positive means as combinations of the shape functions, column by column."""
-    found = np.eye(nodes)
+    result = np.eye(nodes)
     for i, j in combinations(range(d), 2):
         if nodes > d:
             middle = d + (3 - i - j if d == 3 else 0)
-            found[middle, middle] = 1 - 2 * ALPHA
-            found[middle, [i, j]] = ALPHA
-    return found
+            result[middle, middle] = 1 - 2 * ALPHA
+            result[middle, [i, j]] = ALPHA
+    return result
 
 
 def shape_functions(where: FloatArray, nodes: int) -> FloatArray:

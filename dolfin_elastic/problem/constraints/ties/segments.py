@@ -112,11 +112,11 @@ def _flat(facets: Facets) -> _Flat:
     else:
         middle = np.array([[0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0]])
         parts = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2], [3, 4, 5]])
-    places = np.concatenate([own, middle])[parts]
+    coordinates = np.concatenate([own, middle])[parts]
     return _Flat(
         facets.x[:, parts].reshape(-1, d, d),
         np.repeat(np.arange(count), len(parts)),
-        np.tile(places, (count, 1, 1)),
+        np.tile(coordinates, (count, 1, 1)),
     )
 
 
@@ -132,9 +132,9 @@ def _candidates(a: _Flat, b: _Flat, tolerance: float | None) -> tuple[IntArray, 
     reach = np.minimum(sizes[0] + longest + reach, 1e300)
     from scipy.spatial import cKDTree
 
-    found = cKDTree(middles[1]).query_ball_point(middles[0], reach)
-    i = np.repeat(np.arange(len(a.x)), [len(row) for row in found])
-    j = np.concatenate([nothing, *map(np.asarray, found)]).astype(np.int64)
+    result = cKDTree(middles[1]).query_ball_point(middles[0], reach)
+    i = np.repeat(np.arange(len(a.x)), [len(row) for row in result])
+    j = np.concatenate([nothing, *map(np.asarray, result)]).astype(np.int64)
     cosines = np.abs(np.einsum("ni,ni->n", a.normals[i], b.normals[j]))
     keep = cosines > PARALLEL
     return i[keep], j[keep]

@@ -104,9 +104,9 @@ class Ties:
         self._rows: list[tuple[IntArray, IntArray, FloatArray]] = []
         surfaces = []
         for k, tie in enumerate(ties):
-            tied, found = self._add(tie, held.reshape(-1, dim), f"tie[{k}]")
+            tied, result = self._add(tie, held.reshape(-1, dim), f"tie[{k}]")
             held[tied] = True
-            surfaces.append(found)
+            surfaces.append(result)
         self.surfaces: tuple[TiedSurfaces, ...] = tuple(surfaces)
         self.tied: IndexArray = np.sort(np.concatenate([s.dofs for s in surfaces]))
         self._links = self._rows_of_ties()
@@ -285,8 +285,8 @@ class Ties:
         columns = ((j - j % dim)[:, None] + np.arange(dim)).ravel()
         values = (v[:, None] * self.dofs.values_at(free, j)).ravel()
         keep = values != 0.0
-        found = (values[keep], (np.repeat(i, dim)[keep], columns[keep]))
-        i, j, v = _entries(csr_array(found, shape=self.rows.shape), np.arange(len(self.tied)))
+        result = (values[keep], (np.repeat(i, dim)[keep], columns[keep]))
+        i, j, v = _entries(csr_array(result, shape=self.rows.shape), np.arange(len(self.tied)))
         return numbers[self.tied[i]], self.dofs.values_at(numbers, j), v
 
     def _rows_of_ties(self) -> csr_array:
@@ -326,11 +326,11 @@ class Ties:
         for row in self.tied:
             at = slice(links.indptr[row], links.indptr[row + 1])
             parts[row] = (links.indices[at].astype(np.int64), links.data[at])
-        found = self.dofs.values_at(parts, numbers)
-        lengths = [len(columns) for columns, _ in found]
+        result = self.dofs.values_at(parts, numbers)
+        lengths = [len(columns) for columns, _ in result]
         rows = np.repeat(np.arange(len(numbers)), lengths)
-        columns = np.concatenate([np.empty(0, dtype=np.int64), *(c for c, _ in found)])
-        values = np.concatenate([np.empty(0), *(v for _, v in found)])
+        columns = np.concatenate([np.empty(0, dtype=np.int64), *(c for c, _ in result)])
+        values = np.concatenate([np.empty(0), *(v for _, v in result)])
         return rows, columns, values
 
 

@@ -33,10 +33,10 @@ def touching_surfaces(problem: Problem) -> Iterator[tuple[str, str, float]]:
     for a, b in combinations(facets, 2):
         there = opposite(body.comm, facets[a], facets[b], near)
         pieces = cut(facets[a], there, near)
-        mine, others = (
+        local, others = (
             owners.values_at(of_node, side.nodes[which, 0])
             for side, which in ((facets[a], pieces.near), (there, pieces.far))
         )
-        area = total(body.comm, float(pieces.weights[mine != others].sum()))
+        area = total(body.comm, float(pieces.weights[local != others].sum()))
         if area > 0.0:
             yield a, b, area

@@ -67,7 +67,7 @@ class SymmetricBlocks:
         self.high: SingleArray = np.zeros(size + 1, dtype=np.float32)
         self.low: SingleArray = np.zeros(size + 1, dtype=np.float32)
         ghosts = offsets[n:]
-        self.far = FarRows(self, ghosts - ghosts[0], columns[ghosts[0] :].copy())
+        self.far = OffProcessRows(self, ghosts - ghosts[0], columns[ghosts[0] :].copy())
         self._x = np.zeros((self.halo.size, self.dim)) if self.halo.comm.size > 1 else None
 
     def clear(self) -> None:
@@ -76,14 +76,14 @@ class SymmetricBlocks:
         self.low[:] = 0.0
         self.far.blocks[:] = 0.0
 
-    def add_at(self, places: IntArray, blocks: FloatArray) -> None:
+    def add_at(self, offsets: IntArray, blocks: FloatArray) -> None:
         """Adds blocks at `places`. Local.
 
         Args:
             blocks: Shape (blocks, R, R); of both of a pair, where this rank owns both nodes.
         """
         stored = (len(self.columns), self.high, self.low)
-        self.loops.call("add_blocks", len(blocks), places, blocks, *stored)
+        self.loops.call("add_blocks", len(blocks), offsets, blocks, *stored)
 
     def places(self, rows: IntArray, columns: IntArray) -> IntArray:
         """Where blocks of owned rows stand; -1 where only the other half is there. Local.
@@ -94,11 +94,11 @@ class SymmetricBlocks:
         size, local = self.halo.size, self.halo.local(columns)
         row = np.repeat(np.arange(self.halo.owned), np.diff(self.start))
         key, wanted = row * size + self.columns, rows * size + local
-        found = np.searchsorted(key, wanted)
-        here = key[np.minimum(found, len(key) - 1)] == wanted if len(key) else found < 0
+        result = np.searchsorted(key, wanted)
+        here = key[np.minimum(result, len(key) - 1)] == wanted if len(key) else result < 0
         if not (here | (local < rows)).all():
             raise RuntimeError("the matrix has no place for a block")
-        return np.where(here, found, -1).astype(np.int64)
+        return np.where(here, result, -1).astype(np.int64)
 
     def assembled(self, prescribed: IndexArray) -> None:
         """Adds what other ranks have for rows of this one; what was kept is out of date.
@@ -142,15 +142,15 @@ class SymmetricBlocks:
         begins = np.zeros((n, dim), dtype=np.int64)
         begins[:] = dim * dim * start[:-1, None] + dim * np.diff(start)[:, None] * np.arange(dim)
         numbers = halo.globally(columns)[order, None] * dim + np.arange(dim)
-        entries, places = np.empty(blocks.size), np.empty(blocks.size, dtype=PETSc.IntType)
+        entries, offsets = np.empty(blocks.size), np.empty(blocks.size, dtype=PETSc.IntType)
         within = dim * (np.arange(len(columns)) - start[row])
         for r in range(dim):
             at = (begins[row, r] + within)[:, None] + np.arange(dim)
-            places[at], entries[at] = numbers, blocks[order, r]
+            offsets[at], entries[at] = numbers, blocks[order, r]
         rows = np.append(begins.reshape(-1), blocks.size).astype(PETSc.IntType)
         sizes = ((n * dim, None),) * 2
         matrix = PETSc.Mat().createAIJ(
-            sizes, bsize=dim, comm=halo.comm, csr=(rows, places, entries)
+            sizes, bsize=dim, comm=halo.comm, csr=(rows, offsets, entries)
         )
         matrix.assemble()
         return matrix
@@ -191,7 +191,7 @@ class SymmetricBlocks:
         self.halo.destroy()
 
 
-class FarRows:
+class OffProcessRows:
     """What this rank has for rows of other ranks. Collective to make.
 
     Args:

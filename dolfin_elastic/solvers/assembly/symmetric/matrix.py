@@ -46,8 +46,8 @@ class SymmetricMatrix:
             self._places = [self.blocks.places(*part[:2]) for part in parts]
             self._patterns = patterns
         self._form.assemble_half(self.blocks, self._dofs.bcs)
-        for places, part in zip(self._places, parts, strict=True):
-            self.blocks.add_at(places, part[2])
+        for coordinates, part in zip(self._places, parts, strict=True):
+            self.blocks.add_at(coordinates, part[2])
         self.blocks.assembled(self._dofs.prescribed_dofs)
         self.petsc.stateIncrease()
         self.petsc.assemble()

@@ -63,12 +63,12 @@ def tangent_form(problem: Problem, extra: ufl.Form | None = None) -> BilinearFor
     """The compiled tangent of a problem and of what is added to it. Collective."""
     more = ufl.Form([]) if extra is None else extra
     if in_two_stages(problem):
-        return TwoStageForm(problem, tangent_of_surroundings(problem) + more)
+        return TwoStageForm(problem, tangent_of_external_terms(problem) + more)
     form = problem.weak_form.tangent + more
     return BilinearForm(compile_forms(problem.body.comm, [form], problem.jit)[0])
 
 
-def tangent_of_surroundings(problem: Problem) -> ufl.Form:
+def tangent_of_external_terms(problem: Problem) -> ufl.Form:
     """The tangent without that of the internal forces: of loads, springs and contact.
 
     It may be empty.
@@ -89,9 +89,11 @@ def moduli(problem: Problem, region: MaterialRegion) -> Expr:
     Args:
         problem: That is `in_two_stages`.
     """
-    found = _of_displacement(problem, region) if problem.W is problem.V else _mixed(problem, region)
+    result = (
+        _of_displacement(problem, region) if problem.W is problem.V else _mixed(problem, region)
+    )
     weight = problem.weak_form.volume(region, problem.weak_form.rule(region)).weight
-    return found if weight is None else weight * found
+    return result if weight is None else weight * result
 
 
 def _of_displacement(problem: Problem, region: MaterialRegion) -> Expr:
@@ -115,18 +117,18 @@ def _mixed(problem: Problem, region: MaterialRegion) -> Expr:
     p = ufl.variable(problem.unknowns.auxiliary("pressure", problem.w))
     P = weak_form.response(region, problem.w, pressure=p).stress(F)
     A = ufl.diff(P, H)
-    found = _in_a_row(problem, A)
+    result = _in_a_row(problem, A)
     if region.compliance is None:
         rows = 1 if problem.symmetric else 2
-        found += [ufl.as_ufl(0.0)] * (rows * len(n) ** 2)
-        found.append(-(scale**2) * UNUSED / region.shear)
+        result += [ufl.as_ufl(0.0)] * (rows * len(n) ** 2)
+        result.append(-(scale**2) * UNUSED / region.shear)
     else:
         gap = weak_form.gap(region, F, pressure=p)
         by_pressure, of_gap = ufl.diff(P, p), ufl.diff(gap, H)
         couplings = [by_pressure] if problem.symmetric else [by_pressure, of_gap]
-        found += [scale * X[i, J] for X in couplings for i in n for J in n]
-        found.append(scale**2 * ufl.diff(gap, p))
-    return ufl.as_vector(found)
+        result += [scale * X[i, J] for X in couplings for i in n for J in n]
+        result.append(scale**2 * ufl.diff(gap, p))
+    return ufl.as_vector(result)
 
 
 class TwoStageForm(BilinearForm):
@@ -146,9 +148,9 @@ class TwoStageForm(BilinearForm):
         trial, test = ufl.TrialFunction(W), ufl.TestFunction(W)
         every_cell = ufl.dx(domain=mesh, metadata={"quadrature_degree": 0})
         forms = [ufl.inner(trial, test) * every_cell] + ([] if rest.empty() else [rest])
-        found = compile_forms(problem.body.comm, forms, problem.jit)
-        super().__init__(found[0])
-        self._rest = None if rest.empty() else found[1]
+        compiled_forms = compile_forms(problem.body.comm, forms, problem.jit)
+        super().__init__(compiled_forms[0])
+        self._rest = None if rest.empty() else compiled_forms[1]
         self.has_rest = not rest.empty()
         self._rest_matrix: la.MatrixCSR | None = None
         on_facets = all(one.integral_type() == "exterior_facet" for one in rest.integrals())
@@ -171,9 +173,9 @@ class TwoStageForm(BilinearForm):
         if self._places.ndim != 3:
             self._find_places(matrix)
         fixed = _marked(bcs, len(self._start) - 1)
-        places = (self._nodes, fixed, self._start, self._places, matrix.data)
+        offsets = (self._nodes, fixed, self._start, self._places, matrix.data)
         for term in self._terms:
-            term.call("add_tangent", term.cells, *places)
+            term.call("add_tangent", term.cells, *offsets)
 
     def assemble_half(self, blocks: SymmetricBlocks, bcs: Conditions) -> None:
         """Assembles it by the half of its blocks, `rest_blocks` apart. Local.
@@ -191,10 +193,10 @@ class TwoStageForm(BilinearForm):
             self._find("find_upper_places", *pattern)
         blocks.clear()
         fixed = _marked(bcs, self._dim * blocks.halo.size)
-        places = (self._nodes, fixed, self._places, n, blocks.start, blocks.high, blocks.low)
+        offsets = (self._nodes, fixed, self._places, n, blocks.start, blocks.high, blocks.low)
         others = (len(far.start) - 1, far.start, far.columns, far.blocks)
         for term in self._terms:
-            term.call("add_half", term.cells, *places, *others)
+            term.call("add_half", term.cells, *offsets, *others)
 
     def rest_blocks(self) -> Blocks:
         """What is beside the tangent of the internal forces, which `can_be_halved`. Local."""
@@ -224,10 +226,10 @@ class TwoStageForm(BilinearForm):
         if self._stride > 1:
             at_nodes: BoolArray = np.asarray(moved.reshape(-1, self._stride).any(axis=1))
             return np.asarray(at_nodes[self._nodes].any(axis=1))
-        found: BoolArray = np.asarray(moved[self._nodes].any(axis=1))
+        mask: BoolArray = np.asarray(moved[self._nodes].any(axis=1))
         for i in range(1, self._dim):
-            found |= moved[self._nodes[:, : self._displacements] + i].any(axis=1)
-        return found
+            mask |= moved[self._nodes[:, : self._displacements] + i].any(axis=1)
+        return mask
 
     def _find_places(self, matrix: la.MatrixCSR) -> None:
         """First column of node b within the rows of node a, for each cell's pairs of nodes."""

@@ -104,9 +104,9 @@ class FrequencyBound:
         Args:
             rates: From `evaluate` [1/s^2].
         """
-        places = self._problem.places[:, : self._dim]
-        found = largest_row(self._problem.body.comm, rates, lambda rows: places[rows])
-        return () if found is None else found.place
+        coordinates = self._problem.places[:, : self._dim]
+        row = largest_row(self._problem.body.comm, rates, lambda rows: coordinates[rows])
+        return () if row is None else row.place
 
 
 def rows_over_mass(
@@ -118,10 +118,10 @@ def rows_over_mass(
         bounds: Forms whose nodal values are these bounds.
         mass: Lumped mass at every owned entry [kg].
     """
-    found = np.zeros(len(mass))
+    result = np.zeros(len(mass))
     for form in compiled(assembler.problem, bounds) if bounds else []:
-        found += assembler.reactions.nodal(form) / mass
-    return found
+        result += assembler.reactions.nodal(form) / mass
+    return result
 
 
 def extremes(comm: MPI.Comm, values: Sequence[float]) -> list[float]:
@@ -131,6 +131,6 @@ def extremes(comm: MPI.Comm, values: Sequence[float]) -> list[float]:
         comm: Of all ranks.
         values: Of this rank.
     """
-    found = np.array(values, dtype=np.float64)
-    comm.Allreduce(MPI.IN_PLACE, found, op=MPI.MAX)
-    return [float(value) for value in found]
+    result = np.array(values, dtype=np.float64)
+    comm.Allreduce(MPI.IN_PLACE, result, op=MPI.MAX)
+    return [float(value) for value in result]

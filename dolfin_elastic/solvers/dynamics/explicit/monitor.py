@@ -12,7 +12,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.audit.offences import FAILING_GAIN, Offence, WorstOffences
+from dolfin_elastic.solvers.audit.violations import FAILING_GAIN, Violation, WorstViolations
 from dolfin_elastic.solvers.diagnostics.evidence import Cells, blind_to_inversion
 from dolfin_elastic.solvers.messages import (
     MIRRORED,
@@ -52,12 +52,12 @@ class StabilityMonitor:
         self.place: tuple[float, ...] = ()
         self._first: FloatArray | None = None
         self._start, self._largest_energy = 0.0, 0.0
-        self._offences = WorstOffences()
+        self._violations = WorstViolations()
 
     @property
     def failure(self) -> str:
         """See `State`."""
-        return next(iter(self._offences.texts()), "")
+        return next(iter(self._violations.texts()), "")
 
     def observe(self, t: float, *, last: bool) -> None:
         """Checks det F and the size of strains, every `INTERVAL` states. Collective.
@@ -85,7 +85,7 @@ class StabilityMonitor:
         self.inverted = f"cells had turned inside out by t = {t:.6g} s, {what}"
         if blind_to_inversion(self._problem, Cells(self._assembler).worst()):
             text = f"{self.inverted}: {MIRRORED}; {SEES_INVERSION}"
-            self._offences.add({"inverted": Offence(text, -J, fails=True)}, f"t = {t:.6g} s")
+            self._violations.add({"inverted": Violation(text, -J, fails=True)}, f"t = {t:.6g} s")
             return
         log.warning(
             "%s: the law permits it, but no body does so: %s",
@@ -139,7 +139,7 @@ class StabilityMonitor:
             return  # a law without an energy has no balance of it
         share = gain / self._largest_energy
         what = f"{100 * share:.3g} % of the energy has come from nowhere: a smaller dt or safety"
-        self._offences.add({"energy": Offence(what, share, fails=True)}, f"t = {t:.6g} s")
+        self._violations.add({"energy": Violation(what, share, fails=True)}, f"t = {t:.6g} s")
 
     def loads_changed(self, excess: float) -> None:
         """Takes in what a program's change of the loads does to the conserved energy. Collective.
@@ -183,7 +183,7 @@ class StabilityMonitor:
             "first": [] if self._first is None else self._first.tolist(),
             "most": self._largest_energy,
             "start": self._start,
-            "offences": self._offences.restart_state(),
+            "violations": self._violations.restart_state(),
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
@@ -196,4 +196,4 @@ class StabilityMonitor:
         first = saved["first"]
         self._first = np.array(first) if first else None
         self._start = float(saved.get("start", first[1] if first else 0.0))
-        self._offences.restore(saved.get("offences", {}))
+        self._violations.restore(saved.get("violations", {}))

@@ -86,10 +86,10 @@ class Replay:
             if self._last:
                 t = self._step_through(last)
             self._monitor.check_input(march.now[1])
-            found = self._diagnosis()
+            diagnosis = self._diagnosis()
             state = self._before(march.now[0])
-        text = f"no finite motion after t = {t:.6g} s: {found.text}"
-        return StabilityError(text, advice=found.advice, state=state, diagnosis=found)
+        text = f"no finite motion after t = {t:.6g} s: {diagnosis.text}"
+        return StabilityError(text, advice=diagnosis.advice, state=state, diagnosis=diagnosis)
 
     def _before(self, first: int) -> State:
         """The last state worth looking at. Collective.
@@ -126,8 +126,8 @@ class Replay:
         state, place = march.state(moved=True), march.size.location()
         text = error.what + (f"; cells at {coordinates(place)} m ask for it" if place else "")
         cells = Cells(march.assembler).worst()
-        found = Diagnosis("step", text, error.advice, place, cells)
-        return StabilityError(text, advice=error.advice, state=state, diagnosis=found)
+        diagnosis = Diagnosis("step", text, error.advice, place, cells)
+        return StabilityError(text, advice=error.advice, state=state, diagnosis=diagnosis)
 
     # --- step by step ---
 
@@ -181,8 +181,8 @@ class Replay:
         dim, nodes = problem.body.dim, problem.V.dofmap.index_map.size_local
         u = problem.u.x.array[: nodes * dim].reshape(-1, dim)
         far = np.nan_to_num(np.linalg.norm(u, axis=1), nan=np.inf, posinf=np.inf)
-        found = largest_row(problem.body.comm, far, lambda rows: problem.places[rows, :dim])
-        return (-1.0, ()) if found is None else (found.value, plain(np.array(found.place)))
+        row = largest_row(problem.body.comm, far, lambda rows: problem.places[rows, :dim])
+        return (-1.0, ()) if row is None else (row.value, plain(np.array(row.place)))
 
     # --- why ---
 
@@ -190,8 +190,8 @@ class Replay:
         """Diagnosis of the present state, the first that is not finite. Collective."""
         cells, dim = Cells(self._march.assembler), self._march.problem.body.dim
         cause, (text, advice, place) = self._why(cells)
-        found = Diagnosis(cause, text, advice, place[:dim], cells.worst())
-        return explained(self._march.problem, found)
+        diagnosis = Diagnosis(cause, text, advice, place[:dim], cells.worst())
+        return explained(self._march.problem, diagnosis)
 
     def _why(self, cells: Cells) -> tuple[str, tuple[str, str, Place]]:
         step, t = self._march.now

@@ -91,14 +91,14 @@ def mean_acceleration(
         except FormulaError:  # of a curve or an angle: on all ranks
             return np.full_like(here, np.nan)
 
-    found: AnyArray = ((targets(t + dt) - here) / dt - now) / interval
-    if not np.all(np.isfinite(found)):
+    result: AnyArray = ((targets(t + dt) - here) / dt - now) / interval
+    if not np.all(np.isfinite(result)):
         back: AnyArray = np.zeros_like(here)
         if t > 1.5 * dt:
             back = (here - 2 * targets(t - dt) + targets(max(t - 2 * dt, 0.0))) / dt**2
-        found = np.where(np.isfinite(found), found, back)
+        result = np.where(np.isfinite(result), result, back)
     problem.set_time(t)
-    return np.asarray(found, dtype=np.float64)
+    return np.asarray(result, dtype=np.float64)
 
 
 END = 1 - 1e-12

@@ -357,13 +357,13 @@ def _largest_eigenvalue(matrix: PETSc.Mat, start: PETSc.Vec, symmetric: bool) ->
     eps.setInitialSpace(start)
     try:
         eps.solve()
-        found = eps.getConverged() > 0
-        value = float(eps.getEigenvalue(0).real) if found else 0.0
-        if found:
+        converged = eps.getConverged() > 0
+        value = float(eps.getEigenvalue(0).real) if converged else 0.0
+        if converged:
             value += float(eps.computeError(0, SLEPc.EPS.ErrorType.ABSOLUTE))
     finally:
         eps.destroy()
-    if not found:
+    if not converged:
         raise _no_eigenvalue()
     return value
 

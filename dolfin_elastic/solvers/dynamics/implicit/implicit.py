@@ -20,7 +20,7 @@ from dolfin_elastic.problem.state import RestartState, SavedState, State, restor
 from dolfin_elastic.problem.weak_form import derives_from_strain
 from dolfin_elastic.solvers.assembly.assembler import SupportForces
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass
-from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
+from dolfin_elastic.solvers.assembly.hydrostatic_constant import HydrostaticConstant
 from dolfin_elastic.solvers.diagnostics.diagnose import diagnose
 from dolfin_elastic.solvers.dynamics.audit import CONSERVING, MAX_ENERGY_GAIN, MotionAuditor
 from dolfin_elastic.solvers.dynamics.consistent_start import (
@@ -221,7 +221,7 @@ class Implicit:
         choice = choose(stepped, linear, moving=True)
         log.info("%s", choice.why)
         if problem.mixed:
-            PressureLevel(problem).report()
+            HydrostaticConstant(problem).report()
         self.ts = PETSc.TS().create(problem.body.comm)
         self._owned.callback(self.ts.destroy)
         self.ts.setOptionsPrefix(PREFIX)
@@ -434,7 +434,9 @@ class Implicit:
         force, place = self.assembler.residual.largest()
         reason = in_words(ts_reason(self.ts.getConvergedReason()))
         last = self.problem.w.x.array.copy()
-        found = diagnose(self.assembler, self.newton.result, good=last, failed=last, moving=True)
+        diagnosis = diagnose(
+            self.assembler, self.newton.result, good=last, failed=last, moving=True
+        )
         gain = self._gain()
         if gain > MAX_ENERGY_GAIN:  # whatever gave way did so under that
             scheme, dt = self.settings.scheme, self.settings.dt
@@ -443,15 +445,16 @@ class Implicit:
                 f"'{scheme}' makes it with steps of {dt:.3g} s, neither the loads nor the material"
             )
             other = "" if self.moving.conserves else f", or {CONSERVING}"
-            found = replace(found, cause="energy", text=text, advice=f"a smaller dt{other}")
+            diagnosis = replace(diagnosis, cause="energy", text=text, advice=f"a smaller dt{other}")
         if sudden := support_jump(self.problem, t, self.control.nominal):
-            found = replace(found, text=f"{sudden}; {found.text}", advice=JUMP)
+            diagnosis = replace(diagnosis, text=f"{sudden}; {diagnosis.text}", advice=JUMP)
         return ConvergenceError(
-            f"no solution for the step from t = {t:.6g} s: {reason}; {found.text}\n  at the end: "
+            f"no solution for the step from t = {t:.6g} s: {reason}; {diagnosis.text}\n"
+            "  at the end: "
             f"the largest force out of balance, {force:.3g} N, is at {coordinates(place)} m",
-            advice=found.advice,
+            advice=diagnosis.advice,
             state=self._state(failed=True),
-            diagnosis=found,
+            diagnosis=diagnosis,
         )
 
     def _gain(self) -> float:

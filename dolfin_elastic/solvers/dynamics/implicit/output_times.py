@@ -72,13 +72,13 @@ class OutputTimes:
         Args:
             t: Time [s].
         """
-        found = next((s for s in self._times if s > t + 1e-12 * self.end), self.end)
+        time = next((s for s in self._times if s > t + 1e-12 * self.end), self.end)
         if self._interval is None:
-            return found
+            return time
         number = int(t / self._interval + SAME) + 1
         multiple = number * self._interval
         # Where a multiple and a time that was asked for coincide, the latter is exact.
-        return found if found <= multiple * (1 + SAME / number) else multiple
+        return time if time <= multiple * (1 + SAME / number) else multiple
 
     def steps_left(self, step: int) -> int:
         """Steps to the next state that is yielded, at most."""

@@ -197,13 +197,13 @@ class StageSolver:
         origin[self._moving.displacement_dofs] += (1 - p.alpha_f) * stage.predictor
         with self._moving.step_from(start.w):
             try:
-                found = any(self._solve_from(guess) for guess in self._guesses(stage))
+                converged = any(self._solve_from(guess) for guess in self._guesses(stage))
             finally:
                 origin[:] = 0.0
-            if found and self._assembler.settle_pressures():
+            if converged and self._assembler.settle_pressures():
                 self._assemble()
         offset = self._newton.solution()[self._moving.displacement_dofs] / (1 - p.alpha_f)
-        return (stage, np.asarray(offset)) if found else None
+        return (stage, np.asarray(offset)) if converged else None
 
     def _prescribe(self, start: StepStart, h: float) -> Stage:
         """What supports prescribe in a step; the problem's time is that of the stage then.

@@ -180,10 +180,10 @@ class GeneralizedAlphaScheme(ImplicitScheme):
     def step(self, ts: PETSc.TS) -> None:
         """Takes one step, smaller where it must be."""
         try:
-            found = self._take_step(ts)
+            solution = self._take_step(ts)
         except (InputError, StoppedError) as error:  # the same on all ranks
-            self.error, found = error, False
-        if not found:
+            self.error, solution = error, False
+        if not solution:
             ts.setConvergedReason(PETSc.TS.ConvergedReason.DIVERGED_NONLINEAR_SOLVE)
 
     def _take_step(self, ts: PETSc.TS) -> bool:
@@ -203,8 +203,8 @@ class GeneralizedAlphaScheme(ImplicitScheme):
             self.impact_error.begin(start.t)
         inverted = _inverted(self.context)
         for failure in range(FAILURES + 1):
-            while (found := self._stages.solve(start, float(ts.getTimeStep()))) is not None:
-                self._advance(*found, U, V)
+            while (solution := self._stages.solve(start, float(ts.getTimeStep()))) is not None:
+                self._advance(*solution, U, V)
                 if not self._upright_at_end() and not inverted:
                     break
                 self._control.set_error_scale()

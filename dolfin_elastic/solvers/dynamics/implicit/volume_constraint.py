@@ -50,8 +50,11 @@ class VolumeConstraint:
         parts = [part for part in self._problem.regions if part.compliance is not None]
         compressible = [part for part in parts if not part.incompressible]
         forms = [_strain(self._problem, group) for group in (parts, compressible) if group]
-        found = compiled(self._problem, forms)
-        self._with_pressure, self._compressible = found[0], found[1] if compressible else None
+        compiled_forms = compiled(self._problem, forms)
+        self._with_pressure, self._compressible = (
+            compiled_forms[0],
+            compiled_forms[1] if compressible else None,
+        )
         entries = np.ones(len(self._problem.w.x.array), dtype=bool)
         displacements = np.arange(len(self._problem.u.x.array), dtype=np.int32)
         entries[self._problem.unknowns.mixed_dofs(displacements)] = False
@@ -111,9 +114,9 @@ class VolumeConstraint:
         if form is None:
             return np.zeros(self._assembler.size)
         self._problem.w.x.array[:] = np.where(self._scalars, 0.0, w)
-        found = self._assembler.reactions.nodal(form)
+        forces = self._assembler.reactions.nodal(form)
         self._problem.w.x.array[:] = w
-        return found
+        return forces
 
 
 def _strain(problem: Problem, parts: Sequence[MaterialRegion]) -> ufl.Form:

@@ -31,7 +31,7 @@ from dolfin_elastic.solvers.assembly.matrix import BilinearForm
 from dolfin_elastic.solvers.assembly.two_stage.form import (
     TwoStageForm,
     in_two_stages,
-    tangent_of_surroundings,
+    tangent_of_external_terms,
 )
 
 COMM = MPI.COMM_WORLD
@@ -45,7 +45,7 @@ def check(problem: Problem) -> None:
     bend(problem)
     assembler = Assembler(problem)
     assert assembler.tangent.form.__class__ is TwoStageForm
-    split = TwoStageForm(problem, tangent_of_surroundings(problem))
+    split = TwoStageForm(problem, tangent_of_external_terms(problem))
     whole = BilinearForm(compiled(problem, [problem.weak_form.tangent])[0])
     values, products, rows = [], [], assembler.size
     goals = problem.w.x.array + 0.1
@@ -132,7 +132,7 @@ def test_two_materials_constants_that_vary_growth_springs_and_pressure(law):
 def test_dead_loads_leave_nothing_to_compile_but_the_stress():
     body = box_body(size=(1.0, 1.0, 1.0), cells=(2, 2, 2))
     problem = Problem(body, SOFT, supports=[Support(on="left")], loads=[BodyForce(value=[0, 0, 1])])
-    assert tangent_of_surroundings(problem).empty()
+    assert tangent_of_external_terms(problem).empty()
 
 
 @pytest.mark.parametrize(

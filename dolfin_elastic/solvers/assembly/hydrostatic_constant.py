@@ -82,7 +82,7 @@ class EnclosedBody:
     gradient: FloatArray
 
 
-class PressureLevel:
+class HydrostaticConstant:
     """The bodies of a problem whose pressure is known up to a constant. Collective to make.
 
     Attributes:
@@ -104,15 +104,15 @@ class PressureLevel:
         if not problem.mixed or problem.unknowns.has("stretch"):
             return
         known = PressureParts(problem, [r for r in problem.regions if r.incompressible])
-        found = known.enclosed()
+        enclosed = known.enclosed()
         self.nearly = self._nearly()
-        if not found:
+        if not enclosed:
             return
         self._check_laws()
         weights = _shape_integrals(problem)
-        labels = self._labels(known, found)
-        order = sorted(range(len(found)), key=lambda k: labels[k])
-        self.bodies = [self._body(known, found[k], labels[k], weights) for k in order]
+        labels = self._labels(known, enclosed)
+        order = sorted(range(len(enclosed)), key=lambda k: labels[k])
+        self.bodies = [self._body(known, enclosed[k], labels[k], weights) for k in order]
         self.pinned = np.concatenate([body.pinned for body in self.bodies])
         self.pivots = self._pivots(weights)
 
@@ -129,8 +129,8 @@ class PressureLevel:
             if not region.incompressible:
                 soft[parts.of_cell[region.cells]] = 1.0
         soft = total(self._comm, soft)
-        found = [held for held in parts.enclosed() if soft[held].any()]
-        return sorted(self._labels(parts, found))
+        enclosed = [held for held in parts.enclosed() if soft[held].any()]
+        return sorted(self._labels(parts, enclosed))
 
     def _labels(self, parts: PressureParts, sets: list[IntArray]) -> list[str]:
         """What sets of parts are called: the body that they fill, or materials. Collective."""
@@ -204,8 +204,8 @@ class PressureLevel:
         size = len(problem.unknowns.displacement_dofs)
         for motion in problem.constraints.rigid_motions:
             dofs, D = problem.constraints.motion_directions(motion)
-            mine = dofs < size
-            swept = gradient[problem.unknowns.mixed_dofs(dofs[mine])][:, None] * D[mine]
+            local = dofs < size
+            swept = gradient[problem.unknowns.mixed_dofs(dofs[local])][:, None] * D[local]
             grown, whole = (total(self._comm, part.sum(axis=0)) for part in (swept, np.abs(swept)))
             if np.any((np.abs(grown) > FREE * whole)[list(motion.free)]):
                 return True
@@ -268,21 +268,21 @@ class PressureLevel:
 
     def notes(self) -> list[str]:
         """What a user should know of the enclosed bodies. Collective."""
-        found = self._error_notes() + [
+        result = self._error_notes() + [
             f"{body.label} is incompressible and has no free surface: its pressure is known up to "
             "a constant, and the one whose mean is zero is taken"
             for body in self.bodies
             if not body.coupled
         ]
         if self.bodies and (names := _curved_rollers(self._problem)):
-            found.append(
+            result.append(
                 f"rollers on curved surfaces ({', '.join(names)}) let nodes slide along straight "
                 "tangents, which changes the volume by half the square of the sliding times the "
                 "curvature; the body is incompressible and held all around, so that it slides by "
                 "small steps only and needs many of them; a contact with a sphere or cylinder "
                 "keeps to the surface"
             )
-        return found
+        return result
 
     def check_volumes(self, rows: FloatArray) -> None:
         """Compares what supports leave the bodies with their volumes. Collective.
@@ -329,7 +329,7 @@ def _curved_rollers(problem: Problem) -> list[str]:
     the volume depends on the tangential displacements, to their second order: the mean of the
     pressure equations, which is removed, has a derivative that is in no column of the tangent.
     """
-    body, found = problem.body, []
+    body, result = problem.body, []
     prepare_facets(body.mesh)
     for support in problem.supports:
         for name in support.surfaces if isinstance(support, Normal) else ():
@@ -338,8 +338,8 @@ def _curved_rollers(problem: Problem) -> list[str]:
             if len(normals):
                 most = np.stack([normals.max(axis=0), -normals.min(axis=0)])
             if np.max(np.max(body.comm.allgather(most), axis=0).sum(axis=0)) > BENT:
-                found.append(f"'{name}'")
-    return found
+                result.append(f"'{name}'")
+    return result
 
 
 def _errs(part: MaterialRegion) -> bool:

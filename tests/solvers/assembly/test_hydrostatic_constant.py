@@ -29,7 +29,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest, smallest, total
-from dolfin_elastic.solvers.assembly.pressure_level import PressureLevel
+from dolfin_elastic.solvers.assembly.hydrostatic_constant import HydrostaticConstant
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 COMM = MPI.COMM_WORLD
@@ -76,7 +76,7 @@ def pressures(problem: Problem) -> tuple[float, float]:
     ],
 )
 def test_which_bodies_have_one(supports, law, count):
-    assert len(PressureLevel(block(supports, law)).bodies) == count
+    assert len(HydrostaticConstant(block(supports, law)).bodies) == count
 
 
 def test_of_two_bodies_the_one_that_is_held():
@@ -87,7 +87,7 @@ def test_of_two_bodies_the_one_that_is_held():
         surfaces={"rim": Selector(all=True)},
     )
     held = Problem(body, NeoHookean(mu=1.0, nu=0.5), degree=2, supports=[Support(on="rim")])
-    (found,) = PressureLevel(held).bodies
+    (found,) = HydrostaticConstant(held).bodies
     assert total(COMM, len(found.pinned[found.pinned < held.W.dofmap.index_map.size_local])) == 1
     assert total(COMM, float(found.weights.sum())) == pytest.approx(1.0, rel=1e-12)
     assert found.volume == pytest.approx(1.0, rel=1e-12)
@@ -104,7 +104,7 @@ def test_a_soft_part_leaves_no_constant():
     )
     laws = {"foam": NeoHookean(mu=1.0, nu=0.2), "rubber": LAW}
     problem = Problem(body, laws, degree=2, supports=ROLLERS)
-    assert PressureLevel(problem).bodies == []
+    assert HydrostaticConstant(problem).bodies == []
 
 
 @pytest.mark.sample(1)
@@ -182,7 +182,7 @@ def test_motion_of_a_held_body():
         degree=2,
         supports=[Support(on=["left", "right", "bottom", "top"])],
     )
-    (body,) = PressureLevel(problem).bodies
+    (body,) = HydrostaticConstant(problem).bodies
     swirl = ["0.3*sin(pi*x)^2*sin(2*pi*y)", "-0.3*sin(2*pi*x)*sin(pi*y)^2"]
     motion = Dynamics(problem, end=1.0, dt=0.05, spectral_radius=1.0, initial_velocity=swirl)
     first = None
@@ -220,7 +220,7 @@ def test_modes_of_a_held_body():
 )
 def test_the_mean_pressure_of_a_nearly_incompressible_body(law, said):
     """With K = 5e4 mu, U not quadratic and 8 x 8 cells it was a hundred times what it should be."""
-    notes = PressureLevel(block(SHEAR, law)).notes()
+    notes = HydrostaticConstant(block(SHEAR, law)).notes()
     assert any("nearly incompressible and has no free surface" in note for note in notes) is said
 
 
@@ -259,7 +259,7 @@ RIM = ["left", "right", "bottom", "top"]
 )
 def test_which_materials_have_one(held, low, high, labels):
     """Through an interface that is free the uniform pressures are one; a held one parts them."""
-    level = PressureLevel(layered([Support(on=held)], low, high))
+    level = HydrostaticConstant(layered([Support(on=held)], low, high))
     assert [body.label for body in level.bodies] == labels
     for body in level.bodies:
         assert total(COMM, float(body.weights.sum())) == pytest.approx(1.0, rel=1e-12)

@@ -20,7 +20,7 @@ log = logging.getLogger("dolfin_elastic")
 
 
 @dataclass(frozen=True)
-class Offence:
+class Violation:
     """A violation of one check of the audit by one state.
 
     Attributes:
@@ -28,7 +28,7 @@ class Offence:
         size: How bad it is, to be compared with others of the same check.
         fails: The results of the run are unreliable.
         when: Time or load factor, in words.
-        since: The same of the first offence of this check.
+        since: The same of the first violation of this check.
     """
 
     text: str
@@ -37,8 +37,8 @@ class Offence:
     when: str = ""
     since: str = ""
 
-    def worse_than(self, other: Offence) -> bool:
-        """Whether it is worse than another offence of the same check.
+    def worse_than(self, other: Violation) -> bool:
+        """Whether it is worse than another violation of the same check.
 
         One that fails is worse than one that does not; else the size decides, up to `_SAME`.
         """
@@ -51,88 +51,88 @@ class Offence:
         return f"{self.text} ({when})"
 
 
-Found = dict[str, Offence]
-"""Offences of one state by the name of the check."""
+Violations = dict[str, Violation]
+"""Violations of one state by the name of the check."""
 
 
-def add_worse(found: Found, others: Mapping[str, Offence]) -> None:
-    """Keeps the worse offence of each check.
+def add_worse(worst: Violations, others: Mapping[str, Violation]) -> None:
+    """Keeps the worse violation of each check.
 
     Args:
-        found: Receives those of `others` that are worse than what it has.
+        worst: Receives those of `others` that are worse than what it has.
         others: By the name of the check.
     """
-    for check, offence in others.items():
-        if check not in found or offence.worse_than(found[check]):
-            found[check] = offence
+    for check, violation in others.items():
+        if check not in worst or violation.worse_than(worst[check]):
+            worst[check] = violation
 
 
-def verdict(offences: Iterable[Offence]) -> Verdict:
-    """The verdict on a state with some offences."""
-    fails = [offence.fails for offence in offences]
+def verdict(violations: Iterable[Violation]) -> Verdict:
+    """The verdict on a state with some violations."""
+    fails = [violation.fails for violation in violations]
     return "fail" if any(fails) else "warn" if fails else "pass"
 
 
 @dataclass
-class WorstOffences:
-    """The worst offence of each check since the start, with its time. Not collective.
+class WorstViolations:
+    """The worst violation of each check since the start, with its time. Not collective.
 
     Attributes:
         worst: By the name of the check; empty where nothing speaks against a run.
     """
 
-    worst: Found = field(default_factory=dict)
+    worst: Violations = field(default_factory=dict)
 
-    def add(self, found: Mapping[str, Offence], when: str) -> None:
-        """Adds the offences of one state; warns of the first one of each check, and of a failure.
+    def add(self, violations: Mapping[str, Violation], when: str) -> None:
+        """Adds the violations of one state; warns of the first one of each check, and of a failure.
 
         Args:
-            found: By the name of the check.
+            violations: By the name of the check.
         """
-        for check, offence in found.items():
+        for check, violation in violations.items():
             before = self.worst.get(check)
-            now = replace(offence, when=when, since=before.since if before else when)
-            if before is None or (offence.fails and not before.fails):
+            now = replace(violation, when=when, since=before.since if before else when)
+            if before is None or (violation.fails and not before.fails):
                 log.warning("audit: %s", now)
             if before is None or now.worse_than(before):
                 self.worst[check] = now
 
     def texts(self) -> tuple[str, ...]:
         """All of them in words, those that fail first."""
-        ordered = sorted(self.worst.values(), key=lambda offence: not offence.fails)
+        ordered = sorted(self.worst.values(), key=lambda violation: not violation.fails)
         return tuple(map(str, ordered))
 
     def verdict(self) -> Verdict:
         """The verdict on the run so far."""
         return verdict(self.worst.values())
 
-    def judged(self, audit: Audit, found: Mapping[str, Offence]) -> Audit:
+    def judged(self, audit: Audit, violations: Mapping[str, Violation]) -> Audit:
         """An audit with its verdicts and reasons.
 
         Args:
-            found: Offences of that state, which have been added.
+            violations: Violations of that state, which have been added.
         """
         return replace(
             audit,
-            verdict=verdict(found.values()),
-            reasons=tuple(offence.text for offence in found.values()),
+            verdict=verdict(violations.values()),
+            reasons=tuple(violation.text for violation in violations.values()),
             so_far=self.texts(),
             verdict_so_far=self.verdict(),
         )
 
     def restart_state(self) -> dict[str, Any]:
         """See `Restartable`."""
-        return {check: asdict(offence) for check, offence in self.worst.items()}
+        return {check: asdict(violation) for check, violation in self.worst.items()}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """See `Restartable`; an older checkpoint has the first offences as texts."""
-        self.worst = {check: restored(offence) for check, offence in saved.items()}
+        """See `Restartable`; an older checkpoint has the first violations as texts."""
+        self.worst = {check: restored(violation) for check, violation in saved.items()}
 
 
-def restored(saved: Any) -> Offence:
-    """An offence from JSON data, or from the text that older checkpoints have."""
+def restored(saved: Any) -> Violation:
+    """An violation from JSON data, or from the text that older checkpoints have."""
     if isinstance(saved, str):
         text, _, when = saved.rpartition(" (")
         when = when.rstrip(")")
-        return Offence(text or saved, 0.0, when=when, since=when)
-    return Offence(**saved)
+        return Violation(text or saved, 0.0, when=when, since=when)
+    return Violation(**saved)
