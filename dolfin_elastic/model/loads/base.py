@@ -11,13 +11,19 @@ import ufl
 from pydantic import model_validator
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
-from dolfin_elastic.model.values import Component, Parts, components, depends_on_time
+from dolfin_elastic.model.values import (
+    Component,
+    Parts,
+    component,
+    components,
+    depends_on_time,
+)
 
 
 class LoadContext(Protocol):
@@ -243,3 +249,24 @@ class Load(Record):
     def virtual_work(self, context: LoadContext) -> ufl.Form:
         """External virtual work of the load, linear in `context.v`."""
         raise TypeError(f"{type(self).__name__} has no virtual work")
+
+
+class ScalarLoad(Load):
+    """A load whose value is no vector.
+
+    Attributes:
+        value: A number, a text with a unit, or a formula in x, y, z [m] (undeformed) and t.
+    """
+
+    value: Any
+
+    @cached_property
+    def values(self) -> tuple[Component, ...]:
+        """The value, one number or formula."""
+        with keyed("value"):
+            return (component(self.value, self.unit),)
+
+    @property
+    def vectors(self) -> dict[str, tuple[Component, ...]]:
+        """See `Load.vectors`: none."""
+        return {}

@@ -12,7 +12,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.model.kinematics import deformation_from
-from dolfin_elastic.model.loads.base import Load, LoadContext
+from dolfin_elastic.model.loads.base import Load, LoadContext, ScalarLoad
 from dolfin_elastic.model.values import Component, component
 
 
@@ -40,7 +40,7 @@ class Eigenstrain(Load):
         """
 
 
-class Thermal(Eigenstrain):
+class Thermal(ScalarLoad, Eigenstrain):
     """A change of temperature [K], from that at which the body is free of stress.
 
     Fg = (1 + alpha dT) I with the coefficient of expansion alpha of the material.
@@ -50,15 +50,8 @@ class Thermal(Eigenstrain):
     """
 
     kind: Literal["thermal"] = "thermal"
-    value: Any
     unit: ClassVar[str] = "K"
     sentence: ClassVar[str] = "change of temperature by {}"
-
-    @cached_property
-    def values(self) -> tuple[Component, ...]:
-        """The change of temperature."""
-        with keyed("value"):
-            return (component(self.value, self.unit),)
 
     def growth(self, context: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
         """See `Eigenstrain.growth`."""

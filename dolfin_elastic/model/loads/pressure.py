@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import ufl
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.kinematics import cofactor
-from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints
-from dolfin_elastic.model.values import PLACE, Component, component, number_at
+from dolfin_elastic.model.loads.base import LoadContext, LoadPoints, ScalarLoad
+from dolfin_elastic.model.values import PLACE, number_at
 
 
-class Pressure(Load):
+class Pressure(ScalarLoad):
     """Pressure [Pa] on the deformed surface, along its normal; positive pushes on the body.
 
     The virtual work is the integral of -p (cof F N) . v over the reference surface, N its outward
@@ -39,23 +37,11 @@ class Pressure(Load):
 
     kind: Literal["pressure"] = "pressure"
     on: str | list[str]
-    value: Any
     unit: ClassVar[str] = "Pa"
     along_normal: ClassVar[bool] = True
     follower: ClassVar[bool] = True
     linearises: ClassVar[bool] = True
     conservative: ClassVar[bool] = False
-
-    @cached_property
-    def values(self) -> tuple[Component, ...]:
-        """The pressure, one number or formula."""
-        with keyed("value"):
-            return (component(self.value, self.unit),)
-
-    @property
-    def vectors(self) -> dict[str, tuple[Component, ...]]:
-        """Empty: a pressure is a scalar."""
-        return {}
 
     @property
     def conservative_if_edge_fixed(self) -> bool:
