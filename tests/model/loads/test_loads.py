@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from dolfinx.mesh import locate_entities
 from helpers.annulus import FREE, annulus, radial, solved
+from helpers.load_examples import EXAMPLES, example
 from helpers.nodal_forces import forces, moved, total
 from mpi4py import MPI
 
@@ -38,34 +39,13 @@ from dolfin_elastic.model.loads import LOADS, LoadPoints
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 
 E, NU, RHO = 1e6, 0.3, 1000.0
-SIZE = 1e4
-"""Of the loads below, so that their tangents are a few percent of the material's."""
 KINDS = [kind for kind in LOADS if kind != "cavity"]
 """A cavity is tried with its scalar unknowns, in test_scalars.py."""
-EXAMPLES: dict[str, dict[str, Any]] = {
-    "traction": {"on": "top", "value": [f"{SIZE}*x", SIZE, SIZE]},
-    "pressure": {"on": ["top", "right"], "value": f"{SIZE}*(1 + x)"},
-    "body-force": {"value": [SIZE, f"{SIZE}*x", 0]},
-    "gravity": {},
-    "centrifugal": {"value": 5, "point": [0.2, 0.1, 0]},
-    "point-force": {"at": [0.3, 0.4, 0.2], "value": [SIZE, 0, SIZE]},
-    "thermal": {"value": "20 + 10*x"},
-    "growth": {"value": [1.02, 0.99, "1 + 0.05*y"]},
-    "line-force": {"start": [0, 0, 0], "end": [1, 1, 0.5], "value": [0, SIZE, 0]},
-}
-"""One of each kind; in a plane vectors lose their last component."""
 
 
 def body(dim: int) -> Any:
     make = box_body if dim == 3 else rectangle_body
     return make(size=(1,) * dim, cells=(2,) * dim)
-
-
-def example(kind: str, dim: int) -> Any:
-    keys = {
-        k: v[:dim] if k != "on" and isinstance(v, list) else v for k, v in EXAMPLES[kind].items()
-    }
-    return LOADS[kind](**keys)
 
 
 def test_every_kind_has_an_example():
@@ -78,7 +58,7 @@ def test_every_kind_has_an_example():
 def test_tangent_of_every_load(monkeypatch, kind, dim):
     """Against differences of fourth order; and symmetric exactly where it says so."""
     law = StVenantKirchhoff(E=E, nu=NU, density=RHO, expansion="1000 ppm/K")
-    problem = Problem(body(dim), law, loads=[example(kind, dim)], degree=1)
+    problem = Problem(body(dim), law, loads=[LOADS[kind](**example(kind, dim))], degree=1)
     symmetric = problem.symmetric
     monkeypatch.setattr(Problem, "symmetric", False)
     problem.set_time(1.0)
