@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from functools import lru_cache
+from typing import NamedTuple, get_args
 
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.si_text import given
+from dolfin_elastic.core.units import Quantity
 from dolfin_elastic.model.materials.spatial import units_of
 
 _UNITS = dict.fromkeys(("point", "at", "start", "end", "motion", "displacement", "origin"), "m")
-"""Of keys whose values are lists."""
+"""Of keys whose lists stay as they are written, formulas and all."""
 
 
 class Setting(NamedTuple):
@@ -37,9 +39,22 @@ def other_keys(record: Record, *told: str) -> str:
         told: Keys that its sentence has said already.
     """
     table = record.model_dump(exclude_unset=True, exclude_none=True, by_alias=True)
-    units = {**_UNITS, **units_of(type(record))}
+    units = {**_UNITS, **units_of(type(record)), **_units_in_lists(type(record))}
     return "".join(
         f"; {key.replace('_', ' ')} {given(value, units.get(key, ''))}"
         for key, value in table.items()
         if key not in ("kind", "on", "name", *told)
     )
+
+
+@lru_cache
+def _units_in_lists(kind: type[Record]) -> dict[str, str]:
+    """Key to SI unit, for the fields that are lists of quantities such as `list[Length] | None`."""
+    return {
+        name: one.unit
+        for name, info in kind.model_fields.items()
+        for choice in (info.annotation, *get_args(info.annotation))
+        for item in get_args(choice)
+        for one in getattr(item, "__metadata__", ())
+        if isinstance(one, Quantity)
+    }

@@ -34,8 +34,9 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.units import Length
 from dolfin_elastic.model.amplitude import RAMP
-from dolfin_elastic.model.loads import LOADS, LoadPoints
+from dolfin_elastic.model.loads import LOADS, LoadPoints, ScalarLoad
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 
 E, NU, RHO = 1e6, 0.3, 1000.0
@@ -413,3 +414,16 @@ def test_a_tolerance_lets_points_lie_off_the_body():
     x, nodal = forces(problem)
     place = total(problem, x * nodal[:, :1])
     np.testing.assert_allclose(place, [1, 0.5, 0.5], atol=1e-8)
+
+
+def test_keys_of_new_loads_are_told_with_their_units():
+    """Lists of lengths, too: nothing but the class says that they are."""
+
+    class Blast(ScalarLoad):
+        kind: str = "blast"
+        centre: list[Length]
+        further: list[Length] | None = None
+        unit = "Pa"
+
+    load = Blast(value="30 kPa", centre=["200 cm", 0, 1], further=[1, 2])
+    assert load.describe() == "blast of 30 kPa; centre (2, 0, 1) m; further (1, 2) m"
