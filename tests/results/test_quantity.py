@@ -15,7 +15,14 @@ from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.derived.part_numbers import PartNumbers
-from dolfin_elastic.results.derived.reductions import percentile
+from dolfin_elastic.results.derived.reduction import Reduction
+from dolfin_elastic.results.derived.reductions import (
+    REDUCTIONS,
+    ending,
+    percentile,
+    reduced_unit,
+    reduction_of,
+)
 from dolfin_elastic.results.quantity import Extremes, Measured, Quantity
 
 COMM = MPI.COMM_WORLD
@@ -54,6 +61,18 @@ def test_percentiles_of_a_linear_field(share: int) -> None:
     bent = state_of(problem, lambda x: np.array([x[0] ** 2 / 4, 0 * x[0], 0 * x[0]]))
     found = Quantity("displacement", None, f"percentile:{share}").on(problem).of(bent)
     assert found.value == pytest.approx((share / 100) ** 2, abs=2 / 16 * 0.15)
+
+
+def test_numbers_behind_a_colon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A limit in pascals is large, of a component it may be negative; the unit is told for both."""
+    share = Reduction(lambda samples, _: np.zeros(1), limits=(-np.inf, np.inf), unit="")
+    monkeypatch.setitem(REDUCTIONS, "tried:1e6", share)
+    for text, number in (("2.5e8", 2.5e8), ("-3e-2", -0.03), ("0.5", 0.5)):
+        assert reduction_of(f"tried:{text}") == (share, number)
+        column = f"lid_cauchy_stress_{ending(f'tried:{text}', 'area')}_xx"
+        assert reduced_unit(column, {"lid_cauchy_stress_xx": "Pa"}.get) == ""
+    with pytest.raises(InputError, match="unknown value 'tried:much'"):
+        reduction_of("tried:much")
 
 
 def test_percentiles_converge() -> None:

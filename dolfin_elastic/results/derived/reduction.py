@@ -44,9 +44,10 @@ class Reduction:
             numbers of all columns, the same on every rank; unless there is a `factor`.
         factor: Of a share of the integral, by the part's size: it is linear in the field, so that
             it has a derivative, and of a vector is no length.
-        limits: Of the number behind the colon; None: its name has none.
+        limits: Smallest and largest number behind the colon, such as (-inf, inf); None: its name
+            has no colon.
         over: Area or volume belong to its name and unit.
-        unit: Of the field it has that; else this one.
+        unit: Its SI unit, "" of a share or count; None: that of the field.
     """
 
     of: Callable[[Samples, float], FloatArray] | None = None

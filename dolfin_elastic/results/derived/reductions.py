@@ -19,7 +19,8 @@ from dolfin_elastic.results.derived.reduction import Reduction, Samples
 
 _HALVINGS = 64
 """Of the range of values, down to round-off."""
-_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+_NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
+"""Behind a colon, in the SI unit that its reduction says: 95, -0.5 or 2.5e8."""
 
 
 def _maximum(samples: Samples, sign: float) -> FloatArray:
@@ -88,7 +89,7 @@ def reduction_of(text: str) -> tuple[Reduction, float]:
         if name == example.partition(":")[0] and bool(colon) == (row.limits is not None):
             if row.limits is None:
                 return row, 0.0
-            if _NUMBER.fullmatch(number) and row.limits[0] <= float(number) <= row.limits[1]:
+            if re.fullmatch(_NUMBER, number) and row.limits[0] <= float(number) <= row.limits[1]:
                 return row, float(number)
     raise InputError(f"unknown value '{text}'", expected=nearest(text, REDUCTIONS))
 
@@ -112,7 +113,7 @@ def reduced_unit(column: str, unit_of_field: Callable[[str], str | None]) -> str
     """
     for example, row in REDUCTIONS.items():
         name, colon, _ = example.partition(":")
-        over, number = "_(area|volume)" if row.over else "()", r"_[\d.]+" if colon else ""
+        over, number = "_(area|volume)" if row.over else "()", f"_{_NUMBER}" if colon else ""
         result = re.search(rf"(?:_length)?{over}_{name}{number}(_[xyz]{{1,2}})?$", column)
         unit = (
             None if result is None else unit_of_field(column[: result.start()] + (result[2] or ""))
