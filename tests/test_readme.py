@@ -35,6 +35,7 @@ from dolfin_elastic.model.supports.displacement import Support
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.supports.springs import SUPPORTS
 from dolfin_elastic.model.tie import Tie
+from dolfin_elastic.results.derived.reductions import REDUCTIONS
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.outputs import History, Picture
 from dolfin_elastic.solvers.dynamics.schemes import SCHEMES
@@ -92,11 +93,11 @@ def test_every_key(model: type[BaseModel]) -> None:
 
 @pytest.mark.parametrize(
     "names",
-    [MATERIALS, LOADS, FIELDS, FUNCTIONS],
-    ids=["materials", "loads", "fields", "functions"],
+    [MATERIALS, LOADS, FIELDS, FUNCTIONS, REDUCTIONS],
+    ids=["materials", "loads", "fields", "functions", "reductions"],
 )
 def test_every_name(names: dict[str, object]) -> None:
-    """So does a new law, load, field or function."""
+    """So does a new law, load, field, function or reduction."""
     assert [name for name in names if not re.search(rf"\b{re.escape(name)}\b", GUIDE)] == []
 
 
