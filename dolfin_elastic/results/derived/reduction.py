@@ -34,6 +34,10 @@ class Samples:
         """Integral over the whole part of values at the points of this rank. Collective."""
         return np.asarray(total(self.comm, self.weights @ values))
 
+    def mean(self, values: FloatArray) -> FloatArray:
+        """Mean over the whole part of values at the points of this rank. Collective."""
+        return np.asarray(self.integral(values) / self.size, dtype=np.float64)
+
 
 @dataclass(frozen=True)
 class Reduction:
