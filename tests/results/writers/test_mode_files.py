@@ -200,7 +200,7 @@ def test_command_line(
         pytest.skip("tells on rank 0 only")
     monkeypatch.chdir(folder)  # docker/run refuses an output that it would not keep
     for key, texts in (
-        ("modal", ("done: 2 modes", "[Hz]", "of the whole body's; together")),
+        ("modal", ("done: 2 modes", "[Hz]", "of the body's mass that a mode moves")),
         ("buckling", ("load factor", "mode_01.xdmf, mode_02.xdmf, modes.csv, summary.json")),
     ):
         file = folder / f"{key}.toml"

@@ -135,7 +135,7 @@ def test_forces_are_those_of_statics(modulus, many, monkeypatch):
         residual.assemble()
         known = residual.vector.array[: march.assembler.size]
         whole = fem.assemble_vector(compiled(problem, [residual.work])[0])
-        march.assembler.reactions.add_point_loads(whole.array, -1.0)
+        march.assembler.reactions.add_terms(whole.array, -1.0, restraining=False)
         whole.scatter_reverse(la.InsertMode.add)
         size = largest(problem.body.comm, float(np.abs(known).max(initial=0.0)))
         assert size > 10.0
