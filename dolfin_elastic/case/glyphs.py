@@ -15,6 +15,7 @@ from dolfin_elastic.mesh.body import Body, extent
 from dolfin_elastic.mesh.geometry.curved import facet_points
 from dolfin_elastic.mesh.geometry.simplices import outward_normals, prepare_facets
 from dolfin_elastic.model.loads import Load, LoadPoints
+from dolfin_elastic.model.loads.point_loads import ConcentratedLoad
 from dolfin_elastic.problem.terms.edges_points import points_of
 from dolfin_elastic.results.scene.scene import Glyphs
 
@@ -60,7 +61,10 @@ def _loads(case: Case, body: Body, sums: Sequence[LoadSum]) -> Iterator[Glyphs]:
             label += f", {size:.4g} N in sum" if size > 0 else ""
         rows = _on_parts(body, load.parts)
         if inside := not len(rows):
-            rows = np.concatenate([_middle(body, load), np.zeros(3)])[None]
+            x = _middle(body, load)[None]
+            if isinstance(load, ConcentratedLoad):
+                x = np.atleast_2d(load.samples()[0])
+            rows = np.pad(x, ((0, 0), (0, 6 - x.shape[1])))
         x, normals = rows[:, :3], rows[:, 3:]
         along = np.tile(force, (len(rows), 1))
         if acts_on_surfaces(load) and load.parts:

@@ -18,7 +18,8 @@ from dolfin_elastic import (
     Traction,
     box_body,
 )
-from dolfin_elastic.case.glyphs import SAMPLES
+from dolfin_elastic.case.check.loads import LoadSum
+from dolfin_elastic.case.glyphs import SAMPLES, glyphs_of
 from dolfin_elastic.case.model_record import model_record
 from dolfin_elastic.core.parallel import largest_row
 from dolfin_elastic.mesh.geometry.simplices import facet_corners, prepare_facets
@@ -138,6 +139,28 @@ def test_places_of_parts() -> None:
     assert places == pytest.approx(facets[kept], abs=1e-6)
     gaps = [np.linalg.norm(places[:k] - places[k], axis=1).min() for k in range(1, SAMPLES)]
     assert all(one >= other - 1e-5 for one, other in pairwise(gaps))
+
+
+def test_places_of_forces_at_points_and_along_lines() -> None:
+    """Their glyphs stand where the forces act, not in the middle of the body."""
+    case = Case.from_dict(
+        {
+            "mesh": {"box": {"size": [1, 1, 1], "cells": [2, 2, 2]}},
+            "materials": {"m": {"law": "neo-hookean", "E": 1e6, "nu": 0.3}},
+            "support": [{"on": "left"}],
+            "load": [
+                {"kind": "point-force", "at": [1, 1, 1], "value": [0, 0, -3]},
+                {"kind": "line-force", "start": [1, 0, 1], "end": [1, 1, 1], "value": [0, 0, -2]},
+            ],
+        }
+    )
+    sums = [LoadSum(f"load[{k}]", "", (0.0, 0.0, -1.0), None, 1.0) for k in range(2)]
+    _, point, line = glyphs_of(case, case.read_body(WORLD), sums)
+    assert point.places == pytest.approx(np.ones((1, 3)))
+    assert line.places[:, [0, 2]] == pytest.approx(1.0)
+    assert np.ptp(line.places[:, 1]) > 0.9
+    for glyphs in (point, line):
+        assert glyphs.along == pytest.approx(np.tile([0, 0, -1.0], (len(glyphs.places), 1)))
 
 
 def centres(body) -> np.ndarray:
