@@ -74,6 +74,17 @@ def test_what_describes_a_body_is_read(tmp_path: Path) -> None:
     assert {file.name for file in files_of_script(path)} == {"a.geo", "size.geo"}
 
 
+@pytest.mark.parametrize("name", ["../mine/b.step", "deep/../b.step", "{folder}/b.step", "\0"])
+def test_names_are_plain_paths_below(tmp_path: Path, name: str) -> None:
+    """A copy at such a path would be written outside of the private folder of copies."""
+    folder = tmp_path / "mine"
+    (folder / "deep").mkdir(parents=True)
+    (folder / "b.step").write_text("no body")
+    (folder / "a.geo").write_text(f'{BOX}Merge "{name.format(folder=folder)}";\n')
+    with pytest.raises(MeshError, match="not in the folder of the script"):
+        files_of_script(folder / "a.geo")
+
+
 def test_sizes_of_a_script_are_kept_below_the_size_asked_for(folder: Path) -> None:
     """Cells grow from a corner of size 0.02; without it all are of the size asked for."""
     square = "Point(2) = {1,0,0}; Point(3) = {1,1,0}; Point(4) = {0,1,0};\n"

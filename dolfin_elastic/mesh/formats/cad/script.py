@@ -73,7 +73,9 @@ def _read_by(folder: Path, script: Path, text: str) -> list[Path]:
             fault = f"'{token['word']}' {_REFUSED[token['word']]}"
         elif token["read"]:
             result.append(script.parent / token["file"])
-            if not (folder / result[-1]).resolve().is_relative_to(folder.resolve()):
+            # Its copy has the same path in another folder, from which ".." would lead elsewhere.
+            leaves = result[-1].is_absolute() or ".." in result[-1].parts or "\0" in token["file"]
+            if leaves or not (folder / result[-1]).resolve().is_relative_to(folder.resolve()):
                 fault = f"reads '{token['file']}', which is not in the folder of the script"
         if fault:
             raise MeshError(
