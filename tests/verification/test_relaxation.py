@@ -309,6 +309,22 @@ def test_motion_to_second_order(scheme: str) -> None:
     assert off[2] < 2e-3
 
 
+def test_an_initial_displacement_is_sudden() -> None:
+    """What is strained at the start relaxes from there, to second order: not over a first step."""
+    body = box_body(size=(1, 1, 1), cells=(1, 1, 1))
+    held = Support(on="bottom", displacement=[0, 0, 0])
+    ends = []
+    for n in (20, 40, 80):
+        problem = Problem(body, large(density=0.5), supports=[held], degree=1)
+        motion = Dynamics(problem, end=0.2, dt=0.2 / n, initial_displacement=["0.1*z", 0, 0])
+        state = list(motion.steps())[-1]
+        ends.append(state.energies["strain"])
+        assert state.audit is not None
+        assert state.audit.verdict_so_far == "pass", state.audit.so_far
+    changes = np.abs(np.diff(ends))
+    assert np.log2(changes[0] / changes[1]) == pytest.approx(2, abs=0.2)
+
+
 def test_a_motion_goes_on() -> None:
     body = box_body(size=(1, 1, 1), cells=(1, 1, 1))
     held = Support(on="bottom", displacement=[0, 0, 0])

@@ -391,6 +391,8 @@ class Implicit:
             self.moving.set_rates(self.v.x.array[:size], np.zeros(size))
             self.assembler.residual.assemble()
         settle_auxiliary_fields(self.problem, self.assembler)
+        if self.problem.history is not None:
+            self.problem.history.commit()  # the body is strained suddenly, at the start
         with stage("solve"):
             h = min(self.control.nominal / 8, AHEAD * self.settings.end)
             find_initial_acceleration(self.moving, self.v, self.a, h)
