@@ -145,6 +145,15 @@ def test_sets_of_nodes_fields_and_faults_stay(
         assert np.allclose(fibre, body.mesh.geometry.x, atol=1e-15)
 
 
+def test_a_set_without_members_is_left_out(folder: Path) -> None:
+    """As it is when the old file is read."""
+    nodes = "*NODE\n1, 0, 0, 0\n2, 1, 0, 0\n3, 0, 1, 0\n4, 0, 0, 1\n"
+    deck = f"{nodes}*ELEMENT, TYPE=C3D4\n1, 1, 2, 3, 4\n*NSET, NSET=none\n*NSET, NSET=tip\n1\n"
+    made(lambda: (folder / "a.inp").write_text(deck))
+    convert_mesh(folder / "a.inp", folder / "a.xdmf")
+    same(*(read_body(folder / name) for name in ("a.inp", "a.xdmf")))
+
+
 def test_the_unit_stays(folder: Path) -> None:
     from test_unv import cube, dataset
 

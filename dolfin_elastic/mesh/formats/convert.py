@@ -200,7 +200,8 @@ class _Writer:
             marks[cells] = 1
             _say(self._attribute(main, name, "Cell", f"region_{k}", marks), "part", "region")
         for part, parts in zip(PARTS[1:], (raw.surfaces, raw.edges, raw.nodes), strict=True):
-            for k, (name, members) in enumerate(parts.items()):
+            full = {name: members for name, members in parts.items() if len(members)}
+            for k, (name, members) in enumerate(full.items()):
                 rows = np.unique(np.sort(members.reshape(len(members), -1), axis=1), axis=0)
                 grid = self._grid(name, _FACETS[rows.shape[1]], f"{part}_{k}", rows)
                 _say(grid, "part", part)
