@@ -160,6 +160,51 @@ def test_blocks_of_xdmf(folder: Path) -> None:
         read_body(folder / "p.xdmf")
 
 
+PLANE = """<Xdmf><Domain>
+<Grid Name="plane"><Topology TopologyType="Triangle">{cells}</Topology>{points}
+<Attribute Name="kind" Center="Cell">{kinds}</Attribute></Grid>
+<Grid Name="solid"><Topology TopologyType="Tetrahedron">{solid}</Topology>{points}
+<Attribute Name="kind" Center="Cell">{one}</Attribute></Grid></Domain></Xdmf>"""
+
+
+def write_plane(folder: Path, text: str) -> Path:
+    """A square of two triangles, of which one has no kind."""
+    arrays = {
+        "cells": np.array([[0, 1, 2], [1, 2, 3]]),
+        "solid": np.array([[0, 1, 2, 3]]),
+        "points": np.array([[0.0, 0], [1, 0], [0, 1], [1, 1]]),
+        "kinds": np.array([[2.0], [np.nan]]),
+        "one": np.array([[1]]),
+    }
+
+    def item(name: str) -> str:
+        shape = " ".join(map(str, arrays[name].shape))
+        return f'<DataItem Dimensions="{shape}" Format="HDF">a.h5:/{name}</DataItem>'
+
+    def write() -> None:
+        with h5py.File(folder / "a.h5", "w") as file:
+            for name, values in arrays.items():
+                file[name] = values
+        items = {name: item(name) for name in arrays}
+        items["points"] = f'<Geometry GeometryType="XY">{items["points"]}</Geometry>'
+        (folder / "a.xdmf").write_text(text.format(**items))
+
+    made(write)
+    return folder / "a.xdmf"
+
+
+def test_tags_of_larger_cells(folder: Path) -> None:
+    """Of tetrahedra in a mesh of triangles: looking for them there ended the process."""
+    with pytest.raises(MeshError, match="the cells of the grid 'solid' are beside those of"):
+        read_body(write_plane(folder, PLANE))
+
+
+def test_tags_that_are_no_numbers(folder: Path) -> None:
+    end = PLANE.index('<Grid Name="solid">')
+    body = read_body(write_plane(folder, PLANE[:end] + "</Domain></Xdmf>"))
+    assert list(body.regions) == ["kind_2"]
+
+
 def test_a_raw_file_of_xdmf_elsewhere(folder: Path) -> None:
     """It was looked for in the current folder, and read whatever it is."""
 

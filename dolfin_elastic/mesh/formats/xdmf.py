@@ -283,7 +283,7 @@ def _in(root: ElementTree.Element, path: Path) -> _Contents:
     plain = all(item.get("Format") == "HDF" for item in root.iter("DataItem"))
     if kind not in _DIMS or not plain or cells is None or points is None or not _width(main):
         return _Contents()
-    tags = [t for g in grids if _kind(g) in _DIMS for t in _tags(g)]
+    tags = [t for g in grids if _DIMS.get(_kind(g), 4) <= _DIMS[kind] for t in _tags(g)]
     data = _data(main, [g for g in root.iter("Grid") if g.find("Topology") is None])
     contents = _topology(kind, cells)
     said = [*_information(main)]
@@ -368,8 +368,9 @@ def _others(
 
 def _is_part(main: ElementTree.Element, grid: ElementTree.Element) -> bool:
     """Whether a grid has cells of the main one, or facets, edges and points of it."""
-    low = _DIMS.get(_kind(grid), 3) < _DIMS.get(_kind(main), 3)
-    return low or bool(_tags(grid)) or _texts(grid, "Topology") == _texts(main, "Topology")
+    here, dim = _DIMS.get(_kind(grid), 3), _DIMS.get(_kind(main), 3)
+    alike = bool(_tags(grid)) or _texts(grid, "Topology") == _texts(main, "Topology")
+    return here < dim or (here == dim and alike)
 
 
 def _texts(grid: ElementTree.Element, part: str) -> list[str]:
@@ -540,7 +541,8 @@ def _parts(
 
 def _values(comm: MPI.Comm, numbers: AnyArray) -> list[int]:
     """Different numbers of all ranks; none of them if they are data, not names. Collective."""
-    values = np.unique(np.concatenate(comm.allgather(np.unique(numbers)[: _MOST + 1])))
+    local = np.unique(numbers[np.isfinite(numbers)])
+    values = np.unique(np.concatenate(comm.allgather(local[: _MOST + 1])))
     return [int(value) for value in values] if len(values) <= _MOST else []
 
 
