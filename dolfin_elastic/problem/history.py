@@ -159,10 +159,16 @@ class History:
             for part in self._regions.values():
                 part.begin_step(step)
 
-    def begin(self, t: float = 0.0) -> None:
-        """Forgets the past: time passes from here, at the present state. Collective."""
+    def forget(self) -> None:
+        """Forgets the past: no time passes until `begin`. Local."""
         for part in self._regions.values():
             part.tensors[:] = 0.0
+        self._t, self._step, self._work, self.uncertainty = None, None, 0.0, 0.0
+        self.set_time(self._now)
+
+    def begin(self, t: float = 0.0) -> None:
+        """Forgets the past: time passes from here, at the present state. Collective."""
+        self.forget()
         self._begin_at(t, 0.0)
 
     def _begin_at(self, t: float, work: float) -> None:

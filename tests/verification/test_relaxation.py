@@ -356,6 +356,17 @@ def test_modes_are_those_of_a_sudden_load() -> None:
     assert frequencies(large(density=1)) == pytest.approx(frequencies(plain), rel=1e-10)
 
 
+@pytest.mark.parametrize("preload", [False, True])
+def test_modes_know_nothing_of_an_earlier_run(preload: bool) -> None:
+    """What a run on the same problem has left, stress in a body at rest, changed frequencies."""
+    used, fresh = pulled(large(density=1), degree=1), pulled(large(density=1), degree=1)
+    list(Statics(used, steps=2).steps())
+    one, other = (
+        [m.frequency for m in Modal(p, count=2, preload=preload).modes()] for p in (used, fresh)
+    )
+    assert one == pytest.approx(other, rel=1e-9)
+
+
 @pytest.mark.parametrize(
     ("keys", "where"),
     [({}, "statics.steps"), ({"method": "arc-length"}, "statics.method")],

@@ -82,6 +82,8 @@ def at_rest(problem: Problem) -> None:
         InputError: Growth or warmth acts from the start.
     """
     problem.set_time(0.0, default=RAMP)
+    if problem.history is not None:
+        problem.history.forget()
     for index, load in enumerate(problem.loads):
         if load.is_eigenstrain and (load.amplitude or RAMP).at(0.0) != 0.0:
             raise InputError(

@@ -123,7 +123,9 @@ class Statics:
                 whole=not self._asks_for_steps() and may_take_whole_load(self.problem),
             )
             owned.callback(self._forget)
-            if self.problem.history is not None and saved is None and not self._preload:
+            if self.problem.history is not None and self._preload:
+                self.problem.history.forget()
+            elif self.problem.history is not None and saved is None:
                 self.problem.history.begin()
             if self.problem.history is not None:  # what has been on the way counts
                 near = None
