@@ -70,14 +70,18 @@ class RelaxingRegion:
         self._g = np.array([term.g for term in law.prony])
         self._tau = np.array([term.tau for term in law.prony])
         past = ufl.as_matrix([[self._past[i] for i in row] for row in TENSOR])
-        lasting = fem.Constant(mesh, 1.0 - float(self._g.sum()))
-        self.law = Relaxed(law, self._instant, lasting, past)
+        self._lasting = fem.Constant(mesh, 1.0)
+        self.law = Relaxed(law, self._instant, self._lasting, past)
         self.tensors: FloatArray = np.zeros((1 + len(self._g), len(self._rows), 6))
 
     def _weights(self, dt: float) -> tuple[FloatArray, FloatArray]:
         """e and f of each term, see `model.materials.prony`."""
         x = dt / self._tau
         return np.exp(-x), -np.expm1(-x) / x if dt > 0.0 else np.ones_like(x)
+
+    def let_relax(self, *, relaxing: bool) -> None:
+        """Sets what is left after a long time: all, if no time passes. Not collective."""
+        self._lasting.value = 1.0 - float(self._g.sum()) if relaxing else 1.0
 
     def begin_step(self, dt: float) -> None:
         """Sets the law over a step from the history, of a length [s]. Not collective."""
@@ -163,6 +167,7 @@ class History:
         """Forgets the past: no time passes until `begin`. Local."""
         for part in self._regions.values():
             part.tensors[:] = 0.0
+            part.let_relax(relaxing=False)
         self._t, self._step, self._work, self.uncertainty = None, None, 0.0, 0.0
         self.set_time(self._now)
 
@@ -173,6 +178,8 @@ class History:
 
     def _begin_at(self, t: float, work: float) -> None:
         self._compile()
+        for part in self._regions.values():
+            part.let_relax(relaxing=True)
         self._t, self._step, self._work = t, None, work
         self.set_time(t)
         self._before = self._forces(), self._w.x.array.copy()

@@ -356,6 +356,20 @@ def test_modes_are_those_of_a_sudden_load() -> None:
     assert frequencies(large(density=1)) == pytest.approx(frequencies(plain), rel=1e-10)
 
 
+def test_a_preload_stores_what_a_sudden_load_does(caplog: pytest.LogCaptureFixture) -> None:
+    """Its energy was that after a long time, and the audit told of a jump."""
+    supports = [
+        Support(on="left", displacement=[0, 0, 0]),
+        Support(on="right", displacement=[0.3, 0, 0]),
+    ]
+    body = box_body(size=(2, 1, 1), cells=(2, 1, 1))
+    law = NeoHookeanSplit(mu=MU, nu=0.3, density=1, prony=[{"g": 0.5, "tau": 0.2}])
+    modes = Modal(Problem(body, law, supports=supports, degree=1), count=1, preload=True)
+    with caplog.at_level("WARNING"):
+        list(modes.modes())
+    assert not caplog.records
+
+
 @pytest.mark.parametrize("preload", [False, True])
 def test_modes_know_nothing_of_an_earlier_run(preload: bool) -> None:
     """What a run on the same problem has left, stress in a body at rest, changed frequencies."""
