@@ -103,7 +103,7 @@ class PrescribedComponents:
 
     Args:
         supports: All supports; springs and dashpots are ignored.
-        places: Of the space's local nodes [m], shape (nodes, 3).
+        coordinates: Of the space's local nodes [m], shape (nodes, 3).
         axisymmetric: The radial displacement of nodes on the axis is zero.
 
     Attributes:

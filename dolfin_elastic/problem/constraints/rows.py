@@ -184,7 +184,7 @@ class Constraints(Rows):
     Args:
         supports: All supports; springs and dashpots are ignored.
         ties: Surfaces with different meshes that move together.
-        places: Of the space's local nodes [m], shape (nodes, 3).
+        coordinates: Of the space's local nodes [m], shape (nodes, 3).
         axis: The body is axisymmetric: the radial displacement of nodes on the axis is zero.
         pinned: Of a periodic cell, which has no supports: local entries that are unknowns of its
             fixed vertex, and one of them for each such unknown that this rank owns.

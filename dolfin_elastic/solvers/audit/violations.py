@@ -130,7 +130,7 @@ class WorstViolations:
 
 
 def restored(saved: Any) -> Violation:
-    """An violation from JSON data, or from the text that older checkpoints have."""
+    """A violation from JSON data, or from the text that older checkpoints have."""
     if isinstance(saved, str):
         text, _, when = saved.rpartition(" (")
         when = when.rstrip(")")
