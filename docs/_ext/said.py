@@ -26,7 +26,7 @@ _CODES = {
     "Violation": "0 or 5",
     "warning": "0",
 }
-"""Exit codes that are not 2; the run goes on beside an violation, which is what an audit finds."""
+"""Exit codes that are not 2; the run goes on beside a violation, which is what an audit finds."""
 _KINDS = re.compile(
     r"(Input|Mesh|Unit|Case|Solve|Convergence|Stability|Output|Drawing|Restart|Formula|Stopped)Error"
     "|Violation|UnusedKeys"

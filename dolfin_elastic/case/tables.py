@@ -305,7 +305,8 @@ class Material(Record):
         known = {*known_keys(law), "on"}
         for key in table:
             if key not in known:
-                raise InputError(f"unknown key '{key}'", expected=nearest(str(key), known))
+                expected = law.key_hints.get(str(key)) or nearest(str(key), known)
+                raise InputError(f"unknown key '{key}'", expected=expected)
         return cls(
             law=law(**{key: value for key, value in table.items() if key != "on"}),
             on=table.get("on"),

@@ -6,6 +6,7 @@ no part.
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -32,6 +33,8 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.materials.prony import Relaxing
+from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.checkpoint.checkpoints import newest_checkpoint
 from dolfin_elastic.solvers.eigen.modal import Modal
@@ -440,6 +443,17 @@ def test_check_refuses(tables: dict[str, Any], text: str) -> None:
     case = Case(**CASE, **tables)
     with pytest.raises(InputError, match=text):
         check(case, case.read_body())
+
+
+def test_laws_without_a_series_name_those_with_one() -> None:
+    """The hint has all of them."""
+    gel = {"law": "neo-hookean", "E": 1e6, "nu": 0.3, "prony": PRONY}
+    with pytest.raises(InputError, match="unknown key 'prony'") as error:
+        Case(**{**CASE, "materials": {"gel": gel}})
+    told = re.split(r"[ ,]+", str(error.value))
+    assert {name for name in MATERIALS if issubclass(MATERIALS[name], Relaxing)} == {
+        name for name in MATERIALS if name in told
+    }
 
 
 def test_check_notes() -> None:

@@ -116,6 +116,10 @@ class Law(spatial.SpatialRecord):
     allowable: Stress | None = Field(default=None, gt=0)
     viscosity: Viscosity | None = Field(default=None, gt=0)
 
+    key_hints: ClassVar[Mapping[str, str]] = {
+        "prony": "a law whose deviatoric stress may relax: linear-elastic, neo-hookean-split, "
+        "mooney-rivlin, yeoh, ogden, arruda-boyce or gent"
+    }
     linear: ClassVar[bool] = False
     """Stress is linear in the displacement gradient."""
     barrier: ClassVar[bool] = False

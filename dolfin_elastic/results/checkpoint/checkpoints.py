@@ -55,7 +55,7 @@ from dolfin_elastic.results.writer import StepInterval, Steps
 log = logging.getLogger("dolfin_elastic")
 
 FOLDER, CASE = "checkpoints", "case.toml"
-FORMAT = 6
+FORMAT = 7
 """Raised where content, fields or defaults of cases change: such a run is not gone on with."""
 _NAME = re.compile(r"step_(\d{6,})\.json")
 FIRST = 10.0
