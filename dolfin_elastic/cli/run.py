@@ -237,7 +237,8 @@ def _follow(
     from dolfin_elastic.problem.state import Mode
 
     motion, visible = case.dynamics is not None, comm.rank == 0 and not shown.quiet
-    progress = _progress_display(motion, visible, verbose=shown.verbose)
+    timed = motion or any(material.law.relaxes for material in case.materials.values())
+    progress = _progress_display(timed, visible, verbose=shown.verbose)
     state, newton, most, modes = None, 0, 0.0, []
     with closing(progress), closing(states) as results:
         for result in results:
@@ -270,17 +271,21 @@ def _follow(
     return AUDIT_FAILED
 
 
-def _progress_display(motion: bool, visible: bool, *, verbose: bool) -> ProgressDisplay:
-    """A bar on a terminal, lines in a file or pipe, nothing if not visible."""
+def _progress_display(timed: bool, visible: bool, *, verbose: bool) -> ProgressDisplay:
+    """A bar on a terminal, lines in a file or pipe, nothing if not visible.
+
+    Args:
+        timed: States are shown with their time, else with their load factor.
+    """
     from dolfin_elastic.cli import console
 
     if not visible:
         return console.NoProgress()
     handlers = logging.getLogger("dolfin_elastic").handlers
     handler = next((one for one in handlers if isinstance(one, console.LogHandler)), None)
-    display: ProgressDisplay = console.ProgressLines(motion)
+    display: ProgressDisplay = console.ProgressLines(timed)
     if handler is not None and handler.screen.is_terminal and sys.stdout.isatty():
-        display = console.ProgressBar(motion, handler.screen)
+        display = console.ProgressBar(timed, handler.screen)
         handler.print_above_bar()
     if handler is not None and not verbose:
         handler.show_searches(display)

@@ -129,6 +129,8 @@ def _statics(case: Table, summary: Table) -> str:
     factor, asked = summary.get("load_factor"), (case.get("statics") or {}).get("end", 1.0)
     if factor is None or not summary.get("steps"):
         return f"{text}, but no step was reached."
+    if factor > 1.0:  # curves say how large loads are then
+        return f"{text}, {grown} up to the load parameter {number(factor)}."
     full = asked == 1.0 and factor >= 1.0
     reached = "their full values" if full else f"{number(100 * factor)} % of their values"
     return f"{text}; the loads were raised {grown} to {reached}."
