@@ -259,7 +259,7 @@ FIELDS: dict[str, Callable[[Path], None]] = {
 
 
 MAY_LACK = (
-    *("before", "scalars", "remaining", "audit__resolution", "lookout__offences"),
+    *("before", "scalars", "remaining", "audit__resolution", "lookout__violations"),
     *("arc", "arc__newton"),
 )
 """What has a default, or is not needed."""
@@ -332,7 +332,7 @@ EXPLICIT = numbers(
     lookout=["x", None, []],
     lookout__states=["x", None, -1],
     lookout__first=["x", None, 3, [1.0], ["a", "b"]],
-    lookout__offences=["x", 3, {"a": 1}],
+    lookout__violations=["x", 3, {"a": 1}],
     lookout__most=["x", {}],
     lookout__place=["x", 3, ["a"]],
     square=["x", None, NAN, -1.0, 0.0],
