@@ -35,7 +35,7 @@ from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns
 from dolfin_elastic.results.derived.reduction import Samples
 from dolfin_elastic.results.derived.reductions import ending, reduction_of
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.fields import FIELDS, component_names
+from dolfin_elastic.results.fields import FIELDS
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body
@@ -331,23 +331,3 @@ def check_surface(body: Body, name: str, where: str = "") -> None:
         raise MeshError(
             f"the surface '{name}' has no facets", where=where, expected="a surface with facets"
         )
-
-
-def columns_of(stem: str, values: Mapping[str, FloatArray], *, plain: bool) -> dict[str, float]:
-    """Columns of the history.
-
-    Args:
-        values: What `PartNumbers` gives.
-        plain: Means have the name of the field alone.
-    """
-    return {
-        column: float(number)
-        for name, numbers in values.items()
-        for column, number in zip(
-            component_names(
-                f"{stem}_{name.removesuffix('_mean') if plain else name}", len(numbers)
-            ),
-            numbers,
-            strict=True,
-        )
-    }

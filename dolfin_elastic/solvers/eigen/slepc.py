@@ -13,6 +13,7 @@ Computations (2013), section 8.1.5 (inertia).
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -172,7 +173,7 @@ def _failed(cause: str) -> ConvergenceError:
     )
 
 
-class Pencil:
+class Pencil(ABC):
     """Finds and counts eigenvalues of A x = value B x, both symmetric. Collective.
 
     Args:
@@ -261,19 +262,19 @@ class Pencil:
         finally:
             destroy(eps, *spaces, *temporary)
 
+    @abstractmethod
     def set_up(self, eps: SLEPc.EPS, shift: float, count: int, room: int) -> None:
         """Says which eigenvalues are looked for, and how. Collective."""
-        raise NotImplementedError
 
     def prepare(self, transform: SLEPc.ST, shift: float) -> Sequence[_Freed | None]:
         """Prepares the solver inside; returns what is destroyed after the solve. Collective."""
         return ()
 
+    @abstractmethod
     def chosen(
         self, eps: SLEPc.EPS, pairs: Sequence[tuple[complex, FloatArray]], shift: float, count: int
     ) -> list[Pair]:
         """The pairs that are asked for, of those that have converged."""
-        raise NotImplementedError
 
     def _pairs(self, eps: SLEPc.EPS) -> list[tuple[complex, FloatArray]]:
         vector, pairs = self._vector(None), []
