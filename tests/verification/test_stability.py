@@ -237,6 +237,29 @@ def test_motions_of_the_state_before_are_begun_with():
             assert bool(newton.soft.motions) is (share > 0.9)
 
 
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+@pytest.mark.sample(4)
+def test_responses_of_the_states_before_hide_nothing(case: buckling.Case):
+    """From state to state, there and back, the verdict is that of pivots.
+
+    What states before have left is tried on states that are stiffer, softer, and unstable.
+    """
+    stable: set[bool] = set()
+    below = 1 - NEAR
+    with equilibrium(case.problem(below * case.critical), "iterative", case.steps) as newton:
+        solve, problem = RetryStrategy(newton, None).solve, newton.assembler.problem
+        start = newton.unknowns()
+        for share in (0.3, 0.5, 0.8, 0.9, 1 - NEAR, 1 + NEAR, 1.1, 0.8, 1 - NEAR, 1.2, 0.3):
+            problem.set_time(share / below, default=PROPORTIONAL)
+            if not solve([("", newton.unknowns()), ("", share / below * start)]).converged:
+                continue
+            verdict, count = judge(newton), referee(newton)
+            assert verdict.stable is (count == 0), (share, verdict.stability, count)
+            assert len(newton.soft.responses) <= negative_curvature.RESPONSES
+            stable.add(verdict.stable)
+    assert stable == {True, False}
+
+
 def test_multigrid_stays_positive_definite():
     """Of a positive definite matrix its inverse, of another one that of its absolute value."""
     rng = np.random.default_rng(1)

@@ -51,6 +51,14 @@ MOST_DIRECTIONS = 8
 """Directions of negative curvature after which it is given up.  Softer pressures add some below
 the critical load, one for each mode that is near its own."""
 
+RESPONSES = 3
+"""States whose responses are left out of conjugate gradients, at a product each: two equal modes
+of a square column take two of them, and a third tells how the force divides among the others."""
+
+_NEW = 1e-3
+"""Share of a response that is new beside others, below which it is no more than the error of
+conjugate gradients."""
+
 _SOLVE, _SOLVE_ITERATIONS = 0.1, 500
 """Relative residual of the solves with the whole tangent, and their iterations: the quotient
 d . A^-1 d is known to a hundredth then, and only its sign counts."""
@@ -102,39 +110,50 @@ def count_negative(newton: Newton, *, exactly: bool = False) -> Inertia:
         tangent, kept = _Tangent(newton), newton.soft
         directions = _Directions(tangent)
         # Near a critical load the softer volume is too soft along the same motions again.
-        if tangent.is_negative_along(kept) and (
-            not tangent.stiffen() or tangent.is_negative_along(kept)
-        ):
-            directions.begin(kept)
-        inertia = _count(tangent, directions, exactly=exactly)
-        newton.soft = directions.kept()
+        while tangent.is_negative_along(kept):
+            if not tangent.stiffen():
+                directions.begin(kept)
+                break
+        # Factors are asked anew along which of several forces they are negative.
+        known = None if newton.linear.direct else kept.force
+        begin = _begin(tangent) if known is None else _Begin(known, tangent.precondition(known))
+        inertia, response = _count(tangent, directions, begin, kept.responses, exactly=exactly)
+        responses = () if response is None else (response, *kept.responses)[:RESPONSES]
+        newton.soft = replace(directions.kept(), force=begin.force, responses=responses)
         tangent.destroy()
     return inertia
 
 
-def _count(tangent: _Tangent, directions: _Directions, *, exactly: bool) -> Inertia:
-    begin = _begin(tangent)
+def _count(
+    tangent: _Tangent,
+    directions: _Directions,
+    begin: _Begin,
+    responses: Sequence[FloatArray],
+    *,
+    exactly: bool,
+) -> tuple[Inertia, FloatArray | None]:
+    """The inertia, and the response to the force where M is positive definite as a whole."""
     enough = tangent.symmetric and not exactly  # of others, one proves nothing before the end
     while True:
-        ended = _conjugate_gradients(tangent, directions, begin)
-        if ended.definite:
-            return directions.verdict(at_least=False)
+        ended = _conjugate_gradients(tangent, directions, begin, responses)
+        if ended.response is not None:
+            of_all = None if directions.count else ended.response
+            return directions.verdict(at_least=False), of_all
         if ended.direction is None:
-            return Inertia(None, reason=ended.reason)
+            return Inertia(None, reason=ended.reason), None
         if enough and tangent.is_whole:
-            return _proven(tangent, ended.direction)
+            return _proven(tangent, ended.direction), None
         if not directions.count and tangent.stiffen():
             continue  # cheaper than a solve for a direction, which it may save
         if not directions.add(ended.direction):
-            return Inertia(None, reason="the linear solver does not converge with its tangent")
-        if enough and directions.verdict(at_least=True).negative:
-            return directions.verdict(at_least=True)
-        if directions.count >= MOST_DIRECTIONS:
             return Inertia(
-                None,
-                reason=f"its tangent has more than {MOST_DIRECTIONS} directions of little or "
-                "negative stiffness",
-            )
+                None, reason="the linear solver does not converge with its tangent"
+            ), None
+        if enough and directions.verdict(at_least=True).negative:
+            return directions.verdict(at_least=True), None
+        if directions.count >= MOST_DIRECTIONS:
+            reason = f"its tangent has more than {MOST_DIRECTIONS} directions of little or negative"
+            return Inertia(None, reason=f"{reason} stiffness"), None
 
 
 def _proven(tangent: _Tangent, d: FloatArray) -> Inertia:
@@ -426,47 +445,106 @@ class _Ended:
     """How conjugate gradients have ended.
 
     Attributes:
-        definite: They have converged: the operator is positive definite.
+        response: To the force: they have converged, the operator is positive definite.
         direction: Of negative curvature, where they have met one.
-        reason: Neither.
+        reason: Why neither.
     """
 
-    definite: bool
+    response: FloatArray | None = None
     direction: FloatArray | None = None
     reason: str = ""
 
 
-def _conjugate_gradients(tangent: _Tangent, directions: _Directions, begin: _Begin) -> _Ended:
-    """Conjugate gradients on the complement of some directions. Collective.
-
-    Without the solution, which nobody asks for.
-    """
-    if begin.negative is not None and not directions.count:
-        return _Ended(definite=False, direction=begin.negative)
-    r, z = directions.project(begin.b), directions.project(begin.z)
-    if directions.count:
-        z = directions.project(tangent.precondition(r))
-    p, rz = z, tangent.dot(r, z)
-    first, ritz = rz, _RitzValues()
+def _conjugate_gradients(
+    tangent: _Tangent,
+    directions: _Directions,
+    begin: _Begin,
+    responses: Sequence[FloatArray],
+) -> _Ended:
+    """Conjugate gradients on the complement of some directions. Collective."""
+    whole = not directions.count
+    apart = _Apart(tangent, responses if whole else ())
+    negative = begin.negative if whole and begin.negative is not None else apart.negative
+    if negative is not None:
+        return _Ended(direction=negative)
+    x, r = apart.begin(directions.project(begin.force))
+    z = begin.image if whole and not apart.count else directions.project(tangent.precondition(r))
+    p, rz = apart.conjugate(z), tangent.dot(r, z)
+    square, ritz = tangent.dot(begin.force, begin.image) if whole else rz, _RitzValues()
     for _ in range(ITERATIONS):
+        if abs(rz) <= ROUGH**2 * square and (abs(rz) <= FINE**2 * square or ritz.smallest() > WEAK):
+            return _Ended(response=x)
         if rz <= 0.0:  # nothing is free to move, or the preconditioner itself is negative
-            return _Ended(definite=rz == 0.0, direction=z)
-        image = directions.project(tangent.product(p))
+            return _Ended(response=x) if rz == 0.0 else _Ended(direction=z)
+        image = apart.rest(directions.project(tangent.product(p)))
         curvature = tangent.dot(p, image)
         if not np.isfinite(curvature):
-            return _Ended(definite=False, reason="its tangent is not finite")
+            return _Ended(reason="its tangent is not finite")
         if curvature <= 0.0:
-            return _Ended(definite=False, direction=p)
+            return _Ended(direction=p)
+        x = x + rz / curvature * p
         r = r - rz / curvature * image
         z = directions.project(tangent.precondition(r))
         before, rz = rz, tangent.dot(r, z)
         ritz.add(before / curvature, rz / before)
-        if abs(rz) <= ROUGH**2 * first and (abs(rz) <= FINE**2 * first or ritz.smallest() > WEAK):
-            return _Ended(definite=True)
-        p = z + rz / before * p
-    return _Ended(
-        definite=False, reason=f"conjugate gradients need more than {ITERATIONS} iterations"
-    )
+        p = apart.conjugate(z) + rz / before * p
+    return _Ended(reason=f"conjugate gradients need more than {ITERATIONS} iterations")
+
+
+class _Apart:
+    """Motions V that conjugate gradients leave out. Collective.
+
+    The inertia of M is that of V^T M V and that of M on the motions conjugate to V.  In each mode
+    of these the force b keeps its part, v . (b - M V c) = v . b for any c, so that a negative one
+    is met as without V, and soft ones that V holds take no iterations.
+
+    Sources: E. V. Haynsworth, Linear Algebra Appl. 1 (1968) 73; Y. Saad, M. Yeung, J. Erhel and
+    F. Guyomarc'h, SIAM J. Sci. Comput. 21 (2000) 1909 (deflated conjugate gradients).
+
+    Attributes:
+        negative: A motion along which M is negative; None where V^T M V is positive definite.
+    """
+
+    def __init__(self, tangent: _Tangent, motions: Sequence[FloatArray]) -> None:
+        self._tangent = tangent
+        self._V = np.empty((0, 0))  # a row each, of curvature 1, conjugate to each other
+        self._images = self._V  # M V
+        self.negative: FloatArray | None = None
+        for motion in motions:
+            v = self.conjugate(self.conjugate(motion))  # twice is enough for round-off
+            if tangent.dot(v, v) <= _NEW**2 * tangent.dot(motion, motion):
+                continue
+            image = tangent.product(v)
+            curvature = tangent.dot(v, image)
+            if curvature <= 0.0:
+                self.negative = v
+                return
+            size = np.sqrt(curvature)
+            self._V = np.array([*self._V, v / size])
+            self._images = np.array([*self._images, image / size])
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self._V)
+
+    def begin(self, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The motion in V that answers b best, and the force that is left."""
+        if not self.count:
+            return np.zeros_like(b), b
+        work = total(self._tangent.comm, self._V @ b)
+        return work @ self._V, b - work @ self._images
+
+    def rest(self, f: FloatArray) -> FloatArray:
+        """The part of a force that does no work along V: skew parts and round-off have some."""
+        return self.begin(f)[1]
+
+    def conjugate(self, z: FloatArray) -> FloatArray:
+        """The part of a motion that is conjugate to V."""
+        if not self.count:
+            return z
+        parts = total(self._tangent.comm, self._images @ z)
+        return np.asarray(z - parts @ self._V)
 
 
 class _RitzValues:
@@ -492,6 +570,8 @@ class _RitzValues:
 
     def smallest(self) -> float:
         """The smallest of them, an upper bound of the smallest eigenvalue."""
+        if not self._diagonal:
+            return np.inf
         T = np.diag(self._diagonal)
         off = np.array(self._beside[:-1])
         T[range(1, len(T)), range(len(off))] = off  # the lower triangle counts
@@ -503,15 +583,15 @@ class _Begin:
     """Where conjugate gradients begin.
 
     Attributes:
-        b: Right-hand side.
-        z: Its product with the preconditioner.
+        force: Right-hand side.
+        image: Its product with the preconditioner.
         negative: Motion along which the preconditioner itself is negative, as one made of factors
             can be; None where none was met.
     """
 
-    b: FloatArray
-    z: FloatArray
-    negative: FloatArray | None
+    force: FloatArray
+    image: FloatArray
+    negative: FloatArray | None = None
 
 
 def _begin(tangent: _Tangent) -> _Begin:

@@ -24,11 +24,12 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.linear.hierarchy import Multigrid
 from dolfin_elastic.solvers.linear.multigrid import PMultigrid, renew, rigid_body_modes
 
-SOFTER, LESS_SOFT = 4.0, 8.0
-"""Bulk modulus over shear modulus of `SofterVolume` where the material has an infinite one.
+SOFTER = (2.0, 4.0, 8.0)
+"""Bulk modulus over shear modulus of `SofterVolume`, one after the other, where the material has an
+infinite one.
 
-With the first, conjugate gradients take as many iterations as without a pressure, with the second
-half as many again; the stiffness in bending is 8 and 4 % too small.
+With the second, conjugate gradients take as many iterations as without a pressure, with the third
+half as many again; the stiffness in bending is 14, 8 and 4 % too small.
 """
 
 
@@ -129,12 +130,12 @@ class SofterVolume:
     modulus k, and with linear displacements the stabilisation besides.  A body is stable where
     T = K + B^T C^-1 B is positive definite; where k is infinite, on displacements with B u = 0.
 
-    W are the row sums of M times 1/k plus 1/`SOFTER` mu.  They exceed M/k, because row sums exceed
-    a mass matrix of linear elements (their difference is diagonally dominant), so where this
-    operator is positive definite, T is.  Unlike T it is well conditioned, and unlike K it is not
-    indefinite as soon as pressures exceed mu.  The stabilisation is at most M/mu, for it is the
-    square of the pressure without its mean over each cell: with 1/mu in place of 1/`SOFTER` mu the
-    same holds of it.
+    W are the row sums of M times 1/k plus 1/(s mu), s of `SOFTER`.  They exceed M/k, because row
+    sums exceed a mass matrix of linear elements (their difference is diagonally dominant), so where
+    this operator is positive definite, T is.  Unlike T it is well conditioned, and unlike K it is
+    not indefinite as soon as pressures exceed mu.  The stabilisation is at most M/mu, for it is the
+    square of the pressure without its mean over each cell: with 1/mu in place of 1/(s mu) the same
+    holds of it.
 
     Source: M. Fortin and R. Glowinski, Augmented Lagrangian Methods (1983), section I.2.
 
@@ -147,11 +148,14 @@ class SofterVolume:
 
     def __init__(self, assembler: Assembler) -> None:
         problem, tangent = assembler.problem, assembler.tangent.matrix
-        self.moves = np.sort(assembler.displacement_dofs)
-        self._pressures = np.setdiff1d(np.arange(assembler.size), self.moves)
+        moves = np.zeros(assembler.size, dtype=bool)
+        moves[assembler.displacement_dofs] = True
+        self.moves, self._pressures = (
+            np.flatnonzero(of).astype(np.int32) for of in (moves, ~moves)
+        )
         self._problem = problem
-        self._may_stiffen = not problem.unknowns.stabilised
-        self._set_volume(1.0 / SOFTER if self._may_stiffen else 1.0)
+        self._shares = [1.0] if problem.unknowns.stabilised else [1.0 / s for s in SOFTER]
+        self._set_volume()
         start = tangent.getOwnershipRange()[0]
         rows = [(own + start).astype(PETSc.IntType) for own in (self._pressures, self.moves)]
         p, u = (PETSc.IS().createGeneral(own, assembler.comm) for own in rows)
@@ -160,15 +164,15 @@ class SofterVolume:
         p.destroy()
         u.destroy()
 
-    def _set_volume(self, share: float) -> None:
-        self._compliances = -_compliances(self._problem, share)[self._pressures]
+    def _set_volume(self) -> None:
+        self._compliances = -_compliances(self._problem, self._shares.pop(0))[self._pressures]
 
     def stiffen(self) -> bool:
-        """Takes `LESS_SOFT` for `SOFTER`; False if it has, or stabilised. Collective."""
-        stiffens, self._may_stiffen = self._may_stiffen, False
-        if stiffens:
-            self._set_volume(1.0 / LESS_SOFT)
-        return stiffens
+        """Takes the next of `SOFTER`; False after the last, and if stabilised. Collective."""
+        if not self._shares:
+            return False
+        self._set_volume()
+        return True
 
     def eliminate(self, product: FloatArray) -> FloatArray:
         """Forces K u + B^T W^-1 B u [N] at `moves`. Collective.

@@ -38,15 +38,20 @@ log = logging.getLogger("dolfin_elastic")
 
 @dataclass(frozen=True)
 class Soft:
-    """Motions of little stiffness that a judgement of stability has met.
+    """What one judgement of stability leaves for the next, owned rows of displacements.
 
     Attributes:
-        directions: Along which it looked, owned rows of displacements.
-        motions: The solutions of the tangent for these, owned entries of all unknowns.
+        directions: Along which it solved with the tangent.
+        motions: These solutions, owned entries of all unknowns.
+        force: One with a part in every mode; None before the first judgement.
+        responses: Motions that it causes, roughly, in the last states that were stable: soft modes
+            stand out of them.
     """
 
     directions: tuple[FloatArray, ...] = ()
     motions: tuple[FloatArray, ...] = ()
+    force: FloatArray | None = None
+    responses: tuple[FloatArray, ...] = ()
 
 
 Shift = Callable[[float, float], float]
@@ -74,7 +79,7 @@ class Newton:
         test: When a solve ends.
         factorised: The factors are those of the tangent at the end of the last solve.
         shift: Share of its diagonal that was added to the last tangent.
-        soft: Motions that were soft when stability was judged last.
+        soft: What the last judgement of stability has left.
     """
 
     def __init__(
