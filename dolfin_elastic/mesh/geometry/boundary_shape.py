@@ -25,6 +25,7 @@ import numpy as np
 from dolfinx import la
 from dolfinx.mesh import Mesh
 
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.curved import cell_gradients, facet_areas
 from dolfin_elastic.mesh.geometry.ridges import Ridges, cell_ridges
@@ -123,9 +124,11 @@ class BoundaryShape:
 
     def _arcs(self) -> BoolArray:
         """Edges whose neighbour is parallel and has a like angle. Collective."""
+        within = (np.abs(self.turns) > _FLAT) & (np.abs(self.turns) < _ARC)
+        if not total(self._mesh.comm, int(within.any())):
+            return within
         before = None if self._known is None else self._known.arcs
         alike = (self._next_is_alike() if before is None else before).astype(float)
-        within = (np.abs(self.turns) > _FLAT) & (np.abs(self.turns) < _ARC)
         return within & (self._ridges.of_rows(alike[..., None])[..., 0] > 0.5)
 
     def _next_is_alike(self) -> BoolArray:

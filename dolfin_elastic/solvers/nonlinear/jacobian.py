@@ -264,7 +264,8 @@ class _ByExpression:
 
 def _middles(mesh: Mesh, cells: IndexArray) -> FloatArray:
     """Mean places of the nodes of cells [m], shape (n, 3)."""
-    return np.asarray(mesh.geometry.x[mesh.geometry.dofmap[cells]].mean(axis=1))
+    nodes = mesh.geometry.dofmap[cells].T  # a row at a time: NumPy's mean takes four times as long
+    return np.asarray(sum(mesh.geometry.x[row] for row in nodes) / len(nodes))
 
 
 HALVINGS = 10
