@@ -16,6 +16,7 @@ import pytest
 from helpers import buckling
 from helpers.buckling import (
     CASES,
+    INERTIA,
     LENGTH,
     NH,
     ONE_END,
@@ -33,12 +34,14 @@ from helpers.buckling import (
 from dolfin_elastic import (
     Case,
     LinearElastic,
+    NeoHookean,
     Pressure,
     Problem,
     Spring,
     Statics,
     Support,
     Traction,
+    box_body,
     rectangle_body,
     run,
 )
@@ -258,6 +261,23 @@ def test_responses_of_the_states_before_hide_nothing(case: buckling.Case):
             assert len(newton.soft.responses) <= negative_curvature.RESPONSES
             stable.add(verdict.stable)
     assert stable == {True, False}
+
+
+@pytest.mark.parametrize(("nu", "share"), [(0.3, 0.5), (0.4999, 0.9)])
+def test_a_follower_pressure_that_bends_is_judged(nu: float, share: float):
+    """Iterating: its tangent is so far from symmetric that its products alone do not serve."""
+    force = share * ONE_END * E * INERTIA / 8.0**2
+    problem = Problem(
+        box_body(size=(1, 1, 8), cells=(2, 2, 9)),
+        NeoHookean(E=E, nu=nu),
+        degree=2,
+        supports=[Support(on="bottom")],
+        loads=[Traction(on="top", value=[0, 0, -force]), Pressure(on="left", value=400.0)],
+    )
+    with equilibrium(problem, "iterative", 10) as newton:
+        verdict, count = judge(newton), referee(newton)
+    assert count == 0
+    assert verdict.stable is True, verdict.stability
 
 
 def test_multigrid_stays_positive_definite():

@@ -37,10 +37,6 @@ ROUGH, FINE = 1e-2, 1e-3
 its part of the right-hand side is larger.  The second where there are modes of little stiffness
 left, among which the negative one may have a small part."""
 
-SKEW = 1e-4
-"""Skew part over the whole of an unsymmetric tangent below which its own products do for M: they
-have the same curvature.  Pressure on a body whose ends are free has 1e-6."""
-
 WEAK = 0.1
 """Smallest Ritz value below which it counts as little: those of multigrid are between 0.3 and 1."""
 
@@ -188,18 +184,6 @@ class _Tangent:
         self._A, self._pc = assembler.tangent.matrix, newton.ksp.getPC()
         self._x, self._y, self._z = (assembler.create_vector() for _ in range(3))
         self._ksp: PETSc.KSP | None = None
-        self._is_skew = not self.symmetric and self._skewness() > SKEW
-
-    def _skewness(self) -> float:
-        """|(A - A^T) v|/|A v| for noise v. Collective."""
-        self._x.set(0.0)
-        self._x.array_w[self._assembler.displacement_dofs] = noise(self._assembler)
-        self._assembler.remove_constrained(self._x)
-        self._A.mult(self._x, self._y)
-        self._A.multTranspose(self._x, self._z)
-        size = self._y.norm()
-        self._z.axpy(-1.0, self._y)
-        return float(self._z.norm() / size) if size > 0.0 else 0.0
 
     def stiffen(self) -> bool:
         """Makes M stiffer, as far as it may be; False where it is so already. Collective."""
@@ -214,7 +198,7 @@ class _Tangent:
         self._put(x)
         self._A.mult(self._x, self._y)
         result = self._y.array_r
-        if self._is_skew:
+        if not self.symmetric:
             self._A.multTranspose(self._x, self._z)
             result = (result + self._z.array_r) / 2
         return result.copy() if self._softer is None else self._softer.eliminate(result)
@@ -461,7 +445,10 @@ def _conjugate_gradients(
     begin: _Begin,
     responses: Sequence[FloatArray],
 ) -> _Ended:
-    """Conjugate gradients on the complement of some directions. Collective."""
+    """Conjugate gradients on the complement of some directions. Collective.
+
+    Source: G. Golub and Q. Ye, SIAM J. Sci. Comput. 21 (1999) 1305 (of a varying preconditioner).
+    """
     whole = not directions.count
     apart = _Apart(tangent, responses if whole else ())
     negative = begin.negative if whole and begin.negative is not None else apart.negative
@@ -483,11 +470,12 @@ def _conjugate_gradients(
         if curvature <= 0.0:
             return _Ended(direction=p)
         x = x + rz / curvature * p
-        r = r - rz / curvature * image
+        r, last = r - rz / curvature * image, r
         z = directions.project(tangent.precondition(r))
         before, rz = rz, tangent.dot(r, z)
         ritz.add(before / curvature, rz / before)
-        p = apart.conjugate(z) + rz / before * p
+        # The second product is zero unless the preconditioner is not symmetric, as the tangent.
+        p = apart.conjugate(z) + (rz - tangent.dot(last, z)) / before * p
     return _Ended(reason=f"conjugate gradients need more than {ITERATIONS} iterations")
 
 
