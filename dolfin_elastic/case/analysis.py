@@ -86,6 +86,12 @@ class AnalysisTables(ModelTables):
         return self.analysis in ("modal", "buckling")
 
     @property
+    def timed(self) -> bool:
+        """Time passes [s]: in motion, and in statics where materials relax."""
+        relax = any(material.law.relaxes for material in self.materials.values())
+        return self.dynamics is not None or (relax and not self.gives_modes)
+
+    @property
     def final_load(self) -> float:
         """Load parameter at which statics ends; 1 is the full load."""
         return self.statics.end if self.statics is not None and self.analysis == "statics" else 1.0

@@ -22,6 +22,7 @@ from dolfin_elastic.core.files.links import refuse_links
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.si_text import time_or_load
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.results.checkpoint.checkpoints import (
@@ -69,8 +70,8 @@ class Unfinished:
 
     def message(self) -> str:
         """Step, time or load, and date of the checkpoint, for the log."""
-        content, motion = self.found.content, self.case.dynamics is not None
-        place = f"t = {content['t']:.5g} s" if motion else f"load {100 * content['t']:.4g} %"
+        content = self.found.content
+        place = time_or_load(content["t"], timed=self.case.timed)
         return f"going on after step {self.step} ({place}), written {content['written']}"
 
     def check_newest(self) -> None:

@@ -237,8 +237,7 @@ def _follow(
     from dolfin_elastic.problem.state import Mode
 
     motion, visible = case.dynamics is not None, comm.rank == 0 and not shown.quiet
-    timed = motion or any(material.law.relaxes for material in case.materials.values())
-    progress = _progress_display(timed, visible, verbose=shown.verbose)
+    progress = _progress_display(case.timed, visible, verbose=shown.verbose)
     state, newton, most, modes = None, 0, 0.0, []
     with closing(progress), closing(states) as results:
         for result in results:

@@ -118,6 +118,11 @@ def listed(words: Sequence[str], word: str = "and") -> str:
     return f"{', '.join(others)} {word} {last}" if others else last
 
 
+def time_or_load(t: float, *, timed: bool) -> str:
+    """The time, or the share of the load: "t = 0.25 s" or "load 60 %"."""
+    return f"t = {t:.4g} s" if timed else f"load {100 * t:.4g} %"
+
+
 # --- what users have written ---
 
 

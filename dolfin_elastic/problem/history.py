@@ -154,6 +154,11 @@ class History:
         self._branches: fem.Form | None = None
         self._before: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty(0))
 
+    @property
+    def passes(self) -> bool:
+        """Time passes: not in a preload, whose materials are those of a sudden load."""
+        return self._t is not None
+
     def set_time(self, t: float) -> None:
         """Sets the laws over the step from the last committed state to a time [s]. Local."""
         self._now = t

@@ -130,7 +130,7 @@ class State:
 
     Attributes:
         step: 0 for the initial state, then 1, 2, ...
-        t: Time [s] in motion; the load parameter from 0 to 1 in statics.
+        t: Time [s] in motion and where materials relax, see `timed`; else the load parameter.
         u: Displacement [m] on the reference configuration.
         w: All unknowns, where there are others beside u.
         v: Velocity [m/s], in motion only.
@@ -192,6 +192,11 @@ class State:
     done: float = 0.0
     between: bool = False
     derived: dict[str, object] = field(default_factory=dict, compare=False, repr=False)
+
+    @property
+    def timed(self) -> bool:
+        """`t` is a time [s]: in motion, and in statics where materials relax."""
+        return self.v is not None or "relaxing" in self.energies
 
     @property
     def negative(self) -> int | None:

@@ -259,7 +259,7 @@ def history_charts(run: FinishedRun) -> list[Chart]:
 
 
 def _time_axis(run: FinishedRun) -> tuple[FloatArray, Axis]:
-    if run.moving:
+    if run.timed:
         factor, unit = scaled_unit(float(np.nanmax(run.history["t"])), "s")
         return np.asarray(run.history["t"] / factor), Axis(f"time [{unit}]")
     # Beyond a limit point the load falls: steps are the only axis along which a path goes forward.
@@ -364,7 +364,7 @@ def steps_of(run: FinishedRun) -> Steps | None:
         return None
     wanted = [
         ("step", "step", ""),
-        ("t", "time", "s") if run.moving else ("load_factor", "load factor", ""),
+        ("t", "time", "s") if run.timed else ("load_factor", "load factor", ""),
         ("newton", "Newton iterations", ""),
         ("krylov", "linear iterations", ""),
         ("max_displacement", "largest displacement", "m"),

@@ -57,7 +57,7 @@ def _modes(run: FinishedRun, modes: Sequence[Table]) -> Iterator[tuple[str, Fram
 
 
 def _label(run: FinishedRun, t: float) -> str:
-    return f"t = {quantity(t, 's')}" if run.moving else f"load factor {number(t)}"
+    return f"t = {quantity(t, 's')}" if run.timed else f"load factor {number(t)}"
 
 
 def scene_of(run: FinishedRun, frames: Sequence[tuple[str, Frame]]) -> Viewed | None:

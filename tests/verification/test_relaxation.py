@@ -30,13 +30,21 @@ from dolfin_elastic import (
     Traction,
     box_body,
     rectangle_body,
+    run,
 )
 from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.model.materials.prony import Relaxing
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.report.drawn import _label
 from dolfin_elastic.results.checkpoint.checkpoints import newest_checkpoint
+from dolfin_elastic.results.finished.curves import history_curves
+from dolfin_elastic.results.finished.draw import _headline as headline_again
+from dolfin_elastic.results.finished.run import FinishedRun
+from dolfin_elastic.results.scene.appearance import DEFAULT
+from dolfin_elastic.results.scene.pictures import _headline
 from dolfin_elastic.solvers.eigen.modal import Modal
 
 MU = 3.0
@@ -429,6 +437,23 @@ def test_a_series_is_read_and_written_back() -> None:
     (law,) = (material.law for material in case.materials.values())
     assert [(term.g, term.tau) for term in law.prony] == list(zip(G, TAU, strict=True))
     assert Case(**tomllib.loads(case.to_toml())).materials == case.materials
+
+
+def test_statics_show_their_time(folder: Path) -> None:
+    """In pictures, curves and the report: no load of 2000 %; a preload has a load."""
+    *_, last = run(Case(**CASE, statics={"end": 20, "steps": 2}), output=folder / "a")
+    assert _headline(last, DEFAULT).startswith("t = 20 s ")
+    first = next(Statics(pulled(large()), steps=2, preload=True).steps())
+    assert _headline(first, DEFAULT).startswith("load 0 % ")
+
+    def look() -> None:
+        found = FinishedRun(folder / "a")
+        over = history_curves(found, "t", ["max_displacement"]).over
+        assert (over.name, over.unit) == ("time", "s")
+        assert headline_again(found, DEFAULT, 20.0).startswith("t = 20 s ")
+        assert _label(found, 20.0) == "t = 20 s"
+
+    on_root(MPI.COMM_WORLD, look)
 
 
 @pytest.mark.parametrize(

@@ -150,7 +150,7 @@ def _draw(
         check_frames(fps, "--fps")
     if file.suffix in _FILMS:
         look = replace(look, marks=False)
-        film(run, fields, look, file, fps=fps, speed=speed or (1.0 if run.moving else 0.2))
+        film(run, fields, look, file, fps=fps, speed=speed or (1.0 if run.timed else 0.2))
     elif file.suffix == ".png":
         draw(run, fields, look, file, step)
     else:
@@ -378,7 +378,7 @@ def _show(run: FinishedRun) -> None:
     """Prints what there is to plot."""
     from textwrap import fill
 
-    what = "times [s]" if run.moving else "load parameters"
+    what = "times [s]" if run.timed else "load parameters"
     rows = {
         "fields": ", ".join(run.fields()) if run.frames else "none",
         f"steps ({len(run.steps)})": _few([f"{t:g}" for t in run.steps]) + f"  {what}",

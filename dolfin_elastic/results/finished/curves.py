@@ -77,7 +77,7 @@ def _column(run: FinishedRun, name: str) -> Axis:
             where=f"{run.folder}: --curve",
             expected=nearest(name, run.history),
         )
-    shown_as = ("time" if run.moving else "load parameter") if name == "t" else name
+    shown_as = ("time" if run.timed else "load parameter") if name == "t" else name
     return Axis(shown_as, run.history[name], run.units[name])
 
 

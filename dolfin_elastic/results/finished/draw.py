@@ -12,6 +12,7 @@ import numpy as np
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.shapes.shapes import Shape
+from dolfin_elastic.core.si_text import time_or_load
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.contact import Contact
@@ -217,7 +218,7 @@ def shown(data: Mapping[str, FloatArray], name: str) -> FloatArray:
 
 def _headline(run: FinishedRun, look: Appearance, t: float) -> str:
     title = look.title or str(run.case.get("title", ""))
-    place = f"t = {t:.4g} s" if run.moving else f"load {100 * t:.4g} %"
+    place = time_or_load(t, timed=run.timed)
     scale = f"deformation \u00d7 {look.scale:g}"
     return "   |   ".join(filter(None, (title, place, scale)))
 

@@ -58,16 +58,16 @@ _STRESS = re.compile(r"P[1-3]{2}")
 """Of a periodic cell."""
 
 
-def column_unit(column: str, *, moving: bool) -> str:
+def column_unit(column: str, *, timed: bool) -> str:
     """Unit of a column of `history.csv`; empty of a pure number.
 
     Probes are told by the end of the name, see [output] probes: a name and axis are a displacement,
     a name and a field have the field's unit.
 
     Args:
-        moving: The run was a motion, so that t is a time.
+        timed: `t` is in seconds, see `FinishedRun`.
     """
-    exact = {**_EXACT, **dict.fromkeys(_WITHOUT_UNIT, ""), "t": "s" if moving else ""}
+    exact = {**_EXACT, **dict.fromkeys(_WITHOUT_UNIT, ""), "t": "s" if timed else ""}
     if column in exact:
         return exact[column]
     if column.endswith("_energy"):
@@ -145,7 +145,7 @@ class FinishedRun:
     @cached_property
     def units(self) -> dict[str, str]:
         """See the class."""
-        return {name: column_unit(name, moving=self.moving) for name in self.history}
+        return {name: column_unit(name, timed=self.timed) for name in self.history}
 
     @cached_property
     def model(self) -> Mapping[str, Any]:
@@ -155,8 +155,13 @@ class FinishedRun:
 
     @property
     def moving(self) -> bool:
-        """The run was a motion: t is a time [s]; else it is the load parameter of statics."""
+        """The run was a motion."""
         return "kinetic_energy" in self.history
+
+    @property
+    def timed(self) -> bool:
+        """t is a time [s]: in motion, and in statics where materials relax."""
+        return self.moving or "relaxing_energy" in self.history
 
     @property
     def steps(self) -> list[float]:

@@ -23,6 +23,7 @@ from dolfin_elastic.core.errors import InputError, OutputError, nearest
 from dolfin_elastic.core.ghosts import with_ghosts
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.shapes.shapes import Shape
+from dolfin_elastic.core.si_text import time_or_load
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import extent, span
@@ -66,7 +67,7 @@ class Film:
 
     def speed_of(self, state: State) -> float:
         """The speed for a run with such states."""
-        return self.speed or (_STATICS if state.v is None else 1.0)
+        return self.speed or (1.0 if state.timed else _STATICS)
 
 
 def check_drawable(name: str) -> str:
@@ -437,8 +438,7 @@ class Painter:
 
 def _headline(state: State, appearance: Appearance) -> str:
     """Title, load or time, and magnification, each if there is one."""
-    moving = state.v is not None
-    place = f"t = {state.t:.4g} s" if moving else f"load {100 * state.load_factor:.4g} %"
+    place = time_or_load(state.t if state.timed else state.load_factor, timed=state.timed)
     if math.isnan(state.load_factor):  # a mode, which the title names
         place = ""
     scale = appearance.scale

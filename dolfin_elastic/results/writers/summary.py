@@ -21,6 +21,7 @@ from petsc4py import PETSc
 from dolfin_elastic.core import __version__, timing
 from dolfin_elastic.core.errors import SolveError
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.si_text import time_or_load
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.material_regions import locking_notes, shear_modulus
 from dolfin_elastic.problem.state import Audit, Mode, Stability, State, plain
@@ -228,11 +229,11 @@ class SummaryWriter:
 
     def _unloaded_text(self) -> str:
         most = self._largest
+        when = time_or_load(most["load_factor"], timed=self.problem.history is not None)
         return (
             "the last state is unloaded, and so are its stress and pictures; the largest "
             f"displacement of the run is {most['max_displacement']:.5g} m in step "
-            f"{most['step']} (load {100 * most['load_factor']:.4g} %); another step is drawn by "
-            "dolfin-elastic plot --step"
+            f"{most['step']} ({when}); another step is drawn by dolfin-elastic plot --step"
         )
 
     def _save(

@@ -539,7 +539,7 @@ class StrainEnergy:
     def relaxing(self) -> dict[str, float]:
         """Work done on what relaxes [J] by its name; nothing where nothing does. Collective."""
         history = self._problem.history
-        return {} if history is None else {"relaxing": history.work()}
+        return {"relaxing": history.work()} if history is not None and history.passes else {}
 
     def accounts(self) -> dict[str, float]:
         """Energy stored in terms [J] by account; nothing without any. Collective."""

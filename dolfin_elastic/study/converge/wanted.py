@@ -93,7 +93,7 @@ class Wanted:
         if self.reduction:
             over = "" if self.part else "volume"  # a part may be of either kind
             column = f"part_{self.quantity.name}_{ending(self.reduction, over)}"
-            return column_unit(column, moving=False)
+            return column_unit(column, timed=False)
         if self.name in FIELDS:
             return FIELDS[self.name].unit
         units = {"displacement": "m", "reaction": "N", "force": "N", "energy": "J"}

@@ -148,7 +148,7 @@ def test_the_integral_of_the_traction_is_the_applied_force(folder):
         assert float(row["grip_reaction_x"]) == pytest.approx(-30.0, rel=1e-9)
         # Without a second Lame constant the cross section, and so the stress, stays as it is.
         assert float(row["middle_tresca"]) == pytest.approx(20.0, rel=1e-9)
-        units = {name: column_unit(name, moving=False) for name in row}
+        units = {name: column_unit(name, timed=False) for name in row}
         assert float(row["half_tresca_percentile_50"]) == pytest.approx(20.0, rel=1e-9)
         assert float(row["half_displacement_percentile_50_x"]) > 0
         assert units["half_tresca_percentile_50"] == "Pa"

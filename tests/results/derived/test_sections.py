@@ -210,8 +210,8 @@ def test_columns_and_units(folder):
         *_, row = csv.DictReader(file)
     assert float(row["section_force_mid_z"]) == pytest.approx(-3, rel=ROUND_OFF)
     assert float(row["section_moment_mid_y"]) == pytest.approx(3 * 5e-3, rel=ROUND_OFF)
-    assert column_unit("section_force_mid_z", moving=False) == "N"
-    assert column_unit("section_moment_mid_y", moving=False) == "N m"
+    assert column_unit("section_force_mid_z", timed=False) == "N"
+    assert column_unit("section_moment_mid_y", timed=False) == "N m"
 
 
 @pytest.mark.parametrize(

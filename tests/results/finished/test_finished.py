@@ -135,7 +135,7 @@ def check_damaged(beam: Path) -> None:
 )
 def test_units_of_columns(column: str, unit: str) -> None:
     """By the rules by which columns get their names."""
-    assert column_unit(column, moving=False) == unit
+    assert column_unit(column, timed=False) == unit
 
 
 # --- folders of strangers ---
