@@ -39,7 +39,7 @@ class MaterialText:
         name: In the case.
         law: Name of its law.
         where: The parts that it fills.
-        constants: Name and value as they were given.
+        constants: Name and value as they were given, and what follows of relaxation.
         what: One sentence about the law.
         formula: Its energy or stress.
         source: Where it was published.
@@ -68,13 +68,13 @@ def materials_of(case: Table) -> list[MaterialText]:
         table = row if isinstance(row, Mapping) else {}
         law = str(table.get("law", "energy" if "energy" in table else ""))
         page = known.get(law, {})
-        charts, notes = _tested(name, table) if k < _DRAWN else ((), ())
+        charts, notes, relaxation = _tested(name, table) if k < _DRAWN else ((), (), ())
         result.append(
             MaterialText(
                 name=str(name),
                 law=law,
                 where=names(part_names(table)),
-                constants=tuple(_constants(table, law)),
+                constants=(*_constants(table, law), *relaxation),
                 what=str(page.get("what", "")),
                 formula=str(page.get("formula", "")),
                 source=str(page.get("source", "")),
@@ -112,22 +112,25 @@ def _parameters(table: object) -> str:
     return f"{text} (bare numbers: SI units)" if bare else text
 
 
-def _tested(name: str, table: Table) -> tuple[tuple[Markup, ...], tuple[str, ...]]:
-    """Curves and notes of a material."""
+def _tested(
+    name: str, table: Table
+) -> tuple[tuple[Markup, ...], tuple[str, ...], tuple[tuple[str, str], ...]]:
+    """Curves and notes of a material, and its relaxation as a constant."""
     try:
         law = read_material_tables({name: dict(table)})[name].law
         report = material_report(law, largest=_largest(law))
     except InputError as error:
-        return (), (f"No curves: {error}",)
+        return (), (f"No curves: {error}",), ()
     except (ArithmeticError, ValueError, KeyError, TypeError) as error:
-        return (), (f"No curves: the material cannot be tried at a point ({error})",)
+        return (), (f"No curves: the material cannot be tried at a point ({error})",), ()
     failed = tuple(f"{row.check}: {row.text}" for row in report.failed)
+    relaxation = tuple((f.check, f.text) for f in report.findings if f.check == "relaxation")
     if not report.curves:
-        return (), (*failed, *report.notes)
+        return (), (*failed, *report.notes), relaxation
     stretched = [c for c in report.curves.values() if c.mode.name in _MODES]
     sheared = [c for c in report.curves.values() if c.mode.rest == 0]
     charts = [_chart(part) for part in (stretched, sheared) if part]
-    return tuple(charts), (*failed, *([law.warning] if law.warning else []))
+    return tuple(charts), (*failed, *([law.warning] if law.warning else [])), relaxation
 
 
 _MODES = ("uniaxial", "equibiaxial", "planar")

@@ -37,8 +37,10 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.model.materials.prony import Relaxing
 from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.model.point.report import material_report
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.report.drawn import _label
+from dolfin_elastic.report.laws import materials_of
 from dolfin_elastic.results.checkpoint.checkpoints import newest_checkpoint
 from dolfin_elastic.results.finished.curves import history_curves
 from dolfin_elastic.results.finished.draw import _headline as headline_again
@@ -437,6 +439,18 @@ def test_a_series_is_read_and_written_back() -> None:
     (law,) = (material.law for material in case.materials.values())
     assert [(term.g, term.tau) for term in law.prony] == list(zip(G, TAU, strict=True))
     assert Case(**tomllib.loads(case.to_toml())).materials == case.materials
+
+
+def test_moduli_of_a_sudden_load_and_after_a_long_time() -> None:
+    """The bulk modulus stays: E falls less than mu."""
+    table = {"law": "linear-elastic", "K": 5.0, "mu": MU, "prony": PRONY}
+    law = LinearElastic(K=5, mu=MU, prony=PRONY)
+    (row,) = (f for f in material_report(law).findings if f.check == "relaxation")
+    assert row.values["E_long"] == pytest.approx(LinearElastic(K=5, mu=0.5 * MU).E, rel=1e-12)
+    text = "sudden E = 7.5 Pa, mu = 3 Pa; after a long time E = 4.091 Pa, mu = 1.5 Pa (50 %)"
+    assert row.text == f"{text}; relaxation times 50 ms, 500 ms"
+    assert ("relaxation", row.text) in materials_of({"materials": {"gel": table}})[0].constants
+    assert "relaxation" not in [f.check for f in material_report(LinearElastic(E=1, nu=0)).findings]
 
 
 def test_statics_show_their_time(folder: Path) -> None:

@@ -71,6 +71,11 @@ class Relaxing(SplitLaw):
         """See `Law`."""
         return bool(self.prony)
 
+    @property
+    def lasting(self) -> float:
+        """Share of the shear stiffness that stays for ever, 1 - sum g."""
+        return 1.0 - sum(term.g for term in self.prony)
+
 
 def overstress(law: SplitLaw, F: Expr) -> Expr:
     """The stress that relaxes, S of the module: shape (3, 3) [Pa], symmetric.

@@ -14,9 +14,11 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError, keyed
+from dolfin_elastic.core.si_text import percent, quantity
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.model.materials.law import Law, SplitLaw
 from dolfin_elastic.model.materials.moduli import Isotropic
+from dolfin_elastic.model.materials.prony import Relaxing
 from dolfin_elastic.model.materials.user import UserEnergy
 from dolfin_elastic.model.point.ufl_to_numpy import LawAtPoints
 
@@ -327,6 +329,26 @@ def small_strain(tested: LawUnderTest) -> Iterator[Finding]:
     yield _found("small strains", good, text, **values)
 
 
+def relaxation(tested: LawUnderTest) -> Iterator[Finding]:
+    """Moduli of a sudden load and after a long time: shear relaxes, the volume does not."""
+    law = tested.given
+    known = law.small_strain()
+    if isinstance(law, Relaxing) and law.relaxes and known is not None:
+        E, mu, left = known.E, known.mu, law.lasting
+        E_long, mu_long = 1 / (1 / E + (1 / left - 1) / (3 * mu)), left * mu
+        times = sorted(term.tau for term in law.prony)
+        sudden, later = (
+            f"E = {quantity(e, 'Pa')}, mu = {quantity(m, 'Pa')}"
+            for e, m in ((E, mu), (E_long, mu_long))
+        )
+        yield _note(
+            "relaxation",
+            f"sudden {sudden}; after a long time {later} ({percent(left)}); relaxation times "
+            f"{', '.join(quantity(tau, 's') for tau in times)}",
+            **{"E": E, "mu": mu, "E_long": E_long, "mu_long": mu_long, "times": times},
+        )
+
+
 # --- lists of checks ---
 
 
@@ -340,7 +362,7 @@ def checks(tested: LawUnderTest) -> list[Finding]:
         return result
     for check in (stable, objectivity, material_symmetry, derivatives, symmetric_tangent):
         result += check(tested)
-    return result + list(small_strain(tested))
+    return [*result, *small_strain(tested), *relaxation(tested)]
 
 
 _SHORT = (finite, rest_energy, rest_stress, objectivity, symmetric_tangent, stable)
