@@ -417,6 +417,7 @@ def test_motion_refuses(scheme: str) -> None:
         ([{"g": 0.6, "tau": 0}], "tau"),
         ([{"g": 1.2, "tau": 1}], "g"),
         ([{"g": 0.2}], "tau"),
+        ([], "^prony: a Prony series without terms"),
     ],
 )
 def test_a_series_is_checked(prony: Any, text: str) -> None:

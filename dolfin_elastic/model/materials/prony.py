@@ -58,6 +58,11 @@ class Relaxing(SplitLaw):
     @field_validator("prony")
     @classmethod
     def _lasts(cls, terms: tuple[PronyTerm, ...]) -> tuple[PronyTerm, ...]:
+        if not terms:
+            raise InputError(
+                "a Prony series without terms: nothing would relax",
+                expected='expected for example [{g = 0.3, tau = "1 s"}], or no `prony`',
+            )
         relaxing = sum(term.g for term in terms)
         if relaxing >= 1:
             raise InputError(
