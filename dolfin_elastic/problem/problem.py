@@ -13,6 +13,7 @@ from dolfinx.fem import Constant, Function
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core import jit
+from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.contact import Contact
@@ -56,6 +57,11 @@ from dolfin_elastic.problem.weak_form import (
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.history import History
+
+
+class _Parameters(dict[str, Constant]):
+    def __missing__(self, key: str) -> Constant:
+        raise InputError(f"there is no parameter '{key}'", expected=nearest(key, self))
 
 
 class Problem:
@@ -234,13 +240,14 @@ class Problem:
 
         A material without a region is called "body".  A new `value` counts from then on, in SI
         units and unchecked, and needs no new compilation.  What was chosen when the problem was
-        made stays: its unknowns, and scales of solvers; so nu = 0.5 is no parameter.
+        made stays: its unknowns, and scales of solvers; so nu = 0.5 is no parameter.  Asked for
+        another key it raises an `InputError` with the nearest one.
         """
-        return {
-            f"materials.{region.name}.{name}": constant
+        return _Parameters(
+            (f"materials.{region.name}.{name}", constant)
             for region in self.regions
             for name, constant in region.constants.items()
-        }
+        )
 
     # --- properties that solvers depend on ---
 

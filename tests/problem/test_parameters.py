@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from dolfin_elastic import (
     Traction,
     box_body,
 )
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.model.materials.law import Law
 
@@ -145,3 +147,12 @@ def test_names() -> None:
     rigid = Problem(body, NeoHookean(E=1e6, nu=0.5), degree=2)
     assert list(rigid.parameters) == ["materials.body.E"]
     assert rigid.regions[0].incompressible
+
+
+def test_an_unknown_key_is_told_with_the_nearest() -> None:
+    body = box_body(size=(1, 1, 1), cells=(1, 1, 1))
+    parameters = Problem(body, NEARLY, supports=[]).parameters
+    hint = "there is no parameter 'materials.bodi.E'; did you mean 'materials.body.E'?"
+    with pytest.raises(InputError, match=re.escape(hint)):
+        parameters["materials.bodi.E"]
+    assert parameters.get("materials.bodi.E") is None
