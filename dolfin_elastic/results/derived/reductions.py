@@ -85,13 +85,17 @@ def reduction_of(text: str) -> tuple[Reduction, float]:
         InputError: There is none.
     """
     name, colon, number = text.partition(":")
+    expected = nearest(text, REDUCTIONS)
     for example, row in REDUCTIONS.items():
         if name == example.partition(":")[0] and bool(colon) == (row.limits is not None):
             if row.limits is None:
                 return row, 0.0
             if re.fullmatch(_NUMBER, number) and row.limits[0] <= float(number) <= row.limits[1]:
                 return row, float(number)
-    raise InputError(f"unknown value '{text}'", expected=nearest(text, REDUCTIONS))
+            low, high = row.limits
+            span = f" from {low:g} to {high:g}" if np.isfinite(high - low) else ""
+            expected = f"expected a number{span} behind the colon, for example '{example}'"
+    raise InputError(f"unknown value '{text}'", expected=expected)
 
 
 def ending(text: str, over: str) -> str:

@@ -169,7 +169,7 @@ def test_the_integral_of_the_traction_is_the_applied_force(folder):
         (
             {"on": "right", "values": ["percentile:101"]},
             "output.probes.p.values[0]",
-            "percentile:95",
+            "expected a number from 0 to 100 behind the colon, for example 'percentile:95'",
         ),
         ({"at": [1, 0, 0], "values": ["max"]}, "output.probes.p.values", "this is a point"),
         ({"on": "right", "fields": ["rank"]}, "output.probes.p.fields", "cannot read 'rank'"),
