@@ -14,8 +14,10 @@ from helpers.ranks import SIZES, on_ranks
 from mpi4py import MPI
 
 from dolfin_elastic import Case
+from dolfin_elastic.cli.converge import converge as command
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.results.derived.reductions import REDUCTIONS
 from dolfin_elastic.study.converge.converge import Goal, converge
 from dolfin_elastic.study.converge.report import Progress
 from dolfin_elastic.study.converge.wanted import Wanted, tolerance
@@ -289,6 +291,11 @@ def test_unknown_results(tmp_path: Path, text: str, message: str) -> None:
         last(plate(folder), folder / "out", text, "1%")
     assert message in str(caught.value)
     assert not on_root(WORLD, (folder / "out").exists)
+
+
+def test_help_names_the_reductions() -> None:
+    words = (command.__doc__ or "").replace(",", " ").split()
+    assert REDUCTIONS.keys() <= {*words}
 
 
 def test_notes_of_a_run(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
