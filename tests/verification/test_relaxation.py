@@ -502,3 +502,25 @@ def test_check_notes() -> None:
     assert any("nothing relaxes in [modal]" in note for note in notes)
     case = Case(**CASE, statics={"steps": 10})
     assert not any("relax" in note for note in check(case, case.read_body()))
+
+
+def test_what_grows_for_many_seconds_is_told() -> None:
+    """Without a curve, to as many times what is written; 1 s, a curve or a formula in t is fine."""
+
+    def notes(end: float, curve: Any = None, **tables: Any) -> list[str]:
+        pull = {"on": "right", "displacement": ["1 mm", 0, 0]} | ({"curve": curve} if curve else {})
+        supports = [*CASE["support"], pull, {"on": "top", "displacement": [FREE, FREE, "1e-4*t"]}]
+        given = {"support": supports, "load": [], "statics": {"end": end, "steps": 9}, **tables}
+        case = Case(**{**CASE, **given})
+        return [note for note in check(case, case.read_body()) if "without a curve" in note]
+
+    assert notes(1) == notes(100, curve=[[0, 0], [1, 1]]) == []
+    plate = {"on": "front", "plane": {"axis": "y", "at": -1}, "motion": [0, "1 mm", 0]}
+    still = {"on": "back", "plane": {"axis": "-y", "at": 2}}
+    (note,) = notes(100, load=CASE["load"], contact=[plate, still])
+    assert note.startswith(
+        "support[1], load[0] and contact[0]: numbers without a curve are multiplied by"
+    )
+    assert note.endswith("at the end by 100: was that meant?")
+    steel = {"law": "linear-elastic", "E": "1 MPa", "nu": 0.3}
+    assert notes(100, materials={"steel": steel}) == []

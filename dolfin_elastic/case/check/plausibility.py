@@ -16,6 +16,7 @@ from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import FormulaError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import first_of, total
+from dolfin_elastic.core.si_text import listed
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.core.units import MeshLength
 from dolfin_elastic.mesh.body import Body, cell_size, extent
@@ -86,6 +87,7 @@ def plausibility_notes(case: Case, body: Body) -> Iterator[str]:
     yield from _distance_notes(case, body)
     yield from _angle_notes(case)
     yield from _material_notes(case, body)
+    yield from _growth_notes(case)
     yield from _loads_on_supports(case, body)
     yield from _contradictions(case, body)
     yield from _singular_supports(case, body)
@@ -253,6 +255,26 @@ def _distance_notes(case: Case, body: Body) -> Iterator[str]:
                 f"{distance / unit.metres:.3g} {unit.name} from the place: a finer mesh has a "
                 "nearer one"
             )
+
+
+# --- growth in time ---
+
+
+def _growth_notes(case: Case) -> Iterator[str]:
+    """What grows with the load parameter where that is a time of many seconds."""
+    end = case.final_load
+    if case.dynamics is not None or not case.timed or end <= 1.0:
+        return
+    keys = [f"support[{i}]" for i, support in enumerate(case.support) if support.proportional]
+    keys += [f"load[{i}]" for i, load in enumerate(case.load) if load.amplitude is None]
+    for i, contact in enumerate(case.contact):
+        if any(v != 0.0 and amplitude_of(v, contact.curve) is None for v in contact.values):
+            keys.append(f"contact[{i}]")
+    if keys:
+        yield (
+            f"{listed(keys)}: numbers without a curve are multiplied by the time in seconds, at "
+            f"the end by {end:g}: was that meant?"
+        )
 
 
 # --- angles ---

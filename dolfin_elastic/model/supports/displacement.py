@@ -58,6 +58,12 @@ class Restraint(OnSurfaces):
         """All that it prescribes is zero at all times."""
         return True
 
+    @property
+    def proportional(self) -> bool:
+        """What it prescribes grows with the load parameter: without a curve or formulas in t."""
+        timed = any(depends_on_time(function) for function in self.time_functions)
+        return not (self.at_rest or timed) and getattr(self, "curve", None) is None
+
 
 class PrescribingSupport(Restraint):
     """A support that prescribes displacements.

@@ -42,7 +42,6 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.kinematics import displacement_gradient
-from dolfin_elastic.model.values import depends_on_time
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
@@ -342,11 +341,10 @@ def _check_proportional(problem: Problem) -> None:
             where="load",
             expected="at least one, or a support that moves",
         )
-    own = {"load": [load.amplitude is not None for load in problem.loads], "support": []}
-    for support in problem.supports:
-        timed = any(depends_on_time(function) for function in support.time_functions)
-        timed = timed or getattr(support, "curve", None) is not None
-        own["support"].append(timed and not support.at_rest)
+    own = {
+        "load": [load.amplitude is not None for load in problem.loads],
+        "support": [not (support.at_rest or support.proportional) for support in problem.supports],
+    }
     for key, rows in own.items():
         if any(rows):
             raise InputError(
