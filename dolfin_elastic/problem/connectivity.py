@@ -85,10 +85,17 @@ class ConnectedBodies:
         if self.count == 1:
             return [""]
         cells, middle = self._cells(self._body.owned_cells()), self._middle
+        return [
+            _name(inside, int(cells[k]))
+            or f"body {k + 1}, about ({', '.join(f'{x:.4g}' for x in middle[k])}) m"
+            for k, inside in enumerate(self.regions())
+        ]
+
+    def regions(self) -> list[dict[str, int]]:
+        """Of each body the regions that lie in it alone, with their cells' number. Collective."""
         parts = {name: self._cells(self._body.owned_cells(name)) for name in self._body.regions}
         return [
-            _name({n: int(c[k]) for n, c in parts.items() if 0 < c[k] == c.sum()}, int(cells[k]))
-            or f"body {k + 1}, about ({', '.join(f'{x:.4g}' for x in middle[k])}) m"
+            {n: int(c[k]) for n, c in parts.items() if 0 < c[k] == c.sum()}
             for k in range(self.count)
         ]
 

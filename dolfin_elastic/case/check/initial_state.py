@@ -117,8 +117,13 @@ def mesh_notes(case: Case, body: Body) -> list[str]:
 
 def untied_notes(case: Case, problem: Problem) -> Iterator[str]:
     """Bodies of the mesh that are not joined, where the ties of the case do not. Collective."""
-    if case.tie and ConnectedBodies(problem).count > 1:
-        yield from (note for note in problem.body.notes if _TIE in note)
+    if not case.tie or (bodies := ConnectedBodies(problem)).count == 1:
+        return
+    tied = bodies.regions()
+    for note in problem.body.notes:
+        named = {name for name in problem.body.regions if f"'{name}'" in note}
+        if _TIE in note and not (len(named) > 1 and any(named <= one.keys() for one in tied)):
+            yield note
 
 
 def touching_notes(problem: Problem) -> Iterator[str]:

@@ -96,11 +96,12 @@ class Look:
     described: tuple[Described, ...] = ()
 
 
-def listing(body: Body, *, case: str = "", use: Use, notes: Sequence[str] = ()) -> Look:
+def listing(body: Body, *, case: str = "", use: Use, notes: Sequence[str]) -> Look:
     """Lists a body. Collective.
 
     Args:
         case: The case file.
+        notes: See `Look`.
     """
     surfaces = surface_sizes(body, use)
     return Look(
@@ -117,7 +118,7 @@ def listing(body: Body, *, case: str = "", use: Use, notes: Sequence[str] = ()) 
         regions=region_sizes(body, use),
         edges=lower_sizes(body, "edge", use),
         points=lower_sizes(body, "point", use),
-        notes=(*body.notes, *notes),
+        notes=tuple(notes),
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case, read_case
+from dolfin_elastic.case.check.initial_state import mesh_notes, untied_notes
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.loads import load_sums
 from dolfin_elastic.case.check.sizes import references
@@ -55,12 +56,16 @@ def look_at(
     glyphs: tuple[Glyphs, ...] = ()
     # Without the names of the case nothing of it has a place.
     placed = case if not notes else None
+    notes = (*(body.notes if case is None else mesh_notes(case, body)), *notes)
     if placed is not None:
         try:
-            integrals = Integrals(placed.make_problem(body), placed.mesh.metres_thick(body))
+            problem = placed.make_problem(body)
+            notes = (*notes, *untied_notes(placed, problem))
+            integrals = Integrals(problem, placed.mesh.metres_thick(body))
             glyphs = glyphs_of(placed, body, load_sums(placed, integrals))
         except InputError as error:
-            notes = (f"the case has a fault, so that loads and supports may be missing: {error}",)
+            text = f"the case has a fault, so that loads and supports may be missing: {error}"
+            notes = (*notes, text)
     annotated = listing(body, case="" if case is None else case.file, use=use, notes=notes)
     if case is not None:
         annotated = replace(annotated, described=described(case, body))

@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check.report import report
+from dolfin_elastic.case.look.look import look_at
 from dolfin_elastic.case.run import check_problem, log_notes, run
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.state import State
@@ -69,15 +70,33 @@ Physical Volume("upper") = {2};
 
 
 def test_solids_of_cad_that_are_tied(folder: Path) -> None:
-    """That their meshes are not joined is said where no tie joins them, by `check` and `run`."""
+    """That meshes are not joined is said where no tie joins them, by `check`, `look` and `run`."""
     made(lambda: (folder / "boxes.geo").write_text(BOXES))
     mesh, told = {"file": "boxes.geo", "unit": "mm", "size": 2}, "meshes are not joined there"
     for tie, known in (([], True), ([{"on": "foot", "to": "table"}], False)):
         asked = case(folder, mesh=mesh, tie=tie)
+        made(lambda asked=asked: (folder / "boxes.toml").write_text(asked.to_toml()))
+        shown = look_at(folder / "boxes.toml", picture=None, trust=True).notes
+        assert any(told in note for note in shown) == known
         assert any(told in note for note in report(asked).notes) == known
         body = asked.read_body(MPI.COMM_WORLD)
         notes = [*log_notes(asked, body), *check_problem(asked, asked.make_problem(body))[0]]
         assert any(told in note for note in notes) == known
+
+
+def test_one_tie_between_three_solids(folder: Path) -> None:
+    """Two touching ones that no tie joins are told of, those that one joins are not."""
+    third = "Box(3) = {0, 0, 4, 4, 4, 2};\n"
+    text = BOXES.replace("Phys", f'{third}Physical Volume("lid") = {{3}};\nPhys', 1)
+    made(lambda: (folder / "three.geo").write_text(text))
+    asked = case(
+        folder,
+        mesh={"file": "three.geo", "unit": "mm", "size": 2},
+        tie=[{"on": "foot", "to": "table"}],
+    )
+    told = [note for note in report(asked).notes if "meshes are not joined there" in note]
+    assert len(told) == 1
+    assert "'lid' and 'upper' touch" in told[0]
 
 
 def test_parts_that_lie_opposite_nothing_are_noted(folder: Path) -> None:

@@ -131,6 +131,12 @@ def _name(gmsh: ModuleType, body: Entity) -> str:
     return "" if name.startswith(_NAMELESS) else name
 
 
+def _group(gmsh: ModuleType, body: Entity) -> str:
+    """The first physical group of a script that a body is in; empty without one that has a name."""
+    groups = gmsh.model.getPhysicalGroupsForEntity(*body)
+    return next(filter(None, (gmsh.model.getPhysicalName(body[0], int(g)) for g in groups)), "")
+
+
 # --- faces into solids ---
 
 
@@ -342,7 +348,7 @@ def touching(gmsh: ModuleType, lengths: Lengths, advice: str) -> list[str]:
     bodies = gmsh.model.getEntities(3) or gmsh.model.getEntities(2)
     if len(bodies) < 2 or any(b not in gmsh.model.occ.getEntities(b[0]) for b in bodies):
         return []
-    names = {body: [_name(gmsh, body) or f"body{body[1]}"] for body in bodies}
+    names = {body: [_group(gmsh, body) or _name(gmsh, body) or f"body{body[1]}"] for body in bodies}
     before = {pair: area for pair, area, _ in _shared(gmsh, names)}
     current = gmsh.model.getCurrent()
     with tempfile.TemporaryDirectory() as folder:
