@@ -144,23 +144,26 @@ def balance_of(run: FinishedRun) -> Balance | None:
         for k, v in (summary.get("reactions") or {}).items()
         if isinstance(v, list) and k not in inside
     }
-    # Without what acts on rigid plates: their reactions hold it.
-    own = [s for s in run.model.get("loads") or [] if str(s.get("load")).startswith("load[")]
-    forces = [force for s in own if (force := s.get("force"))]
-    together = len(forces) == len(own) and len({s.get("time") for s in own}) == 1
+    sums = [s for s in run.model.get("loads") or [] if s.get("load") != "all loads"]
+    forces = [force for s in sums if (force := s.get("force"))]
+    together = len(forces) == len(sums) and len({s.get("time") for s in sums}) == 1
     whole = _sum(forces) if together else None
+    on_plates = [s["force"] for s in sums if str(s["load"]).startswith("support[")]
+    twice = _sum(on_plates) if together else None
     total = _sum(list(reactions.values()))
     most = max((abs(x) for row in (*reactions.values(), *forces) for x in row), default=0.0)
     ended = summary.get("status") == "completed"
     if whole is not None:
         when = "" if ended else " at their full values"
         rows.append((f"all loads{when}, on the undeformed body", vector(whole, "N", most)))
+    if twice is not None:
+        rows.append(("of these on rigid plates, part of their reactions", vector(twice, "N", most)))
     if total is not None:
         rows.append(("all reactions", vector(total, "N", most)))
     audit = summary.get("audit") or {}
     at_rest = ended and not run.moving
     if at_rest and whole is not None and total is not None and len(whole) == len(total):
-        left = [a + b for a, b in zip(whole, total, strict=True)]
+        left = [float(x) for x in np.array(whole) + total - (twice or 0.0)]
         title = "loads and reactions together"
         if str((run.case.get("mesh") or {}).get("geometry")) == "axisymmetric":
             left, title = left[1:], f"{title}, along the axis"

@@ -515,6 +515,9 @@ def test_loads_against_reactions(kind: str, tmp_path: Path) -> None:
         assert rows["loads and reactions together, along the axis"] == "(0) N"
     else:
         assert rows["loads and reactions together"] == "(0, 0) N"
+    if kind == "plate":  # as `check` sums them up
+        assert rows["all loads, on the undeformed body"] == "(0, −3) N"
+        assert rows["of these on rigid plates, part of their reactions"] == "(−5, 0) N"
 
 
 def test_moments_of_supports(tmp_path: Path) -> None:
