@@ -1,9 +1,10 @@
-"""The scene of a finished run: its states, modes or failed state, with supports and loads."""
+"""The scene of a finished run: its states, modes or failed state, and what is beside them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,11 +17,13 @@ from dolfin_elastic.core.units import to_si
 from dolfin_elastic.mesh.geometry.simplices import qualities, signed_volumes
 from dolfin_elastic.report.scene import Viewed, chosen_frames, node_values, surface_of
 from dolfin_elastic.report.words import Table
+from dolfin_elastic.results.finished.draw import obstacles_of
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.finished.xdmf import Frame, read_frames, read_grid
 from dolfin_elastic.results.scene.edges import sharp_edges
+from dolfin_elastic.results.scene.obstacles import Reach, obstacles_beside
 from dolfin_elastic.results.scene.scene import Frame as State
-from dolfin_elastic.results.scene.scene import Glyphs, Scene
+from dolfin_elastic.results.scene.scene import Glyphs, Obstacle, Scene
 
 if TYPE_CHECKING:
     import pyvista
@@ -89,7 +92,25 @@ def scene_of(run: FinishedRun, frames: Sequence[tuple[str, Frame]]) -> Viewed | 
         frames[-1][1].dim == 2,
         glyphs=tuple(Glyphs.of(row) for row in run.model.get("glyphs") or ()),
     )
-    return Viewed(scene, bool(run.summary.get("modes")), before)
+    viewed = Viewed(scene, bool(run.summary.get("modes")), before)
+    return replace(viewed, scene=replace(scene, obstacles=_obstacles(run, viewed, frames[-1][1].t)))
+
+
+def _obstacles(run: FinishedRun, viewed: Viewed, t: float) -> tuple[Obstacle, ...]:
+    """Obstacles beside the last state; none beside modes, whose size means nothing.
+
+    Each is as far from the nearest point of the body as it is, however magnified that one moves.
+    """
+    if viewed.modes:
+        return ()
+    x, u, reach, rows = viewed.scene.points, viewed.frame.u, Reach(), []
+    reach.take(x)
+    reach.take(x + viewed.scale * u)
+    for name, shape, shift in obstacles_of(run, t):
+        places = (x + u)[:, : run.dim] - shift
+        near = int(np.argmin(shape.gap([*places.T], float, np.sqrt)[0]))
+        rows.append((name, shape, shift + (viewed.scale - 1) * u[near, : run.dim]))
+    return obstacles_beside(rows, reach, run.dim)
 
 
 def _allowable(case: Table) -> float | None:

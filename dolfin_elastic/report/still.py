@@ -50,6 +50,7 @@ def stills(viewed: Viewed, palette: Mapping[str, str]) -> tuple[list[tuple[str, 
         scene,
         frames=still,
         glyphs=tuple(replace(one, colour=palette[one.key]) for one in glyphs),
+        obstacles=tuple(replace(one, shift=np.zeros(3)) for one in scene.obstacles),
     )
     try:
         drawn = [(title, _url(one)) for title, one in result]

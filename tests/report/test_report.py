@@ -28,9 +28,17 @@ from dolfin_elastic.report import pdf, still
 from dolfin_elastic.report.balance import balance_of, supports_of
 from dolfin_elastic.report.charts import Axis, Line, line_chart
 from dolfin_elastic.report.contents import history_charts, last_values
+from dolfin_elastic.report.drawn import drawn_frames, scene_of
 from dolfin_elastic.report.laws import _constants
 from dolfin_elastic.report.page import json_text
-from dolfin_elastic.report.report import LARGEST, _command, _own_pictures, _room, write_report
+from dolfin_elastic.report.report import (
+    LARGEST,
+    _command,
+    _own_pictures,
+    _palette,
+    _room,
+    write_report,
+)
 from dolfin_elastic.report.scene import (
     MOST_TRIANGLES,
     Viewed,
@@ -41,7 +49,7 @@ from dolfin_elastic.report.scene import (
 from dolfin_elastic.report.words import small_strains
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.scene.colour_bar import colour_map
-from dolfin_elastic.results.scene.scene import Frame, Glyphs, Scene
+from dolfin_elastic.results.scene.scene import Frame, Glyphs, Picture, Scene
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror='alert(2)'>&amp;\"`"
 BOX = {"box": {"size": [4, 1, 1], "cells": [4, 1, 1]}}
@@ -364,6 +372,29 @@ def test_without_pictures_the_viewer_stays(
     assert not page.all("img")
     assert json.loads(page.inside["script"][0])["frames"]
     check_policy(page)
+
+
+def test_fixed_pictures_show_obstacles(folders: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are as far from the magnified body as from the body; undeformed, where they began."""
+    drawn: list[Picture] = []
+
+    def draw(_user: object, pictures: list[Picture], file: Path) -> None:
+        drawn.extend(pictures)
+        file.touch()
+
+    monkeypatch.setattr(still, "draw_pictures", draw)
+    run = FinishedRun(folders("statics"))
+    floor = {"on": "bottom", "plane": {"axis": "z", "at": -1}, "motion": [0, 0, "0.5*t"]}
+    run.case = {**run.case, "contact": [floor]}
+    viewed = scene_of(run, drawn_frames(run))
+    assert viewed is not None
+    assert viewed.scale > 1
+    still.stills(viewed, _palette(viewed))
+    lowest = (viewed.scene.points + viewed.frame.u)[:, 2].min()
+    for picture in drawn:
+        (one,) = picture.scene.obstacles
+        away = picture.moved[:, 2].min() - (one.points + one.shift)[:, 2].max()
+        assert away == pytest.approx(1.0 if picture is drawn[-1] else lowest + 0.5)
 
 
 def test_fields_that_are_offered() -> None:

@@ -157,7 +157,7 @@ def _panel(
         title=_headline(run, look, run.frame(step).t),
         shown=lambda rows: shown({name: rows, **({"cauchy_stress": rows} if tensor else {})}, name),
         names=names,
-        obstacles=_obstacles(run, run.frame(step).t),
+        obstacles=obstacles_of(run, run.frame(step).t),
         outline=not (look.film and run.moving),
     )
     if not len(left.scene.triangles):
@@ -223,7 +223,12 @@ def _headline(run: FinishedRun, look: Appearance, t: float) -> str:
     return "   |   ".join(filter(None, (title, place, scale)))
 
 
-def _obstacles(run: FinishedRun, t: float) -> list[tuple[str, Shape, FloatArray]]:
+def obstacles_of(run: FinishedRun, t: float) -> list[tuple[str, Shape, FloatArray]]:
+    """What stands beside each obstacle, its shape in metres, and its displacement [m].
+
+    Args:
+        t: Time [s], or load parameter.
+    """
     default = CONSTANT if run.moving else PROPORTIONAL
     contacts = [Contact(**row).in_metres(run.metres) for row in run.case.get("contact", [])]
     return [
