@@ -16,6 +16,10 @@ LIFTED = (
     "a support or a weak spring that holds it where it leaves its obstacles, a smaller load, or a "
     "prescribed displacement in place of the load"
 )
+RELEASE = (
+    "a motion of the obstacle that ends before these nodes, a support that moves with it or leaves "
+    "their normal direction free, or a contact without the surfaces that the support holds"
+)
 HUGE = (
     "a smaller load, or stiffer materials: was a unit of a load or of a modulus forgotten? "
     "dolfin-elastic check compares them"

@@ -21,8 +21,10 @@ from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.terms.contact import ContactPair
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
+from dolfin_elastic.solvers.messages import RELEASE
 from dolfin_elastic.solvers.nonlinear.contact import (
     check_initial_gaps,
+    held_inside,
     initial_gaps,
     penetration_message,
 )
@@ -170,6 +172,12 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
             )
         if text := _in_another_unit(problem.body.unit, case.contact[i], pair, diagonal):
             yield f"contact '{pair.label}': {text}"
+        end, default = _end(case)
+        for t in (end, 0.0):
+            problem.constraints.set_time(t, default)
+            pair.set_time(t, default)
+            if t and (held := held_inside(problem, i)) is not None:
+                yield f"in the end {held[0]}, which cannot give way: {RELEASE}"
     if not (reach or pressed) and case.dynamics is None and (case.modal is None or case.preloaded):
         yield NOTHING_MOVES
 

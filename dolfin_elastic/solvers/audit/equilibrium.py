@@ -37,6 +37,7 @@ from dolfin_elastic.solvers.audit.violations import (
     add_worse,
 )
 from dolfin_elastic.solvers.messages import coordinates, count
+from dolfin_elastic.solvers.nonlinear.contact import held_inside
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrains
 
 FORCE_TOLERANCE = 1e-6
@@ -256,10 +257,13 @@ class EquilibriumAuditor:
 
     def _check_contacts(self, reasons: Violations) -> None:
         """No node that presses is farther off its obstacle than the tolerance. Collective."""
-        for pair in self._problem.contact_pairs:
+        for index, pair in enumerate(self._problem.contact_pairs):
             if (off := pair.gap_error()) > pair.tolerance:
+                held = held_inside(self._problem, index)
                 reasons[f"contact {pair.label}"] = Violation(
-                    f"contact '{pair.label}': a node that presses is {off:.3g} m off the "
+                    held[0]
+                    if held is not None
+                    else f"contact '{pair.label}': a node that presses is {off:.3g} m off the "
                     f"obstacle, above gap_tolerance = {pair.tolerance:.3g} m; a larger stiffness "
                     "or more load steps help",
                     off,

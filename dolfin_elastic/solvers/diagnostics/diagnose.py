@@ -5,6 +5,7 @@ Each cause is decided by evidence, the cheap and certain ones first:
 "rigid-motion": the tangent of the last equilibrium maps a rigid motion of a piece to nothing; what
     such a system gives is no evidence of anything else, so this comes before all others; or that
     without contacts does, and the load pulls the body off its obstacles.
+"obstacle": one pushes into nodes whose displacement is prescribed, where nothing can give way.
 "nan": a term of the residual has no finite value although no cell has turned inside out.
 "inverted": solutions were refused because cells had turned inside out.
 "round-off": the residual stopped at a level that round-off explains.
@@ -39,7 +40,11 @@ from dolfin_elastic.solvers.diagnostics.material_limit import NEARLY, softest_sp
 from dolfin_elastic.solvers.diagnostics.rigid_body import find_loose_part
 from dolfin_elastic.solvers.diagnostics.stability import LIMIT
 from dolfin_elastic.solvers.messages import coordinates
-from dolfin_elastic.solvers.nonlinear.contact import pulled_off_obstacles, without_contact
+from dolfin_elastic.solvers.nonlinear.contact import (
+    held_inside,
+    pulled_off_obstacles,
+    without_contact,
+)
 from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
     BEYOND,
@@ -139,6 +144,7 @@ class _CauseSearch:
         """The first cause for which there is evidence."""
         checks = (
             self._loose_part,
+            self._held_inside,
             self._not_finite,
             self._solution_inverted,
             self._round_off,
@@ -178,6 +184,13 @@ class _CauseSearch:
         what += f" ({part.name})" if part.name and not part.whole else ""
         text = f"{start}nothing holds {what}: as a rigid body it can {', '.join(part.motions)}"
         return self._make("rigid-motion", text, advice, part.place)
+
+    def _held_inside(self) -> Diagnosis | None:
+        self.states.put(self.failed)
+        for index in range(len(self.problem.contact_pairs)):
+            if (found := held_inside(self.problem, index)) is not None:
+                return self._make("obstacle", found[0], messages.RELEASE, found[1])
+        return None
 
     def _not_finite(self) -> Diagnosis | None:
         self.states.residual(self.failed)

@@ -28,6 +28,8 @@ log = logging.getLogger("dolfin_elastic")
 
 AUGMENTATIONS = 10
 """Times that what terms remember is renewed in one load step."""
+_ALONG = 1e-6
+"""Part of a normal that is free where the displacement along it is prescribed."""
 
 
 class Augmentation:
@@ -146,6 +148,67 @@ def pulled_off_obstacles(assembler: Assembler) -> bool:
     result = total(problem.body.comm, np.concatenate(sums))
     away = float(result[:dim] @ result[dim : 2 * dim])
     return away > 1e-6 * float(np.linalg.norm(result[:dim])) * float(result[-1])
+
+
+def held_inside(problem: Problem, index: int) -> tuple[str, tuple[float, ...]] | None:
+    """That an obstacle pushes into nodes whose displacement along its normal is prescribed.
+
+    No state has these nodes outside.  What is prescribed, and where the obstacle is, are those of
+    the time that was set last; all else is the problem's displacement.  Collective.
+
+    Args:
+        index: Of the contact, from 0, as in its key.
+
+    Returns:
+        That in words, and the reference place of the deepest of these nodes [m]; None: none is
+        deeper than the tolerance.
+    """
+    pair = problem.contact_pairs[index]
+    parts = pair.comm.allgather(_deepest_held(problem, pair))
+    if (found := min((one for one in parts if one is not None), default=None)) is None:
+        return None
+    (_, *place), gap, names = found
+    by = f"the support '{names[0]}'" if names else "the axis"
+    text = (
+        f"the obstacle of contact[{index}] '{pair.label}' pushes {-gap:.3g} m deep into nodes "
+        f"that {by} holds, at {coordinates(place)} m"
+    )
+    return text, tuple(place)
+
+
+def _deepest_held(
+    problem: Problem, pair: ContactPair
+) -> tuple[list[float], float, list[str]] | None:
+    """The deepest of this rank's nodes, see `held_inside`: a key, its gap [m], who holds it.
+
+    The key orders nodes by depth and place, alike on any number of ranks; the place [m] ends it.
+    Collective.
+    """
+    constraints, dim = problem.constraints, problem.body.dim
+    u, own = problem.u.x.array, problem.V.dofmap.index_map.size_local * dim
+    saved = u.copy()
+    constraints.impose(u[:own], constraints.values.x.array)
+    gaps, normals = pair.gaps()
+    u[:] = saved
+    free, nodes = constraints.free_directions(own, dim), pair.nodes_of_displacement
+    for motion in (one for one in constraints.rigid_motions if one.free):
+        dofs = constraints.motion_directions(motion)[0]
+        dofs = dofs[dofs < own]
+        free[dofs, dofs % dim] = 1.0
+    left = np.einsum("nij,nj->ni", free.reshape(-1, dim, dim)[nodes], normals)
+    inside = (gaps < -pair.tolerance) & (np.abs(left).max(axis=1, initial=0.0) < _ALONG)
+    places = pair.places().round(12) + 0.0
+    keys = [
+        ([round(gaps[k] / pair.size, 9), *places[k].tolist()], k) for k in np.flatnonzero(inside)
+    ]
+    if not keys:
+        return None
+    key, k = min(keys)
+    forces = np.zeros(own)
+    forces.reshape(-1, dim)[nodes[k]] = normals[k]
+    holders = constraints.reactions(forces)
+    names = [one.label for one, at, rows in holders if np.any(rows[at == nodes[k]])]
+    return key, float(gaps[k]), names
 
 
 def largest_gap(pair: ContactPair) -> float:

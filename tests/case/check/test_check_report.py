@@ -800,6 +800,29 @@ def test_a_contact_that_can_never_touch(tables, said):
     assert len(found) == bool(said) and all(said in note for note in found)
 
 
+@pytest.mark.parametrize(
+    ("tables", "deep"),
+    [
+        ({}, "0.1"),
+        ({"motion": [0, 0, "0.1*sin(pi*t)"]}, ""),
+        ({"support": [{"on": "bottom", "displacement": [0, 0, 0.1]}]}, ""),
+        ({"support": [{"on": "bottom", "displacement": [0, 0, 0.05]}]}, "0.05"),
+        ({"support": [{"on": "top"}]}, ""),
+    ],
+)
+def test_a_contact_that_ends_in_held_nodes(tables, deep):
+    given = dict(tables)
+    plane = {"axis": "z", "at": 0}
+    row = {"on": "bottom", "plane": plane, "motion": given.pop("motion", [0, 0, 0.1])}
+    notes = report(case(contact=[row], **given)).notes
+    start = f"in the end the obstacle of contact[0] 'bottom' pushes {deep} m deep into nodes that "
+    found = [note for note in notes if "which cannot give way" in note]
+    assert len(found) == bool(deep)
+    assert all(
+        note.startswith(f"{start}the support 'bottom' holds, at (0, 0, 0)") for note in found
+    )
+
+
 # --- how it is shown ---
 
 

@@ -25,6 +25,7 @@ from dolfin_elastic import (
     Normal,
     Pressure,
     Problem,
+    Rigid,
     Selector,
     Spring,
     Statics,
@@ -56,6 +57,7 @@ from dolfin_elastic.solvers.diagnostics.rigid_body import find_loose_part
 from dolfin_elastic.solvers.diagnostics.stability import FactorisedTangent, Mode, curvature
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.messages import coordinates
+from dolfin_elastic.solvers.nonlinear.contact import held_inside
 
 FREE = "free"
 E, NU = 1e6, 0.3
@@ -261,6 +263,56 @@ def test_a_body_that_is_lifted_off():
     )
 
 
+def pressed(left: Support | Rigid | Symmetry, by: float = 0.3) -> Problem:
+    """A square whose lid a plate presses down; the lid's left end is held."""
+    foot = Support(on="bottom", displacement=[0, 0])
+    plate = Contact(on="top", plane={"axis": "-y", "at": 1}, motion=[0, -by], name="plate")
+    body = rectangle_body(size=(1, 1), cells=(4, 4))
+    law = NeoHookean(E=E, nu=NU)
+    return Problem(body, law, supports=[foot, left], contacts=[plate], degree=1)
+
+
+def test_an_obstacle_that_pushes_into_held_nodes():
+    found = diagnosis(pressed(Support(on="left", displacement=[0, 0]), by=0.9), min_step=1 / 16)
+    assert found.cause == "obstacle"
+    assert re.fullmatch(
+        r"the obstacle of contact\[0\] 'plate' pushes 0\.\d+ m deep into nodes that the support "
+        r"'left' holds, at \(0, 1\) m",
+        found.text,
+    )
+    assert found.place == (0, 1)
+    assert "a support that moves with it" in found.advice
+
+
+def test_an_audit_names_held_nodes_that_an_obstacle_is_pushed_into():
+    """More load steps, which are the advice elsewhere, do not help."""
+    *_, last = Statics(pressed(Support(on="left", displacement=[0, 0]))).steps()
+    assert isinstance(last, State)
+    assert last.audit is not None
+    (reason,) = [text for text in last.audit.reasons if "'plate'" in text]
+    assert "pushes 0.3 m deep into nodes that the support 'left' holds, at (0, 1) m" in reason
+    assert "load steps" not in reason
+
+
+@pytest.mark.parametrize(
+    ("left", "holds"),
+    [
+        (Support(on="left", displacement=[0, "0.1*t"]), True),
+        (Rigid(on="left", displacement=[0, 0], rotation=[0]), True),
+        (Rigid(on="left", displacement=[0, FREE], rotation=[0]), False),
+        (Support(on="left", displacement=[0, "-0.3*t"]), False),
+        (Support(on="left", displacement=[0, FREE]), False),
+        (Symmetry(on="left"), False),
+    ],
+)
+def test_nodes_that_are_held_along_the_normal(left, holds):
+    problem = pressed(left)
+    problem.set_time(1.0)
+    found = held_inside(problem, 0)
+    assert (found is not None) == holds
+    assert found is None or found[1] == (0, 1)
+
+
 @pytest.mark.usefixtures("unchecked")
 def test_a_piece_that_can_slide():
     """Its foot is held across: what is left is the motion along."""
@@ -321,14 +373,31 @@ def test_a_spring_holds_a_piece():
         assembler.destroy()
 
 
-@pytest.mark.parametrize(("surfaces", "motions"), [(["left"], 1), (["left", "bottom"], 0)])
-def test_supports_that_lean(surfaces, motions):
-    """A square turned by 30 degrees on rollers along its own sides is held as an upright one is."""
+def leaning(surfaces: list[str], pushed: str = "") -> Problem:
+    """A square turned by 30 degrees on rollers, of which a plate pushes 0.1 m into one side."""
     body = rectangle_body(size=(1.0, 1.0), cells=(3, 3))
     c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
     x = body.mesh.geometry.x
     x[:, :2] = x[:, :2] @ np.array([[c, s], [-s, c]])
-    problem = Problem(body, LinearElastic(E=E, nu=NU), supports=[Symmetry(on=surfaces)], degree=1)
+    n = {"left": [c, s], "bottom": [-s, c]}.get(pushed, [])
+    plane = {"point": [0, 0], "normal": n}
+    plate = [Contact(on=pushed, plane=plane, motion=[0.1 * one for one in n])] if n else []
+    law, rollers = LinearElastic(E=E, nu=NU), [Symmetry(on=surfaces)]
+    return Problem(body, law, supports=rollers, contacts=plate, degree=1)
+
+
+@pytest.mark.parametrize(("pushed", "holds"), [("left", True), ("bottom", False)])
+def test_leaning_rollers_hold_along_their_normal_alone(pushed, holds):
+    """Of a plate that goes along them, none of its nodes is held, the corner's either."""
+    problem = leaning(["left"], pushed)
+    problem.set_time(1.0)
+    assert (held_inside(problem, 0) is not None) == holds
+
+
+@pytest.mark.parametrize(("surfaces", "motions"), [(["left"], 1), (["left", "bottom"], 0)])
+def test_supports_that_lean(surfaces, motions):
+    """A square turned by 30 degrees on rollers along its own sides is held as an upright one is."""
+    problem = leaning(surfaces)
     assembler = Assembler(problem)
     assert TrialStates(assembler).tangent(problem.w.x.array)
     found = find_loose_part(assembler)
