@@ -6,6 +6,7 @@ Everything heavy is imported where it is needed, so that --help comes at once.
 
 from __future__ import annotations
 
+import errno
 import gc
 import logging
 import os
@@ -32,7 +33,7 @@ from dolfin_elastic.cli.tools.plot import plot
 from dolfin_elastic.cli.tools.report import report
 from dolfin_elastic.cli.tools.verify import verify
 from dolfin_elastic.core import __version__
-from dolfin_elastic.core.errors import ElasticError, OutputError, nearest
+from dolfin_elastic.core.errors import ElasticError, InputError, OutputError, nearest
 from dolfin_elastic.core.signals import (
     INTERRUPTED,
     ignore_more,
@@ -270,7 +271,12 @@ def guarded() -> int:
         if comm and not _all_arrive(comm):
             comm.Abort(INTERRUPTED)
         return INTERRUPTED
-    except Exception:
+    except Exception as error:
+        if (
+            isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG
+        ):  # of any file asked for
+            where, fewer = str(error.filename), "a name of at most 255 bytes"
+            return _show_error(InputError("file name too long", where=where, expected=fewer))
         _abort_all_ranks()
         raise
 

@@ -163,6 +163,10 @@ def check_file(
     Raises:
         MeshError: With what would be right.
     """
+    if os.path.isdir(path):  # of a name that is too long Path raises
+        raise MeshError(f"'{path}' is a folder, not a mesh file", expected="the file inside it")
+    if fault := why_no_file(path, sys.maxsize):
+        raise MeshError(fault, where=path.name)
     if not path.exists():
         if hint := not_shown(path):
             raise MeshError(f"there is no mesh file '{path}'", expected=hint)
@@ -182,10 +186,6 @@ def check_file(
             where=path.name,
             expected=ONE_PIECE,
         )
-    if path.is_dir():
-        raise MeshError(f"'{path}' is a folder, not a mesh file", expected="the file inside it")
-    if fault := why_no_file(path, sys.maxsize):
-        raise MeshError(fault, where=path.name)
     if path.stat().st_size == 0:
         raise MeshError("the file is empty", where=path.name, expected="save the mesh anew")
     cad = is_cad(path)

@@ -113,6 +113,18 @@ def test_new_check_and_refuse(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    "words", ["run case.toml", "restart {}", "report {}", "convert {}.msh b.xdmf", "new {}"]
+)
+def test_names_that_no_file_can_have(folder: Path, words: str) -> None:
+    """One line, of files that a case names as of those of the command line."""
+    text = CASE.replace("box = {size = [2, 1, 1], cells = [4, 2, 2]}", f'file = "{"x" * 256}.geo"')
+    (folder / "case.toml").write_text(text)
+    code, _, err = cli(*words.format("x" * 256).split(), folder=folder)
+    assert (code, err.count("\n")) == (2, 1), err
+    assert re.search(r"xxx.*: file name too long", err)
+
+
 def test_check_as_json(folder: Path) -> None:
     """Scripts get numbers."""
     code, out, _ = cli("check", "case.toml", "--json", folder=folder, ranks=2)
