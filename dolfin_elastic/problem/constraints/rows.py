@@ -392,11 +392,17 @@ class Constraints(Rows):
                 acting[dofs] = passed
                 yield surfaces, *self._along_axes(dofs, acting)
 
-    @property
-    def levers(self) -> FloatArray:
-        """See `Ties`; asked for where there are ties."""
-        assert self.ties is not None
-        return self.ties.levers
+    def levers(self, x: FloatArray) -> FloatArray:
+        """From what tied entries follow to where they are [m], shape (tied, dim). Collective.
+
+        With a gap between the surfaces the forces of a tie have a couple, and so they have where a
+        support holds some components only, and the rows of the others lead to other nodes.
+
+        Args:
+            x: Places of the owned nodes where moments balance, shape (nodes, dim) [m].
+        """
+        assert self._product is not None
+        return x[self.tied_dofs // self._bs] - self._product.times(np.repeat(x, self._bs, axis=0))
 
     def factors(self, numbers: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
         """See `Ties`; asked for where there are ties. Collective."""

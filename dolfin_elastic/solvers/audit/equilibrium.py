@@ -300,9 +300,9 @@ class EquilibriumAuditor:
         if self._moment_frame == "current":
             x = x + self._displacement().reshape(x.shape)
         rows = [moment_of(x, force) for force in external]
-        if (constraints := self._problem.constraints).tied:  # couples of gaps that they bridge
+        if (constraints := self._problem.constraints).tied:  # couples of the ties' forces
             axes = np.eye(self._dim)[constraints.tied_dofs % self._dim]
-            rows.append(moment_of(constraints.levers, axes * self._tied_forces()[:, None]))
+            rows.append(moment_of(constraints.levers(x), axes * self._tied_forces()[:, None]))
         arm = float(self._comm.allreduce(float(np.max(np.abs(x), initial=0.0)), op=MPI.MAX))
         share, size, allowed = self._imbalance(rows, noise * arm)
         if share > allowed:

@@ -73,8 +73,6 @@ class Ties:
         dofs: Owners of the entries of the displacement.
         tied: Owned entries of the displacement that follow others, sorted.
         nodes: Local nodes, owned and ghost, with tied components, sorted.
-        levers: From what tied entries follow to where they are [m], shape (tied, dim): with a gap
-            between the surfaces the forces of a tie have a couple.
         surfaces: What each tie holds together.
         rows: Their rows of T, columns global, shape (tied, all entries); in no column is a tied
             entry.
@@ -111,13 +109,8 @@ class Ties:
         self.tied: IndexArray = np.sort(np.concatenate([s.dofs for s in surfaces]))
         self._links = self._rows_of_ties()
         self.rows = self._resolved()
-        product = Product(self.dofs, self.rows)
-        self.row_products = self.tied, product
+        self.row_products = self.tied, Product(self.dofs, self.rows)
         self._passed = [self._passed_on(surface) for surface in surfaces]
-        x = V.tabulate_dof_coordinates()[: imap.size_local, :dim]
-        self.levers: FloatArray = np.empty((len(self.tied), dim))
-        for a in range(dim):
-            self.levers[:, a] = x[self.tied // dim, a] - product.times(np.repeat(x[:, a], dim))
         marks = la.vector(imap, 1)
         marks.array[np.unique(self.tied // dim)] = 1.0
         marks.scatter_forward()

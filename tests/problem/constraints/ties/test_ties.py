@@ -299,6 +299,25 @@ def test_cylinder_in_a_cylinder(degree: int, order: int, rate: float) -> None:
     assert np.linalg.norm(state.reactions["tie_outside"]) > 0.0
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_moments_balance_where_a_support_holds_one_component_of_tied_nodes(dim: int) -> None:
+    """The rows of the others follow other nodes, to which large strains make levers."""
+    problem = Problem(
+        stacked(**MESHES[dim]),
+        NeoHookean(E=E, nu=NU),
+        supports=[
+            Support(on="left", displacement=["free"] * (dim - 1) + [0]),
+            Support(on="bottom", displacement=[0] * dim),
+        ],
+        loads=[Traction(on="top", value=[2e4] + [1e4] * (dim - 1))],
+        ties=[Tie(on="below", to="above")],
+        degree=1,
+    )
+    state = list(Statics(problem, steps=2).steps())[-1]
+    assert state.audit.verdict == "pass"
+    assert state.audit.moment < 1e-9
+
+
 def test_axisymmetric_patch_test() -> None:
     """A tied bar of revolution: areas are those of rings."""
     problem = Problem(
