@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dolfin_elastic.core.errors import OutputError
+from dolfin_elastic.core.errors import OutputError, RestartError
 from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.files import writing
@@ -99,14 +99,26 @@ class Series:
         return sorted({int(path.name[:8]) for path in folder.glob("????????_?.npz")})
 
     def forget_after(self, step: int) -> None:
-        """Removes the scenes of later steps, and takes up those of earlier ones."""
+        """Removes the scenes of later steps, and takes up those of earlier ones.
+
+        Raises:
+            RestartError: One of these is damaged, or of a version that describes them otherwise.
+        """
         for number in self.numbers():
             files = self._files(number)
             if number > step:
                 for file in files:
                     file.unlink()
-            else:
+                continue
+            try:
                 self._take([load(file) for file in files])
+            except Exception as error:  # whatever numpy, JSON or a class make of another version's
+                raise RestartError(
+                    f"this is no scene as this version of the program keeps them ({error!r})",
+                    where=str(files[0]),
+                    expected="go on with the version that has written it, or remove "
+                    f"{self._folder}: pictures and films then show what follows the checkpoint",
+                ) from error
 
     def _take(self, panels: Sequence[Picture]) -> None:
         """Widens range, camera and floor to what a picture shows."""

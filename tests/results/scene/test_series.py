@@ -17,7 +17,7 @@ import pytest
 from helpers.states import make_problem, make_state
 from PIL import Image
 
-from dolfin_elastic.core.errors import InputError, OutputError
+from dolfin_elastic.core.errors import InputError, OutputError, RestartError
 from dolfin_elastic.core.shapes.shapes import CylinderObstacle, Plane, Shape, SphereObstacle
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.results.outputs import Picture, limits_of
@@ -85,6 +85,32 @@ def test_series_of_a_run_that_is_restarted(folder: Path, drawn: list[Panel]) -> 
     assert after.numbers() == [1, 2]
     after.draw(2, [scene_of([0, 0, 1e6])], folder / "a.png")
     assert bar_in(drawn[0]).ticks[-1] == 2
+
+
+@pytest.mark.parametrize("fault", ["class", "field", "words", "cut"])
+def test_scenes_of_another_version_are_refused(folder: Path, fault: str) -> None:
+    """By the name of the file, and what to do; without them the series goes on."""
+    before = Series(Limits(), marks=False, folder=folder / ".frames")
+    before.add(1, [scene_of([0, 1e6, 2e6])])
+    file = folder / ".frames/00000001_0.npz"
+    arrays = dict(np.load(file))
+    words = arrays["words"].tobytes()
+    if fault == "class":
+        words = words.replace(b'"Frame"', b'"Instant"')
+    elif fault == "field":
+        words = words.replace(b'"shift"', b'"offset"').replace(b'"plane"', b'"is_plane"')
+    arrays["words" if fault != "words" else "text"] = np.frombuffer(words, dtype=np.uint8)
+    if fault == "words":
+        del arrays["words"]
+    np.savez(file, **arrays)
+    if fault == "cut":
+        file.write_bytes(file.read_bytes()[:-100])
+    after = Series(Limits(), marks=False, folder=folder / ".frames")
+    with pytest.raises(RestartError, match=r"00000001_0.npz: this is no scene .* or remove \S+"):
+        after.forget_after(2)
+    shutil.rmtree(folder / ".frames")
+    after.forget_after(2)
+    assert after.numbers() == []
 
 
 @pytest.mark.parametrize(
