@@ -11,6 +11,8 @@ import h5py
 import meshio
 import numpy as np
 import pytest
+from dolfinx.io import XDMFFile
+from dolfinx.mesh import create_unit_cube, locate_entities, meshtags
 from helpers.decks import box
 from mpi4py import MPI
 
@@ -271,6 +273,55 @@ def add_facets(path: Path, facets: np.ndarray, values: np.ndarray) -> None:
         "</Attribute></Grid></Domain>"
     )
     path.write_text(path.read_text().replace("</Domain>", grid))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("grid", ["Grid[@Name='two']", "Grid"])
+def test_tags_of_a_second_mesh(folder: Path, grid: str, dim: int) -> None:
+    """They were those of the first, as far as it has such; names of grids tell them apart."""
+    one, two = (create_unit_cube(COMM, *cells) for cells in ((2, 2, 2), (3, 2, 1)))
+    one.name, two.name = "one", "two"
+    two.topology.create_connectivity(dim, 3)
+    found = locate_entities(two, dim, lambda x: x[0] > 1 - 1e-9 if dim == 2 else x[0] > -1.0)
+    tags = meshtags(two, dim, found, np.full(len(found), 7, dtype=np.int32))
+    tags.name = "marks"
+    with XDMFFile(COMM, folder / "two.xdmf", "w") as file:
+        file.write_mesh(one)
+        file.write_mesh(two)
+        file.write_meshtags(tags, two.geometry, f"/Xdmf/Domain/{grid}/Geometry")
+    if "two" in grid:
+        said = "two.xdmf: the tags 'marks' are those of another mesh than 'one', which is read; a"
+        with pytest.raises(MeshError, match=said):
+            read_body(folder / "two.xdmf")
+        return
+    body = read_body(folder / "two.xdmf")
+    assert not any(body.parts.values())
+    left = {2: "of its 4 facets are no facets of a cell", 3: "of its 36 cells are no cells of"}
+    assert left[dim] in body.incomplete["marks_7"]
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+def test_tags_with_points_of_their_own(folder: Path, factor: float) -> None:
+    """Those of the mesh, as older programs write them, one twice and in two parts; or others."""
+
+    def write() -> None:
+        write_cube(folder / "a.xdmf")
+        facets = CUBE[[0, 0, 1, 1]][:, [0, 1, 2]]
+        add_facets(folder / "a.xdmf", facets, np.array([1, 1, 1, 2]))
+        with h5py.File(folder / "a.h5", "a") as file:
+            file["points"] = factor * POINTS
+        own = '<Geometry><DataItem Dimensions="8 3" Format="HDF">a.h5:/points</DataItem></Geometry>'
+        text = (folder / "a.xdmf").read_text()
+        (folder / "a.xdmf").write_text(text.replace("</Topology><At", f"</Topology>{own}<At"))
+
+    made(write)
+    if factor == 1.0:
+        body = read_body(folder / "a.xdmf")
+        assert COMM.allreduce(len(body.owned_facets("facets_1"))) == 2
+        assert COMM.allreduce(len(body.owned_facets("facets_2"))) == 1
+        return
+    with pytest.raises(MeshError, match="the tags 'facets' are those of another mesh than"):
+        read_body(folder / "a.xdmf")
 
 
 def contents(body: Body) -> list[Any]:

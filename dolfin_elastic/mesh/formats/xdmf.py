@@ -47,6 +47,8 @@ from dolfin_elastic.mesh.formats.xdmf_arrays import (
     distributed,
     hdf_rows,
     place_of,
+    refers_to,
+    same_points,
 )
 from dolfin_elastic.mesh.geometry.simplices import prepare_edges
 
@@ -93,6 +95,10 @@ class _Tags:
     def dim(self) -> int:
         """Of the cells."""
         return _DIMS[self.kind]
+
+    def name_of(self, value: int) -> str:
+        """Of the part whose cells have a value."""
+        return self.attribute if self.named else f"{self.attribute}_{value}"
 
 
 @dataclass(frozen=True)
@@ -256,6 +262,8 @@ def _contents(path: Path) -> _Contents:
         return result
     except ElementTree.ParseError as error:
         raise MeshError(f"this is no XML file: {error}", where=path.name) from None
+    except OSError as error:
+        raise MeshError(f"cannot be read: {error}", where=path.name) from None
     except MeshError as error:
         raise error if error.where else error.at(path.name) from None
 
@@ -283,8 +291,10 @@ def _in(root: ElementTree.Element, path: Path) -> _Contents:
     plain = all(item.get("Format") == "HDF" for item in root.iter("DataItem"))
     if kind not in _DIMS or not plain or cells is None or points is None or not _width(main):
         return _Contents()
-    tags = [t for g in grids if _DIMS.get(_kind(g), 4) <= _DIMS[kind] for t in _tags(g)]
-    data = _data(main, [g for g in root.iter("Grid") if g.find("Topology") is None])
+    small = [g for g in grids[1:] if _DIMS.get(_kind(g), 4) <= _DIMS[kind]]
+    tags = [*_tags(main), *(t for g in small for t in _tags_on(path, main, g))]
+    functions = [g for g in root.iter("Grid") if g.find("Topology") is None]
+    data = _data(main, [g for g in functions if refers_to(main, g)])
     contents = _topology(kind, cells)
     said = [*_information(main)]
     return _Contents(
@@ -404,6 +414,24 @@ def _tags(grid: ElementTree.Element) -> list[_Tags]:
             name, named = attribute.get("Name", ""), _is_named(grid) or _is_named(attribute)
             result.append(_Tags(name, _kind(grid), topology, values, named))
     return result
+
+
+def _tags_on(path: Path, main: ElementTree.Element, grid: ElementTree.Element) -> list[_Tags]:
+    """Tags of a further grid; none of the cells of another mesh, which a note says is not read.
+
+    Raises:
+        MeshError: They are of facets, edges or points of another mesh.
+    """
+    tags, item = _tags(grid), grid.find("Geometry/DataItem")
+    if not tags or (refers_to(main, grid) if item is None else same_points(path, main, item)):
+        return tags
+    if item is not None and _DIMS[_kind(grid)] == _DIMS[_kind(main)]:
+        return []
+    raise MeshError(
+        f"the tags '{tags[0].attribute}' are those of another mesh than "
+        f"'{main.get('Name', '')}', which is read",
+        expected="a file of one mesh and its tags",
+    )
 
 
 def _data(main: ElementTree.Element, functions: list[ElementTree.Element]) -> list[_Data]:
@@ -532,11 +560,10 @@ def _parts(
             result = _nodes(mesh, cells[:, 0], numbers, values)
         else:
             result = _entities(mesh, tags.dim, cells, numbers, values)
-        if tags.named:
-            lost |= _missing(mesh, tags, numbers, result)
+            lost = _missing(mesh, tags, cells, numbers, result) | lost
     if tags.named:
         return {tags.attribute: result[1]} if 1 in result else {}, lost
-    return {f"{tags.attribute}_{value}": rows for value, rows in result.items()}, lost
+    return {tags.name_of(value): rows for value, rows in result.items()}, lost
 
 
 def _values(comm: MPI.Comm, numbers: AnyArray) -> list[int]:
@@ -565,21 +592,30 @@ def _entities(
         mesh.topology.create_connectivity(dim, mesh.topology.dim)
     mesh.topology.create_connectivity(dim, 0)
     entities, at = distribute_entity_data(mesh, dim, cells, numbers)
-    lists = meshtags_from_entities(mesh, dim, graph.adjacencylist(entities), at)
-    return {value: _shared(mesh, dim, lists.find(value)) for value in values}
+    result = {}
+    for value in values:  # one by one: an entity of two values would have one of them
+        here = at == value
+        found = meshtags_from_entities(mesh, dim, graph.adjacencylist(entities[here]), at[here])
+        result[value] = _shared(mesh, dim, found.indices)
+    return result
 
 
 def _missing(
-    mesh: Mesh, tags: _Tags, numbers: IndexArray, result: Mapping[int, IndexArray]
+    mesh: Mesh, tags: _Tags, cells: IntArray, numbers: IndexArray, result: Mapping[int, IndexArray]
 ) -> dict[str, str]:
-    """What is missing of a named part whose members are none of the mesh. Collective."""
-    if tags.dim == 0:
-        return {}
-    own = result.get(1, np.empty(0, np.int32)) < mesh.topology.index_map(tags.dim).size_local
-    here, count = total(mesh.comm, np.array([np.count_nonzero(own), np.sum(numbers == 1)]))
-    things = "facets" if tags.dim == mesh.topology.dim - 1 else "edges"
-    text = f"{count - here} of its {count} {things} are no {things} of a cell"
-    return {tags.attribute: text} if here < count else {}
+    """Name to what is missing of a part whose members are none of the mesh. Collective."""
+    lost, comm, size = dict[str, str](), mesh.comm, mesh.topology.index_map(tags.dim).size_local
+    things = {0: "cells", 1: "facets"}.get(mesh.topology.dim - tags.dim, "edges")
+    for value in [1] if tags.named else result:
+        own, rows = result.get(value, np.empty(0, np.int32)) < size, cells[numbers == value]
+        here, count = total(comm, np.array([np.count_nonzero(own), len(rows)]))
+        if here < count:  # unless the file has some of them twice
+            every = comm.allgather(np.unique(np.sort(rows, axis=1), axis=0))
+            count = len(np.unique(np.concatenate(every), axis=0))
+        if here < count:
+            text = f"{count - here} of its {count} {things} are no {things} of "
+            lost[tags.name_of(value)] = text + ("the mesh" if things == "cells" else "a cell")
+    return lost
 
 
 def _lost(comm: MPI.Comm, tags: _Tags, numbers: IndexArray, gone: BoolArray) -> dict[str, str]:
@@ -588,8 +624,7 @@ def _lost(comm: MPI.Comm, tags: _Tags, numbers: IndexArray, gone: BoolArray) -> 
     for value in _values(comm, numbers[gone]):
         local = np.array([np.sum(gone & (numbers == value)), np.sum(numbers == value)])
         count, every = total(comm, local)
-        name = tags.attribute if tags.named else f"{tags.attribute}_{value}"
-        result[name] = f"{count} of its {every} members belong to no cell"
+        result[tags.name_of(value)] = f"{count} of its {every} members belong to no cell"
     return result
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,8 @@ from dolfin_elastic.mesh.fields import MeshField, distribute_rows
 
 UNIT = "metres per unit of length"
 """Name of the element `Information` that states it."""
+_ROWS = 1 << 20
+"""Of arrays that are compared at a time."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +135,30 @@ def hdf_rows(file: Path, array: Array, start: int = 0, stop: int | None = None) 
         each = array.columns if flat else 1
         result = hdf5.rows_of(data, array.path, start * each, stop * each)
     return result.reshape(stop - start, array.columns)
+
+
+def refers_to(main: ElementTree.Element, grid: ElementTree.Element) -> bool:
+    """Whether all grids that a grid includes arrays of by their names have that of the main one."""
+    pointers = [one.get("xpointer", "") for one in grid.findall(".//{*}include")]
+    names = re.findall(r"@Name='([^']*)'", " ".join(pointers))
+    return {*names} <= {main.get("Name")}
+
+
+def same_points(file: Path, main: ElementTree.Element, item: ElementTree.Element) -> bool:
+    """Whether an array has the points of the main grid, if only as a copy. Local.
+
+    Raises:
+        MeshError: An array is not as the text states it.
+        OSError: It cannot be read.
+    """
+    points = main.find("Geometry/DataItem")
+    assert points is not None
+    a, b = Array.of(points), Array.of(item)
+    if a == b or a.shape != b.shape:
+        return a == b
+    check_arrays(file, [a, b])
+    ends = [(i, min(i + _ROWS, a.rows)) for i in range(0, a.rows, _ROWS)]
+    return all(np.array_equal(hdf_rows(file, a, *e), hdf_rows(file, b, *e)) for e in ends)
 
 
 def distributed(
