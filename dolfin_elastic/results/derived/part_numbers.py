@@ -7,8 +7,9 @@ ones.  Other fields of nodes are interpolated by the shape functions, those of c
 
 Extremes of fields of nodes, recovered stresses too, are sought among the nodes of the part, those
 of fields of cells among the quadrature points, as are those of stresses over a region of a body of
-several materials, whose nodes show the larger stress of two.  Of a vector it is that of its length,
-and that of each of its components.  What is asked for is a row of `REDUCTIONS`.
+several materials, whose nodes show the larger stress of two.  A recovered field is smoother than
+that of the mean: where it does not reach the mean, the mean is the extreme.  Of a vector it is that
+of its length, and that of each of its components.  What is asked for is a row of `REDUCTIONS`.
 """
 
 from __future__ import annotations
@@ -258,6 +259,8 @@ class PartNumbers:
         several = self.kind == "region" and name in self._inside and len(self.pieces) > 1
         peaks = points if nodal is None or several else columns(nodal[self._nodes])
         weights = np.concatenate([piece.weights.ravel() for piece in self.pieces])
+        mean = total(self.problem.body.comm, weights @ points) / self.size
+        peaks = np.vstack([peaks, mean])  # which is at other points, see the module
         samples = Samples(self.problem.body.comm, self.size, weights, points, peaks)
         result: dict[str, FloatArray] = {}
         for statistic, (reduction, number) in self._reductions.items():

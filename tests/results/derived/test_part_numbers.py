@@ -71,6 +71,20 @@ def test_a_soft_material_has_its_own_extremes():
     np.testing.assert_allclose(soft["von_mises_max"], soft["von_mises_min"], rtol=1e-9)
 
 
+def test_no_mean_is_beyond_the_extremes():
+    """Recovered at the nodes of a face, a stress that goes up and down was 7 % below its mean."""
+    problem = Problem(box_body(size=(2, 1, 1.5), cells=(4, 2, 2)), LAW, degree=1)
+    u, k = fem.Function(problem.V), 2 * np.pi
+    u.interpolate(
+        lambda x: [0 * x[0], 0.1 * x[0] + 0.01 * np.cos(k * x[0]) * np.cos(k * x[1]), 0 * x[0]]
+    )
+    values = ("mean", "max", "min")
+    numbers = PartNumbers(problem, "surface", "right", ("max_principal_stress",), values)
+    mean, high, low = numbers(State(1, 1.0, u)).values()
+    assert low < mean <= high
+    assert mean == pytest.approx(8.915585347225768, rel=1e-9)
+
+
 def test_a_quadratic_displacement_is_integrated_exactly():
     """u_x = x^2 over the region 1 < x < 2 and the face y = 0: 7/3 times the cross section."""
     body = soft_and_hard(box_body(size=(2, 1, 1.5), cells=(4, 2, 2)), at=1.0)
