@@ -272,9 +272,7 @@ def guarded() -> int:
             comm.Abort(INTERRUPTED)
         return INTERRUPTED
     except Exception as error:
-        if (
-            isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG
-        ):  # of any file asked for
+        if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
             where, fewer = str(error.filename), "a name of at most 255 bytes"
             return _show_error(InputError("file name too long", where=where, expected=fewer))
         _abort_all_ranks()

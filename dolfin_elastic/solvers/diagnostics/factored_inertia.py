@@ -93,7 +93,9 @@ class _Krylov:
         self._moves, self._comm = newton.assembler.displacement_dofs, newton.assembler.comm
         self._F: list[FloatArray] = []
         self._Y: list[FloatArray] = []
-        self._next = [noise(newton.assembler), start_vector(newton.assembler)]
+        starts = newton.soft.starts or (noise(newton.assembler), start_vector(newton.assembler))
+        newton.soft = replace(newton.soft, starts=starts)
+        self._next = list(starts)
 
     @property
     def count(self) -> int:

@@ -46,12 +46,14 @@ class Soft:
         force: One with a part in every mode; None before the first judgement.
         responses: Motions that it causes, roughly, in the last states that were stable: soft modes
             stand out of them.
+        starts: Forces at `displacement_dofs` with which factors are asked first.
     """
 
     directions: tuple[FloatArray, ...] = ()
     motions: tuple[FloatArray, ...] = ()
     force: FloatArray | None = None
     responses: tuple[FloatArray, ...] = ()
+    starts: tuple[FloatArray, ...] = ()
 
 
 Shift = Callable[[float, float], float]
