@@ -259,8 +259,6 @@ class PartNumbers:
         several = self.kind == "region" and name in self._inside and len(self.pieces) > 1
         peaks = points if nodal is None or several else columns(nodal[self._nodes])
         weights = np.concatenate([piece.weights.ravel() for piece in self.pieces])
-        mean = total(self.problem.body.comm, weights @ points) / self.size
-        peaks = np.vstack([peaks, mean])  # which is at other points, see the module
         samples = Samples(self.problem.body.comm, self.size, weights, points, peaks)
         result: dict[str, FloatArray] = {}
         for statistic, (reduction, number) in self._reductions.items():

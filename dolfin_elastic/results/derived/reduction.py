@@ -21,7 +21,7 @@ class Samples:
         size: Area [m^2] or volume [m^3] of the whole undeformed part.
         weights: Of the quadrature points [m^2 or m^3], shape (points,).
         values: There, shape (points, columns): components, and behind them their length.
-        peaks: Values among which extremes are sought, at nodes or at the same points, and the mean.
+        peaks: Values among which extremes are sought, at nodes or at the same points.
     """
 
     comm: MPI.Comm

@@ -24,8 +24,11 @@ _NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 
 
 def _maximum(samples: Samples, sign: float) -> FloatArray:
-    """Largest value of each column; nan where no row has one. Collective."""
-    rows = sign * samples.peaks
+    """Largest value of each column; nan where no row has one. Collective.
+
+    The field of the mean is another one, see `part_numbers`: no extreme is within its mean.
+    """
+    rows = sign * np.vstack([samples.peaks, samples.mean(samples.values)])
     known = np.where(np.isnan(rows), -np.inf, rows)
     result = np.max(samples.comm.allgather(known.max(axis=0, initial=-np.inf)), axis=0)
     return sign * np.where(np.isinf(result), np.nan, result)

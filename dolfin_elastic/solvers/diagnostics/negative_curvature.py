@@ -520,12 +520,14 @@ class _Apart:
         """The motion in V that answers b best, and the force that is left."""
         if not self.count:
             return np.zeros_like(b), b
-        work = total(self._tangent.comm, self._V @ b)
-        return work @ self._V, b - work @ self._images
+        return self._work(b) @ self._V, self.rest(b)
 
     def rest(self, f: FloatArray) -> FloatArray:
         """The part of a force that does no work along V: skew parts and round-off have some."""
-        return self.begin(f)[1]
+        return np.asarray(f - self._work(f) @ self._images) if self.count else f
+
+    def _work(self, f: FloatArray) -> FloatArray:
+        return np.asarray(total(self._tangent.comm, self._V @ f))
 
     def conjugate(self, z: FloatArray) -> FloatArray:
         """The part of a motion that is conjugate to V."""
