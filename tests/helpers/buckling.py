@@ -404,16 +404,21 @@ CASES = [
 ]
 
 
+LU = {"pc_type": "lu"}
+"""Options of the user with which an unsymmetric tangent is factorised itself."""
+
+
 @contextmanager
 def equilibrium(problem: Problem, method: str, steps: int = 1) -> Iterator[Newton]:
     """Newton's method after it has found the equilibrium of the full load. Collective.
 
     Args:
         problem: Under its load.
-        method: "direct" or "iterative".
+        method: "direct", "lu", with factors of an unsymmetric tangent itself, or "iterative".
         steps: In which the load is applied.
     """
-    choice = choose(problem, LinearSettings(method=method))
+    linear = LinearSettings(method="direct", petsc=LU) if method == "lu" else None
+    choice = choose(problem, linear or LinearSettings(method=method))
     assembler = Assembler(problem, iterated=in_blocks(choice, {}))
     scalars = Scalars(assembler).joined if problem.has_scalars else None
     newton = Newton(

@@ -51,7 +51,7 @@ def count_by_factors(newton: Newton, symmetric_part: int | None = None) -> Inert
             soft ones and an odd number are seen.
     """
     with newton.linear.left_as_it_is():
-        odd = _is_odd(newton.ksp.getPC(), newton.assembler)
+        odd = _is_odd(newton.linear.factors, newton.assembler)
         if symmetric_part == 0:
             return Inertia(0)
         space = _Krylov(newton)

@@ -19,7 +19,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.compat import petsc_errors
 from dolfin_elastic.core.formula import Formula
-from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
@@ -31,6 +31,8 @@ from dolfin_elastic.solvers.diagnostics.negative_curvature import (
     count_negative,
     start_vector,
 )
+from dolfin_elastic.solvers.linear.symmetric_part import factorise
+from dolfin_elastic.solvers.linear.symmetric_part import symmetric_part as symmetric_part_of
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 
 if TYPE_CHECKING:
@@ -138,12 +140,14 @@ _SINGULAR = "its tangent is singular"
 
 def _of_fields(newton: Newton, *, surely: bool) -> Inertia:
     """The inertia of the fields' tangent: by pivots where there are any, for these are free."""
-    pc = newton.ksp.getPC()
-    if newton.linear.direct and newton.assembler.problem.symmetric and _counts_pivots(pc):
+    pc, symmetric = newton.linear.factors, newton.assembler.problem.symmetric
+    if newton.linear.direct and _counts_pivots(pc):
         below = negative_pivots(pc, newton.assembler)
-        return Inertia(below, reason=_SINGULAR if below is None else "")
+        if symmetric:
+            return Inertia(below, reason=_SINGULAR if below is None else "")
+        return count_by_factors(newton, below)
     exactly = newton.bordered is not None and bool(np.any(newton.bordered.scalars.signs < 0.0))
-    if not newton.linear.direct or newton.assembler.problem.symmetric:
+    if not newton.linear.direct or symmetric:
         return count_negative(newton, exactly=exactly)
     inertia = None if surely or exactly else count_by_factors(newton)
     if inertia is not None and inertia.negative == 0:
@@ -175,15 +179,6 @@ class Mode:
     motion: FloatArray
 
 
-def _symmetric_part(A: PETSc.Mat) -> PETSc.Mat:
-    """(A + A^T)/2. Collective."""
-    S = A.transpose(PETSc.Mat())
-    S.axpy(1.0, A, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    S.scale(0.5)
-    S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-    return S
-
-
 class FactorisedTangent:
     """A factorised tangent. Collective; `destroy` it.
 
@@ -201,37 +196,18 @@ class FactorisedTangent:
         self.assembler, self.comm = assembler, assembler.comm
         symmetric = bool(assembler.problem.symmetric)
         self._symmetric = symmetric or symmetric_part
-        self._ksp = PETSc.KSP().create(self.comm)
-        self._ksp.setOptionsPrefix("elastic_doctor_")
-        self._ksp.setType("preonly")
-        with assembler.tangent.entries() as tangent:
-            matrix = tangent if symmetric or not symmetric_part else _symmetric_part(tangent)
-            self._ksp.setOperators(matrix)
-            if matrix is not tangent:
-                matrix.destroy()  # the solver holds it
-            self.sound, self.negative = self._factorise(), None
-        if self.sound and self._symmetric:
-            self.negative = negative_pivots(self._ksp.getPC(), assembler)
-
-    def _factorise(self) -> bool:
-        pc = self._ksp.getPC()
-        pc.setType("cholesky" if self._symmetric else "lu")
-        pc.setFactorSolverType("mumps")
-        pc.setFactorSetUpSolverType()
-        factors = pc.getFactorMatrix()
-        # Room for pivots; without ScaLAPACK at the root, which hides signs; null pivots are met.
-        for number, value in ((14, 80), (13, 1), (24, 1), (20, 0)):
-            factors.setMumpsIcntl(number, value)
-        try:
-            self._ksp.setUp()
-            good = pc.getFailedReason() == PETSc.PC.FailedReason.NOERROR
-        except PETSc.Error:
-            good = False
-        return largest(self.comm, float(not good)) == 0.0
+        self._pc = PETSc.PC().create(self.comm)
+        with assembler.tangent.entries() as A:
+            matrix = A if symmetric == self._symmetric else symmetric_part_of(A)
+            self.sound = factorise(self._pc, matrix, symmetric=self._symmetric)
+            if matrix is not A:
+                matrix.destroy()  # the factors hold it
+        counts = self.sound and self._symmetric
+        self.negative = negative_pivots(self._pc, assembler) if counts else None
 
     def solve(self, f: PETSc.Vec, x: PETSc.Vec) -> None:
         """x = K^-1 f. Collective."""
-        self._ksp.solve(f, x)
+        self._pc.apply(f, x)
 
     def weakest(self) -> Mode | None:
         """The mode of the most negative compliance, or else of the largest; None if none is found.
@@ -285,7 +261,7 @@ class FactorisedTangent:
 
     def destroy(self) -> None:
         """Frees the factors. Collective."""
-        self._ksp.destroy()
+        self._pc.destroy()
 
 
 class _Compliance:

@@ -50,6 +50,10 @@ GAMG: dict[str, PetscValue] = {
 BLOCKS: dict[str, PetscValue] = {"pc_type": "python"}
 """Multigrid in blocks, see `hierarchy.Multigrid`, which is set up by no option."""
 
+BY_SYMMETRIC_PART: dict[str, PetscValue] = {"ksp_type": "preonly", "pc_type": "python"}
+"""A direct solver that no option sets up, see `symmetric_part.SymmetricPart`.  Scalar unknowns need
+a solve each, which costs more than with factors of the tangent itself."""
+
 P_MULTIGRID: dict[str, PetscValue] = {
     "pc_type": "mg",
     "pc_mg_galerkin": "both",
@@ -123,8 +127,10 @@ def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) 
     if settings.method != "auto":
         size += f", '{settings.method}' asked for"
     if direct:
-        kind = "Cholesky-like LDL^T" if symmetric else "LU"
-        return Choice(True, factorising(symmetric), f"direct solver (MUMPS, {kind}): {size}")
+        kind, options = "Cholesky-like LDL^T" if symmetric else "LU", factorising(symmetric)
+        if not (symmetric or moving or problem.has_scalars or settings.petsc):
+            kind, options = "LDL^T of the symmetric part", options | BY_SYMMETRIC_PART
+        return Choice(True, options, f"direct solver (MUMPS, {kind}): {size}")
     krylov = "CG" if symmetric and not mixed else "GMRES"
     grid = grids(problem.degree)
     if mixed:

@@ -17,6 +17,7 @@ from dolfin_elastic.solvers.linear.hierarchy import Multigrid
 from dolfin_elastic.solvers.linear.multigrid import PMultigrid, rigid_body_modes
 from dolfin_elastic.solvers.linear.schur import PressureSplit
 from dolfin_elastic.solvers.linear.smoother import random_vector
+from dolfin_elastic.solvers.linear.symmetric_part import SymmetricPart
 from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.petsc.c_api import leave_preconditioner
 from dolfin_elastic.solvers.petsc.options import Options
@@ -169,7 +170,7 @@ class LinearSolver:
         self, assembler: Assembler, options: Options, ksp: PETSc.KSP, snes: PETSc.SNES
     ) -> None:
         self._assembler, self._options, self.ksp, self._snes = assembler, options, ksp, snes
-        self._parts: Multigrid | PMultigrid | PressureSplit | None = None
+        self._parts: Multigrid | PMultigrid | PressureSplit | SymmetricPart | None = None
         self._prepared, self.direct, self.left_gradients = False, False, False
         self._age: Age | None = None
         self._rtol = 0.0  # of the last solve; 0 where there was none
@@ -188,6 +189,8 @@ class LinearSolver:
         problem, pc = self._assembler.problem, self.ksp.getPC()
         if pc.getType() == "fieldsplit" and problem.mixed:
             self._parts = PressureSplit(self._assembler, pc)
+        elif pc.getType() == "python" and self.direct:
+            self._parts = SymmetricPart(self._assembler, pc)
         elif pc.getType() == "python":
             self._parts = Multigrid(problem, pc)
         elif pc.getType() == "mg" and problem.degree > 1 and not problem.unknowns.auxiliary_fields:
@@ -207,6 +210,12 @@ class LinearSolver:
     def split(self) -> PressureSplit | None:
         """The displacement and the pressure apart, where they are preconditioned so."""
         return self._parts if isinstance(self._parts, PressureSplit) else None
+
+    @property
+    def factors(self) -> PETSc.PC:
+        """The PC that has the factors of a direct solver."""
+        parts = self._parts
+        return parts.factors if isinstance(parts, SymmetricPart) else self.ksp.getPC()
 
     @property
     def kept(self) -> bool:

@@ -414,5 +414,7 @@ def test_a_tangent_that_is_stopped_ends_the_run(
         raise StoppedError("stopped on request")
 
     monkeypatch.setattr(Tangent, "assemble", stopped)
-    with pytest.raises(StoppedError):
+    # The latter where the loop listens to signals itself: in the main thread, under Python's own
+    # handler, which a worker of pytest-xdist has not.
+    with pytest.raises((StoppedError, KeyboardInterrupt)):
         next(states)
