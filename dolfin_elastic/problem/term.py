@@ -48,13 +48,17 @@ class Term:
         restrains: These answer to the body's motion; else they are loads.
         changes: As a load it changes in motion.
         opens: Its forces begin and end, as those of contact.
+        moves: What it is fixed to has a prescribed motion, and does work.
+        shift: Displacement of a rigid obstacle that its forces come from [m]; None of other terms,
+            whose work is that over the displacement of the body.
         account: Which of the stored energies that of its form is part of.
         memory: What its forces depend on beside displacement and time, by its name in restarts.
     """
 
     label: str
     linear = symmetric = True
-    nodal = restrains = changes = opens = False
+    nodal = restrains = changes = opens = moves = False
+    shift: fem.Constant | None = None
     account: str = ""
     memory: Mapping[str, fem.Function] = MappingProxyType({})
 
@@ -111,6 +115,7 @@ class Resistance(Term):
     def __init__(self, support: ResistingSupport, context: FormContext) -> None:
         self.support, self.label, self._context = support, support.label, context
         self.account = "springs" if isinstance(support, Spring) else ""
+        self.moves = not support.at_rest
 
     def form(self, kind: Kind) -> ufl.Form | None:
         """See `Term`."""

@@ -74,7 +74,6 @@ class ContactPair(Term):
         label: What results call it.
         lam: Multiplier [Pa], nodal values of the displacement's degree; 0 in motion.
         penalty: eps [Pa/m], one number a cell beside the surface.
-        shift: Displacement of the obstacle [m] (UFL constant).
         size: Mean height of the cells over the surface [m].
         tolerance: Penetration that statics leaves [m].
         nodes: Owned nodes of the surface in the space of `lam`.
@@ -108,7 +107,8 @@ class ContactPair(Term):
             self._correct_weights_at_axis(facets)
         self._eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
         self._first = self.penalty.x.array.copy(), self._eps.copy()
-        self.shift = context.constant([0.0] * body.dim)
+        self.shift: fem.Constant = context.constant([0.0] * body.dim)
+        self.moves = bool(contact.values)
         self._reach = context.constant(SLACK * cell_size(body))
 
     def _fill_penalty(self) -> None:

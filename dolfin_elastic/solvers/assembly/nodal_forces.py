@@ -76,8 +76,8 @@ class Forces:
             self._others.pack_again()
         self.renew()
 
-    def assemble(self) -> None:
-        """The forces at the present displacement, summed over the ranks. Collective."""
+    def assemble(self) -> FloatArray:
+        """`owned` at the present displacement, summed over the ranks. Collective."""
         self._array.fill(0.0)
         if self._cells is not None:
             self._cells.add_to(self._array, self._constants)
@@ -86,6 +86,7 @@ class Forces:
         if self._point_loads is not None:
             self._array += self._at_points
         self._vector.scatter_reverse(la.InsertMode.add)
+        return self.owned
 
 
 class _Packed:

@@ -9,7 +9,7 @@ work does not follow from two states, because one such force costs as much as an
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 import numpy as np
@@ -19,7 +19,7 @@ from dolfinx import fem, la
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.terms.contact import ContactPair
+from dolfin_elastic.problem.term import forms_of
 from dolfin_elastic.solvers.assembly.assembler import Assembler, StrainEnergy, compiled, integral
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, LumpedMass
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces as NodalForces
@@ -254,17 +254,24 @@ class EnergyBalance:
 # --- explicit motion ---
 
 
-class _WorkTerm(Protocol):
-    """Forces whose work must be summed up step by step."""
+class _Path:
+    """Work of nodal forces that is summed up step by step, by the trapezoidal rule.
+
+    Args:
+        forces: Gives those at the present state, owned entries [N]; collective.
+        shift: What they move instead of the body [m].
+    """
+
+    def __init__(self, forces: Callable[[], FloatArray], shift: fem.Constant | None = None) -> None:
+        self._forces, self._shift = forces, shift
+        self._before: FloatArray = np.empty(0)
+        self._place: FloatArray = self._before
 
     def begin(self) -> None:
         """Takes in the state from which the next step starts. Collective."""
-
-    def update_time(self) -> None:
-        """Takes over the values of the present time. Not collective."""
-
-    def pack_again(self) -> None:
-        """Takes over all values, which a program may have changed. Not collective."""
+        self._before = self._forces().copy()
+        if self._shift is not None:
+            self._place = self._shift.value.copy()
 
     def step(self, du: FloatArray) -> float:
         """This rank's share of the work of a step [J]. Collective.
@@ -272,77 +279,13 @@ class _WorkTerm(Protocol):
         Args:
             du: Change of the displacement in the step, owned entries [m].
         """
-
-
-class _NodalLoad:
-    """Nodal forces of one form, by the trapezoidal rule."""
-
-    def __init__(self, forces: NodalForces) -> None:
-        self._forces = forces
-        self._before = np.zeros(len(forces.owned))
-
-    def begin(self) -> None:
-        self._forces.assemble()
-        self._before[:] = self._forces.owned
-
-    def update_time(self) -> None:
-        self._forces.renew()
-
-    def pack_again(self) -> None:
-        self._forces.pack_again()
-
-    def step(self, du: FloatArray) -> float:
-        self._forces.assemble()
-        now = self._forces.owned
+        if self._shift is not None:
+            moved = self._shift.value - self._place
+            du, self._place = np.tile(moved, len(du) // len(moved)), self._place + moved
+        now = self._forces()
         work = 0.5 * (np.dot(self._before, du) + np.dot(now, du))
         self._before[:] = now
         return float(work)
-
-
-class _MovingObstacle:
-    """A moving obstacle: its force on the body times its own displacement."""
-
-    def __init__(self, pair: ContactPair, forces: NodalForces) -> None:
-        self._pair, self._forces = pair, forces
-        self._dim = len(pair.shift.value)
-        self._force = self._place = np.zeros(self._dim)
-
-    def begin(self) -> None:
-        self._forces.assemble()
-        self._force = self._forces.owned.reshape(-1, self._dim).sum(axis=0)
-        self._place = self._pair.shift.value.copy()
-
-    def update_time(self) -> None:
-        self._forces.renew()
-
-    def pack_again(self) -> None:
-        self._forces.pack_again()
-
-    def step(self, du: FloatArray) -> float:
-        force, place = self._force, self._place
-        self.begin()
-        return float((force + self._force) @ (self._place - place)) / 2
-
-
-class _MovingSupports:
-    """Moving supports: their reactions without inertia; that follows from the kinetic energy."""
-
-    def __init__(self, assembler: Assembler) -> None:
-        self._assembler = assembler
-        self._reactions = np.zeros(assembler.size)
-
-    def begin(self) -> None:
-        a = self._assembler
-        self._reactions = a.constrained_part(a.residual.owned)
-
-    def update_time(self) -> None: ...
-
-    def pack_again(self) -> None: ...
-
-    def step(self, du: FloatArray) -> float:
-        before = self._reactions
-        self.begin()
-        return float(np.dot(before + self._reactions, self._assembler.constrained_part(du))) / 2
 
 
 class ExternalWork:
@@ -350,58 +293,53 @@ class ExternalWork:
 
     Where the work follows from two states it is computed when a state is asked for: force times
     displacement of constant loads, energy of springs with a fixed base, kinetic energy of the mass
-    that supports move.  Fixed obstacles do no work.  The rest is summed up step by step by the
-    trapezoidal rule: loads that change, springs with a moving base, dashpots, moving supports and
-    moving obstacles.
+    that supports move.  Fixed obstacles do no work.  The rest is summed up step by step: loads that
+    change, springs with a moving base, dashpots, reactions of moving supports without inertia, and
+    forces of moving obstacles over the displacement of these.
 
     Args:
         mass: Lumped mass at every owned entry [kg].
 
     Attributes:
         sum: The work at the last state asked for [J].
-        terms: Forces whose work is summed up step by step.
+        paths: Work that is summed up step by step.
     """
 
     def __init__(
         self, problem: Problem, assembler: Assembler, mass: FloatArray, v: fem.Function
     ) -> None:
         self._problem, self._assembler, self._mass = problem, assembler, mass
-        size = assembler.size
-        self._u, self._v = problem.u.x.array[:size], v.x.array[:size]
-        self.terms: list[_WorkTerm] = []
-        loaded = bool(problem.loads)
+        self._u, self._v = problem.u.x.array[: assembler.size], v.x.array[: assembler.size]
+        springs = [term for term in problem.terms if term.account == "springs"]
+        resting = springs if not any(term.moves for term in springs) else []
+        works = [term for term in problem.terms if term.shift is None and term not in resting]
+        changing, loaded = forms_of(works, "work"), bool(problem.loads)
         if loaded and problem.loads_change:
-            self.terms.append(_NodalLoad(self._of(self._external(), points=1.0)))
+            at_points = problem.constant(0.0) * sum(problem.v) * problem.weak_form.volume(None, 1)
+            external = problem.weak_form.external
+            changing.append(at_points if external is None else external)
         self._steady = loaded and not problem.loads_change
-        self._constant = np.zeros(size if self._steady else 0)
-        self._from = np.zeros(len(self._constant))
-        resting = all(spring.at_rest for spring in problem.springs)
-        for support in problem.supports:
-            if support in problem.dashpots or (support in problem.springs and not resting):
-                work = support.virtual_work(problem.context)
-                self.terms.append(_NodalLoad(self._of(work)))
+        self.paths: list[_Path] = []
+        self._forces: list[NodalForces] = []
+        if changing:
+            self._add(sum(changing), points=float(not self._steady))
         self._moving_supports = supports_move(problem)
         if self._moving_supports:
-            self.terms.append(_MovingSupports(assembler))
-        for pair in problem.contact_pairs:
-            if pair.contact.values:
-                self.terms.append(_MovingObstacle(pair, self._of(pair.work)))
-        springs = problem.weak_form.stored("springs") if resting else None
-        self._springs = None if springs is None else compiled(problem, [springs])[0]
-        self._stored = self._carried = self._local = self.sum = 0.0
+            a = assembler
+            self.paths.append(_Path(lambda: a.constrained_part(a.residual.owned)))
+        for term in problem.terms:
+            if term.shift is not None and term.moves:
+                self._add(term.form("work"), shift=term.shift)
+        stored = forms_of(resting, "energy")
+        self._springs = compiled(problem, [sum(stored)])[0] if stored else None
+        self._constant: FloatArray = np.empty(0)
+        self._before = self._local = self.sum = 0.0
 
-    def _external(self) -> ufl.Form:
-        problem = self._problem
-        if problem.weak_form.external is not None:
-            return problem.weak_form.external
-        return (
-            problem.constant(0.0) * sum(problem.v) * problem.weak_form.volume(None, 1)
-        )  # points only
-
-    def _of(self, form: ufl.Form, points: float = 0.0) -> NodalForces:
+    def _add(self, work: ufl.Form, points: float = 0.0, shift: fem.Constant | None = None) -> None:
         dofmap = self._problem.V.dofmap
         vector = la.vector(dofmap.index_map, dofmap.index_map_bs)
-        return NodalForces(self._problem, form, vector, points=points)
+        self._forces.append(NodalForces(self._problem, work, vector, points=points))
+        self.paths.append(_Path(self._forces[-1].assemble, shift))
 
     def begin(self, work: float = 0.0) -> None:
         """Takes in the state that the next step begins with. Collective.
@@ -411,60 +349,53 @@ class ExternalWork:
         """
         self.sum, self._local = work, 0.0
         if self._steady:
-            self._constant[:] = self._assembler.reactions.loads()
-            self._from[:] = self._u
-        self._stored, self._carried = self._spring_energy(), self._support_energy()
-        for term in self.terms:
-            term.begin()
+            self._constant = self._assembler.reactions.loads()
+        self._before = self._of_state()
+        for path in self.paths:
+            path.begin()
 
     def update_time(self) -> None:
         """Takes over the values of the present time. Not collective."""
-        for term in self.terms:
-            term.update_time()
+        for forces in self._forces:
+            forces.renew()
 
     def renew(self) -> None:
         """Goes on with forces that a program has changed at the present state. Collective.
 
         What was done before stays as it is; the work of the next step begins with the new forces.
         """
-        for term in self.terms:
-            term.pack_again()
+        for forces in self._forces:
+            forces.pack_again()
         self.begin(self.sum)
 
     def step(self, du: FloatArray) -> None:
         """Adds the work of a step that has led to the present state. Collective.
 
-        Without `terms` there is nothing to add, and no need to call it.
+        Without `paths` there is nothing to add, and no need to call it.
 
         Args:
             du: Change of the displacement in the step, owned entries [m].
         """
-        for term in self.terms:
-            self._local += term.step(du)
+        for path in self.paths:
+            self._local += path.step(du)
 
     def close(self) -> float:
         """The work up to the present state [J]. Collective."""
-        local, self._local = self._local, 0.0
-        if self._steady:
-            local += float(np.dot(self._constant, self._u) - np.dot(self._constant, self._from))
-            self._from[:] = self._u
-        stored, carried = self._spring_energy(), self._support_energy()
-        local += carried - self._carried
-        self.sum += float(total(self._problem.body.comm, local)) - (stored - self._stored)
-        self._stored, self._carried = stored, carried
+        now = self._of_state()
+        self.sum += total(self._problem.body.comm, self._local + now - self._before)
+        self._local, self._before = 0.0, now
         return self.sum
 
     def energies(self, kinetic: float, stored: float) -> dict[str, float]:
         """See `Work.energies`. Collective."""
         return {"external": self.close()}
 
-    def _spring_energy(self) -> float:
-        """Energy of springs with a fixed base [J]. Collective."""
-        return 0.0 if self._springs is None else integral(self._problem, self._springs)
-
-    def _support_energy(self) -> float:
-        """Kinetic energy of the nodes of moving supports, on this rank [J]."""
-        if not self._moving_supports:
-            return 0.0
-        v = self._assembler.constrained_part(self._v)
-        return 0.5 * float(np.dot(self._mass * v, v))
+    def _of_state(self) -> float:
+        """What of the work follows from the state, this rank's share but for a constant [J]."""
+        work = 0.0 if self._springs is None else -float(fem.assemble_scalar(self._springs))
+        if self._steady:
+            work += float(np.dot(self._constant, self._u))
+        if self._moving_supports:
+            v = self._assembler.constrained_part(self._v)
+            work += 0.5 * float(np.dot(self._mass * v, v))
+        return work

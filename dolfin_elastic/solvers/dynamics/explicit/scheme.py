@@ -64,7 +64,7 @@ def changes(problem: Problem) -> bool:
     return (
         (bool(problem.loads) and problem.loads_change)
         or any(not support.at_rest for support in problem.supports)
-        or any(pair.contact.values for pair in problem.contact_pairs)
+        or any(term.moves for term in problem.terms)
     )
 
 
@@ -228,7 +228,7 @@ class ExplicitScheme(ABC):
         timing.add("solve", middle - begin)
         self.update_dashpots()
         self.assemble_forces()
-        if self._work.terms:
+        if self._work.paths:
             self._work.step(du)
         timing.add("assemble", perf_counter() - middle)
 

@@ -179,7 +179,7 @@ def test_steps_allocate_nothing(scheme):
     # views and Python's numbers.
     assert largest(problem.body.comm, after - before) < 1000
     assert largest(problem.body.comm, peak - before) < 3000
-    assert not march.work.terms
+    assert not march.work.paths
     march.assembler.destroy()
 
 
