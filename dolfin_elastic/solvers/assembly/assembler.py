@@ -500,52 +500,6 @@ def integral(problem: Problem, form: fem.Form) -> float:
     return float(problem.body.comm.allreduce(fem.assemble_scalar(form), op=MPI.SUM))
 
 
-class StrainEnergy:
-    """Stored energy of the body and of its terms; not a number for a law that has none.
-
-    With it counts the work done on what relaxes, be it stored or lost already.
-
-    Collective to make.
-
-    Args:
-        accounts: Those of terms that are asked for.
-    """
-
-    def __init__(self, problem: Problem, accounts: Sequence[str] = ("springs",)) -> None:
-        form, weak_form = problem.weak_form.strain_energy, problem.weak_form
-        self._problem = problem
-        self._parts = None if form is None else in_cells(problem, form)
-        forms = {account: weak_form.stored(account) for account in accounts}
-        self._terms = {
-            account: compiled(problem, [one])[0]
-            for account, one in forms.items()
-            if one is not None
-        }
-
-    def energy(self) -> float:
-        """Strain energy of the present displacement [J]. Collective."""
-        if self._parts is None:
-            return float("nan")
-        cells, others = self._parts
-        stored = 0.0 if cells is None else cells.value()
-        stored += 0.0 if others is None else float(fem.assemble_scalar(others))
-        return total(self._problem.body.comm, stored) + sum(self.relaxing().values())
-
-    @property
-    def none(self) -> bool:
-        """A law has no energy."""
-        return self._parts is None
-
-    def relaxing(self) -> dict[str, float]:
-        """Work done on what relaxes [J] by its name; nothing where nothing does. Collective."""
-        history = self._problem.history
-        return {"relaxing": history.work()} if history is not None and history.passes else {}
-
-    def accounts(self) -> dict[str, float]:
-        """Energy stored in terms [J] by account; nothing without any. Collective."""
-        return {name: integral(self._problem, form) for name, form in self._terms.items()}
-
-
 class SupportForces:
     """Resultants of the nodal forces of each support, by label. Collective to make.
 

@@ -75,8 +75,13 @@ class CellStress:
         return float(max(own, given) * area / np.sqrt(self.cell.pairing.face_nodes))
 
     def work(self) -> tuple[FloatArray, FloatArray]:
-        """Macroscopic forces V P [J] and what they do work on, F. Collective."""
-        return self.cell.volume * self.stress().reshape(-1), self.cell.gradient.reshape(-1)
+        """Forces V P/L [N] that do work on the cell, and displacements F L [m]. Collective.
+
+        All of them are on one rank; the others have nothing.
+        """
+        length, local = self.cell.length, slice(None if self.problem.body.comm.rank == 0 else 0)
+        forces = np.asarray(self.cell.volume * self.stress().reshape(-1) / length)
+        return forces[local], self.cell.gradient.reshape(-1)[local] * length
 
     def numbers(self) -> dict[str, float]:
         """Macroscopic stress [Pa] and deformation gradient by name. Collective."""

@@ -1,4 +1,4 @@
-"""Kinetic energy, linear and angular momentum, lumped mass, and work of nodal forces."""
+"""Kinetic energy, linear and angular momentum, and lumped mass."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dolfinx import fem, la
 from mpi4py import MPI
 
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.model.kinematics import moment_of
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 
@@ -65,11 +66,7 @@ class LumpedMass:
         v = self._v.x.array[: self._mass.size].reshape(shape)
         p = self._mass * v
         x = self._X[:, : shape[1]] + u
-        spin = (
-            np.atleast_2d(np.cross(x, p).T).sum(axis=1)
-            if shape[1] == 3
-            else (np.array([np.sum(x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0])]))
-        )
+        spin = moment_of(x, p).sum(axis=0)
         local = np.concatenate([[0.5 * np.sum(p * v)], p.sum(axis=0), spin])
         return _summed(self._problem, local)
 
@@ -91,13 +88,3 @@ def lumped(problem: Problem, assembler: Assembler) -> FloatArray:
     fem.assemble_vector(mass.array, form)
     mass.scatter_reverse(la.InsertMode.add)
     return np.asarray(mass.array[assembler.displacement_dofs])
-
-
-def work(problem: Problem, forces: FloatArray, du: FloatArray) -> float:
-    """Work of owned nodal forces over owned nodal displacements [J]. Collective.
-
-    Args:
-        forces: Nodal forces, owned entries [N].
-        du: Change of the displacement, owned entries [m].
-    """
-    return float(problem.body.comm.allreduce(float(np.dot(forces, du)), op=MPI.SUM))

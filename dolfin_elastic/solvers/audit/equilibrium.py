@@ -4,18 +4,20 @@ Whatever the mesh, the nodal forces inside a body sum up to nothing, and so do t
 the stress is symmetric; so what acts on it from outside must, too.  And what acts on it has done
 the work that is stored in it.
 
-Where the load grows little by little, the energy that a body takes up lies between what the nodal
-forces before and after the step would have done over it.  A body that has passed an energy barrier
-within the step breaks this: the forces before and after may be alike, and yet the energy is not.
+Where forces change little by little, the energy that a body takes up in a step lies between what
+the nodal forces before and after it would have done over it.  A body that has passed an energy
+barrier within the step breaks this: the forces before and after may be alike, and yet the energy is
+not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from dolfinx import fem
 from mpi4py import MPI
 
 from dolfin_elastic.core.parallel import total
@@ -25,11 +27,7 @@ from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.model.kinematics import moment_of
 from dolfin_elastic.problem.problem import Problem, configuration_of_moments
 from dolfin_elastic.problem.state import Audit, Stability
-from dolfin_elastic.solvers.assembly.assembler import (
-    Assembler,
-    StrainEnergy,
-)
-from dolfin_elastic.solvers.assembly.cell_stress import CellStress
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, in_cells, integral
 from dolfin_elastic.solvers.audit.violations import (
     Violation,
     Violations,
@@ -54,32 +52,156 @@ SMALL = 2e-3
 """Share of all stored energy by which it may miss them, too: where nodes come into contact one
 after the other, the energy of a discrete body goes up and down a little."""
 
+Measured = tuple[float, float, float, float]
+"""The first four of `Audit`."""
 
-@dataclass
-class _Previous:
-    """The state before, at owned entries.
+
+class EnergyBook:
+    """What is stored at the present displacement, in accounts. Collective to make.
+
+    Args:
+        terms: Accounts of terms that are asked for.
 
     Attributes:
-        u: Displacement [m].
-        forces: External ones: of loads, springs and supports [N].
-        energy: Stored energy [J].
-        change: |change of forces . change of displacement| of the step that led there [J].
+        none: A law has no energy.
     """
 
-    u: FloatArray
+    def __init__(self, problem: Problem, terms: Collection[str] = ("springs",)) -> None:
+        strain, stored = problem.weak_form.strain_energy, problem.weak_form.stored
+        self._problem, self.none = problem, strain is None
+        self._cells, self._others = (None, None) if strain is None else in_cells(problem, strain)
+        forms = {account: form for account in terms if (form := stored(account)) is not None}
+        self._terms = dict(zip(forms, compiled(problem, list(forms.values())), strict=True))
+
+    def stored(self) -> dict[str, float]:
+        """Energies by account [J]. Collective.
+
+        "strain" is not a number where a law has none.  What has been done on what relaxes counts
+        with it, be it stored or lost already, and is told as "relaxing", too.
+        """
+        comm, history = self._problem.body.comm, self._problem.history
+        relaxing = {"relaxing": history.work()} if history is not None and history.passes else {}
+        strain = float("nan")
+        if not self.none:
+            local = 0.0 if self._cells is None else self._cells.value()
+            local += 0.0 if self._others is None else float(fem.assemble_scalar(self._others))
+            strain = total(comm, local) + sum(relaxing.values())
+        terms = {name: integral(self._problem, form) for name, form in self._terms.items()}
+        return {"strain": strain, **relaxing, **terms}
+
+
+def no_balance(problem: Problem) -> str:
+    """Why what is stored is not what forces have done; empty: it is."""
+    if problem.weak_form.strain_energy is None:
+        return "no balance of energy: a law has none"
+    if problem.eigenstrains:
+        return "no balance of energy: heat or growth stores some of its own"
+    if problem.unknowns.stabilised:
+        return "no balance of energy: the stabilised pressure stores some of its own"
+    return ""
+
+
+@dataclass(frozen=True)
+class PathPoint:
+    """One state of a path.
+
+    Attributes:
+        forces: Nodal forces, owned entries [N].
+        u: What they move [m].
+        energy: Stored [J]; nan where a law has none.
+    """
+
     forces: FloatArray
+    u: FloatArray
     energy: float
-    change: float
+
+    def since(self, before: PathPoint, comm: MPI.Comm) -> tuple[float, float, float]:
+        """Work of the step by the trapezoidal rule, and by how much it may be wrong. Collective.
+
+        Returns:
+            The work [J]; change of forces . change of displacement [J], of which it is wrong by at
+            most a half where forces change steadily; and length of the change of displacement [m].
+        """
+        du, df = self.u - before.u, self.forces - before.forces
+        own = [np.sum((self.forces + before.forces) * du) / 2, np.sum(df * du), np.sum(du**2)]
+        work, change, square = map(float, total(comm, np.array(own)))
+        return work, change, float(np.sqrt(square))
 
 
-@dataclass
-class StepBalance:
-    """What was measured of a step, see `Audit`."""
+class PathEnergyCheck:
+    """Compares the energy of steps with the work of the internal forces over them.
 
-    force: float
-    moment: float
-    work: float
-    energy: float
+    Attributes:
+        book: Measures the stored energy.
+        stored: What it had at the state evaluated last [J].
+    """
+
+    def __init__(self, assembler: Assembler) -> None:
+        self._assembler, self._problem = assembler, assembler.problem
+        self.book = EnergyBook(assembler.problem)
+        self.stored: dict[str, float] = {}
+        self._before: PathPoint | None = None
+        self._now: PathPoint | None = None
+
+    @stage("audit")
+    def evaluate(self) -> None:
+        """Evaluates energy and forces of the present equilibrium. Collective.
+
+        Its nodal forces are assembled already, in `Assembler.residual`.
+        """
+        a = self._assembler
+        forces, u = internal_forces(a), a.problem.w.x.array[a.displacement_dofs].copy()
+        if a.cell is not None:
+            forces, u = map(np.append, (forces, u), a.cell.work())
+        self.stored = self.book.stored()
+        self._now = PathPoint(forces, u, self.stored["strain"])
+
+    def finite(self) -> bool:
+        """Whether the energy evaluated last is finite, if there is one."""
+        return self.book.none or self._now is None or bool(np.isfinite(self._now.energy))
+
+    def accept(self) -> None:
+        """Begins the next step at the state evaluated last."""
+        self._before = self._now
+
+    def jumped(self, residual: float, share: float = 1.0) -> bool:
+        """Whether the step took up another energy than its path would have given. Collective.
+
+        The bounds are widened by round-off and by the residual that is left, which does work, too.
+
+        Args:
+            residual: Norm of the free residual that Newton's method may leave [N].
+            share: Of the way from the middle of these bounds to either of them: less than 1 where
+                the forces have to grow not only steadily but nearly in proportion.
+        """
+        before, now = self._before, self._now
+        if no_balance(self._problem) or before is None or now is None:
+            return False
+        work, change, moved = now.since(before, self._assembler.comm)
+        gained, half = now.energy - before.energy, abs(change) / 2
+        slack = SLACK * max(abs(gained), abs(work) + half)
+        slack += SMALL * max(abs(before.energy), abs(now.energy)) + 2 * residual * moved
+        slack += round_off(self._assembler)[1]
+        return bool(abs(gained - work) > share * half + slack)
+
+
+def internal_forces(assembler: Assembler) -> FloatArray:
+    """Internal nodal forces, equal to the external ones in equilibrium, owned [N]. Collective."""
+    reactions = assembler.reactions
+    forces = assembler.residual.owned + reactions.loads() + reactions.restraints()
+    return np.asarray(forces[assembler.displacement_dofs])
+
+
+def round_off(assembler: Assembler) -> tuple[float, float]:
+    """Size of the round-off of all nodal forces [N] and of the stored energy [J]. Collective.
+
+    The stress is known to machine precision of the stiffness, because F = I + grad u is.
+    """
+    diagonal = assembler.tangent.matrix.getDiagonal()
+    stiff, sum_of_all = float(diagonal.norm()), float(diagonal.norm(0))
+    diagonal.destroy()
+    small, h = 40 * np.finfo(float).eps, cell_size(assembler.problem.body)
+    return small * stiff * h, small * sum_of_all * h**2
 
 
 class EquilibriumAuditor:
@@ -94,7 +216,8 @@ class EquilibriumAuditor:
         self._comm, self._dim = problem.body.comm, problem.body.dim
         self._X = problem.places[: len(assembler.displacement_dofs) // self._dim]
         self._moment_frame = configuration_of_moments(problem)
-        self._previous: _Previous | None = None
+        self._previous: PathPoint | None = None
+        self._change = 0.0  # what `PathPoint.since` gives of the step before
         self._work = self._stored = self._round_off_share = 0.0
         self._out_of_balance = False  # the last state was no equilibrium
         self._violations = WorstViolations()
@@ -114,34 +237,31 @@ class EquilibriumAuditor:
         external, forces, u = self._present()
         force = moment = np.nan
         if external:
-            force = self._force_balance(external, noise, reasons)
-            moment = self._moment_balance(external, noise, reasons)
+            ties = self._assembler.residual.tied_nodal
+            force, moment = self._balances(external, u, ties, noise, reasons)
             if self._previous is None and self._begins_out_of_balance(forces, noise):
                 reasons.clear()  # nothing is solved yet; nan stays, for what has no balance
                 force, moment, self._round_off_share = 0.0 * force, 0.0 * moment, 0.0
-                forces, self._out_of_balance = self._internal_forces(forces.shape), True
+                forces = internal_forces(self._assembler).reshape(forces.shape)
+                self._out_of_balance = True
         if self._previous is not None:  # what begins in an obstacle has not been pushed out yet
             self._check_contacts(reasons)
         if np.isfinite(energy) or self._problem.weak_form.strain_energy is None:
-            self._check_energy(forces, u, energy, energy_noise, reasons)
+            self._check_energy(PathPoint(forces, u, energy), energy_noise, reasons)
         else:
             reasons["energy"] = Violation("the strain energy has no finite value", np.inf)
         if stability is not None and stability.negative is None:
             reasons["stability"] = Violation(f"stability not judged: {stability.reason}", 0.0)
         stored = self._stored if np.isfinite(energy) else np.nan
-        balance = StepBalance(force, moment, self._work, stored)
-        self._strains.check(self._when(t))
-        return self._verdict(t, reasons, balance, self._notes(energy))
+        return self._verdict(t, reasons, (force, moment, self._work, stored))
 
-    def _verdict(
-        self, t: float, reasons: Violations, balance: StepBalance, notes: tuple[str, ...]
-    ) -> Audit:
-        """The audit, with what det F has to say. Collective.
+    def _verdict(self, t: float, reasons: Violations, measured: Measured) -> Audit:
+        """The audit, with what strains and det F have to say. Collective.
 
         Args:
             reasons: Why it warns, by kind; det F adds its own.
-            notes: What is not judged, and why.
         """
+        self._strains.check(self._when(t))
         low, high = self._watch.extremes()
         inverted = self._watch.inverted() if self._watch.survives else None
         if not low[0] > 0.0:
@@ -156,13 +276,13 @@ class EquilibriumAuditor:
         if reasons:
             self._violations.add(reasons, self._when(t))
         audit = Audit(
-            **vars(balance),
+            *measured,
             min_jacobian=low[0],
             max_jacobian=high[0],
             min_place=tuple(float(x) for x in low[1][: self._dim]),
             max_place=tuple(float(x) for x in high[1][: self._dim]),
             inverted=inverted,
-            notes=notes,
+            notes=self._notes(),
         )
         return self._violations.judged(audit, reasons) if self._violations.worst else audit
 
@@ -174,7 +294,7 @@ class EquilibriumAuditor:
             "stored": self._stored,
             "warned": self._violations.restart_state(),
             "energy": last.energy if last else 0.0,
-            "change": last.change if last else 0.0,
+            "change": self._change,
             "unbalanced": self._out_of_balance,
             "far": self._strains.note,
         }
@@ -183,8 +303,8 @@ class EquilibriumAuditor:
         """See `Restartable`; the problem has the state of that time already. Collective."""
         _, forces, u = self._present()
         if saved["unbalanced"]:
-            forces = self._internal_forces(forces.shape)
-        self._previous = _Previous(u, forces, saved["energy"], saved["change"])
+            forces = internal_forces(self._assembler).reshape(forces.shape)
+        self._previous, self._change = PathPoint(forces, u, saved["energy"]), saved["change"]
         self._work, self._stored = saved["work"], saved["stored"]
         self._violations.restore(saved["warned"])
         self._strains.restore(saved["far"])
@@ -192,13 +312,14 @@ class EquilibriumAuditor:
     def _present(self) -> tuple[list[FloatArray], FloatArray, FloatArray]:
         """Nodal forces by origin (none of a cell), their sum, and what they move. Collective."""
         if self._assembler.cell is not None:
-            return [], *self._forces_on_cell(self._assembler.cell)
+            return [], *self._assembler.cell.work()
         external = self._external_forces()
         forces = np.asarray(np.sum(external, axis=0))
         u = self._problem.u.x.array[: forces.size].reshape(forces.shape).copy()
         return external, forces, u
 
-    def _notes(self, energy: float) -> tuple[str, ...]:
+    def _notes(self) -> tuple[str, ...]:
+        """What is not judged, and why."""
         notes = [self._strains.note] if self._strains.note else []
         if self._problem.cell is not None:
             notes.append("no balance of forces and moments: its neighbours hold a periodic cell")
@@ -214,13 +335,7 @@ class EquilibriumAuditor:
                 f"forces balance to {self._round_off_share:.1g} of their sum only: rounding errors "
                 "of the stiffest cells"
             )
-        if self._problem.weak_form.strain_energy is None:
-            notes.append("no balance of energy: a law has none")
-        elif self._problem.eigenstrains:
-            notes.append("no balance of energy: heat or growth stores some of its own")
-        elif self._problem.unknowns.stabilised:
-            notes.append("no balance of energy: the stabilised pressure stores some of its own")
-        return tuple(notes)
+        return tuple(note for note in (*notes, no_balance(self._problem)) if note)
 
     def _when(self, t: float) -> str:
         return f"load factor {t:.6g}"
@@ -236,12 +351,6 @@ class EquilibriumAuditor:
             forces.append(a.reactions.restraints()[a.displacement_dofs])
         return [force.reshape(-1, self._dim) for force in forces]
 
-    def _internal_forces(self, shape: tuple[int, ...]) -> FloatArray:
-        """Internal nodal forces, equal to the external ones in equilibrium [N]. Collective."""
-        a = self._assembler
-        forces = a.residual.owned + a.reactions.loads() + a.reactions.restraints()
-        return np.asarray(forces[a.displacement_dofs].reshape(shape))
-
     def _begins_out_of_balance(self, forces: FloatArray, noise: float) -> bool:
         """Whether loads or obstacles push before anything has moved. Collective.
 
@@ -251,7 +360,7 @@ class EquilibriumAuditor:
             forces: External nodal forces [N].
             noise: Round-off of forces [N].
         """
-        off = forces - self._internal_forces(forces.shape)
+        off = forces - internal_forces(self._assembler).reshape(forces.shape)
         left, size = total(self._comm, np.array([np.sum(off**2), np.sum(forces**2)]))
         return bool(np.sqrt(left) > FORCE_TOLERANCE * np.sqrt(size) + noise)
 
@@ -269,57 +378,48 @@ class EquilibriumAuditor:
                     off,
                 )
 
-    def _forces_on_cell(self, cell: CellStress) -> tuple[FloatArray, FloatArray]:
-        """Force V P/L [N] that does work on a periodic cell, and displacement F L [m]. Collective.
+    def _balances(
+        self,
+        external: list[FloatArray],
+        u: FloatArray,
+        ties: FloatArray,
+        noise: float,
+        reasons: Violations,
+    ) -> tuple[float, float]:
+        """What is left of forces, and of moments where these are judged, by their size. Collective.
 
-        All of it is on one rank; the others have nothing.
+        Args:
+            external: Forces by origin, shape (nodes, dim) each [N].
+            u: Displacement at which they balance, owned entries [m].
+            ties: Forces of ties on the entries that they tie [N].
+            noise: Round-off of forces [N].
+            reasons: Why the audit warns: what does not balance is added.
         """
-        length = cell.cell.length
-        forces, moved = cell.work()
-        here = slice(None) if self._comm.rank == 0 else slice(0)
-        return np.asarray(forces[here] / length), moved[here] * length
-
-    def _force_balance(
-        self, external: list[FloatArray], noise: float, reasons: Violations
-    ) -> float:
         rows = external
         if self._problem.geometry == "axisymmetric":  # radial forces need not sum up to anything
             rows = [force[:, 1:] for force in external]
-        share, size, allowed = self._imbalance(rows, noise)
-        if share > allowed:
-            what = f"loads and reactions do not balance: {share:.2g} of their {size:.3g} N is left"
-            add_worse(reasons, {"force": Violation(what, share)})
-        return share
-
-    def _moment_balance(
-        self, external: list[FloatArray], noise: float, reasons: Violations
-    ) -> float:
+        left, size, allowed = self._imbalance(rows, noise)
+        if left > allowed:
+            what = f"loads and reactions do not balance: {left:.2g} of their {size:.3g} N is left"
+            add_worse(reasons, {"force": Violation(what, left)})
         if self._moment_frame == "none":
-            return float("nan")
+            return left, np.nan
         x = self._X[:, : self._dim]
         if self._moment_frame == "current":
-            x = x + self._displacement().reshape(x.shape)
+            x = x + u.reshape(x.shape)
         rows = [moment_of(x, force) for force in external]
         if (constraints := self._problem.constraints).tied:  # couples of the ties' forces
             axes = np.eye(self._dim)[constraints.tied_dofs % self._dim]
-            rows.append(moment_of(constraints.levers(x), axes * self._tied_forces()[:, None]))
+            rows.append(moment_of(constraints.levers(x), axes * ties[:, None]))
         arm = float(self._comm.allreduce(float(np.max(np.abs(x), initial=0.0)), op=MPI.MAX))
-        share, size, allowed = self._imbalance(rows, noise * arm)
-        if share > allowed:
+        turning, size, allowed = self._imbalance(rows, noise * arm)
+        if turning > allowed:
             what = (
-                f"the moments of loads and reactions about the origin do not balance: {share:.2g} "
-                f"of their {size:.3g} N m is left"
+                f"the moments of loads and reactions about the origin do not balance: "
+                f"{turning:.2g} of their {size:.3g} N m is left"
             )
-            add_worse(reasons, {"moment": Violation(what, share)})
-        return share
-
-    def _tied_forces(self) -> FloatArray:
-        """Forces of ties on the entries that they tie [N]."""
-        return self._assembler.residual.tied_nodal
-
-    def _displacement(self) -> FloatArray:
-        """Displacement of the owned nodes in the configuration in which moments balance [m]."""
-        return np.asarray(self._problem.u.x.array[: self._dim * len(self._X)])
+            add_worse(reasons, {"moment": Violation(what, turning)})
+        return left, turning
 
     def _imbalance(self, rows: list[FloatArray], noise: float) -> tuple[float, float, float]:
         """How far forces are from balance. Collective.
@@ -347,130 +447,36 @@ class EquilibriumAuditor:
 
     # --- energy ---
 
-    def _check_energy(
-        self,
-        forces: FloatArray,
-        u: FloatArray,
-        energy: float,
-        noise: float,
-        reasons: Violations,
-    ) -> None:
+    def _check_energy(self, now: PathPoint, noise: float, reasons: Violations) -> None:
         """Adds the work of a step and compares it with what has been stored. Collective.
 
-        Where forces change steadily along a step, the trapezoidal rule is wrong by at most half
-        the change of forces times the change of displacement.  Where they turn around within the
-        step, this product is small and that of the step before says how they change.
+        Where forces turn around within the step, the change of forces times the change of
+        displacement is small, and that of the step before says how they change.
 
         Args:
-            forces: External ones, owned entries [N].
-            u: What they move, owned entries [m].
-            energy: Stored [J].
-            noise: Its round-off [J].
+            now: The present state, shape (nodes, dim) each, with the forces from outside.
+            noise: Round-off of its energy [J].
             reasons: Why the audit warns: a difference is added.
         """
-        if (last := self._previous) is None:
-            self._previous = _Previous(u, forces, energy, 0.0)
+        last, self._previous = self._previous, now
+        if last is None:
             return
-        du, df = u - last.u, forces - last.forces
-        own = [np.sum((forces + last.forces) * du) / 2, np.sum(df * du), np.sum(du**2)]
-        work, change, moved = map(float, total(self._comm, np.array(own)))
-        stored = energy - last.energy
+        work, change, moved = now.since(last, self._comm)
+        stored = now.energy - last.energy
         self._work += work
         self._stored += stored
-        bound = max(abs(change), last.change) / 2
-        allowed = bound + ENERGY_TOLERANCE * max(abs(work), abs(stored))
-        allowed += self._assembler.residual.free_norm * float(np.sqrt(moved)) + noise
+        allowed = max(abs(change), self._change) / 2
+        allowed += ENERGY_TOLERANCE * max(abs(work), abs(stored))
+        allowed += self._assembler.residual.free_norm * moved + noise
         if self._problem.history is not None:  # inside, more may change than forces from outside
             allowed += self._problem.history.uncertainty
         if any(term.opens for term in self._problem.terms):
-            allowed += SMALL * max(abs(energy), abs(last.energy))
-        judged = not (self._problem.unknowns.stabilised or self._problem.eigenstrains)
-        if abs(work - stored) > allowed and judged:
+            allowed += SMALL * max(abs(now.energy), abs(last.energy))
+        if abs(work - stored) > allowed and not no_balance(self._problem):
             reasons["energy"] = Violation(
                 f"the work of the step, {work:.4g} J, and what it has stored, {stored:.4g} J, "
                 f"differ by more than a smooth path allows ({allowed:.2g} J): the body has jumped "
                 "to another equilibrium, or a force is not what it should be",
                 abs(work - stored),
             )
-        self._previous, self._out_of_balance = _Previous(u, forces, energy, abs(change)), False
-
-
-class PathEnergyCheck:
-    """Compares the energy of steps with the work of the internal forces over them.
-
-    Attributes:
-        strain: Measures the stored energy.
-    """
-
-    def __init__(self, assembler: Assembler) -> None:
-        self._assembler = assembler
-        self.strain = StrainEnergy(assembler.problem)
-        self._before: tuple[float, FloatArray, FloatArray] | None = None
-        self._now: tuple[float, FloatArray, FloatArray] | None = None
-
-    @stage("audit")
-    def evaluate(self) -> None:
-        """Evaluates energy and forces of the present equilibrium. Collective.
-
-        Its nodal forces are assembled already, in `Assembler.residual`.
-        """
-        a = self._assembler
-        forces = a.residual.owned + a.reactions.loads() + a.reactions.restraints()
-        forces, moved = forces[a.displacement_dofs], a.problem.w.x.array[a.displacement_dofs].copy()
-        if a.cell is not None:
-            whole = a.cell.work()
-            if a.comm.rank == 0:
-                forces, moved = np.append(forces, whole[0]), np.append(moved, whole[1])
-        self._now = self.strain.energy(), forces, moved
-
-    @property
-    def energy(self) -> float:
-        """Stored energy evaluated last [J]."""
-        return float("nan") if self._now is None else self._now[0]
-
-    def finite(self) -> bool:
-        """Whether the energy evaluated last is finite, if there is one."""
-        return self.strain.none or self._now is None or bool(np.isfinite(self._now[0]))
-
-    def accept(self) -> None:
-        """Begins the next step at the state evaluated last."""
-        self._before = self._now
-
-    def jumped(self, residual: float, share: float = 1.0) -> bool:
-        """Whether the step took up another energy than its path would have given. Collective.
-
-        Along a path on which forces grow steadily, the energy taken up lies between the work of
-        the forces before and that of the forces after the step over the whole displacement.  The
-        bounds are widened by round-off and by the residual that is left, which does work, too.
-
-        Args:
-            residual: Norm of the free residual that Newton's method may leave [N].
-            share: Of the way from the middle of these bounds to either of them: less than 1 where
-                the forces have to grow not only steadily but nearly in proportion.
-        """
-        problem = self._assembler.problem
-        if self.strain.none or problem.eigenstrains or problem.unknowns.stabilised:
-            return False  # what is stored is not what the forces have done
-        if self._before is None or self._now is None:
-            return False
-        (was, f, u), (now, g, v) = self._before, self._now
-        du = v - u
-        sums = np.array([np.dot(f, du), np.dot(g, du), np.dot(du, du)])
-        before, after, square = total(self._assembler.comm, sums)
-        gained = now - was
-        slack = SLACK * max(abs(gained), abs(before), abs(after))
-        slack += SMALL * max(abs(was), abs(now)) + 2 * residual * np.sqrt(square)
-        slack += round_off(self._assembler)[1]
-        return bool(abs(gained - (before + after) / 2) > share * abs(after - before) / 2 + slack)
-
-
-def round_off(assembler: Assembler) -> tuple[float, float]:
-    """Size of the round-off of all nodal forces [N] and of the stored energy [J]. Collective.
-
-    The stress is known to machine precision of the stiffness, because F = I + grad u is.
-    """
-    diagonal = assembler.tangent.matrix.getDiagonal()
-    stiff, sum_of_all = float(diagonal.norm()), float(diagonal.norm(0))
-    diagonal.destroy()
-    small, h = 40 * np.finfo(float).eps, cell_size(assembler.problem.body)
-    return small * stiff * h, small * sum_of_all * h**2
+        self._change, self._out_of_balance = abs(change), False

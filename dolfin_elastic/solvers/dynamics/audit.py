@@ -13,7 +13,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Audit
-from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor, StepBalance, round_off
+from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor, no_balance, round_off
 from dolfin_elastic.solvers.audit.violations import FAILING_GAIN, Violation, Violations, restored
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
@@ -132,10 +132,9 @@ class MotionAuditor(EquilibriumAuditor):
     ) -> None:
         super().__init__(problem, moving.assembler, watch)
         self._moving, self._parameters, self._end = moving, parameters, end
-        self._forces: Forces | None = None
         self._rotation = RotationError(problem, 0.0 if moving.conserves else parameters.alpha_f)
         self._resolution = TimeResolution(problem, parameters.alpha_f)
-        self._du: FloatArray = np.empty(0)
+        self._du: FloatArray | None = None  # of the last step
         self._unbalanced = False
         self._worst = [0.0, 0.0]
         self._reasons: Violations = {}
@@ -148,29 +147,14 @@ class MotionAuditor(EquilibriumAuditor):
             forces: Of its stage, at the displacement of the stage.
             du: Change of the displacement, owned entries [m].
         """
-        self._forces, self._du = forces, du
+        self._du = du
         self._resolution.add_step(forces.u, du)
         noise, _ = round_off(self._assembler)
-        external = self._external_forces()
-        balances = (
-            self._force_balance(external, noise, self._reasons),
-            self._moment_balance(external, noise, self._reasons),
-        )
+        rows = (forces.loads, forces.reactions, forces.restraints, -forces.inertia, -forces.drag)
+        moves = self._moving.displacement_dofs
+        external: list[FloatArray] = [row[moves].reshape(-1, self._dim) for row in rows]
+        balances = self._balances(external, forces.u, forces.ties, noise, self._reasons)
         self._worst = [max(pair) for pair in zip(self._worst, balances, strict=True)]
-
-    def _external_forces(self) -> list[FloatArray]:
-        assert self._forces is not None
-        f, moves = self._forces, self._moving.displacement_dofs
-        rows = [f.loads, f.reactions, f.restraints, -f.inertia, -f.drag]
-        return [row[moves].reshape(-1, self._dim) for row in rows]
-
-    def _tied_forces(self) -> FloatArray:
-        assert self._forces is not None
-        return self._forces.ties
-
-    def _displacement(self) -> FloatArray:
-        assert self._forces is not None
-        return self._forces.u
 
     @stage("audit")
     def judge(self, t: float, balance: EnergyBalance, energies: Mapping[str, float]) -> Audit:
@@ -181,11 +165,10 @@ class MotionAuditor(EquilibriumAuditor):
             energies: Of the state [J].
         """
         reasons = dict(self._reasons)
-        stabilised = self._problem.unknowns.stabilised
-        if not (stabilised or self._problem.eigenstrains):
+        if not no_balance(self._problem):
             off = balance.relative_imbalance(energies)
             reasons.update(self._persistent(self._energy(off), off, balance.scale, t))
-        if self._forces is not None and (rotated := self._rotation.violation(self._du)) is not None:
+        if self._du is not None and (rotated := self._rotation.violation(self._du)) is not None:
             reasons["chords"] = rotated
         self._unbalanced = self._unbalanced or "energy" in reasons
         turned = self._resolution.violation()
@@ -195,10 +178,8 @@ class MotionAuditor(EquilibriumAuditor):
         if self._moment_frame == "none":  # not judged, as in statics
             moment = np.nan
         self._reasons, self._worst = {}, [0.0, 0.0]
-        strain = energies["strain"]
-        result = StepBalance(force, moment, energies["external"], energies["total"])
-        self._strains.check(self._when(t))
-        return self._verdict(t, reasons, result, self._notes(strain))
+        work, energy = energies["external"], energies["total"]
+        return self._verdict(t, reasons, (force, moment, work, energy))
 
     def _persistent(self, reasons: Violations, off: float, scale: float, t: float) -> Violations:
         """Reasons that hold in two successive states, or in the last one.

@@ -20,6 +20,7 @@ from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import compiled
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, TangentMatrix
+from dolfin_elastic.solvers.audit.equilibrium import no_balance
 
 _TOLERANCE = 1e-8
 """Relative residual of p* - p: its energy has the square of it."""
@@ -53,7 +54,7 @@ class PressureEnergy:
     @staticmethod
     def compressible(problem: Problem) -> list[MaterialRegion]:
         """Regions whose pressure has an energy; none where the audit judges none."""
-        if problem.unknowns.stabilised or problem.eigenstrains:
+        if no_balance(problem):
             return []
         regions = [part for part in problem.regions if part.compliance is not None]
         return [part for part in regions if not part.incompressible]

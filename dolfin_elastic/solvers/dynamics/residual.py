@@ -16,6 +16,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.damping import Damping
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.term import forms_of
 from dolfin_elastic.problem.weak_form import derives_from_strain
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.assembly.energy_momentum import lumped
@@ -32,8 +33,7 @@ class Forces:
         reactions: Of supports with prescribed displacements.
         restraints: Of springs, dashpots and obstacles.
         dashpots: Those of them that dashpots exert.
-        contact: Those of them that obstacles exert.
-        contact_resultants: Of each contact pair on the body, this rank's share, shape (pairs, dim).
+        contact: Those that rigid obstacles exert, shape (obstacles, entries of displacements).
         inertia: M a.
         damping: Of the material's viscosity and Rayleigh damping.
         ties: Of ties, on the entries that they tie.
@@ -46,7 +46,6 @@ class Forces:
     restraints: FloatArray
     dashpots: FloatArray
     contact: FloatArray
-    contact_resultants: FloatArray
     inertia: FloatArray
     damping: FloatArray
     drag: FloatArray
@@ -78,6 +77,7 @@ class DynamicResidual:
             [1/s^2].
         velocity_shift: The same of the velocity [1/s].
         mass: Diagonal of the mass matrix [kg]; owned here.
+        obstacles: Terms of rigid obstacles.
         norm: Of the inertia forces at the stage that Newton's method solves for [N].
     """
 
@@ -104,13 +104,13 @@ class DynamicResidual:
         }
         named = {name: form for name, form in forms.items() if form is not None}
         self._forms = dict(zip(named, compiled(problem, list(named.values())), strict=True))
-        works = [pair.work for pair in problem.contact_pairs]
-        self._contact_forms = compiled(problem, works) if works else []
-        # Restraints of a label are assembled as one: contact pairs that share theirs with springs
-        # are in them already, and must not be added once more.
-        springs = {spring.label for spring in (*problem.springs, *problem.dashpots)}
-        self._adds_restraint = [pair.label not in springs for pair in problem.contact_pairs]
-        self._contact_labels = {pair.label for pair in problem.contact_pairs} - springs
+        self.obstacles = [term for term in problem.terms if term.shift is not None]
+        self._contact_forms = compiled(problem, forms_of(self.obstacles, "work"))
+        # Restraints of a label are assembled as one: obstacles that share theirs with springs are
+        # in them already, and must not be added once more.
+        others = {term.label for term in problem.terms if term.shift is None}
+        self._adds_restraint = [term.label not in others for term in self.obstacles]
+        self._contact_labels = {term.label for term in self.obstacles} - others
         self._mass = np.abs(lumped(problem, self.assembler))
         self.mass, self.norm = mass_diagonal(self.assembler), 0.0
 
@@ -226,12 +226,12 @@ class DynamicResidual:
         finally:
             start.share.value = 0.0
 
-    def contact_forces(self) -> list[FloatArray]:
-        """Nodal forces of each contact at the present state, owned entries [N]. Collective."""
-        return [
-            self.assembler.reactions.nodal(form)[self.displacement_dofs]
-            for form in self._contact_forms
-        ]
+    def contact_forces(self) -> FloatArray:
+        """`Forces.contact` at the present state. Collective."""
+        rows = np.zeros((len(self._contact_forms), len(self.displacement_dofs)))
+        for row, form in zip(rows, self._contact_forms, strict=True):
+            row[:] = self.assembler.reactions.nodal(form)[self.displacement_dofs]
+        return rows
 
     def forces_at(self, t: float, v: FloatArray, a: FloatArray) -> Forces:
         """Forces at the present displacement, after assembling the residual there. Collective.
@@ -252,12 +252,8 @@ class DynamicResidual:
         a = self.assembler
         nothing = np.zeros(a.size)
         nodal = {name: a.reactions.nodal(form).copy() for name, form in self._forms.items()}
-        per_contact = self.contact_forces()
-        dim = self.problem.body.dim
-        contact, restraints = nothing.copy(), a.reactions.restraints(self._contact_labels)
-        for push, alone in zip(per_contact, self._adds_restraint, strict=True):
-            contact[self.displacement_dofs] += push
-            restraints[self.displacement_dofs] += push if alone else 0.0
+        contact, restraints = self.contact_forces(), a.reactions.restraints(self._contact_labels)
+        restraints[self.displacement_dofs] += contact[self._adds_restraint].sum(axis=0)
         return Forces(
             u=self.problem.w.x.array[self.displacement_dofs],
             loads=a.reactions.loads(),
@@ -265,7 +261,6 @@ class DynamicResidual:
             restraints=restraints,
             dashpots=nodal.get("dashpots", nothing),
             contact=contact,
-            contact_resultants=np.array([p.reshape(-1, dim).sum(axis=0) for p in per_contact]),
             inertia=nodal["inertia"],
             damping=nodal.get("damping", nothing),
             drag=nodal.get("drag", nothing),

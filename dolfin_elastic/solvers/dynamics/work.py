@@ -1,6 +1,6 @@
 """Energies of a motion: what its states store, and the work that loads and supports have done.
 
-`EnergyBook` evaluates the energies of a state.  Work depends on the path between two states:
+`MotionBook` evaluates the energies of a state.  Work depends on the path between two states:
 implicit schemes sum it up in an `EnergyBalance`, from the forces of each step, which they have
 anyway; explicit ones in an `ExternalWork`.  That assembles forces of its own, but only where the
 work does not follow from two states, because one such force costs as much as an explicit step.
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Protocol
 
 import numpy as np
 import ufl
@@ -20,9 +19,10 @@ from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.term import forms_of
-from dolfin_elastic.solvers.assembly.assembler import Assembler, StrainEnergy, compiled, integral
+from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, LumpedMass
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces as NodalForces
+from dolfin_elastic.solvers.audit.equilibrium import EnergyBook
 from dolfin_elastic.solvers.dynamics.pressure_energy import PressureEnergy
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 from dolfin_elastic.solvers.nonlinear.contact import results_of_terms
@@ -37,20 +37,13 @@ _NOISE = 10.0
 difference, such as neo-Hookean and corotated ones."""
 
 
-class Work(Protocol):
-    """What has been done on the body since the start of a motion."""
-
-    def energies(self, kinetic: float, stored: float) -> dict[str, float]:
-        """Work and what follows from it [J] by name, up to the present state. Collective.
-
-        Args:
-            kinetic: Kinetic energy of the present velocity [J].
-            stored: Energy of the present displacement, strains and contact penalties [J]; nan where
-                a law has none.
-        """
+Work = Callable[[float, float], dict[str, float]]
+"""Gives the work since the start of a motion, up to its present state, and what follows from it [J]
+by name, of its kinetic energy and of what it has stored in strains and contact penalties [J], nan
+where a law has no energy.  Collective."""
 
 
-class EnergyBook:
+class MotionBook(EnergyBook):
     """Energies and momenta of the states of a motion. Collective to make.
 
     Args:
@@ -65,25 +58,23 @@ class EnergyBook:
         work: Work,
         pressure: PressureEnergy | None = None,
     ) -> None:
-        self._comm, self._inertia, self._work = problem.body.comm, inertia, work
-        self._pressure = pressure
-        self._problem, self._strain = problem, StrainEnergy(problem, ("springs", "contact"))
+        super().__init__(problem, ("springs", "contact"))
+        self._inertia, self._work, self._pressure = inertia, work, pressure
 
     @np.errstate(all="ignore")  # whether the values are finite is asked by `finite`
     def measure(self) -> Measures:
         """Energies and momenta of the present displacement and velocity. Collective."""
         kinetic, linear, angular = self._inertia.measure()
-        strain, accounts = self._strain.energy(), self._strain.accounts()
+        stored = self.stored()
         if self._pressure is not None:
-            strain += self._pressure.energy()
-        penalties = accounts.get("contact", 0.0)
+            stored["strain"] += self._pressure.energy()
+        inside = stored["strain"] + stored.get("contact", 0.0)
         energies = {
-            "strain": strain,
+            "strain": stored.pop("strain"),
             "kinetic": kinetic,
-            "total": strain + kinetic + penalties,
-            **self._work.energies(kinetic, strain + penalties),
-            **self._strain.relaxing(),
-            **accounts,
+            "total": inside + kinetic,
+            **self._work(kinetic, inside),
+            **stored,
         }
         return energies, {"linear": linear, "angular": angular}
 
@@ -94,10 +85,10 @@ class EnergyBook:
             energies: From `measure` [J].
             forces: At owned entries [N].
         """
-        missing = ("strain", "total") if self._strain.none else ()
+        missing = ("strain", "total") if self.none else ()
         values = [energy for name, energy in energies.items() if name not in missing]
         bad = not (np.isfinite(values).all() and np.isfinite(forces).all())
-        return largest(self._comm, float(bad)) == 0.0
+        return largest(self._problem.body.comm, float(bad)) == 0.0
 
     def numbers(self) -> dict[str, float]:
         """Further results of terms, by name [SI units]. Collective."""
@@ -136,15 +127,14 @@ class EnergyBalance:
         self.scale = 0.0
         problem = moving.problem
         self._constant = bool(problem.loads) and not problem.loads_change
-        self._constant_loads: FloatArray | None = None
-        self._obstacle_shifts: FloatArray = np.empty(0)
+        self._shifts: FloatArray = np.empty(0)
         size = problem.constant(1.0) * problem.weak_form.volume(None, 1)
         volume = integral(problem, compiled(problem, [size])[0])
         self._round_off = _NOISE * np.finfo(float).eps * problem.stiffness * volume
 
     def begin(self) -> None:
         """Takes in positions of obstacles and the velocity that the motion begins with."""
-        self._obstacle_shifts = self._shifts()
+        self._shifts = self._shifts_now()
         self._v = self._velocity_now()
 
     def add(self, forces: Forces, du: FloatArray) -> None:
@@ -155,11 +145,12 @@ class EnergyBalance:
             du: Change of the displacement, owned entries [m].
         """
         moves = self._moving.displacement_dofs
-        outside = forces.loads + forces.reactions + forces.restraints - forces.contact
+        outside = forces.loads + forces.reactions + forces.restraints
         rows = (outside, forces.damping, -forces.dashpots)
         local = np.array([np.dot(row[moves], du) for row in rows])
-        before, self._obstacle_shifts = self._obstacle_shifts, self._shifts()
-        local[0] += np.sum(forces.contact_resultants * (self._obstacle_shifts - before))
+        before, self._shifts = self._shifts, self._shifts_now()
+        for push, shift in zip(forces.contact, self._shifts - before, strict=True):
+            local[0] += np.sum(push.reshape(-1, len(shift)) @ shift) - np.dot(push, du)
         if self._supports_move:
             local[0] += self._work_against_inertia(forces, du)
         sums = total(self._moving.comm, local)
@@ -182,25 +173,21 @@ class EnergyBalance:
         """A copy of the present velocity, owned entries [m/s]."""
         return self._velocity.x.array[: len(self._moving.displacement_dofs)].copy()
 
-    def _shifts(self) -> FloatArray:
-        """Displacements of the obstacles, shape (contact pairs, dim) [m]."""
-        return np.array([pair.shift.value for pair in self._moving.problem.contact_pairs])
+    def _shifts_now(self) -> FloatArray:
+        """Displacements of the obstacles, shape (obstacles, dim) [m]."""
+        return np.array([o.shift.value for o in self._moving.obstacles if o.shift is not None])
 
     def energies(self, kinetic: float, stored: float) -> dict[str, float]:
-        """Work, dissipation, potential and balance [J] by name. Collective.
-
-        Args:
-            kinetic: Energy of the present velocity [J].
-            stored: Energy of the present displacement, strain and penalties [J]; nan where a law
-                has none.
-        """
+        """See `Work`; with dissipation, potential and balance. Collective."""
         result = {"external": self._sums["external"]}
         if not self._moving.damping.none:
             result["damping"] = self._sums["damping"]
         if self._moving.problem.dashpots:
             result["dashpots"] = self._sums["dashpots"]
-        if self._constant:
-            result["potential"] = self._potential()
+        if self._constant:  # minus forces times displacement
+            a, moves = self._moving.assembler, self._moving.displacement_dofs
+            work = np.dot(a.reactions.loads()[moves], a.problem.w.x.array[moves])
+            result["potential"] = -float(total(a.comm, float(work)))
         if math.isfinite(stored):
             if self._initial is None:
                 self._initial = kinetic + stored
@@ -218,25 +205,13 @@ class EnergyBalance:
         where hardly anything moves, it would be all of the energy.
 
         Args:
-            energies: From `EnergyBook.measure` [J].
+            energies: From `MotionBook.measure` [J].
         """
         balance, noise = energies.get("balance", 0.0), self._round_off
         balance = max(balance, -energies.get("damping", 0.0)) if balance >= 0.0 else balance
         if self.scale == 0.0 or abs(balance) <= noise:
             return 0.0
         return (balance - math.copysign(noise, balance)) / self.scale
-
-    def renew_loads(self) -> None:
-        """Forgets the constant loads, which a program may have changed. Not collective."""
-        self._constant_loads = None
-
-    def _potential(self) -> float:
-        """Potential of constant loads: minus their forces times the displacement [J]."""
-        moves = self._moving.displacement_dofs
-        if self._constant_loads is None:
-            self._constant_loads = self._moving.assembler.reactions.loads()[moves].copy()
-        u = self._moving.problem.w.x.array[moves]
-        return -float(total(self._moving.comm, float(np.dot(self._constant_loads, u))))
 
     # --- restarts ---
 
@@ -387,7 +362,7 @@ class ExternalWork:
         return self.sum
 
     def energies(self, kinetic: float, stored: float) -> dict[str, float]:
-        """See `Work.energies`. Collective."""
+        """See `Work`. Collective."""
         return {"external": self.close()}
 
     def _of_state(self) -> float:

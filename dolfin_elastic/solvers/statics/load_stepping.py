@@ -99,7 +99,7 @@ class LoadStepping:
         )
         self._path_check = PathEnergyCheck(self._assembler)
         self._states = StaticStates(
-            newton, scalars, strain=self._path_check.strain, watch=watch, end=settings.end
+            newton, scalars, book=self._path_check.book, watch=watch, end=settings.end
         )
         self._speed = StepSpeed(self._assembler, self._problem.corners)
         self._t, self._whole = 0.0, whole
@@ -135,7 +135,7 @@ class LoadStepping:
                 self._problem.set_time(0.0, default=PROPORTIONAL)
                 self._evaluate_start()
                 begin = NewtonResult(reason="initial state")
-                yield self._states.state(0.0, begin, stored=self._path_check.energy)
+                yield self._states.state(0.0, begin, stored=self._path_check.stored)
             else:
                 with restoring(saved):
                     self.restore(saved)
@@ -269,7 +269,7 @@ class LoadStepping:
         if whole and (whole_load := try_whole_load(self._retry, self._path_check, end)) is not None:
             result, self._verdict = whole_load
             self._accept(_Step(0.0, end, start), end, result, left_path=False)
-            stored = self._path_check.energy
+            stored = self._path_check.stored
             yield self._states.state(end, result, verdict=self._verdict, stored=stored)
         while not sizes.done(self._t) and not self._ends_early():
             goal = within_stride(self._problem, self._t, sizes.goal(self._t))

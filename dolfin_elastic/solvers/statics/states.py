@@ -15,8 +15,8 @@ from dolfin_elastic.mesh.body import extent
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.solvers import messages
-from dolfin_elastic.solvers.assembly.assembler import StrainEnergy, SupportForces
-from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor
+from dolfin_elastic.solvers.assembly.assembler import SupportForces
+from dolfin_elastic.solvers.audit.equilibrium import EnergyBook, EquilibriumAuditor
 from dolfin_elastic.solvers.diagnostics.stability import Verdict
 from dolfin_elastic.solvers.messages import coordinates, in_words
 from dolfin_elastic.solvers.nonlinear.contact import results_of_terms
@@ -47,11 +47,11 @@ class StaticStates:
         newton: Newton,
         scalars: Scalars | None,
         *,
-        strain: StrainEnergy,
+        book: EnergyBook,
         watch: JacobianWatch,
         end: float,
     ) -> None:
-        self._newton, self._scalars, self._strain, self._end = newton, scalars, strain, end
+        self._newton, self._scalars, self._book, self._end = newton, scalars, book, end
         self._assembler, self._problem = newton.assembler, newton.assembler.problem
         self._supports = SupportForces(self._assembler)
         self._auditor = EquilibriumAuditor(self._problem, self._assembler, watch)
@@ -69,21 +69,20 @@ class StaticStates:
         *,
         verdict: Verdict | None = None,
         limits: tuple[float, ...] = (),
-        stored: float | None = None,
+        stored: dict[str, float] | None = None,
     ) -> State:
         """The present state, audited if it is an equilibrium. Collective.
 
         Args:
             verdict: Whether it is stable; None of the initial state and of what is no equilibrium.
             limits: Load factors of limit points passed so far.
-            stored: Its strain energy [J], if it is known.
+            stored: Its energies by account [J], if they are known.
 
         Raises:
             InputError: Supports change the volume of a body that cannot change it.
         """
         problem, assembler = self._problem, self._assembler
-        stored = self._strain.energy() if stored is None else stored
-        energies = {"strain": stored, **self._strain.relaxing(), **self._strain.accounts()}
+        energies = self._book.stored() if stored is None else stored
         equilibrium = result.converged or t == 0.0
         self.count += 1
         if equilibrium:

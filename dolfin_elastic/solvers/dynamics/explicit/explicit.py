@@ -22,7 +22,7 @@ from dolfin_elastic.solvers.dynamics.explicit.monitor import StabilityMonitor
 from dolfin_elastic.solvers.dynamics.explicit.replay import Replay
 from dolfin_elastic.solvers.dynamics.explicit.scheme import END, ExplicitScheme
 from dolfin_elastic.solvers.dynamics.explicit.stable_step import StepSize
-from dolfin_elastic.solvers.dynamics.work import EnergyBook, ExternalWork, Measures
+from dolfin_elastic.solvers.dynamics.work import ExternalWork, Measures, MotionBook
 from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 
 STEPS_A_LOOK = 20
@@ -99,7 +99,7 @@ class Explicit:
         self._scalars, self._supports, self._last = Scalars(a), SupportForces(a), StateCopy()
         self.size = StepSize(problem, a, self.mass, chosen=dt, safety=safety)
         self.work = ExternalWork(problem, a, self.mass, v)
-        self._energies = EnergyBook(problem, LumpedMass(problem, v, self.mass), self.work)
+        self._energies = MotionBook(problem, LumpedMass(problem, v, self.mass), self.work.energies)
         self.size.begin(self.end)
         first = min(self.size.dt, self.end)
         self.scheme = scheme(a, self.mass, v, self.work, end=self.end, dt=first, chosen=dt)

@@ -41,7 +41,7 @@ from dolfin_elastic.solvers.dynamics.pressure_energy import PressureEnergy
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 from dolfin_elastic.solvers.dynamics.schemes import ImplicitRow
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
-from dolfin_elastic.solvers.dynamics.work import EnergyBalance, EnergyBook
+from dolfin_elastic.solvers.dynamics.work import EnergyBalance, MotionBook
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 from dolfin_elastic.solvers.messages import JUMP, coordinates, in_words
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
@@ -254,13 +254,12 @@ class Implicit:
             self._owned.callback(vector.destroy)
         self._configure()
         self.balance = EnergyBalance(self.moving, self.v)
-        lag = None
-        if VolumeConstraint.needed(problem, parameters.alpha_f) and PressureEnergy.compressible(
-            problem
-        ):
+        lag, inertia = None, ConsistentMass(problem, self.v)
+        at_stage = VolumeConstraint.needed(problem, parameters.alpha_f)
+        if at_stage and PressureEnergy.compressible(problem):
             lag = PressureEnergy(problem)
             self._owned.callback(lag.destroy)
-        self._energies = EnergyBook(problem, ConsistentMass(problem, self.v), self.balance, lag)
+        self._energies = MotionBook(problem, inertia, self.balance.energies, lag)
         self._scalars, self._supports = Scalars(self.assembler), SupportForces(self.assembler)
         self.auditor = MotionAuditor(problem, self.moving, watch, parameters, end=settings.end)
         self.auxiliary = AuxiliaryFields(problem)
@@ -370,7 +369,6 @@ class Implicit:
         The motion goes on from there as from a start: with the acceleration of the new forces.
         """
         t = float(self.ts.getTime())
-        self.balance.renew_loads()
         if self.times.ended(t) or not self.scheme.loads_changed(t):
             return
         with stage("solve"):

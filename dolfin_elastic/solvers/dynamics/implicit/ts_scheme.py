@@ -52,7 +52,7 @@ class ImpactError:
 
     def _contact_forces(self) -> FloatArray:
         """Nodal forces of all contacts at the present displacement and time, owned entries [N]."""
-        return sum(self._moving.contact_forces(), np.zeros(len(self._moving.displacement_dofs)))
+        return np.asarray(self._moving.contact_forces().sum(axis=0))
 
     def begin(self, t: float) -> None:
         """Stores the contact forces at the start of a step.
@@ -65,7 +65,7 @@ class ImpactError:
 
     def at_stage(self, forces: Forces) -> None:
         """Stores the contact forces at its stage."""
-        self._stage = forces.contact[self._moving.displacement_dofs]
+        self._stage = forces.contact.sum(axis=0)
 
     def error(self, h: float) -> FloatArray:
         """Error of the displacement at the end of the step, where the problem is now [m].
