@@ -347,7 +347,7 @@ class EquilibriumAuditor:
         a = self._assembler
         reactions = a.constrained_part(a.residual.owned)
         forces = [a.reactions.loads()[a.displacement_dofs], reactions[a.displacement_dofs]]
-        if self._problem.weak_form.restraint_works:
+        if a.reactions.labels:
             forces.append(a.reactions.restraints()[a.displacement_dofs])
         return [force.reshape(-1, self._dim) for force in forces]
 

@@ -182,6 +182,7 @@ def end(problem: Problem, method: str) -> FloatArray:
     """Mean displacement of the loaded end after a static solve."""
     states = list(Statics(problem, linear=LinearSettings(method=method)).steps())
     assert sum(state.newton for state in states) <= 30
+    assert [reason for state in states for reason in state.audit.reasons] == []
     n, dim = problem.V.dofmap.index_map.size_local, problem.body.dim
     u, places = problem.u.x.array[: n * dim].reshape(-1, dim), problem.places[:n]
     far = np.isclose(places[:, 0], places[:, 0].max())
