@@ -23,7 +23,7 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integ
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, LumpedMass
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces as NodalForces
 from dolfin_elastic.solvers.audit.equilibrium import EnergyBook
-from dolfin_elastic.solvers.dynamics.pressure_energy import PressureEnergy
+from dolfin_elastic.solvers.dynamics.implicit.volume_constraint import PressureEnergy
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 from dolfin_elastic.solvers.nonlinear.contact import results_of_terms
 

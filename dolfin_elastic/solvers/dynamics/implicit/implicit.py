@@ -35,9 +35,11 @@ from dolfin_elastic.solvers.dynamics.implicit.step_control import (
     StepControl,
     warn_of_inexact_restart,
 )
-from dolfin_elastic.solvers.dynamics.implicit.volume_constraint import VolumeConstraint
+from dolfin_elastic.solvers.dynamics.implicit.volume_constraint import (
+    PressureEnergy,
+    VolumeConstraint,
+)
 from dolfin_elastic.solvers.dynamics.initial_conditions import support_jump
-from dolfin_elastic.solvers.dynamics.pressure_energy import PressureEnergy
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 from dolfin_elastic.solvers.dynamics.schemes import ImplicitRow
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings

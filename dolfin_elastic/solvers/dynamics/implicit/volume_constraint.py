@@ -14,7 +14,12 @@ step is then the change of p^2/(2k) but for terms of the third order of the step
 
 Sources: J. C. Simo & N. Tarnow, ZAMP 43 (1992) 757 (stresses of mean strains, not of the mean
 displacement); M. Arnold & O. Bruels, BIT 47 (2007) 185, (14) (constraints at the end of each step
-of generalized-alpha).
+of generalized-alpha); F. Brezzi & M. Fortin, Mixed and Hybrid Finite Element Methods (1991),
+section I.3 (energy).
+
+The strain energy is stationary in the pressure: with p* of the displacement, (p*, q)/k = (g(u), q)
+for all q, it is the law's own, and with the p of the stage it is smaller by int (p* - p)^2/(2k).
+Where steps do not resolve waves of pressure, the difference is all of their energy.
 
 The tangent keeps the gradient of g at the stage in these rows, so that it stays symmetric; it is
 off by the angle of rotation in a step, and Newton's method takes 5 iterations instead of 3
@@ -27,12 +32,20 @@ from collections.abc import Sequence
 
 import numpy as np
 import ufl
-from dolfinx import fem
+from dolfinx import fem, la
+from petsc4py import PETSc
+from ufl.core.expr import Expr
 
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
+from dolfin_elastic.solvers.assembly.matrix import BilinearForm, TangentMatrix
+from dolfin_elastic.solvers.audit.equilibrium import no_balance
+
+_TOLERANCE = 1e-8
+"""Relative residual of p* - p: its energy has the square of it."""
 
 
 class VolumeConstraint:
@@ -49,7 +62,8 @@ class VolumeConstraint:
         self._share = alpha_f
         parts = [part for part in self._problem.regions if part.compliance is not None]
         compressible = [part for part in parts if not part.incompressible]
-        forms = [_strain(self._problem, group) for group in (parts, compressible) if group]
+        q = self._problem.unknowns.auxiliary("pressure", ufl.TestFunction(self._problem.W))
+        forms = [_strain(self._problem, group, q) for group in (parts, compressible) if group]
         compiled_forms = compiled(self._problem, forms)
         self._with_pressure, self._compressible = (
             compiled_forms[0],
@@ -119,7 +133,53 @@ class VolumeConstraint:
         return forces
 
 
-def _strain(problem: Problem, parts: Sequence[MaterialRegion]) -> ufl.Form:
+def _strain(problem: Problem, parts: Sequence[MaterialRegion], q: Expr) -> ufl.Form:
     F = problem.weak_form.F(problem.w)
-    q = problem.unknowns.auxiliary("pressure", ufl.TestFunction(problem.W))
     return sum(problem.weak_form.volume_gap(part, F, q) for part in parts)
+
+
+class PressureEnergy:
+    """What the pressure of the stage leaves out of the strain energy. Collective to make.
+
+    Args:
+        problem: What moves; `compressible` is not empty.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        parts = self.compressible(problem)
+        space = fem.functionspace(problem.body.mesh, ("Lagrange", 1))
+        p, q = ufl.TrialFunction(space), ufl.TestFunction(space)
+        mass = sum(part.compliance * p * q * problem.weak_form.volume(part, 2) for part in parts)
+        self._gap = compiled(problem, [_strain(problem, parts, q)])[0]
+        self._matrix = TangentMatrix(BilinearForm(compiled(problem, [mass])[0]))
+        self._matrix.assemble([])
+        self._comm, self._map = problem.body.comm, space.dofmap.index_map
+        self._x, self._b = self._matrix.petsc.createVecs()
+        self._ksp = PETSc.KSP().create(self._comm)
+        self._ksp.setType("cg")
+        self._ksp.getPC().setType("jacobi")
+        self._ksp.setOperators(self._matrix.petsc)
+        self._ksp.setTolerances(rtol=_TOLERANCE, atol=1e-300, max_it=500)
+
+    @staticmethod
+    def compressible(problem: Problem) -> list[MaterialRegion]:
+        """Regions whose pressure has an energy; none where the audit judges none."""
+        if no_balance(problem):
+            return []
+        return [p for p in problem.regions if p.compliance is not None and not p.incompressible]
+
+    def energy(self) -> float:
+        """Energy of p* less the present pressure [J]; NaN if p* is not found. Collective."""
+        rows = la.vector(self._map, 1)
+        fem.assemble_vector(rows.array, self._gap)
+        rows.scatter_reverse(la.InsertMode.add)
+        self._b.array_w[:] = rows.array[: self._map.size_local]
+        self._ksp.solve(self._b, self._x)
+        if self._ksp.getConvergedReason() < 0:
+            return float("nan")
+        return float(total(self._comm, 0.5 * float(self._b.array_r @ self._x.array_r)))
+
+    def destroy(self) -> None:
+        """Frees what it owns. Collective."""
+        for thing in (self._ksp, self._x, self._b, self._matrix):
+            thing.destroy()
