@@ -48,7 +48,7 @@ class Term:
         restrains: These answer to the body's motion; else they are loads.
         changes: As a load it changes in motion.
         opens: Its forces begin and end, as those of contact.
-        moves: What it is fixed to has a prescribed motion, and does work.
+        at_rest: What it acts from stands still.
         shift: Displacement of a rigid obstacle that its forces come from [m]; None of other terms,
             whose work is that over the displacement of the body.
         account: Which of the stored energies that of its form is part of.
@@ -57,7 +57,8 @@ class Term:
 
     label: str
     linear = symmetric = True
-    nodal = restrains = changes = opens = moves = False
+    nodal = restrains = changes = opens = False
+    at_rest = True
     shift: fem.Constant | None = None
     account: str = ""
     memory: Mapping[str, fem.Function] = MappingProxyType({})
@@ -115,7 +116,7 @@ class Resistance(Term):
     def __init__(self, support: ResistingSupport, context: FormContext) -> None:
         self.support, self.label, self._context = support, support.label, context
         self.account = "springs" if isinstance(support, Spring) else ""
-        self.moves = not support.at_rest
+        self.at_rest = support.at_rest
 
     def form(self, kind: Kind) -> ufl.Form | None:
         """See `Term`."""

@@ -108,7 +108,7 @@ class ContactPair(Term):
         self._eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
         self._first = self.penalty.x.array.copy(), self._eps.copy()
         self.shift: fem.Constant = context.constant([0.0] * body.dim)
-        self.moves = bool(contact.values)
+        self.at_rest = not contact.values
         self._reach = context.constant(SLACK * cell_size(body))
 
     def _fill_penalty(self) -> None:

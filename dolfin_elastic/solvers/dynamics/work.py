@@ -286,7 +286,7 @@ class ExternalWork:
         self._problem, self._assembler, self._mass = problem, assembler, mass
         self._u, self._v = problem.u.x.array[: assembler.size], v.x.array[: assembler.size]
         springs = [term for term in problem.terms if term.account == "springs"]
-        resting = springs if not any(term.moves for term in springs) else []
+        resting = springs if all(term.at_rest for term in springs) else []
         works = [term for term in problem.terms if term.shift is None and term not in resting]
         changing, loaded = forms_of(works, "work"), bool(problem.loads)
         if loaded and problem.loads_change:
@@ -303,7 +303,7 @@ class ExternalWork:
             a = assembler
             self.paths.append(_Path(lambda: a.constrained_part(a.residual.owned)))
         for term in problem.terms:
-            if term.shift is not None and term.moves:
+            if term.shift is not None and not term.at_rest:
                 self._add(term.form("work"), shift=term.shift)
         stored = forms_of(resting, "energy")
         self._springs = compiled(problem, [sum(stored)])[0] if stored else None

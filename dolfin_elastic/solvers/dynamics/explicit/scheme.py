@@ -64,7 +64,7 @@ def changes(problem: Problem) -> bool:
     return (
         (bool(problem.loads) and problem.loads_change)
         or any(not support.at_rest for support in problem.supports)
-        or any(term.moves for term in problem.terms)
+        or any(not term.at_rest for term in problem.terms)
     )
 
 
