@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.loads import BodyForce as BodyForce
     from dolfin_elastic.model.loads import Cavity as Cavity
     from dolfin_elastic.model.loads import Centrifugal as Centrifugal
+    from dolfin_elastic.model.loads import Force as Force
     from dolfin_elastic.model.loads import Gravity as Gravity
     from dolfin_elastic.model.loads import Growth as Growth
     from dolfin_elastic.model.loads import LineForce as LineForce
@@ -69,6 +70,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.materials.user import Energy as Energy
     from dolfin_elastic.model.materials.user import SplitEnergy as SplitEnergy
     from dolfin_elastic.model.periodic import Periodic as Periodic
+    from dolfin_elastic.model.supports.displacement import Fixed as Fixed
     from dolfin_elastic.model.supports.displacement import Normal as Normal
     from dolfin_elastic.model.supports.displacement import Rotation as Rotation
     from dolfin_elastic.model.supports.displacement import Support as Support
@@ -125,13 +127,14 @@ _PLACES = {
     "model.periodic": ("Periodic",),
     "model.tie": ("Tie",),
     "model.contact": ("Contact",),
-    "model.supports.displacement": ("Normal", "Rotation", "Support", "Symmetry"),
+    "model.supports.displacement": ("Fixed", "Normal", "Rotation", "Support", "Symmetry"),
     "model.supports.rigid_surface": ("Rigid",),
     "model.supports.springs": ("Dashpot", "Spring"),
     "model.loads": (
         "BodyForce",
         "Cavity",
         "Centrifugal",
+        "Force",
         "Gravity",
         "Growth",
         "LineForce",

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.check.consistency import acts_on_surfaces
 from dolfin_elastic.case.check.loads import LoadSum
 from dolfin_elastic.core.parallel import largest_row, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
@@ -67,7 +66,7 @@ def _loads(case: Case, body: Body, sums: Sequence[LoadSum]) -> Iterator[Glyphs]:
             rows = np.pad(x, ((0, 0), (0, 6 - x.shape[1])))
         x, normals = rows[:, :3], rows[:, 3:]
         along = np.tile(force, (len(rows), 1))
-        if acts_on_surfaces(load) and load.parts:
+        if load.domain.kind == "surface" and load.parts:
             along = _intensity(case, load, body, rows, along)
         size = np.linalg.norm(along, axis=1)
         some = np.isfinite(size) & (size > 1e-9 * size.max(initial=0.0, where=np.isfinite(size)))

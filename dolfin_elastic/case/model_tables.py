@@ -166,8 +166,8 @@ def _load(row: object) -> Load:
     if isinstance(row, Load):
         return row
     table = as_table(row)
-    value = "[1.1, 1, 1]" if table.get("kind") == "growth" else "[0, 0, 1]"
-    with _vector("value", value), _vector("force", '[0, 0, "-2 kN"]'):
+    examples = {"growth": "[1.1, 1, 1]", "force": '[0, 0, "-2 kN"]'}
+    with _vector("value", examples.get(str(table.get("kind")), "[0, 0, 1]")):
         return class_named(LOADS, table, "kind", LOAD_WORDS)(**table)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -13,12 +13,12 @@ from dolfinx.fem import Constant, Function
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core import jit
-from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.errors import InputError, keyed, nearest
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.kinematics import Geometry, weight
-from dolfin_elastic.model.loads import Cavity, ConcentratedLoad, Eigenstrain, Load
+from dolfin_elastic.model.loads import Cavity, ConcentratedLoad, Eigenstrain, Force, Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports.displacement import Restraint
@@ -131,7 +131,7 @@ class Problem:
         periodic: Periodic | None = None,
     ) -> None:
         self.body, self.degree, self.thickness = body, degree, thickness
-        self.supports, self.loads = tuple(supports), tuple(loads)
+        self.supports, self.loads = tuple(supports), tuple(_on_parts(body, loads))
         self.geometry = checked_geometry(geometry, thickness, body)
         order = max(degree, int(body.mesh.geometry.cmap.degree))
         axisymmetric = self.geometry == "axisymmetric"
@@ -434,6 +434,13 @@ def configuration_of_moments(problem: Problem) -> str:
     if problem.geometry == "axisymmetric" or (any(linear) and not all(linear)):
         return "none"
     return "reference" if all(linear) else "current"
+
+
+def _on_parts(body: Body, loads: Sequence[Load]) -> Iterator[Load]:
+    """The loads, total forces as those on the kind of their parts. Local."""
+    for index, load in enumerate(loads):
+        with keyed(f"load[{index}].on"):
+            yield load.on_kind(body.common_kind(load.parts)) if isinstance(load, Force) else load
 
 
 def _check_normals(

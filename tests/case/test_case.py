@@ -112,27 +112,27 @@ MISTAKES = {
         '"traction"',
         '"tracktion"',
         "load[0].kind: unknown kind 'tracktion'; did you mean 'traction'? known: traction, "
-        "pressure, cavity, body-force, gravity, centrifugal, point-force, line-force, thermal, "
-        "growth",
+        "force, pressure, cavity, body-force, gravity, centrifugal, point-force, line-force, "
+        "thermal, growth",
     ),
     "kind in words": (
         '"traction"',
         '"Force"',
-        "load[0].kind: unknown kind 'Force'; a total force [N] on a surface is kind = \"traction\" "
-        'with force = [0, 0, -100], at a point "point-force"; known: traction, point-force, '
-        "pressure, cavity, body-force, gravity, centrifugal, line-force, thermal, growth",
+        "load[0].kind: unknown kind 'Force'; did you mean 'force'? known: force, traction, "
+        "pressure, cavity, body-force, gravity, centrifugal, point-force, line-force, thermal, "
+        "growth",
     ),
     "kind unlike any": (
         '"traction"',
         '"wind"',
-        "load[0].kind: unknown kind 'wind'; known: traction, pressure, cavity, body-force, "
-        "gravity, centrifugal, point-force, line-force, thermal, growth",
+        "load[0].kind: unknown kind 'wind'; known: traction, force, pressure, cavity, "
+        "body-force, gravity, centrifugal, point-force, line-force, thermal, growth",
     ),
     "kind missing": (
         'kind = "traction"\n',
         "",
-        "load[0].kind: this key is missing; known: traction, pressure, cavity, body-force, "
-        "gravity, centrifugal, point-force, line-force, thermal, growth",
+        "load[0].kind: this key is missing; known: traction, force, pressure, cavity, "
+        "body-force, gravity, centrifugal, point-force, line-force, thermal, growth",
     ),
     "unit of E": (
         '"210 GPa"',
@@ -910,8 +910,8 @@ def test_materials_fill_what_others_leave() -> None:
         ("size = [2, 1, 1]", "size = [2 1, 1]", ": a comma is missing in the list\n"),
         (
             "[statics]",
-            '[[load]]\nkind = "traction"\non = "right"\nforce = "-2 kN"\n[statics]',
-            'load[1].force: "-2 kN" is wrong; expected a list of one number a component, for '
+            '[[load]]\nkind = "force"\non = "right"\nvalue = "-2 kN"\n[statics]',
+            'load[1].value: "-2 kN" is wrong; expected a list of one number a component, for '
             'example [0, 0, "-2 kN"]',
         ),
         (

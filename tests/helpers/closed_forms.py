@@ -273,7 +273,7 @@ def columns() -> Iterator[Row]:
             {
                 **base,
                 "support": [*confined(dim)[:1], spring],
-                "load": [{"kind": "traction", "on": "top", "force": [*[0] * (dim - 1), "-50 kN"]}],
+                "load": [{"kind": "force", "on": "top", "value": [*[0] * (dim - 1), "-50 kN"]}],
             },
             {f"number top_{up}": -5e4 * (high / M + 1 / k), f"reaction bottom {dim - 1}": 5e4},
             1e-8,

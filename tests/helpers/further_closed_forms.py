@@ -50,7 +50,7 @@ def units() -> Iterator[Row]:
                 "mesh": bar([10, 2, 2], [2, 1, 1], unit=unit),
                 "materials": {"m": {"law": "linear-elastic", "E": f"{E} {modulus}", "nu": 0.3}},
                 "support": rollers(3),
-                "load": [{"kind": "traction", "on": "right", "force": [f"{F} {force}", 0, 0]}],
+                "load": [{"kind": "force", "on": "right", "value": [f"{F} {force}", 0, 0]}],
                 "output": {"probes": {"end": [10, 2, 2]}},
             },
             {

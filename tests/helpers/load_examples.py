@@ -8,6 +8,7 @@ SIZE = 1e4
 """Of the loads below, so that their tangents are a few percent of the material's."""
 EXAMPLES: dict[str, dict[str, Any]] = {
     "traction": {"on": "top", "value": [f"{SIZE}*x", SIZE, SIZE]},
+    "force": {"on": ["top", "right"], "value": [SIZE, f"{SIZE}*x", SIZE]},
     "pressure": {"on": ["top", "right"], "value": f"{SIZE}*(1 + x)"},
     "body-force": {"value": [SIZE, f"{SIZE}*x", 0]},
     "gravity": {},

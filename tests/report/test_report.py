@@ -62,7 +62,7 @@ CASES: dict[str, dict[str, Any]] = {
     "modal": {"modal": {"count": 2}},
     "buckling": {
         "buckling": {"count": 1},
-        "load": [{"kind": "traction", "on": "right", "force": [-1, 0, 0]}],
+        "load": [{"kind": "force", "on": "right", "value": [-1, 0, 0]}],
     },
     "plane": {
         "title": EVIL,
@@ -602,8 +602,8 @@ def test_words() -> None:
     )
     spring = {"on": "a", "kind": "spring", "stiffness": [0, 0, 5]}
     assert said("support", spring) == "on springs: stiffness (0, 0, 5) N/m³"
-    assert said("load", {"kind": "traction", "on": "a", "force": [0, 0, "-2 kN"]}) == (
-        "total force of (0, 0, −2 kN), spread over the surface"
+    assert said("load", {"kind": "force", "on": "a", "value": [0, 0, "-2 kN"]}) == (
+        "total force of (0, 0, −2 kN), spread evenly"
     )
     pressure = {"on": "a", "kind": "pressure", "value": 2e5}
     assert said("load", {**pressure, "curve": "ramp"}) == (
@@ -628,7 +628,7 @@ def test_words() -> None:
         assert text == f"on springs: stiffness (0, 0, 5) {unit}"
     edge = {"kind": "line-force", "on": "a", "value": [0, 0, 5]}
     assert said("load", edge) == "force of (0, 0, 5) N/m along a line"
-    assert said("load", {**edge, "total": True}).startswith("force of (0, 0, 5) N along a line")
+    assert said("support", {"on": "a", "kind": "fixed"}) == "fixed: no displacement"
     ball = {"on": "a", "sphere": {"center": [0, 0, 0.5], "radius": 0.02}, "motion": [0, 0, -0.1]}
     assert said("contact", ball) == (
         "may touch a rigid sphere (center (0, 0, 500) mm, radius 20 mm); motion (0, 0, −100) mm"

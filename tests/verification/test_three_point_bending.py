@@ -6,8 +6,8 @@ import pytest
 
 from dolfin_elastic import (
     EdgeSelector,
+    Force,
     LinearElastic,
-    LineForce,
     PointSelector,
     Probe,
     Problem,
@@ -47,7 +47,7 @@ def test_three_point_bending() -> None:
             Support(on="far", displacement=["free", 0, 0]),
             Support(on="corner", displacement=[0, 0, "free"], name="pin"),
         ],
-        loads=[LineForce(on="middle", value=[0, 0, -FORCE], total=True)],
+        loads=[Force(on="middle", value=[0, 0, -FORCE])],
         degree=2,
     )
     *_, state = Statics(problem, steps=1).steps()

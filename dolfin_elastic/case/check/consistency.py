@@ -109,7 +109,7 @@ def _check_names(case: Case, body: Body) -> None:
     """Every `on` names a part of the body of the right kind that is not empty. Collective."""
     for i, support in enumerate(case.support):
         for where, name in _names(f"support[{i}].on", support.on):
-            kind = "support" if support.kind == "displacement" else support.kind
+            kind = "support" if support.kind in ("displacement", "fixed") else support.kind
             rule = f"{_a(kind)} holds {_listed(support.part_kinds)}"
             _check_name(where, name, support.part_kinds, rule, body)
             if isinstance(support, ResistingSupport) and "surface" in body.kinds(name):
@@ -141,7 +141,7 @@ def _tied_names(case: Case) -> Iterator[tuple[str, str]]:
 
 def load_kinds(load: Load) -> tuple[str, ...]:
     """Kinds of part that a load acts on."""
-    return load.part_kinds or (("surface",) if acts_on_surfaces(load) else ("region",))
+    return load.part_kinds or (load.domain.kind,)
 
 
 _FORCES = {"surface": "traction", "edge": "line-force", "point": "point-force"}
@@ -163,13 +163,6 @@ def _a(word: str) -> str:
 def _listed(kinds: Sequence[str]) -> str:
     plural = [f"{kind}s" for kind in kinds]
     return " and ".join([", ".join(plural[:-1]), plural[-1]] if len(plural) > 1 else plural)
-
-
-def acts_on_surfaces(load: Load) -> bool:
-    """Whether a load acts on surfaces rather than on regions."""
-    # Loads on regions have an optional `on`: without one they act on the whole body.
-    on = type(load).model_fields.get("on")
-    return on is not None and on.is_required()
 
 
 def _names(key: str, on: str | Sequence[str] | None) -> Iterator[tuple[str, str]]:

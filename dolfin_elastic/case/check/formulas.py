@@ -11,7 +11,6 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.check.consistency import acts_on_surfaces
 from dolfin_elastic.case.check.initial_state import TIMES
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.toml import key_text
@@ -143,7 +142,7 @@ def _check_in_time(case: Case, times: Sequence[float]) -> None:
 
 def _uses(case: Case, integrals: Integrals) -> Iterator[_Use]:
     """All uses of numbers or formulas in the place, the same on all ranks. Local."""
-    for i, load in enumerate(case.load):
+    for i, load in enumerate(integrals.problem.loads):
         yield from _of_load(f"load[{i}]", load, integrals)
     for i, support in enumerate(case.support):
         yield from _of_support(f"support[{i}]", support, integrals)
@@ -184,15 +183,14 @@ def _of_load(key: str, load: Load, integrals: Integrals) -> Iterator[_Use]:
         if load.on is not None and load.part_kinds != ("edge",):
             return  # nodes have nothing between them
         places = partial(_edges, body, load.parts) if load.on is not None else partial(_line, load)
-    elif acts_on_surfaces(load):
+    elif load.domain.kind == "surface":
         places, corners = partial(_facets, integrals, load.parts), body.dim
     else:
         cells = _cells_of(body, load.parts) if load.parts else body.owned_cells()
         places, corners = partial(_cells, integrals, cells), body.dim + 1
         if load.is_eigenstrain:
             inside, growth = body.dim + 1, _ANY
-    where = f"{key}.{'force' if 'force' in load.vectors else 'value'}"
-    yield _Use(where, load.values, places, inside, growth, corners, ring)
+    yield _Use(f"{key}.value", load.values, places, inside, growth, corners, ring)
 
 
 def _of_support(key: str, support: Restraint, integrals: Integrals) -> Iterator[_Use]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.check.consistency import acts_on_surfaces
 from dolfin_elastic.case.check.formulas import all_times
 from dolfin_elastic.case.check.initial_state import TIMES
 from dolfin_elastic.case.check.integrals import Integrals
@@ -58,7 +57,7 @@ def load_sums(case: Case, integrals: Integrals) -> tuple[LoadSum, ...]:
     """
     rows = [
         _load_sum(case, i, load, integrals)
-        for i, load in enumerate(case.load)
+        for i, load in enumerate(integrals.problem.loads)
         if not load.is_eigenstrain
     ]
     rows += _rigid_sums(case, integrals.problem)
@@ -152,7 +151,11 @@ def _points(load: Load, integrals: Integrals) -> QuadraturePoints | None:
     """Quadrature points of a load; None: it has points of its own. Local."""
     if isinstance(load, ConcentratedLoad):
         return None
-    return integrals.facets(load.parts) if acts_on_surfaces(load) else integrals.cells(load.parts)
+    return (
+        integrals.facets(load.parts)
+        if load.domain.kind == "surface"
+        else integrals.cells(load.parts)
+    )
 
 
 def _strength(sums: FloatArray, dim: int) -> float:

@@ -130,7 +130,7 @@ def references(case: Case, body: Body, name: str, kind: str) -> str:
     if kind == "region":
         return ", ".join([key for key, m in case.materials.items() if among(m.regions)] + loads)
     supports = [
-        "support" if s.kind == "displacement" else s.kind
+        "support" if s.kind in ("displacement", "fixed") else s.kind
         for s in case.support
         if kind in s.part_kinds and among(s.surfaces)
     ]

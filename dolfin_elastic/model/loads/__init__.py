@@ -12,6 +12,7 @@ from dolfin_elastic.model.loads.eigenstrain import Growth as Growth
 from dolfin_elastic.model.loads.eigenstrain import Thermal as Thermal
 from dolfin_elastic.model.loads.forces import BodyForce as BodyForce
 from dolfin_elastic.model.loads.forces import Centrifugal as Centrifugal
+from dolfin_elastic.model.loads.forces import Force as Force
 from dolfin_elastic.model.loads.forces import Gravity as Gravity
 from dolfin_elastic.model.loads.forces import Traction as Traction
 from dolfin_elastic.model.loads.point_loads import ConcentratedLoad as ConcentratedLoad
@@ -23,6 +24,7 @@ LOADS: dict[str, type[Load]] = {
     str(kind.model_fields["kind"].default): kind
     for kind in (
         Traction,
+        Force,
         Pressure,
         Cavity,
         BodyForce,
@@ -34,14 +36,9 @@ LOADS: dict[str, type[Load]] = {
         Growth,
     )
 }
-_FORCE = (
-    'a total force [N] on a surface is kind = "traction" with force = [0, 0, -100], at a point '
-    '"point-force"'
-)
 _MOMENT = Load.key_hints["moment"]
 LOAD_WORDS = {
-    "force": _FORCE,
-    "load": _FORCE,
+    "load": 'a total force [N] is kind = "force"',
     "moment": _MOMENT,
     "torque": _MOMENT,
     "weight": 'it is kind = "gravity"',

@@ -1,21 +1,22 @@
-"""Tractions and body forces: dead loads, gravity, centrifugal force."""
+"""Tractions, forces and body forces: dead loads, gravity, centrifugal force."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import ufl
-from pydantic import Field, model_validator
+from pydantic import Field
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
-from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints
+from dolfin_elastic.model.loads.point_loads import LineForce, PointForce
 from dolfin_elastic.model.materials.spatial import Axis, axis_vector
 from dolfin_elastic.model.values import (
     PLACE,
@@ -31,66 +32,68 @@ class Traction(Load):
 
     The virtual work is the integral of t . v over the reference surface, so the total force is
     t times the reference area however the body deforms.
-
-    Attributes:
-        force: Total force [N] in place of `value`, spread evenly over the reference area.
     """
 
     kind: Literal["traction"] = "traction"
     on: str | list[str]
-    value: list[Any] = Field(default=[])
-    force: list[Any] | None = None
     unit: ClassVar[str] = "Pa"
     sentence: ClassVar[str] = "force per area of {}"
-
-    @model_validator(mode="after")
-    def _one_of_both(self) -> Self:
-        given = [key for key in ("value", "force") if getattr(self, key)]
-        if not given:
-            raise InputError("this key is missing", where="value", expected="or give force = [..]")
-        if len(given) == 2:
-            raise InputError(
-                "value and force given together",
-                where="force",
-                expected="value is per area [Pa], force the total [N]; leave one of them out",
-            )
-        return self
-
-    @cached_property
-    def values(self) -> tuple[Component, ...]:
-        """The components of the traction [Pa] or of the total force [N]."""
-        if self.force is None:
-            return components(self.value, self.unit, key="value") if self.value else ()
-        return components(self.force, "N", key="force")
-
-    @property
-    def vectors(self) -> dict[str, tuple[Component, ...]]:
-        """See `Load.vectors`."""
-        return {"value" if self.force is None else "force": self.values}
-
-    def describe(self, setting: Setting = ALONE) -> str:
-        """See `Load.describe`."""
-        if self.force is None:
-            return super().describe(setting)
-        force = f"total force of {given(self.force, 'N')}, spread over the surface"
-        return force + other_keys(self, "force")
+    key_hints: ClassVar[Mapping[str, str]] = {
+        **Load.key_hints,
+        "force": 'a total force [N] is kind = "force" with value = [0, 0, "-2 kN"]',
+    }
 
     def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
-        share = 1.0 if self.force is None else points.size
-        return np.asarray(vector_at(self.values, points.X, points.t) / share)
+        return vector_at(self.values, points.X, points.t)
 
     def virtual_work(self, context: LoadContext) -> ufl.Form:
         """See the class."""
-        traction = self.field(context)
-        if self.force is not None:
-            area = context.area(self.parts)
-            if not area.value > 0.0:
-                raise InputError(
-                    "the surface has no area", where="on", expected="a surface with facets"
-                )
-            traction = traction / area
+        return ufl.inner(self.field(context), context.v) * context.areas(self.parts)
+
+
+class Force(Load):
+    """A total force [N], spread evenly over surfaces, edges or points; fixed in direction.
+
+    Surfaces have the total over their undeformed area everywhere, edges over their length, and
+    nodes an equal part each.  In a plane it is the force on the whole thickness, in a body of
+    revolution on the whole ring.
+    """
+
+    kind: Literal["force"] = "force"
+    on: str | list[str]
+    unit: ClassVar[str] = "N"
+    sentence: ClassVar[str] = "total force of {}, spread evenly"
+    part_kinds: ClassVar[tuple[str, ...]] = ("surface", "edge", "point")
+
+    def on_kind(self, kind: str) -> Load:
+        """The force on surfaces, edges or points, whichever its names stand for."""
+        if kind == "surface":
+            return self
+        return (_EdgeForce if kind == "edge" else _PointsForce)(**self.model_dump())
+
+    def intensity(self, points: LoadPoints) -> FloatArray:
+        """See `Load.intensity`."""
+        return np.asarray(vector_at(self.values, points.X, points.t) / points.size)
+
+    def virtual_work(self, context: LoadContext) -> ufl.Form:
+        """See the class."""
+        area = context.area(self.parts)
+        if not area.value > 0.0:
+            raise InputError(
+                "the surface has no area", where="on", expected="a surface with facets"
+            )
+        traction = self.field(context) / area
         return ufl.inner(traction, context.v) * context.areas(self.parts)
+
+
+class _EdgeForce(LineForce):
+    unit: ClassVar[str] = "N"
+    shared: ClassVar[bool] = True
+
+
+class _PointsForce(PointForce):
+    shared: ClassVar[bool] = True
 
 
 class BodyForce(Load):

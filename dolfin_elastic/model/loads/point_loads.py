@@ -9,10 +9,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError, keyed
-from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import Length
-from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.loads.base import Load
 from dolfin_elastic.model.values import Component, components
 
@@ -26,14 +24,14 @@ class ConcentratedLoad(Load):
 
     Attributes:
         on: Names of points or edges of the mesh, in place of coordinates.
-        total: The value is that of all points together, or of the whole edge.
         tolerance: How far off the body a place may lie [m]; None: 1e-3 of the body's diagonal.
     """
 
     on: str | list[str] | None = None
-    total: bool = False
     tolerance: Length | None = Field(default=None, ge=0)
     concentrated: ClassVar[bool] = True
+    shared: ClassVar[bool] = False
+    """The value is that of all nodes together, or of the whole edge."""
     places: ClassVar[tuple[str, ...]] = ()
     """Keys of coordinates."""
     named: ClassVar[str] = ""
@@ -55,10 +53,6 @@ class ConcentratedLoad(Load):
                     "this key is missing",
                     where=missing[0],
                     expected=f"a place [m], or on with the name of {self.named}",
-                )
-            if self.total:
-                raise InputError(
-                    "total needs `on`, and a place is given", where="total", expected="leave it out"
                 )
         elif self.tolerance is not None:
             raise InputError(
@@ -100,10 +94,10 @@ class PointForce(ConcentratedLoad):
 
     Attributes:
         at: The undeformed place [m]; the force goes with its material point.
-        on: Named points, each of whose nodes bears the force; or share it, see `total`.
+        on: Named points, each of whose nodes bears the force.
     """
 
-    kind: Literal["point-force"] = "point-force"
+    kind: Literal["point-force", "force"] = "point-force"
     at: list[Any] | None = None
     unit: ClassVar[str] = "N"
     sentence: ClassVar[str] = "force of {} at a point"
@@ -126,23 +120,14 @@ class LineForce(ConcentratedLoad):
         on: Named edges in place of both.
     """
 
-    kind: Literal["line-force"] = "line-force"
+    kind: Literal["line-force", "force"] = "line-force"
     start: list[Any] | None = None
     end: list[Any] | None = None
     unit: ClassVar[str] = "N/m"
+    sentence: ClassVar[str] = "force of {} along a line"
     part_kinds: ClassVar[tuple[str, ...]] = ("edge",)
     places: ClassVar[tuple[str, ...]] = ("start", "end")
     named: ClassVar[str] = "an edge"
-
-    @cached_property
-    def values(self) -> tuple[Component, ...]:
-        """See `Load.values`."""
-        return components(self.value, "N" if self.total else self.unit, key="value")
-
-    def describe(self, setting: Setting = ALONE) -> str:
-        """See `Load.describe`."""
-        force = given(self.value, "N" if self.total else self.unit)
-        return f"force of {force} along a line{other_keys(self, 'value')}"
 
     @cached_property
     def points(self) -> dict[str, Point]:

@@ -31,6 +31,9 @@ NORMAL = -1
 """Index of the displacement component along the surface's normal; those along axes count from 0."""
 
 
+_FIXED = "fixed: no displacement"
+
+
 class Restraint(OnSurfaces):
     """Base of all supports."""
 
@@ -122,7 +125,7 @@ class Support(PrescribingSupport):
 
     def _held(self) -> str:
         if self.at_rest and None not in self.values:
-            return "fixed: no displacement"
+            return _FIXED
         axes = [*zip("xyz", self.values, self.displacement or (), strict=False)]
         parts = [f"moved along {axis} by {given(text, 'm')}" for axis, v, text in axes if v]
         for words, value in (("no displacement", 0.0), ("free", None)):
@@ -179,6 +182,24 @@ class Support(PrescribingSupport):
         """See `PrescribingSupport`."""
         value = self.values[which] if self.values else 0.0
         return self._scale(value, t, default) * _evaluated(value, x, t)
+
+
+class Fixed(PrescribingSupport):
+    """Nothing moves: all components of the displacement are 0."""
+
+    kind: Literal["fixed"] = "fixed"
+
+    def describe(self, setting: Setting = ALONE) -> str:
+        """See `Restraint`."""
+        return _FIXED + other_keys(self)
+
+    def prescribed_components(self, dim: int) -> tuple[int, ...]:
+        """See `PrescribingSupport`."""
+        return tuple(range(dim))
+
+    def at(self, which: int, x: FloatArray, t: float, default: Amplitude) -> FloatArray | float:
+        """See `PrescribingSupport`."""
+        return 0.0
 
 
 def _check_length(support: Restraint, key: str, values: tuple[Component, ...], dim: int) -> None:

@@ -17,6 +17,7 @@ from dolfin_elastic.core.si_text import given
 from dolfin_elastic.model.amplitude import Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.supports.displacement import (
+    Fixed,
     Normal,
     Restraint,
     Rotation,
@@ -360,6 +361,7 @@ class Dashpot(ResistingSupport):
 
 
 SUPPORTS: dict[str, type[Restraint]] = {
+    "fixed": Fixed,
     "displacement": Support,
     "normal": Normal,
     "roller": Normal,
@@ -369,6 +371,7 @@ SUPPORTS: dict[str, type[Restraint]] = {
     "spring": Spring,
     "dashpot": Dashpot,
 }
-_HELD = 'held in all directions is kind = "displacement" with displacement = [0, 0, 0]'
-SUPPORT_WORDS = dict.fromkeys(("fixed", "fix", "clamped", "clamp", "encastre", "pinned"), _HELD)
+SUPPORT_WORDS = dict.fromkeys(
+    ("fix", "clamped", "clamp", "encastre", "pinned"), 'held in all directions is kind = "fixed"'
+)
 """Words that are no kind of support, and what to write for them."""

@@ -140,7 +140,7 @@ class NodalLoads(Term):
         x[:, : self._dim] = points.X.reshape(-1, self._dim)
         local = points.local.reshape(-1, self._dim)
         cells = np.repeat(points.cells, points.weights.shape[1])
-        share = size if load.total else 1.0
+        share = size if load.shared else 1.0
         weights = np.asarray(points.weights.ravel() / share, dtype=np.float64)
         nodes = np.asarray(self._V.dofmap.list)[cells]
         table = np.asarray(self._V.element.basix_element.tabulate(0, local)[0, :, :, 0])

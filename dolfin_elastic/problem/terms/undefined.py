@@ -108,7 +108,7 @@ def no_value(
 
 
 def _key(load: Load, component: int) -> str:
-    key = load.key if isinstance(load, Cavity) else "force" if "force" in load.vectors else "value"
+    key = load.key if isinstance(load, Cavity) else "value"
     written = getattr(load, key)
     listed = isinstance(written, list | tuple) and len(written) == len(load.values)
     return f"{key}[{component}]" if listed else key

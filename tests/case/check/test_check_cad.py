@@ -21,7 +21,7 @@ def case(folder: Path, **mesh: Any) -> Case:
         "surfaces": {"foot": {"plane": "z", "at": 0}, "lid": {"plane": "z", "at": 5}},
         "materials": {"steel": {"law": "linear-elastic", "E": "210 GPa", "nu": 0.3}},
         "support": [{"on": "foot"}],
-        "load": [{"kind": "traction", "on": "lid", "force": [0, 0, "-2 N"]}],
+        "load": [{"kind": "force", "on": "lid", "value": [0, 0, "-2 N"]}],
         "output": {"probes": {"tip": [4, 2, 5]}},
     }
     return Case.from_dict(tables, folder)

@@ -35,7 +35,7 @@ def test_sizes_and_forces() -> None:
     loads = [
         {"kind": "line-force", "on": "ridge", "value": [0, 0, "x"]},
         {"kind": "point-force", "on": "lid", "value": [1, 0, 0]},
-        {"kind": "point-force", "on": ["tip", "lid"], "value": [0, "3 N", 0], "total": True},
+        {"kind": "force", "on": ["tip", "lid"], "value": [0, "3 N", 0]},
     ]
     found = report(case(load=loads))
     (ridge,) = found.edges
@@ -43,8 +43,8 @@ def test_sizes_and_forces() -> None:
     assert ridge.measure == pytest.approx(1e-3, rel=1e-12)
     np.testing.assert_allclose(ridge.centroid, [2e-3, 0.5e-3, 3e-3], rtol=1e-12)
     lid, tip = found.points
-    assert (lid.name, lid.count, lid.use) == ("lid", 6, "point-force, point-force")
-    assert (tip.name, tip.count, tip.use) == ("tip", 1, "point-force")
+    assert (lid.name, lid.count, lid.use) == ("lid", 6, "point-force, force")
+    assert (tip.name, tip.count, tip.use) == ("tip", 1, "force")
     forces = [load.force for load in found.loads]
     np.testing.assert_allclose(forces[0], [0, 0, 2e-6], rtol=1e-12, atol=1e-18)
     np.testing.assert_allclose(forces[1], [6, 0, 0], rtol=1e-12, atol=1e-12)

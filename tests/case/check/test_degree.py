@@ -353,7 +353,7 @@ def bracket(folder: Path, **mesh: Any) -> Case:
             "surfaces": {"holes": holes, "lip": {"plane": "x", "at": "max"}},
             "materials": {"steel": {"law": "linear-elastic", "E": "210 GPa", "nu": 0.3}},
             "support": [{"on": "holes"}],
-            "load": [{"kind": "traction", "on": "lip", "force": [0, 0, "-2 kN"]}],
+            "load": [{"kind": "force", "on": "lip", "value": [0, 0, "-2 kN"]}],
         },
         folder,
     )

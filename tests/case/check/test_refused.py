@@ -70,8 +70,8 @@ FORMULAS: dict[str, tuple[dict[str, Any], str]] = {
         r"at t = 0\.525; ",
     ),
     "total force": (
-        {"load": [{"kind": "traction", "on": "right", "force": [0, "ln(x - 2)", 0]}]},
-        r"load\[0\]\.force\[1\]: 'ln\(x - 2\)' has no finite value at \(2, \S+, \S+\) m; ",
+        {"load": [{"kind": "force", "on": "right", "value": [0, "ln(x - 2)", 0]}]},
+        r"load\[0\]\.value\[1\]: 'ln\(x - 2\)' has no finite value at \(2, \S+, \S+\) m; ",
     ),
     "pressure of two loads": (
         {

@@ -18,6 +18,8 @@ from dolfin_elastic import (
     Centrifugal,
     Contact,
     Corotated,
+    Fixed,
+    Force,
     Gravity,
     Growth,
     LinearElastic,
@@ -35,6 +37,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.units import Length
+from dolfin_elastic.mesh import EdgeSelector, PointSelector, name_parts
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.model.loads import LOADS, LoadPoints, ScalarLoad
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
@@ -106,7 +109,7 @@ def test_tangent_of_every_load(monkeypatch, kind, dim):
     "terms",
     [
         {"loads": [BodyForce(value=["4*t", 3])]},
-        {"loads": [Traction(on="right", force=["4*t", 3])]},
+        {"loads": [Force(on="right", value=["4*t", 3])]},
         {"loads": [PointForce(at=[1, 1], value=["4*t", 3])]},
         {"supports": [Spring(on="right", stiffness=[1, 1], displacement=["4*t", 3])]},
     ],
@@ -142,7 +145,7 @@ def test_total_force_in_a_plane(geometry, thickness):
     problem = Problem(
         rectangle_body(size=(1, 2), cells=(2, 3), origin=(1, 0)),
         LinearElastic(E=E, nu=NU),
-        loads=[Traction(on=["top", "right"], force=["3 kN", -2])],
+        loads=[Force(on=["top", "right"], value=["3 kN", -2])],
         geometry=geometry,
         thickness=thickness,
         degree=1,
@@ -151,13 +154,60 @@ def test_total_force_in_a_plane(geometry, thickness):
     np.testing.assert_allclose(total(problem, nodal), [3000, -2], rtol=1e-13)
 
 
+@pytest.mark.parametrize(
+    "geometry", ["solid", "edge", "points", "plane-strain", "plane-stress", "axisymmetric"]
+)
+def test_what_is_fixed_bears_the_total_force(geometry):
+    """In a plane that on the whole thickness, of a body of revolution on the whole ring."""
+    plane = {"geometry": geometry, "thickness": 0.2} if geometry.startswith("plane") else {}
+    if geometry == "axisymmetric":
+        plane = {"geometry": geometry}
+    if plane:
+        made = rectangle_body(size=(1, 2), cells=(2, 3), origin=(1, 0))
+        on, value = ["top", "right"], [0, "-3 kN"]
+    else:
+        made = name_parts(
+            box_body(size=(1, 2, 3), cells=(2, 2, 2)),
+            edges={"ridge": EdgeSelector(between=["right", "top"])},
+            points={"tips": PointSelector(of="ridge"), "lid": PointSelector(of="top")},
+        )
+        on = {"edge": "ridge", "points": ["tips", "lid"]}.get(geometry, ["top", "right"])
+        value = [7, 0, "-3 kN"]
+    problem = Problem(
+        made,
+        LinearElastic(E=1e9, nu=NU),
+        supports=[Fixed(on="bottom")],
+        loads=[Force(on=on, value=value)],
+        degree=1,
+        **plane,
+    )
+    *_, state = Statics(problem).steps()
+    wanted = [0, 3000] if plane else [-7, 0, 3000]
+    along = slice(geometry == "axisymmetric", None)  # round the axis hoop stresses bear, too
+    found = state.reactions["bottom"][along]
+    np.testing.assert_allclose(found, wanted[along], rtol=1e-12, atol=1e-9)
+
+
+def test_bar_pulled_by_a_force():
+    """u = F L / (E A) = 500 N 2 m / (1 MPa 1 m^2), exact in linear elements."""
+    bar = box_body(size=(2, 1, 1), cells=(2, 1, 1))
+    law = LinearElastic(E=E, nu=0)
+    supports, loads = [Fixed(on="left")], [Force(on="right", value=["500 N", 0, 0])]
+    problem = Problem(bar, law, supports=supports, loads=loads, degree=1)
+    *_, state = Statics(problem).steps()
+    x = problem.V.tabulate_dof_coordinates()[:, 0]
+    u = state.u.x.array.reshape(-1, 3)
+    np.testing.assert_allclose(u[:, 0], 1e-3 * x / 2, atol=1e-13)
+    np.testing.assert_allclose(u[:, 1:], 0, atol=1e-13)
+
+
 @pytest.mark.parametrize("degree", [1, 2])
 def test_total_force_of_wind(degree):
     problem = Problem(
         box_body(size=(1, 2, 3), cells=(2, 2, 2)),
         LinearElastic(E=E, nu=NU),
         degree=degree,
-        loads=[Traction(on="right", force=["3*t", 0, "2*z"])],
+        loads=[Force(on="right", value=["3*t", 0, "2*z"])],
     )
     problem.set_time(2.0)
     _, nodal = forces(problem)
@@ -330,8 +380,13 @@ def test_a_centrifugal_axis_with_a_name(name, row):
     ("kind", "keys", "says"),
     [
         ("traction", {"on": "top"}, "value: this key is missing"),
-        ("traction", {"on": "top", "value": [1, 2], "force": [1, 2]}, "given together"),
-        ("traction", {"on": "top", "force": ["1 Pa", 2]}, "force[0]: '1 Pa' has the wrong unit"),
+        (
+            "traction",
+            {"on": "top", "force": [1, 2]},
+            "'force'; a total force [N] is",
+        ),
+        ("force", {"on": "top", "value": ["1 Pa", 2]}, "value[0]: '1 Pa' has the wrong unit"),
+        ("force", {"value": [1, 2]}, "on: this key is missing"),
         ("traction", {"on": [], "value": [1, 2]}, "on: no name is given"),
         ("traction", {"on": "top", "moment": [1, 2, 3]}, "'moment'; a support of kind 'rigid'"),
         ("gravity", {"on": []}, "on: no name is given; a region's name; left out, it is the"),
@@ -362,7 +417,7 @@ def test_what_is_no_load(kind, keys, says):
         ),
         (Centrifugal(value=1, point=[0, 0]), "load[1].point: 2 components"),
         (Centrifugal(value=1), "materials.body"),
-        (Traction(on="none", force=[0, 0, 1]), "load[1].on: the surface has no area"),
+        (Force(on="none", value=[0, 0, 1]), "load[1].on: the surface has no area"),
     ],
 )
 def test_loads_that_do_not_fit_the_body(load, says):

@@ -14,6 +14,7 @@ from dolfin_elastic import (
     Body,
     Dashpot,
     Dynamics,
+    Force,
     LinearElastic,
     LineForce,
     Modal,
@@ -135,7 +136,7 @@ def resultants(problem: Problem) -> tuple[FloatArray, FloatArray]:
 def test_line_force_on_an_edge(degree: int, whole: bool) -> None:
     """Along the edge y = z = 0 of length 2: integrals of x and of the constant are exact."""
     value: list[Any] = [0, "3*x", 6]
-    load = LineForce(on="long", value=[0, 0, 6] if whole else value, total=whole)
+    load = Force(on="long", value=[0, 0, 6]) if whole else LineForce(on="long", value=value)
     force, moment = resultants(Problem(bar(), LAW, loads=[load], degree=degree))
     np.testing.assert_allclose(force, [0, 0, 6] if whole else [0, 6, 12], rtol=1e-13, atol=1e-13)
     np.testing.assert_allclose(
@@ -146,8 +147,8 @@ def test_line_force_on_an_edge(degree: int, whole: bool) -> None:
 @pytest.mark.parametrize("degree", [1, 2])
 def test_point_forces_on_nodes(degree: int) -> None:
     """Nine vertices at the end, each with the force, or with a ninth of it."""
-    for whole, share in ((False, 9), (True, 1)):
-        load = PointForce(on=["end", "d"], value=["2 N", 0, "x + y"], total=whole)
+    for kind, share in ((PointForce, 9), (Force, 1)):
+        load = kind(on=["end", "d"], value=["2 N", 0, "x + y"])
         force, _ = resultants(Problem(bar(), LAW, loads=[load], degree=degree))
         np.testing.assert_allclose(force, share * np.array([2, 0, 2.5]), rtol=1e-13)
 
@@ -181,7 +182,7 @@ def test_bar_on_springs_along_edges(degree: int, whole: bool) -> None:
     guides = [
         Support(on=name, name=name, displacement=[0, 0, "free"]) for name in ("foot", "rim", "b")
     ]
-    load = LineForce(on=["foot", "rim"], value=[0, 0, F], total=True)
+    load = Force(on=["foot", "rim"], value=[0, 0, F])
     problem = Problem(bar(), stiff, supports=[springs, *guides], loads=[load], degree=degree)
     state = solved(problem)
     np.testing.assert_allclose(state.u.x.array.reshape(-1, 3)[:, 2], F / (2 * k), rtol=1e-6)
@@ -316,6 +317,8 @@ def test_point_springs_and_the_stable_step(k: float) -> None:
         ([], [PointForce(on="rim", value=[0, 0, 1])], "load[0].on: 'rim' is an edge, not a point"),
         ([], [LineForce(on="a", value=[0, 0, 1])], "load[0].on: 'a' is a point, not an edge"),
         ([], [PointForce(on="d", value=[0, 1])], "load[0].value: 2 components"),
+        ([], [Force(on="d", value=[0, 1])], "load[0].value: 2 components"),
+        ([], [Force(on=["left", "a"], value=[0, 0, 1])], "load[0].on: 'left', 'a' are of several"),
     ],
 )
 def test_what_does_not_fit(supports: list[Any], loads: list[Any], says: str) -> None:
@@ -328,7 +331,6 @@ def test_what_does_not_fit(supports: list[Any], loads: list[Any], says: str) -> 
     ("kind", "keys", "says"),
     [
         (PointForce, {"at": [0, 0, 0], "on": "a"}, "on: on and at are given together"),
-        (PointForce, {"at": [0, 0, 0], "total": True}, "total: total needs `on`"),
         (PointForce, {"on": []}, "on: no name is given"),
         (LineForce, {"start": [0, 0, 0]}, "end: this key is missing"),
         (LineForce, {"on": "rim", "tolerance": 1}, "tolerance: tolerance needs a place"),

@@ -16,6 +16,7 @@ from helpers.bodies import soft_and_hard
 from dolfin_elastic import (
     Case,
     Dynamics,
+    Force,
     LinearElastic,
     NeoHookean,
     Problem,
@@ -90,7 +91,7 @@ def test_a_bent_bar(law, degree):
         degree=degree,
         formulation="mixed" if law.nu > 0.49 else "displacement",
         supports=[Support(on="left")],
-        loads=[Traction(on="right", force=[*force])],
+        loads=[Force(on="right", value=[*force])],
     )
     state = last(problem)
     found = SectionForces(problem, SECTIONS)(state)
@@ -202,7 +203,7 @@ def test_columns_and_units(folder):
         "mesh": {"box": {"size": [10, 2, 2], "cells": [5, 1, 1]}, "unit": "mm", "degree": 1},
         "materials": {"m": {"law": "linear-elastic", "E": 1e9, "nu": 0.0}},
         "support": [{"on": "left"}],
-        "load": [{"kind": "traction", "on": "right", "force": [0, 0, "-3 N"]}],
+        "load": [{"kind": "force", "on": "right", "value": [0, 0, "-3 N"]}],
         "output": {"sections": {"mid": {"plane": "x", "at": "4 mm", "about": [5, 1, 1]}}},
     }
     [*_] = run(Case.from_dict(tables), output=folder / "out")
@@ -223,7 +224,7 @@ def test_a_plane_that_cuts_cells_is_said_to_lie_beside_its_facets(folder, at, of
         "mesh": {"box": {"size": [10, 2, 2], "cells": [5, 1, 1]}, "unit": "mm", "degree": 1},
         "materials": {"m": {"law": "linear-elastic", "E": 1e9, "nu": 0.0}},
         "support": [{"on": "left"}],
-        "load": [{"kind": "traction", "on": "right", "force": [0, 0, "-3 N"]}],
+        "load": [{"kind": "force", "on": "right", "value": [0, 0, "-3 N"]}],
         "output": {"sections": {"mid": {"plane": "x", "at": at}, "end": {"plane": "x", "at": 8}}},
     }
     case = Case.from_dict(tables)

@@ -10,6 +10,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfin_elastic import (
+    Force,
     Growth,
     Hencky,
     LinearElastic,
@@ -20,7 +21,6 @@ from dolfin_elastic import (
     Statics,
     Support,
     Thermal,
-    Traction,
     box_body,
 )
 from dolfin_elastic.core.parallel import largest
@@ -59,7 +59,7 @@ def test_bent_beam():
         body,
         LinearElastic(E=E, nu=0),
         supports=[Support(on="left")],
-        loads=[Traction(on="right", force=[0, 0, -100.0])],
+        loads=[Force(on="right", value=[0, 0, -100.0])],
     )
     probe = Probe(problem, {"g": [0.1, 0.01, 0.01]}, ["strain", "green_strain"])
     *_, state = Statics(problem).steps()

@@ -430,7 +430,7 @@ def test_the_fillet_of_a_bracket(folder: Path) -> None:
             "mesh": {"file": str(path), "unit": "mm", "degree": 2, "curved": True},
             "materials": {"steel": {"law": "linear-elastic", "E": "210 GPa", "nu": 0.3}},
             "support": [{"on": "bolts"}],
-            "load": [{"kind": "traction", "on": "lip", "force": [0, 0, "-2 kN"]}],
+            "load": [{"kind": "force", "on": "lip", "value": [0, 0, "-2 kN"]}],
         }
     )
     problem = case.make_problem(case.read_body())
