@@ -30,7 +30,7 @@ from dolfin_elastic.model.loads import LOAD_WORDS, LOADS, Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports.displacement import Restraint
-from dolfin_elastic.model.supports.springs import SUPPORT_WORDS, SUPPORTS
+from dolfin_elastic.model.supports.springs import SUPPORTS
 from dolfin_elastic.model.tie import Tie
 from dolfin_elastic.problem.problem import Problem
 
@@ -154,7 +154,7 @@ def _support(row: object) -> Restraint:
         return row
     table = {"kind": "displacement", **as_table(row)}
     with _vector("displacement"):
-        return class_named(SUPPORTS, table, "kind", SUPPORT_WORDS)(**table)
+        return class_named(SUPPORTS, table, "kind", {})(**table)
 
 
 def _support_table(support: Restraint) -> dict[str, Any]:

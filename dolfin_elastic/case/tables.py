@@ -521,13 +521,13 @@ def class_named(
     kinds: Mapping[str, type[T]],
     table: object,
     key: str,
-    meant: Mapping[str, str] | None = None,
+    advice: Mapping[str, str] | None = None,
 ) -> type[T]:
     """The class that a table's `law` or `kind` names.
 
     Args:
         key: Which of its keys holds the name.
-        meant: Words that are no names, and what to write for them; with it, all names are listed.
+        advice: Words that are no names, and what to write for them; with it, all names are listed.
 
     Raises:
         InputError: It names none, or an unknown one.
@@ -539,8 +539,8 @@ def class_named(
         raise InputError(f"{quoted(name)} is wrong", where=key, expected="expected a text")
     if name not in kinds:
         known = nearest(name, kinds)
-        if meant is not None:
-            known = nearest_first(name, kinds, meant.get(name.casefold(), ""))
+        if advice is not None:
+            known = nearest_first(name, kinds, advice.get(name.casefold(), ""))
         raise InputError(f"unknown {key} '{name}'", where=key, expected=known)
     return kinds[name]
 

@@ -25,6 +25,8 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
+from dolfin_elastic.core.synonyms import meant
+
 
 class ElasticError(Exception):
     """Base of all errors of this package."""
@@ -281,7 +283,9 @@ and "sphere"."""
 
 
 def _alike(name: str, known: Sequence[str]) -> list[str]:
-    """At most three known names that may be meant, the most similar one first."""
+    """Known names that mean the word, else at most three similar ones, the most similar first."""
+    if means := meant(name, known):
+        return means
     initial = name[:1].casefold()
     first = [one for one in known if one[:1].casefold() == initial]
     other = get_close_matches(name, [one for one in known if one not in first], 3, _OTHER_INITIAL)
@@ -289,7 +293,7 @@ def _alike(name: str, known: Sequence[str]) -> list[str]:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Hint at an unknown name: the most similar known one, or else the list of all.
+    """Hint at an unknown name: the known one of its meaning, or a similar one, or all.
 
     Returns:
         For example ``did you mean 'left'?`` or ``known: left, right``.
@@ -301,21 +305,21 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"known: {', '.join(names)}" if names else "there are none"
 
 
-def nearest_first(name: str, known: Iterable[str], meant: str = "") -> str:
+def nearest_first(name: str, known: Iterable[str], advice: str = "") -> str:
     """Hint at an unknown name among few: which one may be meant, and all of them.
 
     Args:
         known: The names that exist, which are listed in their order.
-        meant: What to write for this word, which is no name, with names in quotation marks.
+        advice: What to write for this word, which is no name, with names in quotation marks.
 
     Returns:
         For example ``did you mean 'roller'? known: roller, normal, spring``; those that may be
         meant stand first.
     """
     names = list(known)
-    quoted = [one for one in names if f'"{one}"' in meant]
+    quoted = [one for one in names if f'"{one}"' in advice]
     near = quoted or _alike(name, names)
-    hint = f"{meant}; " if meant else f"did you mean '{near[0]}'? " if near else ""
+    hint = f"{advice}; " if advice else f"did you mean '{near[0]}'? " if near else ""
     return f"{hint}known: {', '.join(dict.fromkeys((*near, *names)))}"
 
 

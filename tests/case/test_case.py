@@ -915,6 +915,21 @@ def test_materials_fill_what_others_leave() -> None:
             'example [0, 0, "-2 kN"]',
         ),
         (
+            'E = "210 GPa"',
+            'E = "210 GPa"\nyield = "235 MPa"',
+            "materials.steel: unknown key 'yield'; did you mean 'allowable'?",
+        ),
+        (
+            '[[support]]\non = "left"',
+            '[[support]]\nkind = "clamp"\non = "left"',
+            "support[0].kind: unknown kind 'clamp'; did you mean 'fixed'? known: fixed, displ",
+        ),
+        (
+            'fields = ["displacement"]',
+            'fields = ["safety factor"]',
+            "output.fields[0]: unknown field 'safety factor'; did you mean 'safety_factor'?",
+        ),
+        (
             'fields = ["displacement"]',
             'fields = ["displacement"]\npictures = [{view = "y-"}]',
             "output.pictures[0].view: \"y-\" is wrong; did you mean '-y'? known: isometric, x, y, "
@@ -927,7 +942,7 @@ def test_materials_fill_what_others_leave() -> None:
             "or a law with fibres",
         ),
     ],
-    ids=["comma", "force", "view", "fibre"],
+    ids=["comma", "force", "yield", "clamp", "safety factor", "view", "fibre"],
 )
 def test_slips(folder: Path, old: str, new: str, message: str) -> None:
     assert old in GOOD

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from dolfin_elastic.core import errors
+from dolfin_elastic.case.reference.json_schema import case_schema
+from dolfin_elastic.core import errors, synonyms
+from dolfin_elastic.model.loads import LOADS
+from dolfin_elastic.model.materials.registry import MATERIALS
+from dolfin_elastic.model.supports.springs import SUPPORTS
+from dolfin_elastic.results.fields import FIELDS
 
 
 @pytest.mark.parametrize(
@@ -68,3 +73,35 @@ def test_nearest_names(name: str, hint: str) -> None:
     assert errors.nearest(name, known) == hint
     guess = hint if hint.startswith("did") else ""
     assert errors.nearest_first(name, known).startswith(guess or "known: sphere, plane")
+
+
+@pytest.mark.parametrize(
+    ("word", "known", "name"),
+    [
+        ("yield", ["E", "yeoh", "allowable", "density"], "allowable"),
+        ("Yield_strength", ["E", "nu", "allowable"], "allowable"),
+        ("Young's modulus", ["E", "nu"], "E"),
+        ("elastic_modulus", ["E", "nu", "K"], "E"),
+        ("poisson", ["on", "nu"], "nu"),
+        ("rho", ["nu", "density"], "density"),
+        ("clamp", ["fixed", "roller"], "fixed"),
+        ("ENCASTRE", ["fixed", "roller"], "fixed"),
+        ("load", ["traction", "force"], "force"),
+        ("type", ["kind", "on"], "kind"),
+        ("type", ["law", "on"], "law"),
+        ("stress", ["von_mises", "strain"], "von_mises"),
+        ("factor of safety", ["von_mises", "safety_factor"], "safety_factor"),
+        ("safety factor", ["von_mises", "safety_factor"], "safety_factor"),
+    ],
+)
+def test_words_by_their_meaning(word: str, known: list[str], name: str) -> None:
+    """What the word means stands before what only looks like it."""
+    assert errors.nearest(word, known) == f"did you mean '{name}'?"
+    assert errors.nearest_first(word, known).startswith(f"did you mean '{name}'? known: {name}, ")
+
+
+def test_synonyms_are_of_names_that_exist() -> None:
+    """And none is a name itself, but in another table."""
+    tables = case_schema()["definitions"].values()
+    keys = {*case_schema()["properties"], *(k for t in tables for k in t.get("properties", ()))}
+    assert synonyms._WORDS.keys() <= {*keys, *LOADS, *SUPPORTS, *MATERIALS, *FIELDS}

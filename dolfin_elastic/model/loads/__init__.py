@@ -38,13 +38,8 @@ LOADS: dict[str, type[Load]] = {
 }
 _MOMENT = Load.key_hints["moment"]
 LOAD_WORDS = {
-    "load": 'a total force [N] is kind = "force"',
     "moment": _MOMENT,
     "torque": _MOMENT,
-    "weight": 'it is kind = "gravity"',
-    "acceleration": 'it is kind = "gravity"',
-    "temperature": 'it is kind = "thermal"',
-    "heat": 'it is kind = "thermal"',
     "displacement": "a prescribed displacement is a [[support]]",
 }
 """Words that are no kind of load, and what to write for them."""

@@ -371,7 +371,3 @@ SUPPORTS: dict[str, type[Restraint]] = {
     "spring": Spring,
     "dashpot": Dashpot,
 }
-SUPPORT_WORDS = dict.fromkeys(
-    ("fix", "clamped", "clamp", "encastre", "pinned"), 'held in all directions is kind = "fixed"'
-)
-"""Words that are no kind of support, and what to write for them."""

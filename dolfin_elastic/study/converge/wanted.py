@@ -57,6 +57,8 @@ class Wanted:
         if match is None:
             raise InputError(f"'{text}' is no result of a run", expected=f"for example {_EXAMPLES}")
         wanted = cls(match[2], match[3] or "", match[1] or "")
+        if (field := f"{match[1]}_{match[2]}") in FIELDS:  # "safety factor", "von mises"
+            wanted = cls(field, match[3] or "")
         if wanted.reduction:
             try:
                 assert wanted.quantity

@@ -281,6 +281,7 @@ def test_reaction_of_a_support(tmp_path: Path) -> None:
         ("?", "is no result of a run"),
         ("meen von_mises on hole", "--until: unknown value 'meen'; did you mean 'mean'"),
         ("mean von_mises of edge", "no result 'edge_von_mises'"),
+        ("safety factor on hol", "no part and no probe 'hol'; did you mean 'hole'"),
         ("percentile:95 von_mises on hol", "no part and no probe 'hol'; did you mean 'hole'"),
     ],
 )

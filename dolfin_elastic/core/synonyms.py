@@ -1,0 +1,91 @@
+"""Words of other programs and of the trade, and the names of case files that mean the same."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+_WORDS = {
+    # materials
+    "allowable": "yield yieldstrength yieldstress yieldpoint strength tensilestrength sigmay rp02",
+    "E": "young youngs youngsmodulus youngmodulus elasticmodulus elasticitymodulus modulus emod",
+    "nu": "poisson poissons poissonsratio poissonratio",
+    "K": "bulk bulkmodulus compressionmodulus",
+    "mu": "G shear shearmodulus mu0 lamemu",
+    "lambda": "lame lamelambda lame1",
+    "density": "rho massdensity specificmass",
+    "expansion": "alpha cte thermalexpansion expansioncoefficient coefficientofthermalexpansion",
+    "prony": "viscoelastic viscoelasticity relaxation maxwell",
+    "energy": "psi strainenergy potential strainenergydensity",
+    "fibre": "fiber fiberdirection fibredirection",
+    "law": "model type materialmodel constitutive constitutivelaw",
+    "linear-elastic": "linear elastic hooke hookean isotropic linearelasticity",
+    "st-venant-kirchhoff": "svk stvk stvenant",
+    "neo-hookean": "hyperelastic rubber neohooke",
+    "holzapfel-gasser-ogden": "hgo holzapfel",
+    "corotated": "corotational",
+    "orthotropic": "anisotropic wood laminate",
+    # supports
+    "fixed": "fix clamp clamped encastre encastred builtin pin pinned ground grounded held",
+    "normal": "slide sliding slider frictionless",
+    "symmetry": "mirror symmetric symmetryplane",
+    "rotation": "turn rotate twist",
+    "displacement": "prescribed imposed enforced move motion u disp deflection deformation",
+    "rigid": "rigidbody rbe2 coupling remote hinge",
+    "spring": "winkler foundation elasticsupport elasticfoundation bedding",
+    "dashpot": "damper",
+    # loads
+    "force": "load totalforce nodalload",
+    "traction": "surfaceload surfaceforce distributedload shearload",
+    "body-force": "volumeforce volumeload bodyload",
+    "gravity": "weight selfweight deadweight acceleration",
+    "centrifugal": "spin rpm rotationalvelocity angularvelocity omega",
+    "point-force": "pointload nodalforce concentratedforce",
+    "line-force": "lineload edgeload",
+    "thermal": "temperature heat heating thermalload",
+    "growth": "swelling eigenstrain prestrain initialstrain",
+    # tables and keys
+    "mesh": "part body cad step stl",
+    "support": "bc bcs boundary boundaryconditions boundarycondition constraint fixture restraint",
+    "load": "loading force forces",
+    "contact": "obstacle floor",
+    "tie": "glue glued bonded mpc",
+    "periodic": "rve unitcell homogenisation homogenization",
+    "statics": "equilibrium stationary",
+    "dynamics": "transient motion",
+    "modal": "modes frequencies eigenmodes eigenfrequencies naturalfrequencies vibration",
+    "buckling": "stability eigenbuckling",
+    "output": "result results post",
+    "size": "elementsize meshsize cellsize h lc",
+    "degree": "order elementorder",
+    "thickness": "depth",
+    "on": "surface surfaces face faces region where part domain applyto",
+    "kind": "type",
+    "value": "magnitude vector amount total",
+    "curve": "amplitude table timefunction",
+    "steps": "increments loadsteps substeps nsteps",
+    "end": "time duration tend endtime period",
+    "dt": "timestep step stepsize",
+    "scheme": "integrator timeintegration",
+    "count": "number modes nmodes",
+    "fields": "variables quantities",
+    "probes": "sensors monitors gauges",
+    "pictures": "images plots",
+    "folder": "dir directory path",
+    # results
+    "von_mises": "mises vm equivalentstress effectivestress stress seqv",
+    "safety_factor": "safety fos factorofsafety reserve utilisation",
+    "cauchy_stress": "sigma truestress",
+    "reaction": "reactionforce reactions",
+}
+"""Name to words that mean it, in small letters, without blanks and signs."""
+
+
+def meant(word: str, known: Sequence[str]) -> list[str]:
+    """The known names that a word means, by its meaning in the trade; mostly none or one.
+
+    Args:
+        word: As it was written, such as "Young's modulus" or "yield_strength".
+    """
+    plain = re.sub(r"[\W_]", "", word).casefold()
+    return [name for name in known if plain in _WORDS.get(name, "").casefold().split()]
