@@ -13,7 +13,7 @@ a text with a unit of its own ("2 mm").
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
@@ -27,11 +27,10 @@ from dolfin_elastic.case.check.memory import check_elements
 from dolfin_elastic.case.curve_files import has_curve_files, with_curves
 from dolfin_elastic.case.model_tables import read_material_tables
 from dolfin_elastic.case.tables import Material, table_of
-from dolfin_elastic.case.toml import read_toml, toml_text
-from dolfin_elastic.core.errors import InputError, RestartError
+from dolfin_elastic.case.toml import position, read_toml, toml_text
+from dolfin_elastic.core.errors import InputError, RestartError, dotted, joined
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import PetscOptions
-from dolfin_elastic.core.schema import within
 from dolfin_elastic.mesh import Body, name_parts
 from dolfin_elastic.problem.problem import Problem
 
@@ -85,7 +84,7 @@ class Case(AnalysisTables):
         Raises:
             InputError: With the file's name and the dotted key.
         """
-        with locate_errors(file):
+        with locate_errors(file), in_order(lambda: tables):
             case = with_curves(cls(**dict(tables)), Path(folder))
         return case._from(file, Path(folder), trust)
 
@@ -184,7 +183,7 @@ def read_case(
     """
     file, folder = str(path), Path(path).parent
     tables = on_root(comm, lambda: read_toml(file))
-    with locate_errors(file):
+    with locate_errors(file), in_order(lambda: tables):
         case = Case(**tables)
         if has_curve_files(case):
             case = on_root(comm, lambda: with_curves(case, folder))
@@ -219,12 +218,23 @@ def locate_errors(file: str, key: str = "", *, exact: bool = True) -> Iterator[N
     except InputError as error:
         if file and error.where.startswith(file):
             raise
-        if exact or error.where in ("size", "cells", "origin"):
-            where = [file, within(key, error).where]
-        elif error.where == "mesh.size" or error.where.startswith("mesh.refine"):
-            where = [file, error.where]
-        else:
-            where = [file, key, error.where]
-        raise type(error)(
-            error.what, where=": ".join(filter(None, where)), expected=error.expected
-        ) from None
+
+        def place(where: str) -> str:
+            if exact or where in ("size", "cells", "origin"):
+                parts = [file, dotted(key, where)]
+            elif where == "mesh.size" or where.startswith("mesh.refine"):
+                parts = [file, where]
+            else:
+                parts = [file, key, where]
+            return ": ".join(filter(None, parts))
+
+        raise error.moved(place) from None
+
+
+@contextmanager
+def in_order(tables: Callable[[], Mapping[str, object]]) -> Iterator[None]:
+    """Errors that are raised inside stand in the order of these tables of a case."""
+    try:
+        yield
+    except InputError as error:
+        raise joined(sorted(error.each, key=lambda one: position(tables(), one.where))) from None

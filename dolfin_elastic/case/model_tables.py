@@ -22,8 +22,9 @@ from dolfin_elastic.case.tables import (
     selectors,
     table_of,
 )
+from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.schema import AlreadyRead, Record, WhenGiven
+from dolfin_elastic.core.schema import AlreadyRead, Record, WhenGiven, quoted
 from dolfin_elastic.mesh import Body, EdgeSelector, PointSelector, Selector
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads import LOAD_WORDS, LOADS, Load
@@ -140,6 +141,13 @@ def read_material_tables(tables: object) -> dict[str, Material]:
     Raises:
         InputError: It is empty, or a material is wrong.
     """
+    for key, value in as_table(tables).items():
+        if not isinstance(value, Mapping | Material | Law):
+            raise InputError(
+                f"{quoted(value)} is no material",
+                where=key_text(key),
+                expected="write its table as [materials.NAME]",
+            )
     read = read_named(tables, Material.read)
     if not read:
         raise InputError("there is no material", expected="write [materials.NAME]")

@@ -17,15 +17,15 @@ from dolfin_elastic.core.errors import (
     InputError,
     MeshError,
     UnitError,
+    all_errors,
+    keyed,
     nearest,
     nearest_first,
 )
 from dolfin_elastic.core.schema import (
     Record,
     WhenGiven,
-    known_keys,
     quoted,
-    within,
 )
 from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.units import MESH_UNITS, MeshLength, Time, metres, to_si
@@ -292,21 +292,13 @@ class Material(Record):
             return table
         if isinstance(table, Law):
             return cls(law=table)
-        if not isinstance(table, Mapping):
-            raise InputError(
-                f"{quoted(table)} is no material", expected="write its table as [materials.NAME]"
-            )
+        assert isinstance(table, Mapping)
         if "energy" in table:
             from dolfin_elastic.model.materials.user import read_energy
 
             own = read_energy({key: value for key, value in table.items() if key != "on"})
             return cls(law=own, on=table.get("on"))
         law = class_named(MATERIALS, table, "law")
-        known = {*known_keys(law), "on"}
-        for key in table:
-            if key not in known:
-                expected = law.key_hints.get(str(key)) or nearest(str(key), known)
-                raise InputError(f"unknown key '{key}'", expected=expected)
         return cls(
             law=law(**{key: value for key, value in table.items() if key != "on"}),
             on=table.get("on"),
@@ -420,7 +412,7 @@ class Output(Record):
             try:
                 check_reference(value)
             except InputError as error:
-                raise within(key_text(name), error) from None
+                raise error.at(key_text(name)) from None
         return moments
 
     def check_probes(self, body: Body) -> None:
@@ -432,7 +424,7 @@ class Output(Record):
         try:
             check_places(self.probes, body, body.unit.metres)
         except MeshError as error:
-            raise within("output.probes", error) from None
+            raise error.at("output.probes") from None
 
     def check_clips(self, body: Body) -> None:
         """Checks that the planes that cut pictures meet the body. Collective.
@@ -444,7 +436,7 @@ class Output(Record):
             try:
                 picture.clips(body)
             except InputError as error:
-                raise within(f"output.pictures[{i}]", error) from None
+                raise error.at(f"output.pictures[{i}]") from None
 
     def make_probe(self, problem: Problem) -> Probe:
         """The probe that evaluates the fields at its points and surfaces. Collective."""
@@ -551,7 +543,12 @@ def read_named(tables: object, read: Callable[[object], T]) -> dict[str, T]:
     Args:
         read: Reads one entry; its errors get the name in front.
     """
-    return {name: _at(key_text(name), read, table) for name, table in as_table(tables).items()}
+    result = {}
+    with all_errors() as attempt:
+        for name, table in as_table(tables).items():
+            with attempt(), keyed(key_text(name)):
+                result[name] = read(table)
+    return result
 
 
 def read_list(rows: Iterable[object], read: Callable[[object], T]) -> list[T]:
@@ -560,15 +557,12 @@ def read_list(rows: Iterable[object], read: Callable[[object], T]) -> list[T]:
     Args:
         read: Reads one entry; its errors get the index in front.
     """
-    return [_at(f"[{index}]", read, row) for index, row in enumerate(rows)]
-
-
-def _at(key: str, read: Callable[[object], T], table: object) -> T:
-    """Reads a table, with its key in front of the key of an error."""
-    try:
-        return read(table)
-    except InputError as error:
-        raise within(key, error) from None
+    result = []
+    with all_errors() as attempt:
+        for index, row in enumerate(rows):
+            with attempt(), keyed(f"[{index}]"):
+                result.append(read(row))
+    return result
 
 
 def selectors(kind: type[P]) -> Callable[[object], list[P]]:

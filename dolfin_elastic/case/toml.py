@@ -7,7 +7,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from dolfin_elastic.core.errors import CaseError, nearest_file, not_shown, why_no_file
 
@@ -52,6 +52,23 @@ def _block(head: str, table: Mapping[str, object]) -> str:
 def key_text(key: str) -> str:
     """A key as it stands in a file: bare where it can be."""
     return key if _BARE.fullmatch(key) else value_text(key)
+
+
+_PART = re.compile(r'"((?:[^"\\]|\\.)*)"|([^.\[\]"]+)')
+
+
+def position(tables: Mapping[str, object], where: str) -> list[int]:
+    """Where a dotted key stands in a document, to be compared; a missing one at its table's end."""
+    result, value = list[int](), cast(object, tables)
+    for quoted, bare in _PART.findall(where):
+        if isinstance(value, Mapping):
+            keys, key = list(value), quoted or bare
+            result.append(keys.index(key) if key in keys else len(keys))
+            value = value.get(key)
+        elif isinstance(value, list) and bare.isdigit() and int(bare) < len(value):
+            result.append(int(bare))
+            value = value[int(bare)]
+    return result
 
 
 def value_text(value: object) -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from dolfin_elastic.core import timing
-from dolfin_elastic.core.errors import ElasticError, SolveError
+from dolfin_elastic.core.errors import ElasticError, InputError, SolveError
 from dolfin_elastic.core.si_text import number
 from dolfin_elastic.core.units import stress_unit
 
@@ -270,7 +270,8 @@ def error_text(error: ElasticError) -> str:
     from dolfin_elastic.cli.terminal import wrapped
 
     notes = "".join(f"\n  {note}" for note in getattr(error, "__notes__", ()))
-    text, screen = f"error: {error}{notes}", console(stderr=True)
+    each = [one.text for one in error.each] if isinstance(error, InputError) else [str(error)]
+    text, screen = "\n".join(f"error: {one}" for one in each) + notes, console(stderr=True)
     if screen.is_terminal:
         return wrapped(text, screen.width)
     return wrapped(text, WIDTH) if isinstance(error, SolveError) else text

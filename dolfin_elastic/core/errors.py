@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -40,31 +40,89 @@ class InputError(ElasticError, ValueError):
     Args:
         what: What is wrong, in one sentence without a final stop.
         where: File and dotted key, for example ``beam.toml: materials.steel.nu``.
+        others: What else is wrong in the same input.
     """
 
     exit_code = 2
 
-    def __init__(self, what: str, *, where: str = "", expected: str = "") -> None:
-        self.what, self.where, self.expected = what, where, expected
+    def __init__(
+        self,
+        what: str,
+        *,
+        where: str = "",
+        expected: str = "",
+        others: Sequence[InputError] = (),
+    ) -> None:
+        self.what, self.where, self.expected, self.others = what, where, expected, (*others,)
         super().__init__(str(self))
 
-    def __str__(self) -> str:
+    @property
+    def text(self) -> str:
+        """The error in one line, without the others."""
         text = f"{self.where}: {self.what}" if self.where else self.what
         return f"{text}; {self.expected}" if self.expected else text
 
+    @property
+    def each(self) -> tuple[InputError, ...]:
+        """This error and the others."""
+        return (self, *self.others)
+
+    def __str__(self) -> str:
+        return "\n".join(one.text for one in self.each)
+
     def __reduce__(self) -> tuple[object, ...]:
         # Errors travel between ranks; the default would drop the keyword arguments.
-        return _rebuild, (type(self), self.what, self.where, self.expected)
+        return _rebuild, (type(self), self.what, self.where, self.expected, self.others)
 
-    def at(self, where: str) -> InputError:
-        """The same error with a table's key in front of the key that it names."""
-        dot = "." if where and self.where and not self.where.startswith("[") else ""
-        inner = f"{where}{dot}{self.where}"
-        return type(self)(self.what, where=inner, expected=self.expected)
+    def moved(self, place: Callable[[str], str]) -> InputError:
+        """The same errors elsewhere: `place` gives the new place of each from its old one."""
+        others = [one.moved(place) for one in self.others]
+        return _rebuild(type(self), self.what, place(self.where), self.expected, others)
+
+    def at(self, key: str) -> InputError:
+        """The same errors with a table's key in front of the keys that they name."""
+        return self.moved(lambda where: dotted(key, where))
 
 
-def _rebuild(kind: type[InputError], what: str, where: str, expected: str) -> InputError:
-    return kind(what, where=where, expected=expected)
+def dotted(key: str, inner: str) -> str:
+    """A key inside a table, or an index, behind the table's key; both may be empty."""
+    return f"{key}{'.' if key and inner and not inner.startswith('[') else ''}{inner}"
+
+
+def _rebuild(
+    kind: type[InputError], what: str, where: str, expected: str, others: Sequence[InputError]
+) -> InputError:
+    return kind(what, where=where, expected=expected, others=others)
+
+
+def joined(errors: Iterable[InputError]) -> InputError:
+    """Several errors, at least one, as one that has the others with it; each text once."""
+    first, *others = {one.text: one for error in errors for one in error.each}.values()
+    return _rebuild(type(first), first.what, first.where, first.expected, others)
+
+
+_MOST = 50
+"""Errors of one table or list that are told at once."""
+
+
+@contextmanager
+def all_errors() -> Iterator[Callable[[], AbstractContextManager[None]]]:
+    """Makes contexts in which an `InputError` is put off: all are raised together at the end."""
+    errors: list[InputError] = []
+
+    @contextmanager
+    def attempt() -> Iterator[None]:
+        try:
+            yield
+        except InputError as error:
+            errors.append(error)
+            if len(errors) == _MOST:
+                raise joined(errors) from None
+
+    with attempt():
+        yield attempt
+    if errors:
+        raise joined(errors)
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import UnionType
 from typing import (
@@ -17,6 +17,7 @@ from typing import (
     Annotated,
     Any,
     ClassVar,
+    Self,
     TypeVar,
     Union,
     cast,
@@ -30,6 +31,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     GetCoreSchemaHandler,
+    ModelWrapValidatorHandler,
     SerializerFunctionWrapHandler,
     ValidationError,
     model_validator,
@@ -37,7 +39,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, core_schema
 
-from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.errors import InputError, all_errors, joined, nearest
 from dolfin_elastic.core.units import Quantity
 
 if TYPE_CHECKING:
@@ -79,22 +81,52 @@ class Record(BaseModel, metaclass=_InputErrorMeta):
 
     key_hints: ClassVar[Mapping[str, str]] = {}
     """Keys that belong elsewhere, and what to write instead."""
+    keys_beside: ClassVar[tuple[str, ...]] = ()
+    """Other keys of its table, which may be meant by one that is unknown."""
 
-    @model_validator(mode="before")
+    @model_validator(mode="wrap")
     @classmethod
-    def _refuse_unknown_keys(cls, data: object) -> object:
-        if isinstance(data, dict):
-            fields = {key: f for n, f in cls.model_fields.items() for key in field_keys(n, f)}
-            for name, value in data.items():
-                if name not in fields:
-                    expected = cls.key_hints.get(str(name)) or nearest(str(name), fields)
-                    raise InputError(f"unknown key '{name}'", expected=expected)
-                if not _validates_itself(fields[name].metadata):
-                    _refuse_boolean([fields[name].annotation], name, value)
-                _refuse_non_boolean(fields[name].annotation, name, value)
-        return data
+    def _refuse_unknown_keys(cls, data: object, read: ModelWrapValidatorHandler[Self]) -> Self:
+        if not isinstance(data, dict):
+            return read(data)
+        fields = {key: f for n, f in cls.model_fields.items() for key in field_keys(n, f)}
+        good: dict[object, object] = {}
+        try:
+            with all_errors() as attempt:
+                for name, value in data.items():
+                    with attempt():
+                        cls._check_key(name, value, fields)
+                        good[name] = value
+        except InputError as error:
+            raise joined([error, *cls._others(good, read)]) from None
+        return read(data)
+
+    @classmethod
+    def _check_key(cls, name: object, value: object, fields: Mapping[str, FieldInfo]) -> None:
+        if name not in fields:
+            expected = cls.key_hints.get(str(name)) or nearest(
+                str(name), [*fields, *cls.keys_beside]
+            )
+            raise InputError(f"unknown key '{name}'", expected=expected)
+        field = fields[str(name)]
+        if not _validates_itself(field.metadata):
+            _refuse_boolean([field.annotation], str(name), value)
+        _refuse_non_boolean(field.annotation, str(name), value)
+
+    @classmethod
+    def _others(
+        cls, good: dict[object, object], read: ModelWrapValidatorHandler[Self]
+    ) -> Iterator[InputError]:
+        """Errors in the keys that are right, without what follows from those left out."""
+        try:
+            read(good)
+        except ValidationError as error:
+            for one in input_error(cls, error, good).each:
+                if one.where and (one.what != _MISSING or re.search(r"[.\[]", one.where)):
+                    yield one
 
 
+_MISSING = "this key is missing"
 T = TypeVar("T")
 
 
@@ -174,13 +206,21 @@ def _validates_itself(metadata: Iterable[object]) -> bool:
 
 
 def input_error(record: type[BaseModel], error: ValidationError, given: object) -> InputError:
-    """The first fault of a pydantic error as one message: dotted key, what, expected.
+    """The faults of a pydantic error, each as one message: dotted key, what, expected.
 
     Args:
         error: Why it could not be.
         given: Of what, as the user wrote it.
     """
-    faults = [(dotted_path(record, fault["loc"]), fault) for fault in error.errors()]
+    keys: dict[str, list[tuple[str, ErrorDetails]]] = {}
+    for fault in error.errors():
+        path, key = dotted_path(record, fault["loc"])
+        keys.setdefault(key, []).append((path, fault))
+    return joined(_one_error(faults, given) for faults in keys.values())
+
+
+def _one_error(faults: Sequence[tuple[str, ErrorDetails]], given: object) -> InputError:
+    """The message about faults of one key, of which members of a union have one or more each."""
     path, fault = min(faults, key=_rank)
     # Of the members of a union the one that has read furthest was meant.
     inside = [one for one in faults if path and one[0].startswith((f"{path}.", f"{path}["))]
@@ -190,9 +230,9 @@ def input_error(record: type[BaseModel], error: ValidationError, given: object) 
     told = sum(isinstance(_inner(one), InputError) for one in same)
     # A table was meant for the one member of a union that has keys, as in "one table or a list".
     if ours is not None and (len(same) == 1 or (told == 1 and isinstance(fault["input"], dict))):
-        return within(path, ours)
+        return ours.at(path)
     if fault["type"] == "missing":
-        return InputError("this key is missing", where=path)
+        return InputError(_MISSING, where=path)
     if fault["type"] == "value_error" and ours is None:
         return InputError(str(_inner(fault)), where=path)
     names_input = ours is not None and isinstance(fault["input"], str)
@@ -220,16 +260,6 @@ def _written(given: object, fault: ErrorDetails) -> object:
 
 def _inner(fault: ErrorDetails) -> object:
     return fault.get("ctx", {}).get("error")
-
-
-def within(path: str, error: InputError) -> InputError:
-    """The same error with the dotted key of an outer table in front of its own.
-
-    Args:
-        path: Dotted key of the table in which the error was found; may be empty.
-    """
-    joint = "" if not path or not error.where or error.where.startswith("[") else "."
-    return type(error)(error.what, where=path + joint + error.where, expected=error.expected)
 
 
 def _rank(error: tuple[str, ErrorDetails]) -> int:
@@ -299,8 +329,8 @@ def _phrase(fault: ErrorDetails) -> str:
     return str(fault["msg"]).removeprefix("Input should be ")
 
 
-def dotted_path(record: type[BaseModel], path: Iterable[str | int]) -> str:
-    """``("support", 0, "on")`` as ``support[0].on``.
+def dotted_path(record: type[BaseModel], path: Iterable[str | int]) -> tuple[str, str]:
+    """``("support", 0, "on")`` as ``support[0].on``; and the key up to the first union in it.
 
     Pydantic adds names of union members and of validators to a location; they are no keys of the
     record and are left out.
@@ -309,7 +339,7 @@ def dotted_path(record: type[BaseModel], path: Iterable[str | int]) -> str:
         record: Type of the record that was validated.
         path: Location of the fault as pydantic gives it.
     """
-    text = ""
+    text, key = "", None
     kinds: list[object] = [record]
     for part in path:
         below = [kind for one in kinds for kind in _part_types(one, part)]
@@ -317,8 +347,10 @@ def dotted_path(record: type[BaseModel], path: Iterable[str | int]) -> str:
             text += f"[{part}]"
         elif below:
             text += f".{part}" if text else part
+        elif key is None:
+            key = text
         kinds = below or kinds
-    return text
+    return text, text if key is None else key
 
 
 def _part_types(kind: object, part: str | int) -> list[object]:

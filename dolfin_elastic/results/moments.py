@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError, MeshError, nearest
-from dolfin_elastic.core.schema import quoted, within
+from dolfin_elastic.core.schema import quoted
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import metres
 from dolfin_elastic.mesh.body import middle_of
@@ -51,7 +51,7 @@ def check_reference(value: object) -> None:
         try:
             _check_point(point, POINTS)
         except InputError as error:
-            raise within(name, error) from None
+            raise error.at(name) from None
 
 
 def _check_point(value: object, expected: str) -> None:
@@ -64,7 +64,7 @@ def _check_point(value: object, expected: str) -> None:
                     raise InputError(f"{quoted(x)} is wrong", expected="expected a length")
                 metres(x, 1.0)
             except InputError as error:
-                raise within(f"[{index}]", error) from None
+                raise error.at(f"[{index}]") from None
         return
     raise InputError(f"{quoted(value)} is no point", expected=f"expected {expected}")
 
@@ -169,7 +169,7 @@ def place_of(point: Sequence[float] | str, where: str, problem: Problem) -> Floa
         try:
             middle = middle_of(body, [point])
         except MeshError as error:
-            raise within(where, error) from None
+            raise error.at(where) from None
         if not np.isfinite(middle).all():
             raise InputError(f"'{point}' is empty", where=where, expected=f"expected {POINTS}")
         return middle

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 from pydantic import Field, StrictBool, field_validator, model_validator
 
 from dolfin_elastic.core.errors import InputError, nearest
-from dolfin_elastic.core.schema import Record, within
+from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.shapes.shapes import Axis
 from dolfin_elastic.core.units import COMMON_UNITS
 from dolfin_elastic.mesh.criteria import BoundingBox
@@ -424,7 +424,7 @@ class Picture(Output):
             try:
                 result.append(plane.clip(body))
             except InputError as error:
-                raise within("clip" if single else f"clip[{i}]", error) from None
+                raise error.at("clip" if single else f"clip[{i}]") from None
         return result
 
     def appearance(self, body: Body) -> Appearance:

@@ -14,7 +14,7 @@ from pydantic import field_validator, model_validator
 from dolfin_elastic.core.errors import InputError, MeshError, nearest
 from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.schema import Record, within
+from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.core.units import MeshLength, metres
@@ -82,7 +82,7 @@ class ProbePoint(Record):
             try:
                 reduction_of(name)
             except InputError as error:
-                raise within(f"[{index}]", error) from None
+                raise error.at(f"[{index}]") from None
         return names
 
     @model_validator(mode="after")
@@ -101,7 +101,7 @@ class ProbePoint(Record):
             try:
                 check_readable(self.fields)
             except InputError as error:
-                raise within("fields", error) from None
+                raise error.at("fields") from None
         return self
 
     @property
@@ -155,7 +155,7 @@ def _kind(body: Body, name: str, where: str = "") -> str:
     try:
         return body.common_kind([name])
     except MeshError as error:
-        raise within(where, error) from None
+        raise error.at(where) from None
 
 
 def _samples(body: Body, kind: str, on: str, degree: int) -> FloatArray:

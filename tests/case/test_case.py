@@ -949,6 +949,54 @@ def test_slips(folder: Path, old: str, new: str, message: str) -> None:
     assert message in message_of(folder, GOOD.replace(old, new, 1))
 
 
+def test_all_errors_are_told(folder: Path) -> None:
+    """Each with its key, in the order of the file; what follows from another is left out."""
+    text = (
+        GOOD.replace("degree = 1", "degree = 3\nunits = 1")
+        .replace('law = "linear-elastic"', 'law = "linear-elastic"\nyield = 3\ndensity = "1 m"')
+        .replace("nu = 0.3", "nu = 0.3\nexpansion = [1]")
+        .replace('on = "left"', 'onn = "left"')
+        .replace('kind = "traction"', 'kind = "tracktion"')
+        .replace("steps = 2", "steps = true\nend = -1")
+    )
+    text += (
+        'probes = {tip = {at = [0, 0, 0], fields = ["u"]}}\n[[load]]\nkind = "gravity"\non = 3\n'
+    )
+    said = message_of(folder, text).splitlines()
+    keys = [line.removeprefix("case.toml: ").partition(": ")[0] for line in said]
+    assert keys == [
+        "mesh",
+        "mesh.degree",
+        "materials.steel",
+        "materials.steel.density",
+        "materials.steel.expansion",
+        "support[0]",
+        "load[0].kind",
+        "load[1].on",
+        "statics.steps",
+        "statics.end",
+        "output.probes.tip.fields",
+    ]
+    assert said[5] == "case.toml: support[0]: unknown key 'onn'; did you mean 'on'?"
+
+
+def test_all_names_that_are_missing_are_told(folder: Path) -> None:
+    text = GOOD.replace('on = "left"', 'on = ["left", "lef", "foto"]').replace(
+        'fields = ["displacement"]', 'fields = ["safety_factor"]'
+    )
+    text += '[[load]]\nkind = "gravity"\n[[load]]\nkind = "force"\non = "rihgt"\nvalue = [1, 2]\n'
+    said = [line.removeprefix("case.toml: ") for line in message_of(folder, text).splitlines()]
+    assert [line.partition(": ")[0] for line in said] == [
+        "materials.steel.density",
+        "support[0].on[1]",
+        "support[0].on[2]",
+        "load[2].on",
+        "load[2].value",
+        "output.fields[0]",
+    ]
+    assert said[1].endswith("there is no surface 'lef'; did you mean 'left'?")
+
+
 def test_moments_without_any_support(folder: Path) -> None:
     support = '[[support]]\non = "left"\ndisplacement = [0, 0, 0]\n'
     assert support in GOOD

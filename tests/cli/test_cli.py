@@ -243,10 +243,14 @@ def test_quiet_and_folder(folder: Path) -> None:
 @pytest.mark.sample(2)
 @pytest.mark.parametrize("ranks", [1, 2, 3])
 def test_wrong_case(folder: Path, ranks: int) -> None:
-    """One message, exit code 2, no folder, on any number of ranks."""
-    (folder / "case.toml").write_text(CASE.replace('on = "left"', 'on = "lft"'))
+    """A line for each error, exit code 2, no folder, on any number of ranks."""
+    wrong = CASE.replace('on = "left"', 'on = ["lft", "right", "rigt"]')
+    (folder / "case.toml").write_text(wrong)
     code, out, err = cli("run", "case.toml", folder=folder, ranks=ranks)
-    message = "error: case.toml: support[0].on: there is no surface 'lft'; did you mean 'left'?\n"
+    message = (
+        "error: case.toml: support[0].on[0]: there is no surface 'lft'; did you mean 'left'?\n"
+        "error: case.toml: support[0].on[2]: there is no surface 'rigt'; did you mean 'right'?\n"
+    )
     assert code == 2
     assert out == ""
     assert err.count(message) == 1

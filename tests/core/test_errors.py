@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import pytest
 
 from dolfin_elastic.case.reference.json_schema import case_schema
@@ -98,6 +100,25 @@ def test_words_by_their_meaning(word: str, known: list[str], name: str) -> None:
     """What the word means stands before what only looks like it."""
     assert errors.nearest(word, known) == f"did you mean '{name}'?"
     assert errors.nearest_first(word, known).startswith(f"did you mean '{name}'? known: {name}, ")
+
+
+def test_errors_together() -> None:
+    """Each text once, with its own place, in the order in which they come; no end of them."""
+    with (
+        pytest.raises(errors.InputError) as caught,
+        errors.keyed("load[0]"),
+        errors.all_errors() as attempt,
+    ):
+        for number in range(100):
+            with attempt(), errors.keyed(f"value[{number // 2}]"):
+                raise errors.UnitError("wrong", expected="right")
+    assert len(caught.value.each) == 25
+    assert isinstance(caught.value, errors.UnitError)
+    sent = pickle.loads(pickle.dumps(caught.value))
+    assert str(sent).splitlines()[:2] == [
+        "load[0].value[0]: wrong; right",
+        "load[0].value[1]: wrong; right",
+    ]
 
 
 def test_synonyms_are_of_names_that_exist() -> None:

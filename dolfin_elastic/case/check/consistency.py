@@ -1,4 +1,4 @@
-"""Whether a case is consistent with itself and with its mesh: the first fault, as one error."""
+"""Whether a case is consistent with itself and with its mesh."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from itertools import combinations
 
 import numpy as np
 
-from dolfin_elastic.case.case import Case, locate_errors
+from dolfin_elastic.case.case import Case, in_order, locate_errors
 from dolfin_elastic.case.check.initial_state import NOTHING_MOVES
 from dolfin_elastic.case.check.plausibility import plausibility_notes
-from dolfin_elastic.case.tables import Material
 from dolfin_elastic.case.toml import key_text
-from dolfin_elastic.core.errors import CaseError, MeshError, nearest
+from dolfin_elastic.core.errors import CaseError, MeshError, all_errors, nearest
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, IndexArray
 from dolfin_elastic.mesh.body import Body
@@ -39,18 +38,17 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         Notes on what is allowed but probably not meant, without those of `run_notes`.
 
     Raises:
-        InputError: The first fault, with file and key, the same on every rank.
+        InputError: All faults, each with file and key, the same on every rank.
     """
     with locate_errors(case.file):
-        _check_names(case, body)
-        _check_components(case, body)
-        _check_materials(case.materials, body)
-        _check_energies(case.materials, body)
-        _check_densities(case)
-        _check_constants(case, body)
-        _check_fields(case)
-        case.output.check_probes(body)
-        case.output.check_clips(body)
+        with in_order(case.to_dict), all_errors() as attempt:
+            for check_case in (_check_names, _check_components, _check_densities, _check_fields):
+                with attempt():
+                    check_case(case, body)
+        with in_order(case.to_dict), all_errors() as attempt:  # by the names, which are right
+            for check_case in (_check_materials, _check_energies, _check_constants, _check_output):
+                with attempt():
+                    check_case(case, body)
         if any(material.law.relaxes for material in case.materials.values()):
             _check_relaxing(case)
         if case.explicit:
@@ -107,29 +105,37 @@ def _check_explicit(case: Case) -> None:
 
 def _check_names(case: Case, body: Body) -> None:
     """Every `on` names a part of the body of the right kind that is not empty. Collective."""
+    with all_errors() as attempt:
+        for where, name, kinds, rule in _named(case, body):
+            with attempt():
+                _check_name(where, name, kinds, rule, body)
+
+
+def _named(case: Case, body: Body) -> Iterator[tuple[str, str, Sequence[str], str]]:
+    """Key and name of each part in use, the kinds that it may be of, and that rule in words."""
+    for name, material in case.materials.items():
+        for where, region in _names(f"materials.{key_text(name)}.on", material.on):
+            yield where, region, ("region",), "a material fills regions"
     for i, support in enumerate(case.support):
         for where, name in _names(f"support[{i}].on", support.on):
             kind = "support" if support.kind in ("displacement", "fixed") else support.kind
             rule = f"{_a(kind)} holds {_listed(support.part_kinds)}"
-            _check_name(where, name, support.part_kinds, rule, body)
+            yield where, name, support.part_kinds, rule
             if isinstance(support, ResistingSupport) and "surface" in body.kinds(name):
-                _check_area(where, name, body)
-    for i, contact in enumerate(case.contact):
-        for where, name in _names(f"contact[{i}].on", contact.on):
-            _check_name(where, name, ("surface",), "a contact holds surfaces", body)
-    for where, name in _tied_names(case):
-        _check_name(where, name, ("surface",), "a tie joins surfaces", body)
+                yield where, name, ("surface",), rule
     for i, load in enumerate(case.load):
         kinds = load_kinds(load)
         for where, name in _names(f"load[{i}].on", getattr(load, "on", None)):
             rule = f"{_a(load.kind)} acts on {_listed(kinds)}{_instead(load, name, body)}"
-            _check_name(where, name, kinds, rule, body)
+            yield where, name, kinds, rule
+    for i, contact in enumerate(case.contact):
+        for where, name in _names(f"contact[{i}].on", contact.on):
+            yield where, name, ("surface",), "a contact holds surfaces"
+    for where, name in _tied_names(case):
+        yield where, name, ("surface",), "a tie joins surfaces"
     for k, pair in enumerate(case.periodic.pairs if case.periodic else ()):
         for where, name in _names(f"periodic.pairs[{k}]", pair):
-            _check_name(where, name, ("surface",), "surfaces come in pairs", body)
-    for name, material in case.materials.items():
-        for where, region in _names(f"materials.{key_text(name)}.on", material.on):
-            _check_name(where, region, ("region",), "a material fills regions", body)
+            yield where, name, ("surface",), "surfaces come in pairs"
 
 
 def _tied_names(case: Case) -> Iterator[tuple[str, str]]:
@@ -249,7 +255,13 @@ def _check_components(case: Case, body: Body) -> None:
             )
 
 
-def _check_fields(case: Case) -> None:
+def _check_output(case: Case, body: Body) -> None:
+    """Points of probes and planes of pictures meet the body. Collective."""
+    case.output.check_probes(body)
+    case.output.check_clips(body)
+
+
+def _check_fields(case: Case, body: Body) -> None:
     fields = [(f"output.fields[{i}]", name) for i, name in enumerate(case.output.fields or ())]
     fields += [
         (f"output.pictures[{i}].field", name)
@@ -321,14 +333,15 @@ def _check_mode_pictures(case: Case) -> None:
 # --- materials ---
 
 
-def _check_energies(materials: Mapping[str, Material], body: Body) -> None:
+def _check_energies(case: Case, body: Body) -> None:
     """Energies that users have written pass the checks. Collective."""
-    laws = {f"materials.{key_text(name)}": item.law for name, item in materials.items()}
+    laws = {f"materials.{key_text(name)}": item.law for name, item in case.materials.items()}
     check_user_energies(laws, body.comm)
 
 
-def _check_materials(materials: Mapping[str, Material], body: Body) -> None:
+def _check_materials(case: Case, body: Body) -> None:
     """Every cell has exactly one material. Collective."""
+    materials = case.materials
     everywhere = [name for name, material in materials.items() if not material.regions]
     if len(everywhere) > 1:
         raise CaseError(
@@ -367,7 +380,7 @@ def _marked(body: Body, regions: Sequence[str], owned: int) -> BoolArray:
     return marks
 
 
-def _check_densities(case: Case) -> None:
+def _check_densities(case: Case, body: Body) -> None:
     """Every material has a density where inertia or weight of the whole body needs one."""
     weights = (
         f"load[{i}] ({load.kind})"

@@ -24,7 +24,7 @@ from pydantic_core import core_schema
 from ufl import Coefficient
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError, keyed
+from dolfin_elastic.core.errors import InputError, all_errors, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.formula_functions import CONSTANTS, FUNCTIONS
 from dolfin_elastic.core.schema import Record
@@ -210,9 +210,10 @@ def constants(kind: type[BaseModel], table: Mapping[str, object]) -> dict[str, o
         InputError: See `constant`; the key is named.
     """
     units, read = units_of(kind), {}
-    for key, value in table.items():
-        with keyed(key):
-            read[key] = constant(value, units[key]) if key in units else value
+    with all_errors() as attempt:
+        for key, value in table.items():
+            with attempt(), keyed(key):
+                read[key] = constant(value, units[key]) if key in units else value
     return read
 
 

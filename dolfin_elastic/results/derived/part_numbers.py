@@ -25,7 +25,6 @@ from dolfin_elastic.core.compat import integration_entities
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.ghosts import marked, with_ghosts
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.schema import within
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.geometry.curved import cell_gradients, quadrature_rule, shape_functions
 from dolfin_elastic.mesh.geometry.simplices import prepare_facets
@@ -327,7 +326,7 @@ def check_surface(body: Body, name: str, where: str = "") -> None:
     try:
         body.surface(name)
     except MeshError as error:
-        raise within(where, error) from None
+        raise error.at(where) from None
     if not total(body.comm, len(body.owned_facets(name))):
         raise MeshError(
             f"the surface '{name}' has no facets", where=where, expected="a surface with facets"

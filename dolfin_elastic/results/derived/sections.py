@@ -27,7 +27,7 @@ from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.parallel import largest, total
-from dolfin_elastic.core.schema import Record, within
+from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.shapes.shapes import Axis, Point
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 from dolfin_elastic.core.units import MeshLength, metres
@@ -142,7 +142,7 @@ class SectionForces:
                 _refuse_loaded(self.problem, section.on)
                 middle = centre_of(body, [section.on])
         except (InputError, MeshError) as error:
-            raise within(where, error) from None
+            raise error.at(where) from None
         place = section.about
         if not isinstance(place, str):
             place = tuple(metres(x, body.unit.metres) for x in place)
@@ -356,7 +356,7 @@ def _sides(body: Body, section: Section) -> AnyArray:
         try:
             region = body.region(section.side)
         except MeshError as error:
-            raise within("side", error) from None
+            raise error.at("side") from None
         seeds = np.where(np.isin(cells, region), 1, -1).astype(np.int8)
     sides[cells] = seeds
     # A cell between two facets, and facets between two cells, must not be of both sides.

@@ -8,7 +8,7 @@ from collections.abc import Generator
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
-from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys, within
+from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys
 from dolfin_elastic.core.together import loop_together
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
@@ -58,7 +58,7 @@ class PreloadedAnalysis(ABC):
             if rules[1:]:
                 refuse_times_beyond(self._way.times, share, key)
         except InputError as error:
-            raise within("statics", error) from None
+            raise error.at("statics") from None
 
     def steps(self) -> Generator[State | Mode, None, None]:
         """Yields the states of the preload, if there is one, and then the modes. Collective.

@@ -10,7 +10,6 @@ import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError, nearest
-from dolfin_elastic.core.schema import within
 from dolfin_elastic.core.types import BoolArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.problem.problem import Problem
@@ -63,7 +62,7 @@ class Wanted:
             try:
                 assert wanted.quantity
             except InputError as error:
-                raise within("--until", error) from None
+                raise error.at("--until") from None
         return wanted
 
     def __str__(self) -> str:
