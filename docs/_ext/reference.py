@@ -20,6 +20,7 @@ from messages import escaped
 from dolfin_elastic.case.reference.json_schema import case_schema
 from dolfin_elastic.cli.app import app
 from dolfin_elastic.core.formula_functions import CONSTANTS, FUNCTIONS
+from dolfin_elastic.model.materials.library import in_words, library
 from dolfin_elastic.results.fields import FIELDS
 
 ROOT = Path(__file__).parents[2]
@@ -41,6 +42,7 @@ def write(folder: Path) -> None:
         "commands.md": commands(),
         "messages.md": messages.write(folder.parent / "messages"),
         "fields.md": fields(),
+        "library.md": library_table(),
         "verification.md": verification(),
     }
     for name, text in pages.items():
@@ -198,6 +200,13 @@ def verification() -> str:
             "",
         ]
     )
+
+
+def library_table() -> str:
+    """The materials of the library with their sources."""
+    rows = [f"| {' | '.join(map(escaped, in_words(name)))} |" for name in library()]
+    heads = ["| name | elastic constants | density | yield | source |", "|---|---|---|---|---|"]
+    return "\n".join([*heads, *rows, ""])
 
 
 def lines(rows: Iterable[Mapping[str, Any]]) -> Iterator[str]:

@@ -25,7 +25,7 @@ from pydantic import PrivateAttr
 from dolfin_elastic.case.analysis import ANALYSES, AnalysisTables
 from dolfin_elastic.case.check.memory import check_elements
 from dolfin_elastic.case.curve_files import has_curve_files, with_curves
-from dolfin_elastic.case.model_tables import read_material_tables
+from dolfin_elastic.case.model_tables import read_material_tables, with_library
 from dolfin_elastic.case.tables import Material, table_of
 from dolfin_elastic.case.toml import position, read_toml, toml_text
 from dolfin_elastic.core.errors import InputError, RestartError, dotted, joined
@@ -85,7 +85,7 @@ class Case(AnalysisTables):
             InputError: With the file's name and the dotted key.
         """
         with locate_errors(file), in_order(lambda: tables):
-            case = with_curves(cls(**dict(tables)), Path(folder))
+            case = with_curves(cls(**with_library(tables, Path(folder))), Path(folder))
         return case._from(file, Path(folder), trust)
 
     def _from(self, file: str, folder: Path, trust: bool) -> Case:
@@ -184,6 +184,8 @@ def read_case(
     file, folder = str(path), Path(path).parent
     tables = on_root(comm, lambda: read_toml(file))
     with locate_errors(file), in_order(lambda: tables):
+        if "library" in tables:
+            tables = on_root(comm, lambda: with_library(tables, folder))
         case = Case(**tables)
         if has_curve_files(case):
             case = on_root(comm, lambda: with_curves(case, folder))
@@ -197,7 +199,8 @@ def read_materials(path: str | PathLike[str]) -> dict[str, Material]:
         InputError: With file, dotted key, and what is expected.
     """
     file = str(path)
-    tables = read_toml(file)
+    with locate_errors(file):
+        tables = with_library(read_toml(file), Path(file).parent)
     with locate_errors(file, "materials"):
         return read_material_tables(tables.get("materials", {}))
 

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dolfin_elastic.case.case import locate_errors, read_materials
-from dolfin_elastic.core.errors import CaseError, nearest
+from dolfin_elastic.case.tables import Material
+from dolfin_elastic.core.errors import CaseError, InputError, nearest
 from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.schema import known_keys
 from dolfin_elastic.core.startup.elsewhere import plain_matplotlib
 from dolfin_elastic.core.units import stress_unit
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.library import alike, in_words, library
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.point.homogeneous_tests import ResponseCurve
 from dolfin_elastic.model.point.report import MaterialReport
@@ -35,8 +37,9 @@ def read_laws(
     Not collective.
 
     Args:
-        what: A case file, of which nothing but [materials] is read, or the name of a law.
-        constants: Name to value as written, for a law.
+        what: A case file, of which nothing but [materials] is read, or the name of a law or of a
+            material of the library.
+        constants: Name to value as written, for these.
         only: Name of the one material of the file that is wanted.
 
     Raises:
@@ -46,9 +49,17 @@ def read_laws(
         with locate_errors(what):
             return {what: MATERIALS[what](**constants)}
     if not what.endswith(".toml") and not Path(what).exists():
-        raise CaseError(
-            f"'{what}' is neither a case file nor a law", expected=nearest(what, MATERIALS)
-        )
+        try:
+            name = in_words(what)[0]
+        except InputError:
+            near = nearest(what, MATERIALS)
+            near = alike(what, library()) if near.startswith("known: ") else near
+            raise CaseError(
+                f"'{what}' is neither a case file, nor a law, nor a material of the library",
+                expected=near,
+            ) from None
+        with locate_errors(what):
+            return {name: Material.read({"material": name, **constants}).law}
     if constants:
         raise CaseError(
             f"--{next(iter(constants))} is a constant of a law, and this is a case file",

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
@@ -22,13 +23,14 @@ from dolfin_elastic.case.tables import (
     selectors,
     table_of,
 )
-from dolfin_elastic.case.toml import key_text
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.case.toml import key_text, read_toml
+from dolfin_elastic.core.errors import InputError, all_errors, keyed
 from dolfin_elastic.core.schema import AlreadyRead, Record, WhenGiven, quoted
 from dolfin_elastic.mesh import Body, EdgeSelector, PointSelector, Selector
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads import LOAD_WORDS, LOADS, Load
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.library import check_library, completed
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.supports.springs import SUPPORTS
@@ -46,6 +48,8 @@ class ModelTables(Record):
         regions: The same for cells.
         edges: The same for edges of solids.
         points: The same for nodes.
+        library: A TOML file of materials of the user's own, relative to the case file; see
+            `with_library`.
         materials: Name to law and place; together they fill the body exactly once.
         support: What holds surfaces; where displacements are prescribed twice the later one holds.
         load: External forces.
@@ -54,12 +58,17 @@ class ModelTables(Record):
         periodic: Opposite faces that are one, and the macroscopic deformation of the cell.
     """
 
+    key_hints: ClassVar[Mapping[str, str]] = {
+        "material": "did you mean 'materials'? As in [materials.frame], with "
+        'material = "steel S235" of the library'
+    }
     title: str = ""
     mesh: MeshTable
     surfaces: dict[str, list[AlreadyRead[Selector]]] = Field(default={})
     regions: dict[str, list[AlreadyRead[Selector]]] = Field(default={})
     edges: dict[str, list[AlreadyRead[EdgeSelector]]] = Field(default={})
     points: dict[str, list[AlreadyRead[PointSelector]]] = Field(default={})
+    library: str | None = None
     materials: dict[str, AlreadyRead[Material]]
     support: list[AlreadyRead[Restraint]] = Field(default=[])
     load: list[AlreadyRead[Load]] = Field(default=[])
@@ -152,6 +161,33 @@ def read_material_tables(tables: object) -> dict[str, Material]:
     if not read:
         raise InputError("there is no material", expected="write [materials.NAME]")
     return read
+
+
+def with_library(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The tables of a case, its materials completed from the file that `library` names.
+
+    Not collective.
+
+    Args:
+        folder: Folder that the file is relative to.
+
+    Raises:
+        InputError: The file cannot be read, an entry has a wrong key, or there is no such material.
+    """
+    result, file = dict(tables), tables.get("library")
+    if isinstance(file, str):
+        own = read_toml(str(folder / result.pop("library")))
+        try:
+            check_library(own)
+        except InputError as error:
+            raise error.moved(lambda where: f"{file}: {where}") from None
+        rows = tables.get("materials")
+        with all_errors() as attempt:
+            for name, row in rows.items() if isinstance(rows, Mapping) else ():
+                if isinstance(row, Mapping) and "material" in row:
+                    with attempt(), keyed(f"materials.{key_text(name)}"):
+                        result["materials"] = {**result["materials"], name: completed(row, own)}
+    return result
 
 
 # --- rows of lists ---

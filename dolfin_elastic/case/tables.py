@@ -40,6 +40,7 @@ from dolfin_elastic.mesh.local_size import MOST_CELLS, CadSizes, LocalSize
 from dolfin_elastic.mesh.selectors import Place, Selector
 from dolfin_elastic.model.kinematics import Geometry
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.library import completed, containing, library
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.problem.material_regions import Formulation
 from dolfin_elastic.problem.problem import Problem
@@ -275,10 +276,12 @@ class Material(Record):
     Attributes:
         law: The law; in a case file its name, with its constants beside it.
         on: Region or regions it fills; None: everything no other material names.
+        source: Where its values are from; of a material of a library its name and sources.
     """
 
     law: Law
     on: str | list[str] | None = None
+    source: str = ""
 
     @property
     def regions(self) -> tuple[str, ...]:
@@ -293,22 +296,37 @@ class Material(Record):
         if isinstance(table, Law):
             return cls(law=table)
         assert isinstance(table, Mapping)
+        if "material" in table:
+            table = completed(table)
+        constants = {key: value for key, value in table.items() if key not in ("on", "source")}
+        beside = {key: value for key, value in table.items() if key not in constants}
         if "energy" in table:
             from dolfin_elastic.model.materials.user import read_energy
 
-            own = read_energy({key: value for key, value in table.items() if key != "on"})
-            return cls(law=own, on=table.get("on"))
-        law = class_named(MATERIALS, table, "law")
-        return cls(
-            law=law(**{key: value for key, value in table.items() if key != "on"}),
-            on=table.get("on"),
-        )
+            return cls(law=read_energy(constants), **beside)
+        return cls(law=_law_named(table)(**constants), **beside)
 
     def table(self) -> dict[str, Any]:
         """Back to a case file's table."""
         named = {} if self.law.written else {"law": self.law.name()}
         law = {**named, **table_of(self.law)}
-        return law if self.on is None else {**law, "on": self.on}
+        return {**law, **self.model_dump(exclude={"law"}, exclude_unset=True, exclude_none=True)}
+
+
+def _law_named(table: Mapping[str, object]) -> type[Law]:
+    """The class of a material's law."""
+    try:
+        return class_named(MATERIALS, table, "law")
+    except InputError as error:
+        name = table.get("law")
+        if name is None:
+            hint = 'or write material = "steel S235" for one of the library'
+        elif isinstance(name, str) and (known := containing(name, library())):
+            hint = f'a material of the library is material = "..."; {known}'
+            raise InputError(error.what, where="law", expected=hint) from None
+        else:
+            raise
+        raise InputError(error.what, where="law", expected=f"{error.expected}; {hint}") from None
 
 
 def check_name_of_folder(folder: str) -> None:

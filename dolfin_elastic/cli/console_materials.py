@@ -13,9 +13,9 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from dolfin_elastic.cli.terminal import Screen
+from dolfin_elastic.model.materials.library import in_words, library
 
 if TYPE_CHECKING:
-    from dolfin_elastic.model.point.library import TypicalMaterial
     from dolfin_elastic.model.point.report import MaterialReport
 
 _MARKS = {"pass": "ok", "fail": "FAILED", "note": "note"}
@@ -89,10 +89,8 @@ def _curves(report: MaterialReport) -> Table:
     return table
 
 
-def show_laws(
-    screen: Screen, laws: Sequence[Mapping[str, Any]], typical: Sequence[TypicalMaterial]
-) -> None:
-    """Prints the laws, and typical constants.
+def show_laws(screen: Screen, laws: Sequence[Mapping[str, Any]]) -> None:
+    """Prints the laws.
 
     Args:
         screen: Where to.
@@ -108,12 +106,17 @@ def show_laws(
         if law["source"]:
             screen.print(f"  source: {law['source']}")
         screen.print()
-    screen.print("typical constants, for a first estimate", style="bold")
-    table = Table("", box=SIMPLE_HEAD, pad_edge=False)
-    for head in ("E", "nu", "density"):
+
+
+def show_library(screen: Screen, *names: str) -> None:
+    """Prints materials of the library with their sources; all without a name."""
+    rows = [in_words(name) for name in names or library()]
+    screen.print('materials by name, as in material = "steel S235"', style="bold")
+    table = Table("material", box=SIMPLE_HEAD, pad_edge=False)
+    for head in ("elastic constants", "density", "yield"):
         table.add_column(head)
-    for item in typical:
-        table.add_row(item.name, item.E, item.nu, item.density)
+    for *cells, _ in rows:
+        table.add_row(*cells)
     screen.print(table)
-    for item in typical:
-        screen.tell(f"  {item.name}: {item.source}")
+    for name, *_, about in rows:
+        screen.tell(f"  {name}: {about}")

@@ -14,7 +14,7 @@ from dolfin_elastic.core.startup.libraries import start
 
 def material(
     context: typer.Context,
-    what: Annotated[str, typer.Argument(metavar="FILE|LAW", hidden=True)],
+    what: Annotated[str | None, typer.Argument(metavar="FILE|LAW|MATERIAL", hidden=True)] = None,
     *,
     only: Annotated[
         str | None,
@@ -36,6 +36,8 @@ def material(
       dolfin-elastic material case.toml
       dolfin-elastic material case.toml --material gel --output bench
       dolfin-elastic material neo-hookean --E '10 MPa' --nu 0.45
+      dolfin-elastic material 'steel S235'      one of the library
+      dolfin-elastic material                   list the library
 
     Checks what every material must keep, says how far it goes, and draws its curves: uniaxial,
     equibiaxial, planar, simple shear, volumetric.
@@ -44,8 +46,13 @@ def material(
     from mpi4py import MPI
 
     from dolfin_elastic.case.material_report import read_constants
+    from dolfin_elastic.cli.console import console
+    from dolfin_elastic.cli.console_materials import show_library
     from dolfin_elastic.core.parallel import on_root
 
+    if what is None:
+        show_library(console())
+        return
     constants = read_constants(context.args)
     on_root(MPI.COMM_WORLD, lambda: _test_materials(what, only, constants, stretch, output, json))
 
@@ -53,20 +60,17 @@ def material(
 def materials(
     json: Annotated[bool, typer.Option("--json", help="Print JSON, for scripts.")] = False,
 ) -> None:
-    """List the material laws, and typical constants with their sources."""
-    from dataclasses import asdict
-
+    """List the material laws, and the materials of the library with their sources."""
     from dolfin_elastic.case.material_report import law_table
     from dolfin_elastic.cli.console import console
-    from dolfin_elastic.cli.console_materials import as_json, show_laws
-    from dolfin_elastic.model.point.library import TYPICAL_MATERIALS
+    from dolfin_elastic.cli.console_materials import as_json, show_laws, show_library
+    from dolfin_elastic.model.materials.library import library
 
     if json:
-        print(
-            as_json({"laws": law_table(), "typical": [asdict(item) for item in TYPICAL_MATERIALS]})
-        )
+        print(as_json({"laws": law_table(), "library": library()}))
     else:
-        show_laws(console(), law_table(), TYPICAL_MATERIALS)
+        show_laws(console(), law_table())
+        show_library(console())
 
 
 def _test_materials(
@@ -81,12 +85,20 @@ def _test_materials(
     from dolfin_elastic.case.case import locate_errors
     from dolfin_elastic.case.material_report import read_laws, write
     from dolfin_elastic.cli.console import console
-    from dolfin_elastic.cli.console_materials import as_json, report_table, show_report
+    from dolfin_elastic.cli.console_materials import (
+        as_json,
+        report_table,
+        show_library,
+        show_report,
+    )
+    from dolfin_elastic.model.materials.registry import MATERIALS
     from dolfin_elastic.model.point.report import material_report
 
     laws, tables, failed = read_laws(what, constants, only), {}, ""
+    if not json and not what.endswith(".toml") and what not in MATERIALS:
+        show_library(console(), *laws)
     for name, law in laws.items():
-        with locate_errors(what if name == what else f"{what}: materials.{name}"):
+        with locate_errors(f"{what}: materials.{name}" if what.endswith(".toml") else what):
             report = material_report(law, largest=stretch)
         files = write(name, report, output) if output else []
         tables[name] = report_table(report)

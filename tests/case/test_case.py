@@ -106,7 +106,8 @@ MISTAKES = {
     "law missing": (
         'law = "linear-elastic"\n',
         "",
-        "materials.steel.law: this key is missing; known: " + ", ".join(MATERIALS),
+        f"materials.steel.law: this key is missing; known: {', '.join(MATERIALS)}; or write "
+        'material = "steel S235" for one of the library',
     ),
     "kind": (
         '"traction"',
@@ -995,6 +996,61 @@ def test_all_names_that_are_missing_are_told(folder: Path) -> None:
         "output.fields[0]",
     ]
     assert said[1].endswith("there is no surface 'lef'; did you mean 'left'?")
+
+
+SHOP = """
+["PETG, ours"]
+E = "1.6 GPa"
+nu = 0.39
+yield = "30 MPa"
+source = "tests of ours"
+["steel S235"]
+E = "200 GPa"
+nu = 0.25
+"""
+
+
+def shop_case(folder: Path, name: str, library: str = SHOP) -> Case:
+    if COMM.rank == 0:
+        (folder / "shop.toml").write_text(library)
+    COMM.barrier()
+    text = GOOD.replace('title = "Block"', 'library = "shop.toml"')
+    old = 'law = "linear-elastic"\nE = "210 GPa"\nnu = 0.3\n'
+    assert old in text
+    return case_of(folder, text.replace(old, f'material = "{name}"\n'))
+
+
+def test_a_library_of_ones_own(folder: Path) -> None:
+    """It wins over that of the program, which stays beside it."""
+    for name, E, allowable, source in (
+        ("petg, ours", 1.6e9, 30e6, "PETG, ours: tests of ours"),
+        ("steel S235", 200e9, None, "steel S235"),
+        ("steel S355", 210e9, 355e6, "steel S355: E, nu"),
+    ):
+        case = shop_case(folder, name)
+        (material,) = case.materials.values()
+        assert (material.law.E, material.law.allowable) == (E, allowable)
+        assert material.source.startswith(source)
+        assert Case.from_dict(case.to_dict()).to_dict() == case.to_dict()
+
+
+@pytest.mark.parametrize(
+    ("name", "library", "says"),
+    [
+        ("PETG, or", SHOP, "materials.steel.material: there is no material 'PETG, or' in the lib"),
+        (
+            "PLA",
+            SHOP.replace("nu =", "nuu ="),
+            "shop.toml: \"PETG, ours\": unknown key 'nuu'",
+        ),
+        ("PLA", "a = 1", 'shop.toml: "a": 1 is wrong; expected a table'),
+        ("PLA", "[a", "shop.toml: the heading has no closing bracket"),
+    ],
+)
+def test_a_wrong_library(folder: Path, name: str, library: str, says: str) -> None:
+    with pytest.raises(InputError) as caught:
+        shop_case(folder, name, library)
+    assert says in str(caught.value)
 
 
 def test_moments_without_any_support(folder: Path) -> None:

@@ -37,6 +37,7 @@ POINTS = {
     "hostile/test_terminal.py",
     "native/test_sanitisers.py",
     "model/point/test_material_point.py",
+    "model/materials/test_library.py",
     "model/materials/test_moduli.py",
     "model/materials/test_reference_energies.py",
     "model/test_amplitude.py",

@@ -22,8 +22,14 @@ def stability_notes(case: Case) -> Iterator[str]:
 
 
 def material_information(case: Case) -> tuple[str, ...]:
-    """Up to which stretches laws are stable whatever their constants, and digits lost. Local."""
-    return (*_stable_ranges(case), *_rounded(case))
+    """Sources, up to which stretches laws are stable whatever their constants, digits lost."""
+    return (*_sources(case), *_stable_ranges(case), *_rounded(case))
+
+
+def _sources(case: Case) -> Iterator[str]:
+    for name, material in case.materials.items():
+        if material.source:
+            yield f"materials.{key_text(name)}: {material.source}"
 
 
 def _stable_ranges(case: Case) -> Iterator[str]:

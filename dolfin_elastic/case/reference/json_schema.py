@@ -25,6 +25,7 @@ from dolfin_elastic.mesh.selectors import Place
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.loads import LOADS, Load
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.laws.linear_elastic import LinearElastic
 from dolfin_elastic.model.materials.pages import descriptions, summary
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.user import FormulaEnergy, SplitFormulaEnergy
@@ -38,6 +39,12 @@ Schema = dict[str, Any]
 NUMBER: Schema = {"type": ["number", "string"]}
 """A bare number, or a text with a unit or a formula."""
 TEXTS: Schema = {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}
+_TEXT: Schema = {"type": "string"}
+_BESIDE: Mapping[str, Schema] = {
+    "on": TEXTS,
+    "source": {**_TEXT, "description": "Where the values are from."},
+}
+"""Keys of a material beside those of its law."""
 FIELD: Schema = {
     "type": "object",
     "properties": {"field": {"type": "string"}, "unit": {"type": "string"}},
@@ -216,15 +223,23 @@ class _Writer:
     def _material(self) -> Schema:
         variants = []
         for name, law in MATERIALS.items():
-            table = self.table(law, plus={"law": {"const": name}, "on": TEXTS})
+            table = self.table(law, plus={"law": {"const": name}, **_BESIDE})
             table["required"] = ["law", *table.get("required", [])]
             self.definitions[f"law-{name}"] = table
             variants.append({"$ref": f"#/definitions/law-{name}"})
         for own in (FormulaEnergy, SplitFormulaEnergy):
-            table = self.table(own, plus={"on": TEXTS})
+            table = self.table(own, plus=_BESIDE)
             self.definitions[own.__name__] = table
             variants.append({"$ref": f"#/definitions/{own.__name__}"})
-        return {"anyOf": variants}
+        by_name = {"type": "string", "description": "Its name in the library."}
+        table = self.table(LinearElastic, plus={"material": by_name, "law": _TEXT, **_BESIDE})
+        self.definitions["MaterialByName"] = {
+            **table,
+            "description": "A material of a library; what stands beside its name wins.",
+            "additionalProperties": True,
+            "required": ["material"],
+        }
+        return {"anyOf": [*variants, {"$ref": "#/definitions/MaterialByName"}]}
 
 
 def _union(kind: object) -> tuple[object, ...]:

@@ -120,7 +120,7 @@ class Law(spatial.SpatialRecord):
         "prony": "a law whose deviatoric stress may relax: linear-elastic, neo-hookean-split, "
         "mooney-rivlin, yeoh, ogden, arruda-boyce or gent"
     }
-    keys_beside: ClassVar[tuple[str, ...]] = ("on",)
+    keys_beside: ClassVar[tuple[str, ...]] = ("on", "source", "material")
     linear: ClassVar[bool] = False
     """Stress is linear in the displacement gradient."""
     barrier: ClassVar[bool] = False

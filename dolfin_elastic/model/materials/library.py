@@ -1,0 +1,128 @@
+"""Materials by name, from the library of the package and from a user's own.
+
+A library is a TOML file of tables with the keys of [materials.NAME]; see `library.toml`.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from dolfin_elastic.core.errors import InputError, all_errors, keyed, nearest
+from dolfin_elastic.core.schema import known_keys, quoted
+from dolfin_elastic.model.materials.registry import MATERIALS
+
+Entry = Mapping[str, Any]
+
+_ELASTIC = frozenset(("E", "nu", "K", "lambda", "lmbda", "mu"))
+_ABOUT = frozenset(("also", "yield", "source", "note"))
+"""Keys of an entry that are none of a law."""
+
+
+@cache
+def library() -> dict[str, Entry]:
+    """Name to entry of the library of the package."""
+    text = files("dolfin_elastic.model.materials").joinpath("library.toml").read_text("utf-8")
+    return tomllib.loads(text)
+
+
+def completed(table: Entry, own: Mapping[str, Entry] | None = None) -> dict[str, Any]:
+    """A material's table with what it leaves out from a library, and with the `source` of that.
+
+    Of elastic constants both are left out where the table has two of its own.
+
+    Args:
+        table: With the name of an entry under `material`, which is left out of the result.
+        own: A user's library, which wins over that of the package.
+
+    Raises:
+        InputError: There is no entry of this name.
+    """
+    given = {key: value for key, value in table.items() if key != "material"}
+    name, entry = _found(table["material"], {**library(), **(own or {})})
+    law = {} if "energy" in given else {"law": entry.get("law", "linear-elastic")}
+    law.update(given)
+    keys = {"density", "expansion", "allowable", "viscosity"}
+    if isinstance(kind := law.get("law"), str) and kind in MATERIALS:
+        keys.update(known_keys(MATERIALS[kind]))
+    if len(_ELASTIC & given.keys()) > 1:
+        keys -= _ELASTIC
+    values = {"allowable": entry["yield"]} if "yield" in entry else {}
+    values |= {key: value for key, value in entry.items() if key not in _ABOUT}
+    result = {**{key: value for key, value in values.items() if key in keys}, **law}
+    if _ELASTIC & result.keys() == {"nu"} and "note" in entry:
+        raise InputError("this key is missing", where="E", expected=str(entry["note"]))
+    return {"source": ": ".join(filter(None, (name, entry.get("source")))), **result}
+
+
+def check_library(entries: Mapping[str, object]) -> None:
+    """Checks the keys of a user's library.
+
+    Raises:
+        InputError: An entry is no table, or has a key that its law does not have.
+    """
+    with all_errors() as attempt:
+        for name, entry in entries.items():
+            with attempt(), keyed(f'"{name}"'):
+                _check_entry(entry)
+
+
+def _check_entry(entry: object) -> None:
+    if not isinstance(entry, Mapping):
+        raise InputError(f"{quoted(entry)} is wrong", expected="expected a table")
+    law = entry.get("law", "linear-elastic")
+    if law not in MATERIALS:
+        raise InputError(f"unknown law '{law}'", where="law", expected=nearest(str(law), MATERIALS))
+    known = {*known_keys(MATERIALS[law]), *_ABOUT}
+    for key in entry:
+        if key not in known:
+            raise InputError(f"unknown key '{key}'", expected=nearest(key, known))
+
+
+def in_words(name: str) -> tuple[str, ...]:
+    """Name, elastic constants, density, yield, and sources with a note, of a material.
+
+    Raises:
+        InputError: There is no such material in the library of the package.
+    """
+    known, entry = _found(name, library())
+    constants = ", ".join(f"{key} = {entry[key]}" for key in sorted(_ELASTIC & entry.keys()))
+    texts = (str(entry.get(key, "")) for key in ("density", "yield"))
+    about = "; ".join(str(entry[key]) for key in ("source", "note") if key in entry)
+    return (known, constants, *texts, about)
+
+
+def _found(name: object, entries: Mapping[str, Entry]) -> tuple[str, Entry]:
+    """The entry of a name, which may be one of its other names, without regard to capitals."""
+    if not isinstance(name, str):
+        raise InputError(
+            f"{quoted(name)} is wrong", where="material", expected="expected the name of a material"
+        )
+    for known, entry in entries.items():
+        if _plain(name) in map(_plain, (known, *entry.get("also", ()))):
+            return known, entry
+    raise InputError(
+        f"there is no material '{name}' in the library",
+        where="material",
+        expected=f"{alike(name, entries)}; dolfin-elastic materials lists all, and `library` names "
+        "a file of your own",
+    )
+
+
+def alike(name: str, entries: Mapping[str, Entry]) -> str:
+    """Which materials an unknown name may mean: those that contain it, or the nearest."""
+    return containing(name, entries) or nearest(name, entries)
+
+
+def containing(name: str, entries: Mapping[str, Entry]) -> str:
+    """The materials in whose names a word stands, as a hint; empty without any."""
+    names = [known for known in entries if _plain(name) in _plain(known)]
+    return f"known: {', '.join(names)}" if names else ""
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\s_]+", " ", name.strip()).casefold()

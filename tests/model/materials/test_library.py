@@ -1,0 +1,112 @@
+"""Materials by name: what the library holds, and what a case makes of it."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.check.report import report
+from dolfin_elastic.case.tables import Material
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.library import check_library, library
+
+BOX = {"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}}
+
+
+def named(name: object, **keys: Any) -> Any:
+    """The law of a material."""
+    return Material.read({"material": name, **keys}).law
+
+
+def case(material: dict[str, Any], **tables: Any) -> Case:
+    return Case(mesh=BOX, materials={"m": material}, support=[{"on": "left"}], **tables)
+
+
+@pytest.mark.parametrize("name", library())
+def test_every_entry(name: str) -> None:
+    """It is a stable material with a source of a year, or says what is to be given."""
+    entry, given = library()[name], {}
+    if not entry.keys() & {"E", "mu"}:
+        with pytest.raises(
+            InputError, match="E: this key is missing; give E, 10|E: .*; give E, 0.1"
+        ):
+            named(name)
+        given = {"E": "1 MPa"}
+    law = named(name, **given)
+    assert isinstance(law, Law)
+    moduli = law.small_strain()
+    assert moduli is not None
+    assert 100 < moduli.E < 300e9
+    assert moduli.mu > 0
+    assert re.search(r"(19|20)\d\d", entry["source"])
+    assert law.density is None or 400 < law.density < 9000
+    assert (law.allowable is None) is ("yield" not in entry)
+    assert Material.read({"material": name, **given}).source == f"{name}: {entry['source']}"
+
+
+def test_keys_and_names_of_the_library() -> None:
+    check_library(library())
+    names = [n.casefold() for known, e in library().items() for n in (known, *e.get("also", ()))]
+    assert len(names) == len(set(names))
+
+
+def test_values() -> None:
+    steel = named("steel S235")
+    assert (steel.E, steel.nu, steel.density) == (210e9, 0.3, 7850)
+    assert (steel.allowable, steel.expansion) == (235e6, pytest.approx(12e-6))
+    assert named("s235jr") == named("  Steel  S235 ") == steel
+    rubber = named("rubber NR 50 Shore A")
+    assert (rubber.name(), rubber.mu, rubber.K) == ("neo-hookean-split", 0.64e6, 1030e6)
+
+
+def test_what_the_case_gives_wins() -> None:
+    law = named("steel S235", allowable="150 MPa", E="200 GPa", law="st-venant-kirchhoff")
+    assert (law.name(), law.E, law.nu, law.allowable) == ("st-venant-kirchhoff", 200e9, 0.3, 150e6)
+    law = named("steel S235", K="160 GPa", mu="80 GPa")
+    assert (law.K, law.mu, law.density) == (160e9, 80e9, 7850)
+    law = named("rubber NR 50 Shore A", law="mooney-rivlin", c10="0.2 MPa", c01="0.1 MPa")
+    assert (law.K, law.density) == (1030e6, 1100)
+    law = named("bone, trabecular", E="300 MPa", density=500)
+    assert (law.E, law.nu, law.density) == (300e6, 0.3, 500)
+    own = named("steel S235", energy="mu/2*(I1 - 3) - mu*ln(J)", parameters={"mu": 1e9})
+    assert (own.density, own.allowable) == (7850, 235e6)
+    assert Material.read({"material": "PLA", "on": "a", "source": "mine"}).on == "a"
+    assert Material.read({"material": "PLA", "source": "mine"}).source == "mine"
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"material": "steel"}, "there is no material 'steel' in the library; known: steel S235, "),
+        ({"material": "steel S234"}, "did you mean 'steel S235'?; dolfin-elastic materials lists"),
+        ({"material": "6061"}, "known: aluminium 6061-T6; "),
+        ({"material": 3}, "materials.m.material: 3 is wrong; expected the name of a material"),
+        ({"material": "PLA", "yield": 3}, "materials.m: unknown key 'yield'; did you mean 'allow"),
+        ({"material": "PLA", "mu": 3}, "two elastic constants are needed, 3 given (E, nu, mu)"),
+        ({"law": "steel"}, 'a material of the library is material = "..."; known: steel S235, '),
+        ({"E": 1}, "for one of the library"),
+        ({"materal": "PLA", "law": "hencky"}, "unknown key 'materal'; did you mean 'material'?"),
+    ],
+)
+def test_what_is_no_material(table: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError) as caught:
+        case(table)
+    assert says in str(caught.value)
+
+
+def test_a_material_beside_the_tables() -> None:
+    with pytest.raises(InputError, match=r"'material'; did you mean 'materials'\? As in \[mat"):
+        Case(mesh=BOX, material="steel S235")
+
+
+def test_a_case_keeps_values_and_source() -> None:
+    """It is read back from its own text, without any library; check names the source."""
+    made = case({"material": "steel S235"}, output={"fields": ["safety_factor"]})
+    assert "material" not in made.to_dict()["materials"]["m"]
+    assert Case.from_dict(made.to_dict()) == made
+    found = report(made)
+    assert any("materials.m: steel S235: E, nu" in line for line in found.information)
