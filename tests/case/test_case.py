@@ -981,6 +981,30 @@ def test_all_errors_are_told(folder: Path) -> None:
     assert said[5] == "case.toml: support[0]: unknown key 'onn'; did you mean 'on'?"
 
 
+def test_the_words_of_an_engineer(folder: Path) -> None:
+    """What works works; all others get the right word in one run."""
+    text = (
+        GOOD.replace('law = "linear-elastic"', 'material = "steel"')
+        .replace('E = "210 GPa"\nnu = 0.3', "yield = 1")
+        .replace('on = "left"\ndisplacement = [0, 0, 0]', 'kind = "fixed"\non = "left"')
+        .replace('kind = "traction"', 'kind = "force"')
+        .replace('[0, 0, "1 MPa"]', '[0, 0, "1 kN"]')
+        .replace('["displacement"]', '["safety factor"]')
+    )
+    said = [line.removeprefix("case.toml: ") for line in message_of(folder, text).splitlines()]
+    assert said[0] == "materials.steel: unknown key 'yield'; did you mean 'allowable'?"
+    assert said[1].startswith(
+        "materials.steel.material: there is no material 'steel' in the library; known: steel S235,"
+    )
+    assert (
+        said[2] == "output.fields[0]: unknown field 'safety factor'; did you mean 'safety_factor'?"
+    )
+    assert len(said) == 3
+    text = text.replace('"steel"', '"steel S235"').replace("yield = 1", 'allowable = "200 MPa"')
+    found = report(case_of(folder, text.replace("safety factor", "safety_factor")))
+    assert [row.force for row in found.loads] == [pytest.approx((0, 0, 1000))]
+
+
 def test_all_names_that_are_missing_are_told(folder: Path) -> None:
     text = GOOD.replace('on = "left"', 'on = ["left", "lef", "foto"]').replace(
         'fields = ["displacement"]', 'fields = ["safety_factor"]'
@@ -1043,6 +1067,8 @@ def test_a_library_of_ones_own(folder: Path) -> None:
             SHOP.replace("nu =", "nuu ="),
             "shop.toml: \"PETG, ours\": unknown key 'nuu'",
         ),
+        ("PLA", "[a]\nalso = 1", 'shop.toml: "a".also: 1 is wrong; expected a list'),
+        ("PLA", "[a]\nlaw = [1]", 'shop.toml: "a".law: unknown law'),
         ("PLA", "a = 1", 'shop.toml: "a": 1 is wrong; expected a table'),
         ("PLA", "[a", "shop.toml: the heading has no closing bracket"),
     ],

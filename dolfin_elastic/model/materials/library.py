@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from dolfin_elastic.core.errors import InputError, all_errors, keyed, nearest
+from dolfin_elastic.core.errors import InputError, all_errors, joined, keyed, nearest
 from dolfin_elastic.core.schema import known_keys, quoted
 from dolfin_elastic.model.materials.registry import MATERIALS
 
@@ -43,7 +43,11 @@ def completed(table: Entry, own: Mapping[str, Entry] | None = None) -> dict[str,
         InputError: There is no entry of this name.
     """
     given = {key: value for key, value in table.items() if key != "material"}
-    name, entry = _found(table["material"], {**library(), **(own or {})})
+    try:
+        name, entry = _found(table["material"], {**library(), **(own or {})})
+    except InputError as error:
+        others = () if "energy" in given else _unknown_keys(given, ("law", "on", "source"))
+        raise joined([error, *others]) from None
     law = {} if "energy" in given else {"law": entry.get("law", "linear-elastic")}
     law.update(given)
     keys = {"density", "expansion", "allowable", "viscosity"}
@@ -75,12 +79,22 @@ def _check_entry(entry: object) -> None:
     if not isinstance(entry, Mapping):
         raise InputError(f"{quoted(entry)} is wrong", expected="expected a table")
     law = entry.get("law", "linear-elastic")
-    if law not in MATERIALS:
+    if not isinstance(law, str) or law not in MATERIALS:
         raise InputError(f"unknown law '{law}'", where="law", expected=nearest(str(law), MATERIALS))
-    known = {*known_keys(MATERIALS[law]), *_ABOUT}
-    for key in entry:
+    if not isinstance(also := entry.get("also", []), list):
+        raise InputError(f"{quoted(also)} is wrong", where="also", expected="expected a list")
+    if errors := [*_unknown_keys(entry, _ABOUT)]:
+        raise joined(errors)
+
+
+def _unknown_keys(table: Entry, beside: Iterable[str]) -> Iterator[InputError]:
+    """Errors about keys that are none of the table's law, and none of those beside them."""
+    law = table.get("law", "linear-elastic")
+    is_law = isinstance(law, str) and law in MATERIALS
+    known = {*known_keys(MATERIALS[law]), *beside} if is_law else {*table}
+    for key in table:
         if key not in known:
-            raise InputError(f"unknown key '{key}'", expected=nearest(key, known))
+            yield InputError(f"unknown key '{key}'", expected=nearest(key, known))
 
 
 def in_words(name: str) -> tuple[str, ...]:
@@ -103,7 +117,7 @@ def _found(name: object, entries: Mapping[str, Entry]) -> tuple[str, Entry]:
             f"{quoted(name)} is wrong", where="material", expected="expected the name of a material"
         )
     for known, entry in entries.items():
-        if _plain(name) in map(_plain, (known, *entry.get("also", ()))):
+        if _plain(name) in map(_plain, (known, *map(str, entry.get("also", ())))):
             return known, entry
     raise InputError(
         f"there is no material '{name}' in the library",
