@@ -206,10 +206,26 @@ def _support_table(support: Restraint) -> dict[str, Any]:
     return table if support.kind == "displacement" else {"kind": support.kind, **table}
 
 
+def _total_force(table: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A load's table with earlier spellings of `kind = "force"` in its own.
+
+    They are `force` in place of `value` in a traction, and `total = true` beside `on` in a
+    point-force or line-force.
+    """
+    kind, rest = table.get("kind"), dict(table)
+    if kind == "traction" and "force" in rest and "value" not in rest:
+        value = rest.pop("force")
+        return {**rest, "kind": "force", "value": value}
+    if kind in ("point-force", "line-force") and "on" in rest and rest.get("total") is True:
+        del rest["total"]
+        return {**rest, "kind": "force"}
+    return table
+
+
 def _load(row: object) -> Load:
     if isinstance(row, Load):
         return row
-    table = as_table(row)
+    table = _total_force(as_table(row))
     examples = {"growth": "[1.1, 1, 1]", "force": '[0, 0, "-2 kN"]'}
     with _vector("value", examples.get(str(table.get("kind")), "[0, 0, 1]")):
         return class_named(LOADS, table, "kind", LOAD_WORDS)(**table)

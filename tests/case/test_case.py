@@ -709,6 +709,27 @@ OUTSIDE: dict[str, tuple[str, str]] = {
 """Kind to the mesh file of the case, and its content."""
 
 
+@pytest.mark.parametrize(
+    ("earlier", "on"),
+    [
+        ({"kind": "traction", "force": [0, 0, "-2 kN"]}, "right"),
+        ({"kind": "point-force", "value": [0, 0, "-2 kN"], "total": True}, "tips"),
+        ({"kind": "line-force", "value": [0, 0, "-2 kN"], "total": True}, "rim"),
+    ],
+)
+def test_earlier_spellings_of_a_total_force(earlier: dict[str, Any], on: str) -> None:
+    [load], [now] = (
+        Case(
+            mesh={"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}, "unit": "m"},
+            materials={"a": {"law": "linear-elastic", "E": 1, "nu": 0.3}},
+            support=[{"on": "left"}],
+            load=[{**row, "on": on}],
+        ).load
+        for row in (earlier, {"kind": "force", "value": [0, 0, "-2 kN"]})
+    )
+    assert load == now
+
+
 @pytest.mark.parametrize("kind", OUTSIDE)
 def test_files_that_docker_run_does_not_show(
     folder: Path, kind: str, monkeypatch: pytest.MonkeyPatch
