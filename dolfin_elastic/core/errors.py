@@ -101,7 +101,7 @@ def joined(errors: Iterable[InputError]) -> InputError:
     return _rebuild(type(first), first.what, first.where, first.expected, others)
 
 
-_MOST = 50
+MOST_ERRORS = 50
 """Errors of one table or list that are told at once."""
 
 
@@ -116,7 +116,7 @@ def all_errors() -> Iterator[Callable[[], AbstractContextManager[None]]]:
             yield
         except InputError as error:
             errors.append(error)
-            if len(errors) == _MOST:
+            if len(errors) == MOST_ERRORS:
                 raise joined(errors) from None
 
     with attempt():

@@ -39,7 +39,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, core_schema
 
-from dolfin_elastic.core.errors import InputError, all_errors, joined, nearest
+from dolfin_elastic.core.errors import MOST_ERRORS, InputError, joined, nearest
 from dolfin_elastic.core.units import Quantity
 
 if TYPE_CHECKING:
@@ -91,14 +91,17 @@ class Record(BaseModel, metaclass=_InputErrorMeta):
             return read(data)
         fields = {key: f for n, f in cls.model_fields.items() for key in field_keys(n, f)}
         good: dict[object, object] = {}
-        try:
-            with all_errors() as attempt:
-                for name, value in data.items():
-                    with attempt():
-                        cls._check_key(name, value, fields)
-                        good[name] = value
-        except InputError as error:
-            raise joined([error, *cls._others(good, read)]) from None
+        errors: list[InputError] = []
+        for name, value in data.items():
+            try:
+                cls._check_key(name, value, fields)
+                good[name] = value
+            except InputError as error:
+                errors.append(error)
+                if len(errors) == MOST_ERRORS:
+                    break
+        if errors:
+            raise joined([*errors, *cls._others(good, read)])
         return read(data)
 
     @classmethod

@@ -439,8 +439,10 @@ def configuration_of_moments(problem: Problem) -> str:
 def _on_parts(body: Body, loads: Sequence[Load]) -> Iterator[Load]:
     """The loads, total forces as those on the kind of their parts. Local."""
     for index, load in enumerate(loads):
-        with keyed(f"load[{index}].on"):
-            yield load.on_kind(body.common_kind(load.parts)) if isinstance(load, Force) else load
+        if isinstance(load, Force):
+            with keyed(f"load[{index}].on"):
+                load = load.on_kind(body.common_kind(load.parts))  # noqa: PLW2901
+        yield load
 
 
 def _check_normals(
