@@ -206,7 +206,7 @@ def _support_table(support: Restraint) -> dict[str, Any]:
     return table if support.kind == "displacement" else {"kind": support.kind, **table}
 
 
-def _total_force(table: Mapping[str, Any]) -> Mapping[str, Any]:
+def _total_force(table: Mapping[str, object]) -> Mapping[str, object]:
     """A load's table with earlier spellings of `kind = "force"` in its own.
 
     They are `force` in place of `value` in a traction, and `total = true` beside `on` in a
