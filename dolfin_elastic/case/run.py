@@ -58,7 +58,6 @@ from dolfin_elastic.results.outputs import FORMATS, History, Modes, Summary, Xdm
 from dolfin_elastic.results.writer import ModeWriter, Output, Writer
 from dolfin_elastic.results.writers.modes import clear as clear_modes
 from dolfin_elastic.results.writers.summary import SummaryWriter, mark_stopped
-from dolfin_elastic.solvers.nonlinear.contact import warn_of_untouched
 from dolfin_elastic.solvers.petsc.c_api import give_back
 
 if TYPE_CHECKING:
@@ -247,9 +246,22 @@ class _Run:
 def _steps(solver: Solver, problem: Problem, before: Unfinished | None) -> States:
     """The solver's generator, from the start or from a checkpoint."""
     if before is None:  # after a restart it is unknown whether there was contact before
-        return warn_of_untouched(problem, solver.steps())
+        return _warn_of_untouched(problem, solver.steps())
     assert isinstance(solver, RestartableSolver)  # others have no checkpoints
     return cast(States, solver.steps(before.found))
+
+
+def _warn_of_untouched(problem: Problem, states: States) -> States:
+    """Passes states on, and warns in the end of contacts that have never touched. Collective."""
+    never = {pair.label for pair in problem.contact_pairs}
+    with closing(states):
+        for state in states:
+            numbers = state.numbers if isinstance(state, State) else {}
+            area = {label: numbers.get(f"contact_area_{label}", 1.0) for label in never}
+            never -= {label for label in never if area[label] > 0}
+            yield state
+    for label in sorted(never):
+        log.warning("contact '%s' was never touched", label)
 
 
 def _prepare(writers: Iterable[Writer], last: State) -> None:

@@ -418,6 +418,27 @@ def is_given(record: Record, key: str) -> bool:
     return key in record.model_fields_set and not empty
 
 
+def refuse_times_beyond(times: Sequence[float], end: float, key: str, unit: str = "") -> None:
+    """Refuses output times after the end.
+
+    Args:
+        times: Times or load factors that are to be met exactly.
+        end: Where the run ends.
+        unit: Of all of them, for the message.
+
+    Raises:
+        InputError: The first one beyond the end.
+    """
+    unit = f" {unit}" if unit else ""
+    for index, time in enumerate(times):
+        if time > end:
+            raise InputError(
+                f"{time:g}{unit} lies beyond the end",
+                where=f"times[{index}]",
+                expected=f"at most {key} = {end:g}{unit}",
+            )
+
+
 def refuse_unused_keys(record: Record, rules: Iterable[UnusedKeys], table: str = "") -> None:
     """Refuses keys that were written but have no effect beside others.
 

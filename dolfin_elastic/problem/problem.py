@@ -25,11 +25,7 @@ from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.supports.springs import Dashpot, ResistingSupport, Spring
 from dolfin_elastic.model.tie import Tie
 from dolfin_elastic.model.values import OnSurfaces, depends_on_time
-from dolfin_elastic.problem.constraints.normals import (
-    Projections,
-    check_outside,
-    spring_directions,
-)
+from dolfin_elastic.problem.constraints.normals import check_outside
 from dolfin_elastic.problem.constraints.periodic.unit_cell import Cell, Fluctuation, make_cell
 from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.context import FormContext, Measures
@@ -43,7 +39,7 @@ from dolfin_elastic.problem.material_regions import (
 )
 from dolfin_elastic.problem.pressure.groups import pressure_groups
 from dolfin_elastic.problem.spaces import Unknowns
-from dolfin_elastic.problem.term import Resistance, Term
+from dolfin_elastic.problem.term import Resistance, Terms
 from dolfin_elastic.problem.terms.cavities import BodyCavity, make_cavities
 from dolfin_elastic.problem.terms.contact import ContactPair, make_contacts, placed_contacts
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
@@ -195,7 +191,7 @@ class Problem:
         """Makes what few problems have where there is any, to keep the usual path short."""
         kinds = {type(load) for load in self.loads}
         resisting = [s for s in self.supports if isinstance(s, ResistingSupport)]
-        self.terms: list[Term] = [Resistance(s, self.context) for s in resisting]
+        self.terms = Terms(Resistance(s, self.context) for s in resisting)
         self.cavities: list[BodyCavity] = []
         if any(issubclass(kind, Cavity) for kind in kinds):
             self.cavities = list(make_cavities(self.loads, self.context))
@@ -228,11 +224,6 @@ class Problem:
     def dashpots(self) -> tuple[Dashpot, ...]:
         """Supports whose force depends on the velocity: they act in motion only."""
         return tuple(s for s in self.supports if isinstance(s, Dashpot))
-
-    @cached_property
-    def spring_projections(self) -> list[Projections]:
-        """Owned nodes with springs, and projections on their directions. Collective."""
-        return [result for s in self.springs for result in spring_directions(s, self.body, self.V)]
 
     @cached_property
     def parameters(self) -> dict[str, Constant]:
@@ -333,6 +324,26 @@ class Problem:
     def corners(self) -> list[float]:
         """Times at which an amplitude has a corner or turns around, sorted [s]."""
         return sorted({t for curve in self.curves for t in curve.breakpoints})
+
+    @property
+    def driven_by_formula(self) -> bool:
+        """A formula in t drives a load, support or obstacle: it may turn around at any time."""
+        formulas = [load.values for load in self.loads]
+        formulas += [function for support in self.supports for function in support.time_functions]
+        formulas += [pair.contact.values for pair in self.contact_pairs]
+        curves = any(curve.is_formula for curve in self.curves)
+        return curves or any(depends_on_time(vector) for vector in formulas)
+
+    def check_start(self, *, default: Amplitude = CONSTANT) -> list[str]:
+        """Warnings of what acts on the body as a run begins, see `Term.check_start`. Collective.
+
+        Args:
+            default: Of `set_time`.
+        """
+        if not self.terms.opens:
+            return []
+        self.set_time(0.0, default=default)
+        return [note for term in self.terms if (note := term.check_start())]
 
     def set_time(self, t: float, *, default: Amplitude = CONSTANT) -> None:
         """Evaluates loads, prescribed displacements and obstacles at time t. Not collective.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
@@ -11,9 +12,12 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from dolfin_elastic.core.types import FloatArray, IntArray
+from dolfin_elastic.core.timing import stage
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.supports.springs import ResistingSupport, Spring
+from dolfin_elastic.problem.constraints.normals import spring_directions
+from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.context import FormContext
 
 
@@ -62,6 +66,7 @@ class Term:
     shift: fem.Constant | None = None
     account: str = ""
     memory: Mapping[str, fem.Function] = MappingProxyType({})
+    _committed: Sequence[FloatArray] = ()
 
     def form(self, kind: Kind) -> ufl.Form | None:
         """What it has of integrals; None without any.
@@ -96,8 +101,55 @@ class Term:
         """
         return None
 
+    # --- where its forces begin and end ---
+
+    def held(self, *, near: bool = False) -> Iterator[tuple[IndexArray, FloatArray]]:
+        """Owned nodes that it holds, (n,), and along which unit vectors, (n, dim). Collective.
+
+        Args:
+            near: Also those that are not held, but no farther from it than a cell.
+        """
+        yield from ()
+
+    def assume(self, closed: bool | None) -> None:
+        """All that may open counts as closed, or as open; None: as it is. Not collective."""
+
+    def distance(self) -> float:
+        """How far away it is from acting [m]; 0 where it acts. Collective."""
+        return 0.0
+
+    def within_stride(self, t: float, goal: float) -> float:
+        """The end of a step from t, at most `goal`, up to which it jumps over no part of the body.
+
+        Both are load factors.
+        """
+        return goal
+
+    def check_start(self) -> str:
+        """A warning where it acts at once; empty without one. Collective.
+
+        Raises:
+            InputError: A run that begins here makes no sense.
+        """
+        return ""
+
+    def conflict(self, constraints: Constraints) -> tuple[str, tuple[float, ...]] | None:
+        """Why it and the constraints leave no state to the body, and where [m]. Collective."""
+        return None
+
+    # --- a run ---
+
     def begin(self, *, moving: bool) -> None:
         """A run begins, in motion or in statics. Not collective."""
+
+    def commit(self) -> None:
+        """The present equilibrium is accepted: the next step begins here. Not collective."""
+        self._committed = [field.x.array.copy() for field in self.memory.values()]
+
+    def rollback(self) -> None:
+        """Goes back to what was committed last. Not collective."""
+        for field, saved in zip(self.memory.values(), self._committed, strict=True):
+            field.x.array[:] = saved
 
     def unsettled(self) -> bool:
         """The equilibrium that was found is none with what `augment` would change. Collective."""
@@ -129,16 +181,87 @@ class Resistance(Term):
             return support.bound(self._context)
         return None
 
+    def held(self, *, near: bool = False) -> Iterator[tuple[IndexArray, FloatArray]]:
+        """See `Term`: springs hold, dashpots do not."""
+        if isinstance(self.support, Spring):
+            body, V = self._context.body, self._context.unknowns.V
+            for nodes, P in spring_directions(self.support, body, V):
+                yield np.repeat(nodes, body.dim), P.reshape(-1, body.dim)
+
 
 def forms_of(terms: Sequence[Term], kind: Kind) -> list[ufl.Form]:
     """Those of one kind that the terms have."""
     return [form for term in terms if (form := term.form(kind)) is not None]
 
 
-def blocks_of(terms: Sequence[Term]) -> Blocks | None:
-    """The blocks of all terms; None where no term has any. Collective."""
-    result = [blocks for term in terms if (blocks := term.blocks()) is not None]
-    if not result:
-        return None
-    parts = [(blocks.rows, blocks.columns, blocks.values) for blocks in result]
-    return Blocks(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+class Terms(list[Term]):
+    """All terms of a problem."""
+
+    @property
+    def memory(self) -> dict[str, fem.Function]:
+        """What they remember, by its name in restarts."""
+        return {name: field for term in self for name, field in term.memory.items()}
+
+    @property
+    def opens(self) -> bool:
+        """Forces of some begin and end."""
+        return any(term.opens for term in self)
+
+    def blocks(self) -> Blocks | None:
+        """The blocks of all terms; None where no term has any. Collective."""
+        result = [blocks for term in self if (blocks := term.blocks()) is not None]
+        if not result:
+            return None
+        parts = [(blocks.rows, blocks.columns, blocks.values) for blocks in result]
+        return Blocks(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+    @contextmanager
+    def assumed(self, *, closed: bool) -> Iterator[None]:
+        """Within it all that may open is closed, or all of it is open. Not collective."""
+        try:
+            for term in self:
+                term.assume(closed)
+            yield
+        finally:
+            for term in self:
+                term.assume(None)
+
+    def within_stride(self, t: float, goal: float) -> float:
+        """See `Term`."""
+        return min((term.within_stride(t, goal) for term in self), default=goal)
+
+    def begin(self, *, moving: bool) -> None:
+        """A run begins, in motion or in statics: from here, too. Not collective."""
+        for term in self:
+            term.begin(moving=moving)
+        self.commit()
+
+    def commit(self) -> None:
+        """See `Term`."""
+        for term in self:
+            term.commit()
+
+    def rollback(self) -> None:
+        """See `Term`."""
+        for term in self:
+            term.rollback()
+
+    @stage("contact")
+    def solve_again(self) -> bool:
+        """Whether the equilibrium is none with what the terms learn of it: all do so. Collective.
+
+        Augmented Lagrangian of contact (Uzawa), lam <- max(0, lam - eps g) until gaps are small.
+        Source: J. C. Simo & T. A. Laursen, Computers & Structures 42 (1992) 97, box 1.
+        """
+        if not any(term.unsettled() for term in self):
+            return False
+        for term in self:
+            term.augment()
+        return True
+
+    def results(self) -> dict[str, float]:
+        """Their results by name [SI units]. Collective."""
+        result: dict[str, float] = {}
+        for term in self:
+            term.add_results(result)
+        return result

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.problem import Problem
@@ -151,19 +151,6 @@ def in_words(reason: str) -> str:
 def eigenvalues(reason: str) -> str:
     """Why SLEPc's EPS has ended, in words with its name behind; see `in_words`."""
     return f"{_EPS.get(reason, 'it did not converge')} ({reason})"
-
-
-ROUND_OFF = 1e-12
-"""Share of the largest coordinate below which another one is zero."""
-NO_LENGTH = 1e-15
-"""Length [m] that no body resolves: an atom has 1e-10 m."""
-
-
-def coordinates(place: Iterable[float]) -> str:
-    """A place or a direction, with four digits; no zero has a sign, nor round-off for digits."""
-    numbers = [float(x) for x in place]
-    least = max(ROUND_OFF * max(map(abs, numbers), default=0.0), NO_LENGTH)
-    return "(" + ", ".join(f"{x if abs(x) > least else 0.0:.4g}" for x in numbers) + ")"
 
 
 def ahead(fault: str) -> str:

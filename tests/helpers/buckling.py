@@ -424,7 +424,7 @@ def equilibrium(problem: Problem, method: str, steps: int = 1) -> Iterator[Newto
     newton = Newton(
         assembler, choice, Tolerance(1e-8, 0.0, 25), scalars=scalars, watch=JacobianWatch(problem)
     )
-    retry = RetryStrategy(newton, None)
+    retry = RetryStrategy(newton)
     try:
         for step in range(steps):
             problem.set_time((step + 1) / steps, default=PROPORTIONAL)

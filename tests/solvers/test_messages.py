@@ -6,7 +6,8 @@ import pytest
 from petsc4py import PETSc
 
 from dolfin_elastic.core.compat import norm_without_value
-from dolfin_elastic.solvers.messages import coordinates, eigenvalues, in_words
+from dolfin_elastic.core.si_text import coordinates
+from dolfin_elastic.solvers.messages import eigenvalues, in_words
 from dolfin_elastic.solvers.nonlinear.convergence import ANOTHER
 from dolfin_elastic.solvers.petsc.options import ksp_reason, snes_reason, ts_reason
 

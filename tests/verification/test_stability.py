@@ -234,7 +234,7 @@ def test_motions_of_the_state_before_are_begun_with():
     """Near the critical load; the verdicts are those of pivots below and above it."""
     case = next(c for c in CASES if c.name == "a rubber column")
     with equilibrium(case.problem(case.critical), "iterative") as newton:
-        solve, problem = RetryStrategy(newton, None).solve, newton.assembler.problem
+        solve, problem = RetryStrategy(newton).solve, newton.assembler.problem
         for share in (0.3, 0.96, 1 - NEAR, 1 + NEAR, 1.1, 0.3):
             problem.set_time(share, default=PROPORTIONAL)
             assert solve([("", newton.unknowns())]).converged
@@ -253,7 +253,7 @@ def test_responses_of_the_states_before_hide_nothing(case: buckling.Case):
     stable: set[bool] = set()
     below = 1 - NEAR
     with equilibrium(case.problem(below * case.critical), "iterative", case.steps) as newton:
-        solve, problem = RetryStrategy(newton, None).solve, newton.assembler.problem
+        solve, problem = RetryStrategy(newton).solve, newton.assembler.problem
         start = newton.unknowns()
         for share in (0.3, 0.5, 0.8, 0.9, 1 - NEAR, 1 + NEAR, 1.1, 0.8, 1 - NEAR, 1.2, 0.3):
             problem.set_time(share / below, default=PROPORTIONAL)

@@ -19,15 +19,9 @@ from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.terms.contact import ContactPair
+from dolfin_elastic.problem.terms.contact import ContactPair, nearest_node
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.messages import RELEASE
-from dolfin_elastic.solvers.nonlinear.contact import (
-    check_initial_gaps,
-    held_inside,
-    initial_gaps,
-    penetration_message,
-)
 
 NOTHING_MOVES = "there is no load and every support is at rest: nothing will move"
 """A note of statics."""
@@ -76,7 +70,6 @@ def contact_gaps(case: Case, problem: Problem) -> tuple[ContactGap, ...]:
     Args:
         case: Its contacts, and whether there is motion.
     """
-    gaps = initial_gaps(problem, moving=case.dynamics is not None)
     return tuple(
         ContactGap(
             f"contact[{i}] '{pair.label}'",
@@ -85,8 +78,17 @@ def contact_gaps(case: Case, problem: Problem) -> tuple[ContactGap, ...]:
             gap if abs(gap) > _ROUND_OFF * pair.size else 0.0,
             place,
         )
-        for i, (pair, (gap, place)) in enumerate(zip(problem.contact_pairs, gaps, strict=True))
+        for i, (pair, gap, place) in enumerate(_initial_gaps(case, problem))
     )
+
+
+def _initial_gaps(
+    case: Case, problem: Problem
+) -> list[tuple[ContactPair, float, tuple[float, ...]]]:
+    """Each contact with its smallest gap at the start [m], and where [m]. Collective."""
+    if problem.contact_pairs:  # in motion, what names no amplitude acts in full from the start
+        problem.set_time(0.0, default=CONSTANT if case.dynamics is not None else PROPORTIONAL)
+    return [(pair, *nearest_node(pair)) for pair in problem.contact_pairs]
 
 
 def tie_information(problem: Problem) -> tuple[str, ...]:
@@ -154,9 +156,8 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     if not problem.contact_pairs:
         return
     diagonal, reach = span(problem.body), _reach(case, problem)
-    gaps = initial_gaps(problem, moving=case.dynamics is not None)
     pressed = False
-    for i, (pair, (gap, _)) in enumerate(zip(problem.contact_pairs, gaps, strict=True)):
+    for i, (pair, gap, _) in enumerate(_initial_gaps(case, problem)):
         nearest = min(gap, *_gaps_over_time(case, pair))
         pressed |= nearest < -_ROUND_OFF * pair.size
         if nearest > max(reach, _ROUND_OFF * pair.size):
@@ -176,7 +177,7 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
         for t in (end, 0.0):
             problem.constraints.set_time(t, default)
             pair.set_time(t, default)
-            if t and (held := held_inside(problem, i)) is not None:
+            if t and (held := pair.conflict(problem.constraints)) is not None:
                 yield f"in the end {held[0]}, which cannot give way: {RELEASE}"
     if not (reach or pressed) and case.dynamics is None and (case.modal is None or case.preloaded):
         yield NOTHING_MOVES
@@ -318,10 +319,7 @@ def start_notes(problem: Problem, settings: DynamicsSettings) -> tuple[str, ...]
 
     v, s = fem.Function(problem.V), settings
     incompatible = set_initial(problem, v, s.displacement, s.velocity, s.end)
-    gaps = zip(problem.contact_pairs, check_initial_gaps(problem, moving=True), strict=True)
-    penetrations = [
-        penetration_message(pair, gap, at) for pair, (gap, at) in gaps if gap < -pair.tolerance
-    ]
+    penetrations = problem.check_start()
     problem.u.x.array[:] = 0.0
     problem.unknowns.u_to_w()
     unstable = [s.stability_limit] if s.stability_limit else []

@@ -12,18 +12,20 @@ Source: P. Wriggers, Computational Contact Mechanics, 2nd ed., Springer 2006, se
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import Mesh
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.jit import compile_forms, options
-from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.parallel import largest, smallest, total
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size
@@ -34,11 +36,13 @@ from dolfin_elastic.mesh.geometry.simplices import (
     prepare_facets,
     signed_volumes,
 )
-from dolfin_elastic.model.amplitude import Amplitude
+from dolfin_elastic.model.amplitude import PROPORTIONAL, Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.kinematics import WeightedMeasure
+from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion, shear_modulus, volume_modulus
+from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Kind, Term
 
 FACTOR = 10.0
@@ -58,6 +62,18 @@ A body that only lies on an obstacle has a stiffness against it then, round-off 
 that such a gap makes is 1e-8 of the modulus.
 """
 
+FAR = 1e30
+"""Gap [m] beyond all others."""
+
+STRIDE = 0.5
+"""Share of an obstacle's radius that it may move in one step, lest it jump over a surface."""
+
+HALVINGS = 30
+"""Of a step in which an obstacle moves too far."""
+
+_ALONG = 1e-6
+"""Part of a normal that is free where the displacement along it is prescribed."""
+
 ROUND = 10.0
 """Largest bulk modulus over shear modulus in the penalty: nearly incompressible cells give way
 sideways."""
@@ -68,6 +84,7 @@ class ContactPair(Term):
 
     Args:
         measure: Reference area of its surfaces, with the rule of `rule`.
+        index: From 0, in the case.
 
     Attributes:
         contact: What the user wrote.
@@ -83,7 +100,7 @@ class ContactPair(Term):
     linear, restrains, opens, account = False, True, True, "contact"
 
     def __init__(
-        self, contact: Contact, context: FormContext, measure: WeightedMeasure, name: str
+        self, contact: Contact, context: FormContext, measure: WeightedMeasure, index: int
     ) -> None:
         body = context.body
         self.contact, self.label, self._context, self._measure = (
@@ -97,41 +114,19 @@ class ContactPair(Term):
         prepare_facets(body.mesh)
         facets = np.unique(np.concatenate([body.surface(name) for name in contact.surfaces]))
         self.lam, self.nodes, self.nodes_of_displacement = _nodal(context, facets)
-        self.memory = {name: self.lam}
-        self.penalty = fem.Function(fem.functionspace(body.mesh, ("DG", 0)))
-        self._heights = _heights(body, facets)
-        self.size = _mean(body, facets, self._heights)
+        self.memory, self._index = {f"contact_{index}": self.lam}, index
+        self.at_rest = not contact.values
+        heights = _heights(body, facets)
+        self.penalty = _penalty(context, contact.stiffness, *heights)
+        self.size = _mean(body, facets, heights)
         self.tolerance = contact.gap_tolerance or 1e-3 * self.size
-        self._fill_penalty()
         if self._axisymmetric:
             self._correct_weights_at_axis(facets)
         self._eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
         self._first = self.penalty.x.array.copy(), self._eps.copy()
         self.shift: fem.Constant = context.constant([0.0] * body.dim)
-        self.at_rest = not contact.values
-        self._reach = context.constant(SLACK * cell_size(body))
-
-    def _fill_penalty(self) -> None:
-        cells, heights = self._heights
-        eps = np.zeros(len(cells))
-        for region in self._context.regions:
-            local = np.isin(cells, region.cells)
-            eps[local] = FACTOR * _modulus(region) / heights[local]
-        if self.contact.stiffness is not None:
-            eps[:] = self.contact.stiffness
-        dofs = self.penalty.function_space.dofmap.list[:, 0]
-        self.penalty.x.array[dofs[cells]] = eps
-        # Material regions list owned cells only: ghosts beside the surface get theirs from owners.
-        self.penalty.x.scatter_forward()
-
-    @property
-    def reach(self) -> float:
-        """Gap [m] up to which the surface is in contact."""
-        return float(self._reach.value)
-
-    def set_reach(self, gap: float) -> None:
-        """Sets the gap [m] up to which the surface is in contact. Not collective."""
-        self._reach.value = gap
+        self._slack = SLACK * cell_size(body)
+        self._reach = context.constant(self._slack)
 
     def begin(self, *, moving: bool) -> None:
         """See `Term`: motion has penalties alone, and softer ones where the user gave none."""
@@ -159,30 +154,28 @@ class ContactPair(Term):
                 self.nodes_of_displacement[off],
             )
             return
-        weight = 2 * ufl.pi * (self._context.X[0] + 2 * self._middle_radius(facets)) / 3
-        self._measure = WeightedMeasure(weight, self._measure.measure)
-
-    def _middle_radius(self, facets: IndexArray) -> Expr:
-        """Radius of the middle of the facet at hand [m]: a cell may have several in contact.
-
-        On the reference triangle the outward normals are (1, 1)/sqrt(2), (-1, 0) and (0, -1).
-        """
-        mesh = self._context.body.mesh
-        radii = fem.Function(fem.functionspace(mesh, ("DG", 0, (3,))))
-        beside, local = cells_beside_facets(mesh, facets)
-        cells = radii.function_space.dofmap.list[beside, 0]
-        radii.x.array.reshape(-1, 3)[cells, local] = facet_corners(mesh, facets)[:, :, 0].mean(
-            axis=1
+        weight = (
+            2
+            * ufl.pi
+            * (self._context.X[0] + 2 * _middle_radius(self._context.body.mesh, facets))
+            / 3
         )
-        normal = ufl.geometry.ReferenceNormal(mesh)
-        left = ufl.conditional(ufl.lt(normal[0], -0.5), radii[1], radii[2])
-        return ufl.conditional(ufl.gt(normal[0], 0.5), radii[0], left)
+        self._measure = WeightedMeasure(weight, self._measure.measure)
 
     # --- forms ---
 
     def form(self, kind: Kind) -> ufl.Form | None:
-        """See `Term`."""
-        return {"work": self.work, "energy": self.energy, "bound": self.bound}.get(kind)
+        """See `Term`.
+
+        The potential has the multiplier at rest.  The penalty bounds the rows of the tangent: at an
+        obstacle's curvature 1/R that has the further eigenvalue eps g/R, which is smaller.
+        """
+        if kind == "work":
+            return self.work
+        if kind == "energy":
+            q = ufl.max_value(self._trial_pressure, 0.0)
+            return (q**2 - self.lam**2) / (2 * self.penalty) * self._measure
+        return self.penalty * sum(self._context.v) * self._measure if kind == "bound" else None
 
     @cached_property
     def _gap(self) -> tuple[Expr, Expr]:
@@ -208,20 +201,6 @@ class ContactPair(Term):
     def work(self) -> ufl.Form:
         """Virtual work of the obstacle's force on the body."""
         return self.pressure * ufl.inner(self._gap[1], self._context.v) * self._measure
-
-    @cached_property
-    def energy(self) -> ufl.Form:
-        """Potential of the force, with the multiplier at rest [J]."""
-        q = ufl.max_value(self._trial_pressure, 0.0)
-        return (q**2 - self.lam**2) / (2 * self.penalty) * self._measure
-
-    @cached_property
-    def bound(self) -> ufl.Form:
-        """The penalty times each component of `context.v`: bounds the rows of its tangent.
-
-        At an obstacle's curvature 1/R it has the further eigenvalue eps g/R, which is smaller.
-        """
-        return self.penalty * sum(self._context.v) * self._measure
 
     # --- numbers at the nodes ---
 
@@ -258,11 +237,87 @@ class ContactPair(Term):
         self.lam.x.array[self.nodes] = self.pressures()
         self.lam.x.scatter_forward()
 
+    # --- where it touches ---
+
+    @property
+    def reach(self) -> float:
+        """Gap [m] up to which the surface is in contact."""
+        return float(self._reach.value)
+
+    def assume(self, closed: bool | None) -> None:
+        """See `Term`."""
+        self._reach.value = self._slack if closed is None else FAR if closed else -FAR
+
+    def held(self, *, near: bool = False) -> Iterator[tuple[IndexArray, FloatArray]]:
+        """See `Term`: as if the obstacle could pull, too."""
+        gaps, normals = self.gaps()
+        within = gaps <= (self.size if near else self.reach)
+        yield self.nodes_of_displacement[within], normals[within]
+
+    def distance(self) -> float:
+        """See `Term`."""
+        gap = smallest(self.comm, float(np.min(self.gaps()[0], initial=np.inf)))
+        return gap if gap > self.reach else 0.0
+
+    @stage("contact")
+    def check_start(self) -> str:
+        """See `Term`: no surface begins deep inside its obstacle."""
+        gap, place = nearest_node(self)
+        if gap < -self.size:
+            raise InputError(
+                f"at the start '{self.label}' lies {-gap:.3g} m deep in the obstacle, "
+                f"at {coordinates(place)} m",
+                where=f"contact[{self._index}].{self.contact.shape}",
+                expected=f"at most a cell deep, {self.size:.3g} m; "
+                "does the normal point to the free side?",
+            )
+        if gap >= -self.tolerance:
+            return ""
+        return (
+            f"at the start '{self.label}' lies {-gap:.3g} m deep in its obstacle, at "
+            f"{coordinates(place)} m: what the penalty stores there throws it off"
+        )
+
+    def conflict(self, constraints: Constraints) -> tuple[str, tuple[float, ...]] | None:
+        """See `Term`: the obstacle pushes into nodes that are held along its normal.
+
+        No state has these nodes outside.  What is prescribed, and where the obstacle is, are those
+        of the time that was set last; all else is the problem's displacement.
+
+        Returns:
+            That in words, and the reference place of the deepest of these nodes [m]; None: none is
+            deeper than the tolerance.
+        """
+        local = self.comm.allgather(_deepest_held(self, self._context.unknowns, constraints))
+        if (found := min((one for one in local if one is not None), default=None)) is None:
+            return None
+        (_, *place), gap, names = found
+        by = f"the support '{names[0]}'" if names else "the axis"
+        text = (
+            f"the obstacle of contact[{self._index}] '{self.label}' pushes {-gap:.3g} m deep into "
+            f"nodes that {by} holds, at {coordinates(place)} m"
+        )
+        return text, tuple(place)
+
     # --- time ---
 
     def set_time(self, t: float, default: Amplitude) -> None:
         """See `Term`: moves the obstacle."""
         self.shift.value[:] = self.contact.displacement_at(t, default, self._dim)
+
+    def within_stride(self, t: float, goal: float) -> float:
+        """See `Term`: the obstacle moves no farther than it is thick."""
+        stride = STRIDE * self.contact.obstacle.thickness
+        if self.at_rest or not np.isfinite(stride):
+            return goal
+
+        start = np.array(self.contact.displacement_at(t, PROPORTIONAL, self._dim))
+        for _ in range(HALVINGS):
+            end = np.array(self.contact.displacement_at(goal, PROPORTIONAL, self._dim))
+            if np.linalg.norm(end - start) <= stride:
+                break
+            goal = t + (goal - t) / 2
+        return goal
 
     # --- results ---
 
@@ -286,9 +341,23 @@ def make_contacts(contacts: Sequence[Contact], context: FormContext) -> tuple[Co
     """All contacts on a body. Collective."""
     points = rule(context.order, context.body.dim)
     return tuple(
-        ContactPair(c, context, context.measures.contact_area(c.surfaces, points), f"contact_{i}")
+        ContactPair(c, context, context.measures.contact_area(c.surfaces, points), i)
         for i, c in enumerate(contacts)
     )
+
+
+def nearest_node(pair: ContactPair) -> tuple[float, tuple[float, ...]]:
+    """Smallest gap [m], and where [m], alike on any number of ranks. Collective."""
+    gaps = pair.gaps()[0]
+    local = [
+        (float(gap), tuple(place.round(12).tolist()))
+        for gap, place in zip(gaps, pair.places(), strict=True)
+        if gap <= np.min(gaps, initial=np.inf) + 1e-9 * pair.size
+    ]
+    rows = [row for part in pair.comm.allgather(local) for row in part]
+    least = min((gap for gap, _ in rows), default=np.inf) + 1e-9 * pair.size
+    near = (row for row in rows if row[0] <= least)
+    return min(near, key=lambda row: row[1], default=(np.inf, ()))
 
 
 def rule(degree: int, dim: int) -> dict[str, object]:
@@ -324,6 +393,70 @@ def placed_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) ->
         except InputError as error:
             raise error.at(f"contact[{index}]") from None
     return placed
+
+
+def _deepest_held(
+    pair: ContactPair, unknowns: Unknowns, constraints: Constraints
+) -> tuple[list[float], float, list[str]] | None:
+    """The deepest of this rank's nodes, see `conflict`: a key, its gap [m], who holds it.
+
+    The key orders nodes by depth and place, alike on any number of ranks; the place [m] ends it.
+    Collective.
+    """
+    dim = unknowns.V.dofmap.index_map_bs
+    u, own = unknowns.u.x.array, unknowns.V.dofmap.index_map.size_local * dim
+    saved = u.copy()
+    constraints.impose(u[:own], constraints.values.x.array)
+    gaps, normals = pair.gaps()
+    u[:] = saved
+    free, nodes = constraints.free_directions(own, dim), pair.nodes_of_displacement
+    for motion in (one for one in constraints.rigid_motions if one.free):
+        dofs = constraints.motion_directions(motion)[0]
+        dofs = dofs[dofs < own]
+        free[dofs, dofs % dim] = 1.0
+    left = np.einsum("nij,nj->ni", free.reshape(-1, dim, dim)[nodes], normals)
+    inside = (gaps < -pair.tolerance) & (np.abs(left).max(axis=1, initial=0.0) < _ALONG)
+    places = pair.places().round(12) + 0.0
+    keys = [
+        ([round(gaps[k] / pair.size, 9), *places[k].tolist()], k) for k in np.flatnonzero(inside)
+    ]
+    if not keys:
+        return None
+    key, k = min(keys)
+    forces = np.zeros(own)
+    forces.reshape(-1, dim)[nodes[k]] = normals[k]
+    holders = constraints.reactions(forces)
+    names = [one.label for one, at, rows in holders if np.any(rows[at == nodes[k]])]
+    return key, float(gaps[k]), names
+
+
+def _penalty(
+    context: FormContext, given: float | None, cells: IndexArray, heights: FloatArray
+) -> fem.Function:
+    """Penalty [Pa/m] of cells of these heights [m]. Collective."""
+    result = fem.Function(fem.functionspace(context.body.mesh, ("DG", 0)))
+    eps = np.zeros(len(cells))
+    for region in context.regions:
+        local = np.isin(cells, region.cells)
+        eps[local] = FACTOR * _modulus(region) / heights[local]
+    result.x.array[result.function_space.dofmap.list[cells, 0]] = eps if given is None else given
+    # Material regions list owned cells only: ghosts beside the surface get theirs from owners.
+    result.x.scatter_forward()
+    return result
+
+
+def _middle_radius(mesh: Mesh, facets: IndexArray) -> Expr:
+    """Radius of the middle of the facet at hand [m]: a cell may have several in contact.
+
+    On the reference triangle the outward normals are (1, 1)/sqrt(2), (-1, 0) and (0, -1).
+    """
+    radii = fem.Function(fem.functionspace(mesh, ("DG", 0, (3,))))
+    beside, local = cells_beside_facets(mesh, facets)
+    cells = radii.function_space.dofmap.list[beside, 0]
+    radii.x.array.reshape(-1, 3)[cells, local] = facet_corners(mesh, facets)[:, :, 0].mean(axis=1)
+    normal = ufl.geometry.ReferenceNormal(mesh)
+    left = ufl.conditional(ufl.lt(normal[0], -0.5), radii[1], radii[2])
+    return ufl.conditional(ufl.gt(normal[0], 0.5), radii[0], left)
 
 
 def _modulus(region: MaterialRegion) -> float:

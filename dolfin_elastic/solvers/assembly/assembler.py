@@ -22,7 +22,7 @@ from dolfin_elastic.mesh.body import middle_of
 from dolfin_elastic.model.kinematics import moment_of
 from dolfin_elastic.problem.problem import Problem, configuration_of_moments, parts_held
 from dolfin_elastic.problem.state import Moment
-from dolfin_elastic.problem.term import Blocks, Term, blocks_of
+from dolfin_elastic.problem.term import Blocks, Term
 from dolfin_elastic.solvers.assembly.cell_stress import CellStress
 from dolfin_elastic.solvers.assembly.dofs import ConstrainedDofs
 from dolfin_elastic.solvers.assembly.matrix import BilinearForm, ConstrainedMatrix, TangentMatrix
@@ -157,7 +157,7 @@ class Tangent:
     def __init__(self, dofs: ConstrainedDofs, form: BilinearForm, *, iterated: bool) -> None:
         self._dofs, self.form = dofs, form
         self.blocks: NodeBlocks | None = None
-        if dofs.problem.terms and blocks_of(dofs.problem.terms) is not None:
+        if dofs.problem.terms.blocks() is not None:
             self.blocks = NodeBlocks(dofs, self._blocks_of_terms)
         self._shift: float | None = None
         with stage("assemble"):
@@ -169,7 +169,7 @@ class Tangent:
         self._take(self._assembled.petsc)
 
     def _blocks_of_terms(self) -> Blocks:
-        result = blocks_of(self._dofs.problem.terms)
+        result = self._dofs.problem.terms.blocks()
         assert result is not None
         return result
 

@@ -21,6 +21,7 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
@@ -34,8 +35,7 @@ from dolfin_elastic.solvers.audit.violations import (
     WorstViolations,
     add_worse,
 )
-from dolfin_elastic.solvers.messages import coordinates, count
-from dolfin_elastic.solvers.nonlinear.contact import held_inside
+from dolfin_elastic.solvers.messages import count
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrains
 
 FORCE_TOLERANCE = 1e-6
@@ -366,9 +366,9 @@ class EquilibriumAuditor:
 
     def _check_contacts(self, reasons: Violations) -> None:
         """No node that presses is farther off its obstacle than the tolerance. Collective."""
-        for index, pair in enumerate(self._problem.contact_pairs):
+        for pair in self._problem.contact_pairs:
             if (off := pair.gap_error()) > pair.tolerance:
-                held = held_inside(self._problem, index)
+                held = pair.conflict(self._problem.constraints)
                 reasons[f"contact {pair.label}"] = Violation(
                     held[0]
                     if held is not None
@@ -470,7 +470,7 @@ class EquilibriumAuditor:
         allowed += self._assembler.residual.free_norm * moved + noise
         if self._problem.history is not None:  # inside, more may change than forces from outside
             allowed += self._problem.history.uncertainty
-        if any(term.opens for term in self._problem.terms):
+        if self._problem.terms.opens:
             allowed += SMALL * max(abs(now.energy), abs(last.energy))
         if abs(work - stored) > allowed and not no_balance(self._problem):
             reasons["energy"] = Violation(

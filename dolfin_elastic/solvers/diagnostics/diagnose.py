@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfin_elastic.core.errors import BadCell, Diagnosis
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
@@ -37,14 +38,8 @@ from dolfin_elastic.solvers.diagnostics.evidence import (
     not_finite,
 )
 from dolfin_elastic.solvers.diagnostics.material_limit import NEARLY, softest_spot
-from dolfin_elastic.solvers.diagnostics.rigid_body import find_loose_part
+from dolfin_elastic.solvers.diagnostics.rigid_body import find_loose_part, pulled_off_obstacles
 from dolfin_elastic.solvers.diagnostics.stability import LIMIT
-from dolfin_elastic.solvers.messages import coordinates
-from dolfin_elastic.solvers.nonlinear.contact import (
-    held_inside,
-    pulled_off_obstacles,
-    without_contact,
-)
 from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
     BEYOND,
@@ -175,7 +170,7 @@ class _CauseSearch:
             return None
         part, start, advice = find_loose_part(self.assembler), "", messages.HOLD
         if part is None and pulled_off_obstacles(self.assembler):
-            with without_contact(self.problem):
+            with self.problem.terms.assumed(closed=False):
                 part = find_loose_part(self.assembler) if self.states.tangent(self.good) else None
             start, advice = "the load pulls it off its obstacles, and then ", messages.LIFTED
         if part is None:
@@ -187,8 +182,8 @@ class _CauseSearch:
 
     def _held_inside(self) -> Diagnosis | None:
         self.states.put(self.failed)
-        for index in range(len(self.problem.contact_pairs)):
-            if (found := held_inside(self.problem, index)) is not None:
+        for term in self.problem.terms:
+            if (found := term.conflict(self.problem.constraints)) is not None:
                 return self._make("obstacle", found[0], messages.RELEASE, found[1])
         return None
 

@@ -18,6 +18,7 @@ from dolfin_elastic.core.parallel import (
     smallest,
     total,
 )
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.mesh.geometry.quality import SLIVER, quality_at
 from dolfin_elastic.mesh.geometry.simplices import cell_corners
@@ -27,7 +28,7 @@ from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
-from dolfin_elastic.solvers.messages import coordinates, count
+from dolfin_elastic.solvers.messages import count
 
 WORST = 10
 """Cells that a diagnosis lists."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers import messages
@@ -19,7 +20,6 @@ from dolfin_elastic.solvers.diagnostics.stability import (
     Mode,
     curvature,
 )
-from dolfin_elastic.solvers.messages import coordinates
 
 SOFT = 0.5
 """Stiffness of a mode over that at rest, below which it is lost if the last iterate is unstable."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.point.alternatives import (
     elliptic_laws,
@@ -17,7 +18,6 @@ from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.diagnostics.evidence import Cells, plain
-from dolfin_elastic.solvers.messages import coordinates
 
 MOST = 300
 """Deformation gradients of each material and rank that are looked at: the most strained ones."""

@@ -21,17 +21,12 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
 from dolfin_elastic.solvers.linear.ksp import null_combinations
-from dolfin_elastic.solvers.nonlinear.contact import (
-    check_initial_gaps,
-    count_touching,
-    near_nodes,
-    smallest_gap,
-)
 
 FREE = 1e-10
 """Stiffness against a rigid motion, over that of the diagonal, which counts as none."""
@@ -72,6 +67,23 @@ def find_loose_part(assembler: Assembler) -> LoosePart | None:
             words, place = part
             return LoosePart(tuple(words), place, _name(problem, inside), bodies.count == 1)
     return None
+
+
+def pulled_off_obstacles(assembler: Assembler) -> bool:
+    """The loads as a whole point away from the obstacles that are near. Collective.
+
+    Their resultant is compared with the sum of their sizes: loads that cancel pull nowhere.
+    """
+    problem, dim = assembler.problem, assembler.problem.body.dim
+    if not problem.terms.opens:
+        return False
+    near = [one for term in problem.terms if term.opens for one in term.held(near=True)]
+    normals = sum((directions.sum(axis=0) for _, directions in near), np.zeros(dim))
+    forces = assembler.reactions.loads()[assembler.displacement_dofs].reshape(-1, dim)
+    sums = [normals, forces.sum(axis=0), [np.abs(forces).sum()]]
+    result = total(problem.body.comm, np.concatenate(sums))
+    away = float(result[:dim] @ result[dim : 2 * dim])
+    return away > 1e-6 * float(np.linalg.norm(result[:dim])) * float(result[-1])
 
 
 def _motions(assembler: Assembler, inside: BoolArray) -> tuple[list[str], tuple[float, ...]] | None:
@@ -168,8 +180,7 @@ def check_no_rigid_motion(problem: Problem) -> None:
     Raises:
         InputError: They do not.
     """
-    if problem.contact_pairs:
-        check_initial_gaps(problem, moving=False)
+    problem.check_start(default=PROPORTIONAL)
     bodies = free_bodies(problem)
     free = [body for body in bodies if body.motions]
     if not free:
@@ -182,7 +193,7 @@ def check_no_rigid_motion(problem: Problem) -> None:
             where="periodic",
             expected="a cell that hangs together; a soft filling binds what lies in a hole",
         )
-    if problem.contact_pairs:
+    if problem.terms.opens:
         _check_obstacles_ahead(problem, free)
     what = "the supports leave the body free" if problem.supports else "there is no support"
     text = f"as a rigid body it can {', '.join(free[0].motions)}"
@@ -205,11 +216,10 @@ def _check_obstacles_ahead(problem: Problem, free: list[FreeBody]) -> None:
     Raises:
         InputError: Obstacles would hold them, with how far away they are.
     """
-    if free_motions(problem, reached=True):
-        return
-    away = {
-        pair.label: smallest_gap(pair) for pair in problem.contact_pairs if not count_touching(pair)
-    }
+    with problem.terms.assumed(closed=True):
+        if free_motions(problem):
+            return
+    away = {term.label: gap for term in problem.terms if (gap := term.distance())}
     text = ", ".join(f"'{label}' is {gap:.3g} m away" for label, gap in away.items())
     raise InputError(
         f"no obstacle holds the body yet ({text or 'they touch elsewhere'}): as a rigid body it "
@@ -220,29 +230,19 @@ def _check_obstacles_ahead(problem: Problem, free: list[FreeBody]) -> None:
     )
 
 
-def free_motions(problem: Problem, *, reached: bool = False) -> list[str]:
-    """Rigid motions of any body that no support prevents, in words. Collective.
-
-    Args:
-        reached: Count every surface that may touch an obstacle as touching.
-    """
-    bodies = free_bodies(problem, reached=reached)
+def free_motions(problem: Problem) -> list[str]:
+    """Rigid motions of any body that no support prevents, in words. Collective."""
+    bodies = free_bodies(problem)
     return list(dict.fromkeys(motion for body in bodies for motion in body.motions))
 
 
-def free_bodies(problem: Problem, *, reached: bool = False) -> list[FreeBody]:
-    """All connected bodies, each with the rigid motions that no support prevents. Collective.
-
-    Args:
-        reached: Count every surface that may touch an obstacle as touching.
-    """
+def free_bodies(problem: Problem) -> list[FreeBody]:
+    """All connected bodies, each with the rigid motions that no support prevents. Collective."""
     bodies = ConnectedBodies(problem)
     if problem.cell is not None:
         return _parts_of_cell(problem, bodies)
     centres, sizes = _bounding_boxes(bodies)
-    sums = _constraint_products(
-        bodies, constrained_directions(problem, reached=reached), centres, sizes
-    )
+    sums = _constraint_products(bodies, constrained_directions(problem), centres, sizes)
     nulls = [_null_space(problem, matrix) for matrix in sums]
     if any(len(motion.free) for motion in problem.constraints.rigid_motions):
 
@@ -272,25 +272,18 @@ def _parts_of_cell(problem: Problem, bodies: ConnectedBodies) -> list[FreeBody]:
     ]
 
 
-def constrained_directions(problem: Problem, *, reached: bool = False) -> Constraints:
-    """Directions in which this rank's nodes are constrained. Not collective.
+def constrained_directions(problem: Problem) -> Constraints:
+    """Directions in which this rank's nodes are constrained. Collective.
 
-    Prescribed components and directions, springs, and obstacles that touch, as if they could pull,
-    too; dashpots constrain nothing.
-
-    Args:
-        reached: Count every surface that may touch an obstacle as touching.
+    Prescribed components and directions, and what terms hold: springs, and obstacles that touch.
     """
     dim, prescribed = problem.body.dim, problem.constraints
     held = prescribed.prescribed_dofs
     rows = [Constraints((held // dim).astype(np.int32), np.eye(dim)[held % dim])]
-    more = list(problem.spring_projections)
     if prescribed.skewed:
-        more.append((prescribed.skew_dofs[:, 0] // dim, prescribed.P))
-    rows += [Constraints(np.repeat(nodes, dim), P.reshape(-1, dim)) for nodes, P in more]
-    for pair in problem.contact_pairs:
-        within = np.inf if reached else pair.reach
-        rows.append(Constraints(*near_nodes(pair, within)))
+        nodes = np.repeat(prescribed.skew_dofs[:, 0] // dim, dim)
+        rows.append(Constraints(nodes, prescribed.P.reshape(-1, dim)))
+    rows += [Constraints(*one) for term in problem.terms for one in term.held()]
     return Constraints(
         np.concatenate([row.nodes for row in rows]).astype(np.int32),
         np.concatenate([row.directions for row in rows]),

@@ -22,7 +22,6 @@ from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
 from dolfin_elastic.solvers.dynamics.schemes import ExplicitRow
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings, refuse_relaxing
 from dolfin_elastic.solvers.linear.choice import LinearSettings
-from dolfin_elastic.solvers.nonlinear.contact import begin_motion
 from dolfin_elastic.solvers.nonlinear.scalars import refuse_scalars
 
 log = logging.getLogger("dolfin_elastic")
@@ -83,9 +82,10 @@ class Dynamics:
             raise InputError(EXPLICIT_TIES, where="tie[0]", expected=IMPLICIT)
         shocks = set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
         notes = [s.stability_limit] if s.stability_limit else []
-        for note in [*notes, *shocks] if saved is None else ():
+        notes += [*map(str, shocks), *self.problem.check_start()]
+        for note in notes if saved is None else ():
             log.warning("%s", note)
-        begin_motion(self.problem, warn=saved is None)
+        self.problem.terms.begin(moving=True)
         motion = self._motion = self._make()
         try:
             with failing_together(self.problem.body.comm):

@@ -11,10 +11,11 @@ from dolfinx import fem
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import agree, first_of, largest, total
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.values import Component
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.solvers.messages import MIRRORED, SEES_INVERSION, coordinates
+from dolfin_elastic.solvers.messages import MIRRORED, SEES_INVERSION
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 
 EPS = float(np.finfo(float).eps)

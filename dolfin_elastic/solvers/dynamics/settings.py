@@ -9,10 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import BeforeValidator, Field, field_serializer, model_validator
 
 from dolfin_elastic.core.errors import InputError, nearest
-from dolfin_elastic.core.schema import Record, UnusedKeys, quoted, refuse_unused_keys
+from dolfin_elastic.core.schema import (
+    Record,
+    UnusedKeys,
+    quoted,
+    refuse_times_beyond,
+    refuse_unused_keys,
+)
 from dolfin_elastic.core.units import Force, Rate, Time
 from dolfin_elastic.model.values import Component, components, depends_on_time
-from dolfin_elastic.solvers.breakpoints import refuse_times_beyond
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.implicit.output_times import Interval
 

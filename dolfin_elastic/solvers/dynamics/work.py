@@ -25,7 +25,6 @@ from dolfin_elastic.solvers.assembly.nodal_forces import Forces as NodalForces
 from dolfin_elastic.solvers.audit.equilibrium import EnergyBook
 from dolfin_elastic.solvers.dynamics.implicit.volume_constraint import PressureEnergy
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
-from dolfin_elastic.solvers.nonlinear.contact import results_of_terms
 
 Measures = tuple[dict[str, float], dict[str, FloatArray]]
 """Energies [J] by name, and momenta by name: "linear" [kg m/s], "angular" [kg m^2/s]."""
@@ -92,7 +91,7 @@ class MotionBook(EnergyBook):
 
     def numbers(self) -> dict[str, float]:
         """Further results of terms, by name [SI units]. Collective."""
-        return results_of_terms(self._problem)
+        return self._problem.terms.results()
 
 
 def supports_move(problem: Problem) -> bool:

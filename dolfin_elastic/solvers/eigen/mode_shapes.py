@@ -44,7 +44,7 @@ def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
             where="periodic",
             expected=f"leave it out, or write [statics] in place of [{table}]",
         )
-    if any(term.opens for term in problem.terms):
+    if problem.terms.opens:
         raise InputError(
             "contact opens and closes, so the body has no modes",
             where="contact",

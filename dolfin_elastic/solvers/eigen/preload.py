@@ -8,11 +8,10 @@ from collections.abc import Generator
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
-from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys
+from dolfin_elastic.core.schema import UnusedKeys, refuse_times_beyond, refuse_unused_keys
 from dolfin_elastic.core.together import loop_together
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
-from dolfin_elastic.solvers.breakpoints import refuse_times_beyond
 from dolfin_elastic.solvers.eigen.mode_shapes import shared
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.statics.settings import StaticsSettings

@@ -15,13 +15,13 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.jit import compile_c, compile_expression
 from dolfin_elastic.core.parallel import largest_row, total
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.model.kinematics import displacement_gradient
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.two_stage.form import tabulated
-from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered
 
 BLOCK = 8192

@@ -311,14 +311,14 @@ class ArcLength:
 
         Afterwards the problem is at the end of the step, as before.
         """
-        there, terms = self._bordered.unknowns(), self._retry.augmentation
-        remembered = [] if terms is None else terms.copies()
+        there, memory = self._bordered.unknowns(), self._problem.terms.memory.values()
+        remembered = [field.x.array.copy() for field in memory]
         least = BALANCED * self._newton.tolerance.rtol
         limits = limit_points(begin, end, inside, least=least)
         if inside.moved:
             self._bordered.put_back(there)
-            if terms is not None:
-                terms.put(remembered)
+            for field, saved in zip(memory, remembered, strict=True):
+                field.x.array[:] = saved
             assert self._bordered.bordered is not None
             self._bordered.bordered.evaluate()
         return limits
@@ -437,7 +437,6 @@ class ArcLength:
         w.x.scatter_forward()
         self._all.put(self._all.get() + scalars)
         self._problem.unknowns.w_to_u()
-        self._retry.begin()
         start = self._bordered.unknowns()
         self._bordered.linear.refresh()
         result = self._bordered.solve("basic")
@@ -459,6 +458,7 @@ class ArcLength:
     def _end_at_load_factor(self, here: FloatArray, t: float) -> PathPoint:
         """The last point: equilibrium at the load factor `end`, between the last two points."""
         beyond = self._newton.unknowns()
+        self._problem.terms.commit()  # what they have learnt beyond serves here, too
         share = (self._end - t) / (self._length.t - t)
         self._length.put(np.array([self._end]))
         result = self._retry.solve([("", here + share * (beyond - here)), ("", beyond)])

@@ -16,10 +16,8 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import RestartState, SavedState, State, restoring
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
-from dolfin_elastic.solvers.breakpoints import within_stride
 from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
 from dolfin_elastic.solvers.messages import in_words
-from dolfin_elastic.solvers.nonlinear.contact import Augmentation
 from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
     BEYOND,
@@ -94,9 +92,7 @@ class LoadStepping:
     ) -> None:
         self._settings, self._sizes, self._newton, self._scalars = settings, sizes, newton, scalars
         self._assembler, self._problem = newton.assembler, newton.assembler.problem
-        self._retry = RetryStrategy(
-            newton, Augmentation(self._problem) if self._problem.terms else None
-        )
+        self._retry = RetryStrategy(newton)
         self._path_check = PathEnergyCheck(self._assembler)
         self._states = StaticStates(
             newton, scalars, book=self._path_check.book, watch=watch, end=settings.end
@@ -156,7 +152,7 @@ class LoadStepping:
     def restart_state(self) -> RestartState:
         """See `Restartable`. Collective."""
         history = self._problem.history
-        fields = {"unknowns": self._problem.w, **self._memory()}
+        fields = {"unknowns": self._problem.w, **self._problem.terms.memory}
         numbers: dict[str, Any] = {
             "t": self._t,
             "scalars": [] if self._scalars is None else self._scalars.get(),
@@ -190,12 +186,13 @@ class LoadStepping:
         others = {name: fem.Function(self._problem.W) for name in names}
         history = self._problem.history
         past = {} if history is None else history.fields()
-        saved.fill({"unknowns": self._problem.w, **self._memory(), **others, **past})
+        saved.fill({"unknowns": self._problem.w, **self._problem.terms.memory, **others, **past})
         self._t = numbers["t"]
         self._problem.set_time(self._t, default=PROPORTIONAL)
         if self._scalars is not None and self._scalars.joined is not None:
             self._scalars.joined.put(np.array(numbers["scalars"]))
         self._problem.unknowns.w_to_u()
+        self._problem.terms.commit()
         if history is not None:
             history.restore(past, numbers["history"])
         self._sizes.restore(numbers["sizes"])
@@ -213,10 +210,6 @@ class LoadStepping:
         self._states.restore(numbers)
         if self._arc is not None:
             self._arc.restore(self._t, others.get("way"), numbers["arc"])
-
-    def _memory(self) -> dict[str, fem.Function]:
-        terms = self._retry.augmentation
-        return {} if terms is None else terms.memory
 
     def _split(self, unknowns: FloatArray) -> tuple[fem.Function, list[float]]:
         """Fields and scalars of unknowns as `Newton.unknowns` has them."""
@@ -272,7 +265,7 @@ class LoadStepping:
             stored = self._path_check.stored
             yield self._states.state(end, result, verdict=self._verdict, stored=stored)
         while not sizes.done(self._t) and not self._ends_early():
-            goal = within_stride(self._problem, self._t, sizes.goal(self._t))
+            goal = self._problem.terms.within_stride(self._t, sizes.goal(self._t))
             step = _Step(self._t, goal, self._newton.unknowns())
             result = self._solve(step)
             last = goal >= self._settings.end
@@ -321,6 +314,7 @@ class LoadStepping:
         if left_path:
             self._sizes.begin_anew()
         self._t = goal
+        self._problem.terms.commit()
         if self._problem.history is not None:
             self._problem.history.commit()
 
@@ -459,6 +453,7 @@ class LoadStepping:
                 good = self._newton.unknowns() if point.good is None else point.good
                 raise self._failure(point.t, point.t, result, good, point.failed)
             self._t, self._limits = point.t, tuple(limit.t for limit in arc.limits)
+            self._problem.terms.commit()
             state = self._states.state(point.t, result, verdict=point.verdict, limits=self._limits)
             yield replace(state, limit_errors=tuple(limit.error for limit in arc.limits))
             if self._ends_early():

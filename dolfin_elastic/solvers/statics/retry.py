@@ -13,16 +13,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 from petsc4py import PETSc
 
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.diagnostics.negative_curvature import start_vector
 from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
-from dolfin_elastic.solvers.messages import coordinates
-from dolfin_elastic.solvers.nonlinear.contact import Augmentation
 from dolfin_elastic.solvers.nonlinear.convergence import UNSTABLE, NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 
@@ -44,6 +42,9 @@ a hundredth of a cell.  A slender body returns from perturbations small against 
 
 INVERSE_ITERATIONS = 5
 """For the weakest mode: enough for one that stands out."""
+
+AUGMENTATIONS = 10
+"""Times that what terms remember is renewed in one load step."""
 
 HALVINGS = 20
 """Times that a perturbation which turns a cell inside out is halved."""
@@ -178,12 +179,10 @@ class RetryStrategy:
 
     Attributes:
         newton: The solver; its problem is at the load that is wanted.
-        augmentation: Of what its terms remember; None without any terms.
         failed: The last iterate of the last failure, as `Newton.unknowns`.
     """
 
     newton: Newton
-    augmentation: Augmentation | None
     failed: FloatArray | None = field(default=None, init=False)
     _ready: bool = field(default=True, init=False)
 
@@ -200,7 +199,6 @@ class RetryStrategy:
         """
         newton, first = self.newton, starts[0][1]
         rejected, worst = 0, None
-        self.begin()
         if len(starts) > 1 and self._residual_norm(starts[1][1]) < self._residual_norm(first):
             starts = [("", starts[1][1]), ("from where the last step ended", first)]
         for how, start, line_search in self._attempts(starts):
@@ -222,10 +220,9 @@ class RetryStrategy:
         return replace(result, rejected=rejected, worst=worst)
 
     def undo(self, start: FloatArray) -> None:
-        """Goes back to where the last solve began, its terms too. Not collective."""
+        """Goes back to where the step began, the terms too. Not collective."""
         self.newton.put_back(start)
-        if self.augmentation is not None:
-            self.augmentation.restore()
+        self.newton.assembler.problem.terms.rollback()
 
     def _attempts(
         self, starts: Sequence[tuple[str, FloatArray]]
@@ -247,9 +244,7 @@ class RetryStrategy:
         return assembler.residual.norm()
 
     def _attempt(self, start: FloatArray, line_search: str) -> NewtonResult:
-        self.newton.put_back(start)
-        if self.augmentation is not None:
-            self.augmentation.restore()
+        self.undo(start)
         result = self.newton.solve(line_search)
         while "LINEAR_SOLVE" in result.reason and self.newton.fall_back():
             self.newton.put_back(start)
@@ -270,17 +265,17 @@ class RetryStrategy:
             solve: Finds equilibrium from the problem's present state; by default `newton.solve`.
 
         Returns:
-            How the last solve ended, with the iterations of all.
+            How the last solve ended, with the iterations of all and the prediction of the first.
         """
-        if self.augmentation is not None:
-            again = partial(solve or self.newton.solve, line_search)
-            result = self.augmentation.solve(result, again)
+        first, newton, krylov = result, result.newton, result.krylov
+        terms, solve = self.newton.assembler.problem.terms, solve or self.newton.solve
+        for _ in range(AUGMENTATIONS):
+            if not (result.converged and terms.solve_again()):
+                break
+            result = solve(line_search)
+            newton, krylov = newton + result.newton, krylov + result.krylov
+        result = replace(result, newton=newton, krylov=krylov, predicted=first.predicted)
         return self._refuse_inverted(result)
-
-    def begin(self) -> None:
-        """Saves what terms remember, for `undo`. Not collective."""
-        if self.augmentation is not None:
-            self.augmentation.save()
 
     def _refuse_inverted(self, result: NewtonResult) -> NewtonResult:
         """No accepted state has an inverted cell, even if no trial state on the way had one.

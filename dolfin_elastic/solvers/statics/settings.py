@@ -8,9 +8,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.schema import Record, UnusedKeys, refuse_unused_keys
+from dolfin_elastic.core.schema import Record, UnusedKeys, refuse_times_beyond, refuse_unused_keys
 from dolfin_elastic.core.units import Force, Length
-from dolfin_elastic.solvers.breakpoints import refuse_times_beyond
 
 FIRST = 0.25
 """Share of the load in the first step of a nonlinear problem."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from dolfin_elastic.core.errors import ConvergenceError, FormulaError
 from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import extent
 from dolfin_elastic.model.amplitude import PROPORTIONAL
@@ -18,8 +19,7 @@ from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import SupportForces
 from dolfin_elastic.solvers.audit.equilibrium import EnergyBook, EquilibriumAuditor
 from dolfin_elastic.solvers.diagnostics.stability import Verdict
-from dolfin_elastic.solvers.messages import coordinates, in_words
-from dolfin_elastic.solvers.nonlinear.contact import results_of_terms
+from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.nonlinear.convergence import UNSTABLE, NewtonResult
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
@@ -59,7 +59,7 @@ class StaticStates:
 
     def _numbers(self) -> dict[str, float]:
         """Results of terms and scalar unknowns by name. Collective."""
-        result = results_of_terms(self._problem) if self._problem.terms else {}
+        result = self._problem.terms.results()
         return result if self._scalars is None else result | self._scalars.numbers()
 
     def state(
@@ -169,9 +169,10 @@ class StaticStates:
             return ""
         targets = np.abs(np.nan_to_num(problem.constraints.targets, posinf=0.0, neginf=0.0))
         moved = {"a support": largest(problem.body.comm, float(np.max(targets, initial=0.0)))}
-        for pair in problem.contact_pairs:
-            size = float(np.max(np.abs(np.nan_to_num(pair.shift.value, posinf=0.0, neginf=0.0))))
-            moved[f"the obstacle of '{pair.label}'"] = size
+        for term in problem.terms:
+            if term.shift is not None:
+                shift = np.abs(np.nan_to_num(term.shift.value, posinf=0.0, neginf=0.0))
+                moved[f"the obstacle of '{term.label}'"] = float(np.max(shift))
         what, far = max(moved.items(), key=lambda one: one[1])
         return messages.far_motion(what, far, longest) if far > FAR * longest else ""
 

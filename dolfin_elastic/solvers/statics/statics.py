@@ -15,7 +15,6 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.hydrostatic_constant import HydrostaticConstant
-from dolfin_elastic.solvers.breakpoints import driven_by_formula
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_no_rigid_motion
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose, in_blocks
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
@@ -103,6 +102,7 @@ class Statics:
             owned.callback(assembler.destroy)
             if self.problem.mixed:
                 HydrostaticConstant(self.problem).report()
+            self.problem.terms.begin(moving=False)
             scalars = Scalars(assembler) if self.problem.has_scalars else None
             watch = JacobianWatch(self.problem)
             newton = Newton(
@@ -184,7 +184,7 @@ class Statics:
             stops = [s.end * i / s.steps for i in range(1, s.steps)]
             largest = first
         else:
-            formula = driven_by_formula(self.problem)
+            formula = self.problem.driven_by_formula
             share = 1.0 if self.problem.linear and not formula else FIRST
             first = min(s.first_step or share, s.max_step) * s.end
             largest_share = (

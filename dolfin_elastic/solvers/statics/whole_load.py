@@ -37,7 +37,6 @@ from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
-from dolfin_elastic.solvers.breakpoints import driven_by_formula
 from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
 from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.nonlinear.convergence import ANOTHER, BEYOND, UNSTABLE, NewtonResult
@@ -66,8 +65,8 @@ FARTHER = "the solution is far from the linear one"
 
 def may_take_whole_load(problem: Problem) -> bool:
     """Whether the signs above can be seen, and no path has to be followed. Not collective."""
-    opens = any(term.opens for term in problem.terms)
-    if problem.linear or opens or problem.corners or driven_by_formula(problem):
+    opens = problem.terms.opens
+    if problem.linear or opens or problem.corners or problem.driven_by_formula:
         return False
     if not problem.symmetric or problem.weak_form.strain_energy is None:
         return False

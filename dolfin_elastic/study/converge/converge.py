@@ -24,6 +24,7 @@ from dolfin_elastic.core.compat import collapsed
 from dolfin_elastic.core.errors import InputError, StoppedError
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.signals import acknowledge, raise_if_agreed, remove_stop_file
 from dolfin_elastic.core.together import loop_together
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
@@ -38,7 +39,6 @@ from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.peaks import Peak, find_peaks, largest, percent
 from dolfin_elastic.results.recovery.singular import singular_places
 from dolfin_elastic.results.writers.summary import SummaryWriter, mark_stopped
-from dolfin_elastic.solvers.messages import coordinates
 from dolfin_elastic.solvers.statics.load_stepping import InitialGuess
 from dolfin_elastic.solvers.statics.statics import Statics
 from dolfin_elastic.study.converge.extrapolation import extrapolate, grows

@@ -31,9 +31,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.breakpoints import within_stride
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
-from dolfin_elastic.solvers.nonlinear.contact import Augmentation
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
@@ -159,7 +157,8 @@ def test_what_an_undone_step_has_learnt_is_forgotten():
     problem = between_plates(2, 1)
     assembler = Assembler(problem)
     newton = Newton(assembler, choose(problem, LinearSettings()), Tolerance())
-    retry, start = RetryStrategy(newton, Augmentation(problem)), newton.unknowns()
+    problem.terms.begin(moving=False)
+    retry, start = RetryStrategy(newton), newton.unknowns()
     problem.set_time(0.25, default=RAMP)
     assert retry.solve([("", start)]).converged
     lam = problem.contact_pairs[0].lam.x.array
@@ -216,7 +215,7 @@ def test_no_step_of_an_obstacle_is_longer_than_half_its_radius(begin):
         degree=1,
     )
     for asked, taken in ((0.12, 0.12), (0.13, 0.065), (0.24, 0.12), (0.4, 0.1)):
-        assert within_stride(problem, begin, begin + asked) == pytest.approx(begin + taken)
+        assert problem.terms.within_stride(begin, begin + asked) == pytest.approx(begin + taken)
 
 
 def test_weight_on_the_floor():

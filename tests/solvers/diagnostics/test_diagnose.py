@@ -41,6 +41,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.errors import ConvergenceError, Diagnosis
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.distribute import build_body
 from dolfin_elastic.mesh.formats.raw import RawMesh
@@ -56,8 +57,6 @@ from dolfin_elastic.solvers.diagnostics.evidence import TrialStates
 from dolfin_elastic.solvers.diagnostics.rigid_body import find_loose_part
 from dolfin_elastic.solvers.diagnostics.stability import FactorisedTangent, Mode, curvature
 from dolfin_elastic.solvers.linear.choice import LinearSettings
-from dolfin_elastic.solvers.messages import coordinates
-from dolfin_elastic.solvers.nonlinear.contact import held_inside
 
 FREE = "free"
 E, NU = 1e6, 0.3
@@ -308,7 +307,7 @@ def test_an_audit_names_held_nodes_that_an_obstacle_is_pushed_into():
 def test_nodes_that_are_held_along_the_normal(left, holds):
     problem = pressed(left)
     problem.set_time(1.0)
-    found = held_inside(problem, 0)
+    found = problem.contact_pairs[0].conflict(problem.constraints)
     assert (found is not None) == holds
     assert found is None or found[1] == (0, 1)
 
@@ -391,7 +390,7 @@ def test_leaning_rollers_hold_along_their_normal_alone(pushed, holds):
     """Of a plate that goes along them, none of its nodes is held, the corner's either."""
     problem = leaning(["left"], pushed)
     problem.set_time(1.0)
-    assert (held_inside(problem, 0) is not None) == holds
+    assert (problem.contact_pairs[0].conflict(problem.constraints) is not None) == holds
 
 
 @pytest.mark.parametrize(("surfaces", "motions"), [(["left"], 1), (["left", "bottom"], 0)])

@@ -33,7 +33,6 @@ from dolfin_elastic.case.check.report import report
 from dolfin_elastic.core.compat import integration_entities
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.solvers.breakpoints import driven_by_formula
 
 FREE = "free"
 SOFT = {"E": 1e6, "nu": 0.3, "density": 1000.0}
@@ -180,7 +179,7 @@ def test_newmark_with_a_limit(comm: MPI.Comm, caplog: pytest.LogCaptureFixture) 
 )
 def test_supports_that_wind(support: Any, comm: MPI.Comm) -> None:
     """Steps are short where a formula in t may turn around; buckling has no load factor there."""
-    assert driven_by_formula(strip(comm, supports=[support]))
+    assert strip(comm, supports=[support]).driven_by_formula
     body = rectangle_body(size=(1, 0.2), cells=(8, 2), comm=comm)
     problem = Problem(
         body, StVenantKirchhoff(**SOFT), supports=[support, Support(on="right")], degree=1

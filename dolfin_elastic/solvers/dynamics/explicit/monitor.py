@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -17,7 +18,6 @@ from dolfin_elastic.solvers.diagnostics.evidence import Cells, blind_to_inversio
 from dolfin_elastic.solvers.messages import (
     MIRRORED,
     SEES_INVERSION,
-    coordinates,
     load_not_finite,
 )
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch, SmallStrains

@@ -14,6 +14,7 @@ import numpy as np
 
 from dolfin_elastic.core.errors import Diagnosis, StabilityError
 from dolfin_elastic.core.parallel import first_of, largest_row, total
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.problem import Problem
@@ -23,7 +24,6 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.evidence import Cells, explained, not_finite, plain
 from dolfin_elastic.solvers.dynamics.explicit.monitor import RESISTS, StabilityMonitor
 from dolfin_elastic.solvers.dynamics.explicit.stable_step import StepSize
-from dolfin_elastic.solvers.messages import coordinates
 
 Place = tuple[float, ...]
 

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError, StabilityError
 from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.startup.slepc import SLEPc
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
@@ -25,8 +26,6 @@ from dolfin_elastic.solvers.dynamics.explicit.frequency_bound import (
     extremes,
     rows_over_mass,
 )
-from dolfin_elastic.solvers.messages import coordinates
-from dolfin_elastic.solvers.nonlinear.contact import in_full_contact
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -94,7 +93,7 @@ class StepSize:
     ) -> None:
         self._problem, self._assembler, self._mass = problem, assembler, mass
         self._chosen = chosen
-        self._contact = any(term.opens for term in problem.terms)
+        self._contact = problem.terms.opens
         self._safety = min(safety, RESONANCE) if self._contact else safety
         self.bound = (
             FrequencyBound(problem, assembler, mass) if FrequencyBound.applies(problem) else None
@@ -121,7 +120,7 @@ class StepSize:
             a = self._assembler
             x, scale = a.create_vector(), a.create_vector()
             a.get(x)
-            with in_full_contact(self._problem):
+            with self._problem.terms.assumed(closed=True):
                 a.tangent.assemble(x, unit=0.0)
             scale.array_w[:] = 1 / np.sqrt(self._mass)
             scale.array_w[self._problem.constraints.prescribed_dofs] = 0.0

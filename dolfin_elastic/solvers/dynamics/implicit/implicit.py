@@ -13,6 +13,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
+from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.signals import raise_if_agreed
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.problem.problem import Problem, conserves, over_step
@@ -45,7 +46,7 @@ from dolfin_elastic.solvers.dynamics.schemes import ImplicitRow
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.dynamics.work import EnergyBalance, MotionBook
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
-from dolfin_elastic.solvers.messages import JUMP, coordinates, in_words
+from dolfin_elastic.solvers.messages import JUMP, in_words
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton

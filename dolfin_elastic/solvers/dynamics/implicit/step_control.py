@@ -26,7 +26,6 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
-from dolfin_elastic.solvers.breakpoints import driven_by_formula
 from dolfin_elastic.solvers.dynamics.implicit.output_times import OutputTimes
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 
@@ -77,7 +76,7 @@ class StepControl:
         self.nominal, self.scale = dt, 0.0
         self._adaptive, self._tolerance = tolerance is not None, tolerance or 0.0
         self._corners = [t for t in moving.problem.corners if 0.0 <= t <= self._end]
-        self._longest = self._end / FEWEST_STEPS if driven_by_formula(moving.problem) else self._end
+        self._longest = self._end / FEWEST_STEPS if moving.problem.driven_by_formula else self._end
         self._start, self._goal, self._planned, self._free = 0.0, 0.0, 0.0, 0.0
 
     def warn_of_passed_corners(self) -> None:

@@ -97,7 +97,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         self._stages = StageSolver(context)
         # With alpha_f = 0 the stage is the end of the step: no contact there is unseen.
         share = self._parameters.alpha_f
-        estimated = context.adaptive and any(t.opens for t in self.problem.terms) and share > 0
+        estimated = context.adaptive and self.problem.terms.opens and share > 0
         self.impact_error = ImpactError(self.moving, share) if estimated else None
         self._start: StepStart | None = None
         self._stage: Stage | None = None
