@@ -5,10 +5,19 @@ from __future__ import annotations
 import dolfin_elastic.core.startup.started  # noqa: F401  # before anything starts MPI
 
 import numpy as np
-from dolfinx import la
+from dolfinx import fem, la
 from dolfinx.common import IndexMap
 
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray
+
+
+def assembled(form: fem.Form, V: fem.FunctionSpace) -> FloatArray:
+    """A compiled form of a test function at the owned entries of its space. Collective."""
+    index_map, bs = V.dofmap.index_map, V.dofmap.index_map_bs
+    result = la.vector(index_map, bs)
+    fem.assemble_vector(result.array, form)
+    result.scatter_reverse(la.InsertMode.add)
+    return np.asarray(result.array[: index_map.size_local * bs])
 
 
 def summed(index_map: IndexMap, entries: AnyArray, rows: AnyArray) -> FloatArray:

@@ -21,7 +21,7 @@ from dolfin_elastic.model.kinematics import Geometry, weight
 from dolfin_elastic.model.loads import Cavity, ConcentratedLoad, Eigenstrain, Force, Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.periodic import Periodic
-from dolfin_elastic.model.supports.displacement import Restraint
+from dolfin_elastic.model.supports.displacement import Restraint, Rotation
 from dolfin_elastic.model.supports.springs import Dashpot, ResistingSupport, Spring
 from dolfin_elastic.model.tie import Tie
 from dolfin_elastic.model.values import OnSurfaces, depends_on_time
@@ -40,10 +40,11 @@ from dolfin_elastic.problem.material_regions import (
 from dolfin_elastic.problem.pressure.groups import pressure_groups
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Resistance, Terms
-from dolfin_elastic.problem.terms.cavities import BodyCavity, make_cavities
+from dolfin_elastic.problem.terms.cavities import make_cavities
 from dolfin_elastic.problem.terms.contact import ContactPair, make_contacts, placed_contacts
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
 from dolfin_elastic.problem.terms.pressure_symmetry import follower_pressure_has_potential
+from dolfin_elastic.problem.terms.rigid_surfaces import RigidSurface, TurnedSurface
 from dolfin_elastic.problem.weak_form import (
     StepStart,
     WeakForm,
@@ -89,7 +90,6 @@ class Problem:
         places: Of the local nodes of the displacement in the reference configuration [m], shape
             (nodes, 3).
         thickness: Of a plane body [m]; 1 of others.
-        cavities: Hollow spaces with a pressure.
         context: Measures, fields and amplitudes from which loads and supports make their forms.
         weak_form: The sum of virtual-work terms.
         regions: The materials, each on its cells.
@@ -97,7 +97,8 @@ class Problem:
         contact_pairs: The contacts on this body.
         cell: The macroscopic deformation of a periodic cell, or None.
         eigenstrains: Material's name to its growth Fg (UFL), of those that grow.
-        terms: Springs, dashpots, contacts, loads at points, and what else acts on the body.
+        terms: Springs, dashpots, contacts, loads at points, cavities, rigid surfaces, and what else
+            acts on the body.
         history: What materials that relax remember; None without any.
         nodal_loads: Forces at points and along lines, which are in no form; None without any.
         constant: Makes a UFL constant: a new value of it needs no new compilation.
@@ -192,9 +193,6 @@ class Problem:
         kinds = {type(load) for load in self.loads}
         resisting = [s for s in self.supports if isinstance(s, ResistingSupport)]
         self.terms = Terms(Resistance(s, self.context) for s in resisting)
-        self.cavities: list[BodyCavity] = []
-        if any(issubclass(kind, Cavity) for kind in kinds):
-            self.cavities = list(make_cavities(self.loads, self.context))
         self.contact_pairs: tuple[ContactPair, ...] = ()
         if contacts:
             self.contact_pairs = make_contacts(contacts, self.context)
@@ -206,6 +204,11 @@ class Problem:
         if any(issubclass(kind, ConcentratedLoad) for kind in kinds):
             self.nodal_loads = NodalLoads(self.body, self.V, self.loads)
             self.terms.append(self.nodal_loads)
+        if any(issubclass(kind, Cavity) for kind in kinds):
+            self.terms += make_cavities(self.loads, self.context, self.constraints)
+        what = self.context, self.constraints
+        self.terms += [RigidSurface(motion, *what) for motion in self.constraints.rigid_motions]
+        self.terms += [TurnedSurface(s, *what) for s in self.supports if isinstance(s, Rotation)]
 
     def _scale_unknowns(self) -> None:
         """Scales the auxiliary fields to the magnitude of displacements, see `spaces.Unknowns`."""
@@ -283,16 +286,6 @@ class Problem:
         return int(self.W.dofmap.index_map.size_global * self.W.dofmap.index_map_bs)
 
     @property
-    def has_scalars(self) -> bool:
-        """There are cavities, rigid or turned surfaces or a periodic cell.
-
-        They may have scalar unknowns, and have results that are numbers.
-        """
-        turned = any(support.kind == "rotation" for support in self.supports)
-        rigid = self.constraints.rigid_motions
-        return bool(self.cavities or rigid or turned or self.cell is not None)
-
-    @property
     def mixed(self) -> bool:
         """There is a pressure beside the displacement."""
         return self.unknowns.has("pressure")
@@ -359,8 +352,6 @@ class Problem:
             self.unknowns.w_to_u()
         for term in self.terms:
             term.set_time(t, default)
-        for cavity in self.cavities:
-            cavity.set_time(t, default)
         if self.history is not None:
             self.history.set_time(t)
 

@@ -6,15 +6,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 import ufl
 from dolfinx import fem
 
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.timing import stage
-from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
-from dolfin_elastic.model.amplitude import Amplitude
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.supports.springs import ResistingSupport, Spring
 from dolfin_elastic.problem.constraints.normals import spring_directions
 from dolfin_elastic.problem.constraints.rows import Constraints
@@ -140,7 +141,11 @@ class Term:
     # --- a run ---
 
     def begin(self, *, moving: bool) -> None:
-        """A run begins, in motion or in statics. Not collective."""
+        """A run begins, in motion or in statics. Collective.
+
+        Raises:
+            InputError: It cannot.
+        """
 
     def commit(self) -> None:
         """The present equilibrium is accepted: the next step begins here. Not collective."""
@@ -158,8 +163,104 @@ class Term:
     def augment(self) -> None:
         """Changes its memory by the equilibrium that was found. Collective."""
 
-    def add_results(self, result: dict[str, float]) -> None:
-        """Adds its results by name [SI units] to those of the terms before it. Collective."""
+    def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
+        """Adds its results by name [SI units] to those of the terms before it. Collective.
+
+        Args:
+            forces: Out of balance at the displacement's owned entries, in motion with inertia [N].
+        """
+
+
+class OutOfBalance(Protocol):
+    """Nodal forces out of balance, as they were assembled last."""
+
+    @property
+    def owned(self) -> FloatArray:
+        """At the owned entries of all unknowns [N]."""
+
+    def along(self, entries: IndexArray, motion: FloatArray) -> FloatArray:
+        """Derivative of their work on a motion of some entries, owned entries [N]. Collective.
+
+        Args:
+            entries: Local, owned and perhaps ghost.
+            motion: Displacement of each [m]; all others rest.
+        """
+
+
+class ScalarUnknowns:
+    """Scalar unknowns s and their equations g(u, s) = 0; all ranks know both.
+
+    Attributes:
+        size: How many there are.
+        steps: Differences of s by which derivatives with respect to it are taken, shape (size,).
+        signs: What each is in the energy of the whole system, shape (size,).  1: a coordinate,
+            whose equation is a force; -1: a multiplier, whose equation is a constraint; 0: neither.
+        prescribing: Whether each changes prescribed displacements only, and no force.
+    """
+
+    size: int
+    steps: FloatArray
+    signs: FloatArray
+    prescribing: BoolArray
+
+    def get(self) -> FloatArray:
+        """The present scalars."""
+        raise NotImplementedError
+
+    def put(self, values: FloatArray) -> None:
+        """Changes the scalars and what depends on them in the problem. Not collective.
+
+        Args:
+            values: The scalars, shape (size,).
+        """
+        raise NotImplementedError
+
+    def residual(self, forces: OutOfBalance) -> FloatArray:
+        """g at the present state, for which the residual is assembled. Collective."""
+        raise NotImplementedError
+
+    def rows(self, forces: OutOfBalance) -> list[FloatArray]:
+        """dg/du at the owned entries, one array a scalar. Collective."""
+        raise NotImplementedError
+
+    def settled(self, residual: FloatArray, target: float) -> bool:
+        """Whether the equations hold well enough.
+
+        Args:
+            target: Norm of nodal forces out of balance that counts as none [N].
+        """
+        raise NotImplementedError
+
+
+class ScalarTerm(Term, ScalarUnknowns):
+    """A term with scalar unknowns; without any, of size 0, it only has results.
+
+    Attributes:
+        default: Amplitude where the user gave none.
+        t: Time [s], or load parameter, that was set last.
+        dt: Since the equilibrium that was committed last, in the same unit.
+    """
+
+    default: Amplitude = CONSTANT
+    t = _start = 0.0
+
+    @property
+    def dt(self) -> float:
+        """See the class."""
+        return self.t - self._start
+
+    def set_time(self, t: float, default: Amplitude) -> None:
+        """See `Term`."""
+        self.t, self.default = t, default
+
+    def commit(self) -> None:
+        """See `Term`."""
+        super().commit()
+        self._start = self.t
+
+    def without_motion(self) -> InputError:
+        """That its unknowns exist in statics only, with what to do."""
+        raise NotImplementedError
 
 
 class Resistance(Term):
@@ -207,6 +308,20 @@ class Terms(list[Term]):
         """Forces of some begin and end."""
         return any(term.opens for term in self)
 
+    @property
+    def scalars(self) -> list[ScalarTerm]:
+        """Those with scalar unknowns."""
+        return [term for term in self if isinstance(term, ScalarTerm) and term.size]
+
+    def refuse_motion(self) -> None:
+        """Refuses scalar unknowns, which motion does not have.
+
+        Raises:
+            InputError: The first one.
+        """
+        for term in self.scalars:
+            raise term.without_motion()
+
     def blocks(self) -> Blocks | None:
         """The blocks of all terms; None where no term has any. Collective."""
         result = [blocks for term in self if (blocks := term.blocks()) is not None]
@@ -231,7 +346,7 @@ class Terms(list[Term]):
         return min((term.within_stride(t, goal) for term in self), default=goal)
 
     def begin(self, *, moving: bool) -> None:
-        """A run begins, in motion or in statics: from here, too. Not collective."""
+        """A run begins, in motion or in statics: from here, too. Collective."""
         for term in self:
             term.begin(moving=moving)
         self.commit()
@@ -259,9 +374,9 @@ class Terms(list[Term]):
             term.augment()
         return True
 
-    def results(self) -> dict[str, float]:
-        """Their results by name [SI units]. Collective."""
+    def results(self, forces: FloatArray) -> dict[str, float]:
+        """Their results by name [SI units], see `Term.add_results`. Collective."""
         result: dict[str, float] = {}
         for term in self:
-            term.add_results(result)
+            term.add_results(result, forces)
         return result

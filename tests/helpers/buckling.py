@@ -30,8 +30,7 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose, in_blocks
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
-from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.nonlinear.scalars import Scalars
+from dolfin_elastic.solvers.nonlinear.newton import Newton, scalar_unknowns
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
 
 FREE = "free"
@@ -419,8 +418,9 @@ def equilibrium(problem: Problem, method: str, steps: int = 1) -> Iterator[Newto
     """
     linear = LinearSettings(method="direct", petsc=LU) if method == "lu" else None
     choice = choose(problem, linear or LinearSettings(method=method))
+    problem.terms.begin(moving=False)
     assembler = Assembler(problem, iterated=in_blocks(choice, {}))
-    scalars = Scalars(assembler).joined if problem.has_scalars else None
+    scalars = scalar_unknowns(assembler)
     newton = Newton(
         assembler, choice, Tolerance(1e-8, 0.0, 25), scalars=scalars, watch=JacobianWatch(problem)
     )

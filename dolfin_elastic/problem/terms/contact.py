@@ -328,7 +328,7 @@ class ContactPair(Term):
         return compile_forms(self.comm, [area], options(self.comm))[0]
 
     @stage("contact")
-    def add_results(self, result: dict[str, float]) -> None:
+    def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
         """See `Term`: largest penetration [m] and area under pressure [m^2]."""
         depth = largest(self.comm, float(np.max(-self.gaps()[0], initial=0.0)))
         first, second = f"penetration_{self.label}", f"contact_area_{self.label}"

@@ -13,6 +13,7 @@ from petsc4py import PETSc
 from ufl.algorithms import extract_coefficients
 from ufl.integral import Integral
 
+from dolfin_elastic.core.ghosts import assembled
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.jit.cell_integrals import CellIntegrals
 from dolfin_elastic.core.parallel import largest_row, total
@@ -54,10 +55,7 @@ class Reactions:
 
     def nodal(self, form: fem.Form) -> FloatArray:
         """Nodal forces of a compiled virtual work, owned entries [N]."""
-        forces = self._dofs.ghosted_vector()
-        fem.assemble_vector(forces.array, form)
-        forces.scatter_reverse(la.InsertMode.add)
-        return forces.array[: self._dofs.size]
+        return assembled(form, self._dofs.problem.W)
 
     def loads(self) -> FloatArray:
         """Nodal forces of the loads at the present time, owned entries [N]."""
@@ -313,6 +311,7 @@ class Residual:
     ) -> None:
         self._dofs, self.work, self._tangent, self._reactions = dofs, work, tangent, reactions
         self._parts: tuple[CellIntegrals | None, fem.Form | None] | None = None
+        self._along: tuple[fem.Function, fem.Form] | None = None
         self.vector, self._lift = dofs.ghosted_vector(), dofs.ghosted_vector()
         self.tied_nodal: FloatArray = np.zeros(len(dofs.tied_dofs))
         self.free_norm = self.reaction_norm = self.restraint_norm = self.gap = 0.0
@@ -321,6 +320,19 @@ class Residual:
     def owned(self) -> FloatArray:
         """Owned entries of `vector` [N], not copied."""
         return self.vector.array[: self._dofs.size]
+
+    def along(self, entries: IndexArray, motion: FloatArray) -> FloatArray:
+        """Derivative of the work of these forces on a motion, see `OutOfBalance`."""
+        problem = self._dofs.problem
+        if self._along is None:
+            moved = fem.Function(problem.W)
+            work, test = ufl.action(self.work, moved), ufl.TestFunction(problem.W)
+            self._along = moved, compiled(problem, [ufl.derivative(work, problem.w, test)])[0]
+        moved, form = self._along
+        moved.x.array[:] = 0.0
+        moved.x.array[entries] = motion
+        moved.x.scatter_forward()
+        return assembled(form, problem.W)
 
     def assemble(self) -> None:
         """Assembles `vector` at the problem's unknowns."""

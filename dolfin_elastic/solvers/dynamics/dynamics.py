@@ -22,7 +22,6 @@ from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
 from dolfin_elastic.solvers.dynamics.schemes import ExplicitRow
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings, refuse_relaxing
 from dolfin_elastic.solvers.linear.choice import LinearSettings
-from dolfin_elastic.solvers.nonlinear.scalars import refuse_scalars
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -45,7 +44,7 @@ class Dynamics:
         petsc: PetscOptions | None = None,
         **fields: Any,
     ) -> None:
-        refuse_scalars(problem)
+        problem.terms.refuse_motion()
         self.problem = problem
         self.settings = settings_from(DynamicsSettings, settings, fields)
         self.linear = linear or LinearSettings()

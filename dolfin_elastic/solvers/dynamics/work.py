@@ -89,10 +89,6 @@ class MotionBook(EnergyBook):
         bad = not (np.isfinite(values).all() and np.isfinite(forces).all())
         return largest(self._problem.body.comm, float(bad)) == 0.0
 
-    def numbers(self) -> dict[str, float]:
-        """Further results of terms, by name [SI units]. Collective."""
-        return self._problem.terms.results()
-
 
 def supports_move(problem: Problem) -> bool:
     """A prescribed displacement is not zero."""

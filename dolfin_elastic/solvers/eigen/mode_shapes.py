@@ -15,7 +15,6 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.eigen.slepc import Pair, Pencil, uneven
-from dolfin_elastic.solvers.nonlinear.scalars import refuse_scalars
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -50,7 +49,7 @@ def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
             where="contact",
             expected="a support in its place, or [dynamics]",
         )
-    refuse_scalars(problem)
+    problem.terms.refuse_motion()
     for region in problem.regions:
         if not region.law.has_energy:
             raise InputError(

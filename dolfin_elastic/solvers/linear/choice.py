@@ -128,7 +128,8 @@ def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) 
         size += f", '{settings.method}' asked for"
     if direct:
         kind, options = "Cholesky-like LDL^T" if symmetric else "LU", factorising(symmetric)
-        if not (symmetric or moving or problem.has_scalars or settings.petsc):
+        scalars = problem.terms.scalars or problem.cell is not None
+        if not (symmetric or moving or scalars or settings.petsc):
             kind, options = "LDL^T of the symmetric part", options | BY_SYMMETRIC_PART
         return Choice(True, options, f"direct solver (MUMPS, {kind}): {size}")
     krylov = "CG" if symmetric and not mixed else "GMRES"

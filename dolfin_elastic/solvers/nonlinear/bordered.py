@@ -14,14 +14,14 @@ a rigid surface.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import BoolArray, FloatArray
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.problem.term import OutOfBalance, ScalarUnknowns
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 
 SAME = 0.1
@@ -31,54 +31,7 @@ REFINEMENTS = 4
 """Of K^-1 B in one solve, each of which gains the digits of one solve with K."""
 
 
-class ScalarUnknowns(Protocol):
-    """Scalar unknowns s and their equations g(u, s) = 0; all ranks know both."""
-
-    @property
-    def size(self) -> int:
-        """How many there are."""
-
-    @property
-    def steps(self) -> FloatArray:
-        """Differences of s by which derivatives with respect to it are taken, shape (size,)."""
-
-    @property
-    def signs(self) -> FloatArray:
-        """What each scalar is in the energy of the whole system, shape (size,).
-
-        1: a coordinate, whose equation is a force; -1: a multiplier, whose equation is a
-        constraint; 0: neither.
-        """
-
-    @property
-    def prescribing(self) -> BoolArray:
-        """Whether each scalar changes prescribed displacements only, and no force."""
-
-    def get(self) -> FloatArray:
-        """The present scalars."""
-
-    def put(self, values: FloatArray) -> None:
-        """Changes the scalars and what depends on them in the problem. Not collective.
-
-        Args:
-            values: The scalars, shape (size,).
-        """
-
-    def residual(self) -> FloatArray:
-        """g at the present state, for which the residual is assembled. Collective."""
-
-    def rows(self) -> list[FloatArray]:
-        """dg/du at the owned entries, one array a scalar. Collective."""
-
-    def settled(self, residual: FloatArray, target: float) -> bool:
-        """Whether the equations hold well enough.
-
-        Args:
-            target: Norm of nodal forces out of balance that counts as none [N].
-        """
-
-
-class JoinedScalars:
+class JoinedScalars(ScalarUnknowns):
     """Several groups of scalar unknowns as one, one after the other.
 
     Args:
@@ -87,41 +40,29 @@ class JoinedScalars:
     """
 
     def __init__(self, parts: Sequence[ScalarUnknowns]) -> None:
-        self.parts = tuple(parts)
+        self._parts = tuple(parts)
         self.size = sum(part.size for part in parts)
+        self.steps = np.concatenate([part.steps for part in parts])
+        self.signs = np.concatenate([part.signs for part in parts])
+        self.prescribing = np.concatenate([part.prescribing for part in parts])
         self._cuts = np.cumsum([part.size for part in parts])[:-1]
-
-    @property
-    def steps(self) -> FloatArray:
-        """See `ScalarUnknowns`."""
-        return np.concatenate([part.steps for part in self.parts])
-
-    @property
-    def signs(self) -> FloatArray:
-        """See `ScalarUnknowns`."""
-        return np.concatenate([part.signs for part in self.parts])
-
-    @property
-    def prescribing(self) -> BoolArray:
-        """See `ScalarUnknowns`."""
-        return np.concatenate([part.prescribing for part in self.parts])
 
     def get(self) -> FloatArray:
         """All scalars."""
-        return np.concatenate([part.get() for part in self.parts])
+        return np.concatenate([part.get() for part in self._parts])
 
     def put(self, values: FloatArray) -> None:
         """Changes all scalars. Not collective."""
-        for part, own in zip(self.parts, np.split(values, self._cuts), strict=True):
+        for part, own in zip(self._parts, np.split(values, self._cuts), strict=True):
             part.put(own)
 
-    def residual(self) -> FloatArray:
+    def residual(self, forces: OutOfBalance) -> FloatArray:
         """All equations. Collective."""
-        return np.concatenate([part.residual() for part in self.parts])
+        return np.concatenate([part.residual(forces) for part in self._parts])
 
-    def rows(self) -> list[FloatArray]:
+    def rows(self, forces: OutOfBalance) -> list[FloatArray]:
         """All their derivatives. Collective."""
-        return [row for part in self.parts for row in part.rows()]
+        return [row for part in self._parts for row in part.rows(forces)]
 
     def settled(self, residual: FloatArray, target: float) -> bool:
         """Whether all equations hold well enough.
@@ -130,7 +71,7 @@ class JoinedScalars:
             target: See `ScalarUnknowns`.
         """
         owns = np.split(residual, self._cuts)
-        return all(part.settled(own, target) for part, own in zip(self.parts, owns, strict=True))
+        return all(part.settled(own, target) for part, own in zip(self._parts, owns, strict=True))
 
 
 class Bordered:
@@ -196,7 +137,7 @@ class Bordered:
         self.scalars.put(self.scalar_part(x))
         self._x.array_w[:] = x.array_r[: self._size]
         self.assembler.residual.evaluate(self._x, self._b)
-        self.last = self.scalars.residual()
+        self.last = self.scalars.residual(self.assembler.residual)
 
     def evaluate(self) -> None:
         """Evaluates everything at the present unknowns, which others have changed. Collective."""
@@ -220,7 +161,7 @@ class Bordered:
         self._x.array_w[:] = x.array_r[: self._size]
         self.scalars.put(values)
         self.columns, self.corner = self._differences(values)
-        self._rows = self.scalars.rows()
+        self._rows = self.scalars.rows(self.assembler.residual)
         self.assembler.tangent.assemble(self._x)
         self._elimination.solved = None
 
@@ -261,7 +202,7 @@ class Bordered:
                 self.assembler.residual.constrain(self._b)
             else:
                 self.assembler.residual.evaluate(self._x, self._b)
-            sides.append((self._b.array_r.copy(), self.scalars.residual()))
+            sides.append((self._b.array_r.copy(), self.scalars.residual(self.assembler.residual)))
         (f, g), (p, q) = sides
         column, corner = np.asarray(f - p) / (2 * h), np.asarray(g - q) / (2 * h)
         return np.asarray(column, dtype=np.float64), np.asarray(corner, dtype=np.float64)

@@ -18,10 +18,11 @@ from dolfin_elastic.core.signals import raise_if_agreed
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
+from dolfin_elastic.problem.term import ScalarUnknowns
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import Choice
 from dolfin_elastic.solvers.linear.ksp import LinearSolver
-from dolfin_elastic.solvers.nonlinear.bordered import Bordered, ScalarUnknowns, python_solver
+from dolfin_elastic.solvers.nonlinear.bordered import Bordered, JoinedScalars, python_solver
 from dolfin_elastic.solvers.nonlinear.convergence import (
     ConvergenceTest,
     Inertia,
@@ -30,6 +31,7 @@ from dolfin_elastic.solvers.nonlinear.convergence import (
     Tolerance,
 )
 from dolfin_elastic.solvers.nonlinear.jacobian import InversionGuard, JacobianWatch
+from dolfin_elastic.solvers.nonlinear.scalars import FreeStrains, UniformPressure
 from dolfin_elastic.solvers.petsc.monitors import FileMonitors
 from dolfin_elastic.solvers.petsc.options import Options, ksp_reason, snes_reason
 
@@ -393,3 +395,16 @@ class Newton:
 _SNES: dict[str, PetscValue] = {
     "snes_type": "newtonls",
 }
+
+
+def scalar_unknowns(assembler: Assembler) -> JoinedScalars | None:
+    """All scalar unknowns of a problem; None without any. Collective.
+
+    Those of its terms, free strains of a periodic cell, and uniform pressures that both change.
+    """
+    parts: list[ScalarUnknowns] = [*assembler.problem.terms.scalars]
+    if assembler.cell is not None and assembler.cell.cell.free:
+        parts.append(FreeStrains(assembler.cell))
+    enclosed = [] if assembler.level is None else assembler.level.bodies
+    parts += [UniformPressure(assembler, body) for body in enclosed if body.coupled]
+    return JoinedScalars(parts) if parts else None

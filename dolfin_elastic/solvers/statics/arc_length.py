@@ -20,9 +20,10 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import RestartState
+from dolfin_elastic.problem.term import OutOfBalance, ScalarUnknowns
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
-from dolfin_elastic.solvers.nonlinear.bordered import JoinedScalars, ScalarUnknowns
+from dolfin_elastic.solvers.nonlinear.bordered import JoinedScalars
 from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
 from dolfin_elastic.solvers.statics.limit_points import (
@@ -58,7 +59,7 @@ SLOPE = 1e-8
 """Relative tolerance of an iterative solver for the tangent of the path."""
 
 
-class ArcLengthConstraint:
+class ArcLengthConstraint(ScalarUnknowns):
     """The load factor, and the length of the step as its equation."""
 
     size = 1
@@ -70,18 +71,15 @@ class ArcLengthConstraint:
         self.t, self._length = 0.0, 1.0
         self._start = self.displacement().copy()
 
-    def begin(
-        self, start: FloatArray | None = None, *, length: float = 1.0, difference: float = 1e-4
-    ) -> None:
+    def begin(self, start: FloatArray | None = None, *, length: float = 1.0) -> None:
         """Begins a step. Not collective.
 
         Args:
             start: Owned displacements at its beginning [m]; None: the present ones.
             length: Its length [m].
-            difference: Step of the load factor by which derivatives are taken.
         """
         self._start = self.displacement().copy() if start is None else start
-        self._length, self.steps[0] = length, difference
+        self._length = length
 
     def restore(self, t: float) -> None:
         """Goes on at a load factor that the problem has already."""
@@ -117,22 +115,18 @@ class ArcLengthConstraint:
         """
         return float(total(self._assembler.comm, float(np.dot(a, b))))
 
-    def residual(self) -> FloatArray:
+    def residual(self, forces: OutOfBalance) -> FloatArray:
         """(|du|^2 - dl^2)/dl [m]."""
         return np.array([self.arc() ** 2 / self._length - self._length])
 
-    def rows(self) -> list[FloatArray]:
+    def rows(self, forces: OutOfBalance) -> list[FloatArray]:
         """Its derivative."""
         row = np.zeros(self._assembler.size)
         row[self._assembler.displacement_dofs] = 2.0 * self.increment() / self._length
         return [row]
 
     def settled(self, residual: FloatArray, target: float) -> bool:
-        """The step has its length.
-
-        Args:
-            target: See `ScalarUnknowns`.
-        """
+        """The step has its length."""
         return bool(abs(residual[0]) <= LENGTH_TOLERANCE * self._length)
 
 
@@ -160,20 +154,18 @@ class ArcLength:
 
     Args:
         retry: Of the solver for steps of the load: the first and the last.
-        others: Further scalar unknowns, which that solver has, too.
         end: Load factor at which the path ends, when it is first reached.
 
     Attributes:
         limits: Limit points passed so far.
     """
 
-    def __init__(
-        self, retry: RetryStrategy, others: Sequence[ScalarUnknowns], *, end: float
-    ) -> None:
+    def __init__(self, retry: RetryStrategy, *, end: float) -> None:
         self._newton, self._retry, self._end = retry.newton, retry, end
         self._assembler = self._newton.assembler
         self._problem = self._assembler.problem
         self._length = ArcLengthConstraint(self._assembler)
+        others = [] if self._newton.bordered is None else [self._newton.bordered.scalars]
         self._all = JoinedScalars([self._length, *others])
         # Increments of the last step: of all scalars, and of the displacement.
         self._scalar_increment: FloatArray = np.zeros(self._all.size)
@@ -431,7 +423,8 @@ class ArcLength:
         scalars = share * self._scalar_increment
         # The load factor comes first.  Around a limit point it hardly changes, and its difference
         # must not vanish with it.
-        length.begin(length=size, difference=max(1e-4 * abs(scalars[0]), 1e-7 * self._end))
+        length.begin(length=size)
+        self._all.steps[0] = max(1e-4 * abs(scalars[0]), 1e-7 * self._end)
         moves = self._assembler.displacement_dofs
         w.x.array[moves] += share * last
         w.x.scatter_forward()

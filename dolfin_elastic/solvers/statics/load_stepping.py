@@ -26,7 +26,6 @@ from dolfin_elastic.solvers.nonlinear.convergence import (
 )
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 from dolfin_elastic.solvers.statics.retry import RetryStrategy, flow_to_equilibrium
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 from dolfin_elastic.solvers.statics.states import StaticStates
@@ -76,7 +75,6 @@ class LoadStepping:
 
     Args:
         newton: The solver; its problem is at the starting point.
-        scalars: Scalar unknowns; None without any.
         whole: The whole load is tried in one step before it grows in several.
     """
 
@@ -86,16 +84,15 @@ class LoadStepping:
         sizes: StepSizes,
         *,
         newton: Newton,
-        scalars: Scalars | None,
         watch: JacobianWatch,
         whole: bool = False,
     ) -> None:
-        self._settings, self._sizes, self._newton, self._scalars = settings, sizes, newton, scalars
+        self._settings, self._sizes, self._newton = settings, sizes, newton
         self._assembler, self._problem = newton.assembler, newton.assembler.problem
         self._retry = RetryStrategy(newton)
         self._path_check = PathEnergyCheck(self._assembler)
         self._states = StaticStates(
-            newton, scalars, book=self._path_check.book, watch=watch, end=settings.end
+            newton, book=self._path_check.book, watch=watch, end=settings.end
         )
         self._speed = StepSpeed(self._assembler, self._problem.corners)
         self._t, self._whole = 0.0, whole
@@ -125,8 +122,7 @@ class LoadStepping:
             if self._settings.method == "arc-length":
                 from dolfin_elastic.solvers.statics.arc_length import ArcLength
 
-                others = [] if self._scalars is None else self._scalars.parts
-                self._arc = ArcLength(self._retry, others, end=self._settings.end)
+                self._arc = ArcLength(self._retry, end=self._settings.end)
             if saved is None:
                 self._problem.set_time(0.0, default=PROPORTIONAL)
                 self._evaluate_start()
@@ -155,7 +151,7 @@ class LoadStepping:
         fields = {"unknowns": self._problem.w, **self._problem.terms.memory}
         numbers: dict[str, Any] = {
             "t": self._t,
-            "scalars": [] if self._scalars is None else self._scalars.get(),
+            "scalars": self._split(self._newton.unknowns())[1],
             "sizes": self._sizes.restart_state(),
             "jumps": self._jumps,
             "speed": self._speed.speed,
@@ -189,9 +185,7 @@ class LoadStepping:
         saved.fill({"unknowns": self._problem.w, **self._problem.terms.memory, **others, **past})
         self._t = numbers["t"]
         self._problem.set_time(self._t, default=PROPORTIONAL)
-        if self._scalars is not None and self._scalars.joined is not None:
-            self._scalars.joined.put(np.array(numbers["scalars"]))
-        self._problem.unknowns.w_to_u()
+        self._newton.put_back(self._join(self._problem.w, numbers["scalars"]))
         self._problem.terms.commit()
         if history is not None:
             history.restore(past, numbers["history"])

@@ -23,7 +23,6 @@ from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.nonlinear.convergence import UNSTABLE, NewtonResult
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 
 FAR = 3.0
 """Lengths of the body beyond which a prescribed motion is suspected of a missing unit, where no
@@ -35,7 +34,6 @@ class StaticStates:
 
     Args:
         newton: The solver; its problem and its assembler are in the state to be measured.
-        scalars: Scalar unknowns; None without any.
         end: Load factor at which the run ends.
 
     Attributes:
@@ -45,22 +43,22 @@ class StaticStates:
     def __init__(
         self,
         newton: Newton,
-        scalars: Scalars | None,
         *,
         book: EnergyBook,
         watch: JacobianWatch,
         end: float,
     ) -> None:
-        self._newton, self._scalars, self._book, self._end = newton, scalars, book, end
+        self._newton, self._book, self._end = newton, book, end
         self._assembler, self._problem = newton.assembler, newton.assembler.problem
         self._supports = SupportForces(self._assembler)
         self._auditor = EquilibriumAuditor(self._problem, self._assembler, watch)
         self.count = 0
 
     def _numbers(self) -> dict[str, float]:
-        """Results of terms and scalar unknowns by name. Collective."""
-        result = self._problem.terms.results()
-        return result if self._scalars is None else result | self._scalars.numbers()
+        """Results of terms and of a periodic cell by name [SI units]. Collective."""
+        a = self._assembler
+        result = self._problem.terms.results(a.residual.owned[a.displacement_dofs])
+        return result if a.cell is None else result | a.cell.numbers()
 
     def state(
         self,

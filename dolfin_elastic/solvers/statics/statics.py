@@ -19,8 +19,7 @@ from dolfin_elastic.solvers.diagnostics.rigid_body import check_no_rigid_motion
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose, in_blocks
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
-from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.nonlinear.scalars import Scalars
+from dolfin_elastic.solvers.nonlinear.newton import Newton, scalar_unknowns
 from dolfin_elastic.solvers.statics.load_stepping import InitialGuess, LoadStepping
 from dolfin_elastic.solvers.statics.settings import FIRST, StaticsSettings, refuse_relaxing
 from dolfin_elastic.solvers.statics.step_size import StepSizes
@@ -103,14 +102,13 @@ class Statics:
             if self.problem.mixed:
                 HydrostaticConstant(self.problem).report()
             self.problem.terms.begin(moving=False)
-            scalars = Scalars(assembler) if self.problem.has_scalars else None
             watch = JacobianWatch(self.problem)
             newton = Newton(
                 assembler,
                 self.choice,
                 self.tolerance,
                 users=self.petsc,
-                scalars=None if scalars is None else scalars.joined,
+                scalars=scalar_unknowns(assembler),
                 watch=watch,
             )
             owned.callback(newton.destroy)
@@ -118,7 +116,6 @@ class Statics:
                 self.settings,
                 self._step_sizes(),
                 newton=newton,
-                scalars=scalars,
                 watch=watch,
                 whole=not self._asks_for_steps() and may_take_whole_load(self.problem),
             )

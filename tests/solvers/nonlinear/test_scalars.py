@@ -36,7 +36,7 @@ from dolfin_elastic.problem.constraints.rigid_motion import cross_matrix, rotati
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered, JoinedScalars
-from dolfin_elastic.solvers.nonlinear.scalars import Scalars
+from dolfin_elastic.solvers.nonlinear.newton import scalar_unknowns
 from dolfin_elastic.solvers.statics.arc_length import ArcLengthConstraint
 
 FREE = "free"
@@ -450,10 +450,11 @@ def test_tangent_of_the_whole_system(folder):
     """Fields, load factor, pressure and motion: against central differences."""
     problem = ring(folder)
     assembler = Assembler(problem)
-    others, length = Scalars(assembler), ArcLengthConstraint(assembler)
+    problem.terms.begin(moving=False)
+    others, length = scalar_unknowns(assembler), ArcLengthConstraint(assembler)
     length.begin(length.displacement() - 0.01)
     problem.set_time(0.5, default=PROPORTIONAL)
-    joined = JoinedScalars([length, *others.parts])
+    joined = JoinedScalars([length, others])
     ksp = PETSc.KSP().create(assembler.comm)
     system = Bordered(assembler, joined, ksp)
     x, f, y = (system.create_vector() for _ in range(3))

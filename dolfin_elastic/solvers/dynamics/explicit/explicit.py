@@ -23,7 +23,6 @@ from dolfin_elastic.solvers.dynamics.explicit.replay import Replay
 from dolfin_elastic.solvers.dynamics.explicit.scheme import END, ExplicitScheme
 from dolfin_elastic.solvers.dynamics.explicit.stable_step import StepSize
 from dolfin_elastic.solvers.dynamics.work import ExternalWork, Measures, MotionBook
-from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 
 STEPS_A_LOOK = 20
 """Steps after which ranks agree on whether they shall stop: rarely enough to cost nothing."""
@@ -96,7 +95,7 @@ class Explicit:
         problem, v, a = self.problem, self.v, self.assembler
         problem.set_time(0.0)  # what is packed below are the loads of motion
         self._monitor, self.mass = StabilityMonitor(problem, a), lumped(problem, a)
-        self._scalars, self._supports, self._last = Scalars(a), SupportForces(a), StateCopy()
+        self._supports, self._last = SupportForces(a), StateCopy()
         self.size = StepSize(problem, a, self.mass, chosen=dt, safety=safety)
         self.work = ExternalWork(problem, a, self.mass, v)
         self._energies = MotionBook(problem, LumpedMass(problem, v, self.mass), self.work.energies)
@@ -279,7 +278,7 @@ class Explicit:
             moments=moments,
             momenta=momenta,
             max_displacement=self.assembler.max_displacement(),
-            numbers={**self._energies.numbers(), **self._scalars.numbers(inertia)},
+            numbers=self.problem.terms.results(a.residual.owned[a.displacement_dofs] + inertia),
             done=scheme.t / self.end,
         )
 

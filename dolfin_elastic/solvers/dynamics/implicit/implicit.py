@@ -50,7 +50,6 @@ from dolfin_elastic.solvers.messages import JUMP, in_words
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.nonlinear.scalars import Scalars
 from dolfin_elastic.solvers.petsc.options import Options, ts_reason
 
 log = logging.getLogger("dolfin_elastic")
@@ -263,7 +262,7 @@ class Implicit:
             lag = PressureEnergy(problem)
             self._owned.callback(lag.destroy)
         self._energies = MotionBook(problem, inertia, self.balance.energies, lag)
-        self._scalars, self._supports = Scalars(self.assembler), SupportForces(self.assembler)
+        self._supports = SupportForces(self.assembler)
         self.auditor = MotionAuditor(problem, self.moving, watch, parameters, end=settings.end)
         self.auxiliary = AuxiliaryFields(problem)
         self._newton = self._krylov = 0
@@ -474,7 +473,7 @@ class Implicit:
     # --- states ---
 
     def _state(self, *, failed: bool = False) -> State:
-        step, t = int(self.ts.getStepNumber()), float(self.ts.getTime())
+        step, t, a = int(self.ts.getStepNumber()), float(self.ts.getTime()), self.assembler
         first = step == 0 and not failed
         if not failed:
             self.scheme.balance_at_end(t)
@@ -498,7 +497,7 @@ class Implicit:
             moments=moments,
             momenta=momenta,
             max_displacement=self.assembler.max_displacement(),
-            numbers={**self._energies.numbers(), **self._scalars.numbers()},
+            numbers=self.problem.terms.results(a.residual.owned[a.displacement_dofs]),
             audit=audit,
             failure=audit.so_far[0] if audit and audit.verdict_so_far == "fail" else "",
             done=t / self.settings.end,

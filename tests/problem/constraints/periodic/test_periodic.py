@@ -38,7 +38,7 @@ from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.newton import Newton
-from dolfin_elastic.solvers.nonlinear.scalars import free_strains
+from dolfin_elastic.solvers.nonlinear.scalars import FreeStrains
 
 PAIRS = [["left", "right"], ["bottom", "top"]]
 PAIRS3 = [["left", "right"], ["front", "back"], ["bottom", "top"]]
@@ -304,7 +304,7 @@ def test_bordered_tangent():
         periodic=Periodic(pairs=PAIRS, gradient=gradient),
     )
     assembler = Assembler(problem)
-    strains = free_strains(assembler.cell)
+    strains = FreeStrains(assembler.cell)
     newton = Newton(
         assembler, choose(problem, LinearSettings()), Tolerance(1e-8, 0, 30), scalars=strains
     )
