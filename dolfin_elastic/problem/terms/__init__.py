@@ -1,1 +1,1 @@
-"""Contacts, cavities and point loads on a mesh."""
+"""Contacts, cavities, rigid surfaces and point loads on a mesh."""
