@@ -148,7 +148,7 @@ class Term:
         """
 
     def commit(self) -> None:
-        """The present equilibrium is accepted: the next step begins here. Not collective."""
+        """The present equilibrium is accepted: the next step begins here. Collective."""
         self._committed = [field.x.array.copy() for field in self.memory.values()]
 
     def rollback(self) -> None:

@@ -125,6 +125,7 @@ class LoadStepping:
                 self._arc = ArcLength(self._retry, end=self._settings.end)
             if saved is None:
                 self._problem.set_time(0.0, default=PROPORTIONAL)
+                self._problem.terms.commit()
                 self._evaluate_start()
                 begin = NewtonResult(reason="initial state")
                 yield self._states.state(0.0, begin, stored=self._path_check.stored)
