@@ -27,7 +27,7 @@ class Forces:
     Args:
         problem: Whose displacement; linear elements, no unknowns beside it.
         vector: Receives the forces [N], ghosts included.
-        points: What the forces at points and lines are multiplied by.
+        points: What the forces of loads that are in no form are multiplied by.
 
     Attributes:
         owned: The forces at owned entries [N].
@@ -38,7 +38,8 @@ class Forces:
     ) -> None:
         self._vector, self._array = vector, vector.array
         self.owned = self._array[: problem.u.x.index_map.size_local * problem.u.x.block_size]
-        self._point_loads = problem.nodal_loads if points else None
+        terms = problem.terms if points else []
+        self._in_no_form = [term for term in terms if term.nodal and not term.restrains]
         self._points = points
         self._cells, others = in_cells(problem, work)
         self._others = None if others is None else _Packed(problem, others)
@@ -52,8 +53,14 @@ class Forces:
             self._constants = self._cells.constants
         if self._others is not None:
             self._others.renew()
-        if self._point_loads is not None:
-            self._at_points = self._points * self._point_loads.nodal_forces()
+        if self._in_no_form:
+            self._at_points = self._points * self._of_terms()
+
+    def _of_terms(self) -> FloatArray:
+        forces = np.zeros(len(self._array))
+        for term in self._in_no_form:
+            term.add_forces(forces)
+        return forces
 
     def fingerprint(self) -> bytes:
         """Of this rank's numbers and fields, but those that follow the motion or the time.
@@ -64,8 +71,8 @@ class Forces:
         values = [] if self._cells is None else [self._cells.constants]
         if self._others is not None:
             values += self._others.given()
-        if self._point_loads is not None:
-            values.append(self._point_loads.nodal_forces())
+        if self._in_no_form:
+            values.append(self._of_terms())
         for value in values:
             digest.update(np.ascontiguousarray(value))
         return digest.digest()
@@ -83,7 +90,7 @@ class Forces:
             self._cells.add_to(self._array, self._constants)
         if self._others is not None:
             self._others.add_to(self._array)
-        if self._point_loads is not None:
+        if self._in_no_form:
             self._array += self._at_points
         self._vector.scatter_reverse(la.InsertMode.add)
         return self.owned
