@@ -19,6 +19,7 @@ from dolfin_elastic.model.materials.registry import MATERIALS
 Entry = Mapping[str, Any]
 
 _ELASTIC = frozenset(("E", "nu", "K", "lambda", "lmbda", "mu"))
+_DENSITY = frozenset(("density", "rho"))
 _ABOUT = frozenset(("also", "yield", "source", "note"))
 """Keys of an entry that are none of a law."""
 
@@ -50,14 +51,21 @@ def completed(table: Entry, own: Mapping[str, Entry] | None = None) -> dict[str,
         raise joined([error, *others]) from None
     law = {} if "energy" in given else {"law": entry.get("law", "linear-elastic")}
     law.update(given)
-    keys = {"density", "expansion", "allowable", "viscosity"}
+    keys = {*_DENSITY, "expansion", "allowable", "viscosity"}
     if isinstance(kind := law.get("law"), str) and kind in MATERIALS:
         keys.update(known_keys(MATERIALS[kind]))
-    if len(_ELASTIC & given.keys()) > 1:
-        keys -= _ELASTIC
+    for same, most in ((_ELASTIC, 1), (_DENSITY, 0)):
+        if len(same & given.keys()) > most:
+            keys -= same
     values = {"allowable": entry["yield"]} if "yield" in entry else {}
     values |= {key: value for key, value in entry.items() if key not in _ABOUT}
     result = {**{key: value for key, value in values.items() if key in keys}, **law}
+    if len(_ELASTIC & given.keys()) == 1 and len(have := sorted(_ELASTIC & result.keys())) > 2:
+        pair = " and ".join(sorted(_ELASTIC & entry.keys()))
+        raise InputError(
+            f"two elastic constants are needed, {len(have)} given ({', '.join(have)})",
+            expected=f"'{name}' has {pair}: give one of these, or two of your own",
+        )
     if _ELASTIC & result.keys() == {"nu"} and "note" in entry:
         raise InputError("this key is missing", where="E", expected=str(entry["note"]))
     return {"source": ": ".join(filter(None, (name, entry.get("source")))), **result}

@@ -12,7 +12,7 @@ from dolfin_elastic.case.check.report import report
 from dolfin_elastic.case.tables import Material
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.materials.law import Law
-from dolfin_elastic.model.materials.library import check_library, library
+from dolfin_elastic.model.materials.library import check_library, completed, library
 
 BOX = {"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}}
 
@@ -68,6 +68,10 @@ def test_what_the_case_gives_wins() -> None:
     assert (law.name(), law.E, law.nu, law.allowable) == ("st-venant-kirchhoff", 200e9, 0.3, 150e6)
     law = named("steel S235", K="160 GPa", mu="80 GPa")
     assert (law.K, law.mu, law.density) == (160e9, 80e9, 7850)
+    assert named("steel S235", rho="7.9 g/cm^3").density == 7900
+    own = {"ours": {"E": 1e9, "nu": 0.3, "rho": 1000}}
+    assert completed({"material": "ours", "density": 900}, own)["density"] == 900
+    assert "rho" not in completed({"material": "ours", "density": 900}, own)
     law = named("rubber NR 50 Shore A", law="mooney-rivlin", c10="0.2 MPa", c01="0.1 MPa")
     assert (law.K, law.density) == (1030e6, 1100)
     law = named("bone, trabecular", E="300 MPa", density=500)
@@ -86,7 +90,7 @@ def test_what_the_case_gives_wins() -> None:
         ({"material": "6061"}, "known: aluminium 6061-T6; "),
         ({"material": 3}, "materials.m.material: 3 is wrong; expected the name of a material"),
         ({"material": "PLA", "yield": 3}, "materials.m: unknown key 'yield'; did you mean 'allow"),
-        ({"material": "PLA", "mu": 3}, "two elastic constants are needed, 3 given (E, nu, mu)"),
+        ({"material": "PLA", "mu": 3}, "3 given (E, mu, nu); 'PLA' has E and nu: give one of"),
         ({"law": "steel"}, 'a material of the library is material = "..."; known: steel S235, '),
         ({"E": 1}, "for one of the library"),
         ({"materal": "PLA", "law": "hencky"}, "unknown key 'materal'; did you mean 'material'?"),
