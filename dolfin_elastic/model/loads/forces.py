@@ -64,6 +64,11 @@ class Force(Load):
     on: str | list[str]
     unit: ClassVar[str] = "N"
     sentence: ClassVar[str] = "total force of {}, spread evenly"
+    key_hints: ClassVar[Mapping[str, str]] = {
+        **Load.key_hints,
+        "force": 'it is the value, as in value = [0, 0, "-2 kN"]',
+        "total": "the value is the total force",
+    }
     part_kinds: ClassVar[tuple[str, ...]] = ("surface", "edge", "point")
 
     def on_kind(self, kind: str) -> Load:

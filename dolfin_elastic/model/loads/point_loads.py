@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, ClassVar, Literal, Self
 
@@ -30,6 +31,10 @@ class ConcentratedLoad(Load):
     on: str | list[str] | None = None
     tolerance: Length | None = Field(default=None, ge=0)
     concentrated: ClassVar[bool] = True
+    key_hints: ClassVar[Mapping[str, str]] = {
+        **Load.key_hints,
+        "total": 'a total force [N] of all that `on` names is kind = "force"',
+    }
     shared: ClassVar[bool] = False
     """The value is that of all nodes together, or of the whole edge."""
     places: ClassVar[tuple[str, ...]] = ()

@@ -188,6 +188,10 @@ class Fixed(PrescribingSupport):
     """Nothing moves: all components of the displacement are 0."""
 
     kind: Literal["fixed"] = "fixed"
+    key_hints: ClassVar[Mapping[str, str]] = {
+        key: f'{key} belongs to kind = "displacement"; kind = "fixed" needs none'
+        for key in ("displacement", "curve")
+    }
 
     def describe(self, setting: Setting = ALONE) -> str:
         """See `Restraint`."""

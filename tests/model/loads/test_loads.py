@@ -387,6 +387,12 @@ def test_a_centrifugal_axis_with_a_name(name, row):
         ),
         ("force", {"on": "top", "value": ["1 Pa", 2]}, "value[0]: '1 Pa' has the wrong unit"),
         ("force", {"value": [1, 2]}, "on: this key is missing"),
+        ("force", {"on": "top", "force": [1, 2]}, "'force'; it is the value, as in value = [0"),
+        (
+            "point-force",
+            {"on": "top", "value": [1, 2], "total": True},
+            "'total'; a total force [N] of all that `on` names is kind = \"force\"",
+        ),
         ("traction", {"on": [], "value": [1, 2]}, "on: no name is given"),
         ("traction", {"on": "top", "moment": [1, 2, 3]}, "'moment'; a support of kind 'rigid'"),
         ("gravity", {"on": []}, "on: no name is given; a region's name; left out, it is the"),
