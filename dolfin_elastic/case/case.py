@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -86,11 +87,17 @@ class Case(AnalysisTables):
         """
         with locate_errors(file), in_order(lambda: tables):
             case = with_curves(cls(**with_library(tables, Path(folder))), Path(folder))
-        return case._from(file, Path(folder), trust)
+        return case._from(file, Path(folder), trust, tables)
 
-    def _from(self, file: str, folder: Path, trust: bool) -> Case:
+    def _from(self, file: str, folder: Path, trust: bool, tables: Mapping[str, Any]) -> Case:
         self._file, self._folder, self._trusted = file, folder, trust
+        self.__dict__["written"] = tables
         return self
+
+    @cached_property
+    def written(self) -> Mapping[str, Any]:
+        """The tables in the order in which they were written."""
+        return self.to_dict()
 
     # --- back to text ---
 
@@ -182,14 +189,14 @@ def read_case(
         InputError: On every rank, with file, dotted key, and what is expected.
     """
     file, folder = str(path), Path(path).parent
-    tables = on_root(comm, lambda: read_toml(file))
-    with locate_errors(file), in_order(lambda: tables):
+    tables = written = on_root(comm, lambda: read_toml(file))
+    with locate_errors(file), in_order(lambda: written):
         if "library" in tables:
-            tables = on_root(comm, lambda: with_library(tables, folder))
+            tables = on_root(comm, lambda: with_library(written, folder))
         case = Case(**tables)
         if has_curve_files(case):
             case = on_root(comm, lambda: with_curves(case, folder))
-    return case._from(file, folder, trust)
+    return case._from(file, folder, trust, written)
 
 
 def read_materials(path: str | PathLike[str]) -> dict[str, Material]:

@@ -24,7 +24,7 @@ from dolfin_elastic.case.tables import (
     table_of,
 )
 from dolfin_elastic.case.toml import key_text, read_toml
-from dolfin_elastic.core.errors import InputError, all_errors, keyed
+from dolfin_elastic.core.errors import InputError, all_errors, joined, keyed
 from dolfin_elastic.core.schema import AlreadyRead, Record, WhenGiven, quoted
 from dolfin_elastic.mesh import Body, EdgeSelector, PointSelector, Selector
 from dolfin_elastic.model.contact import Contact
@@ -254,13 +254,16 @@ READERS: Mapping[str, Callable[[object], Restraint | Load | Contact | Tie]] = {
 @contextmanager
 def _vector(key: str, example: str = "[0, 0, 1]") -> Iterator[None]:
     """Adds an example of a vector to the error where one was written as a single number."""
+    wanted = f"expected a list of one number a component, for example {example}"
     try:
         yield
     except InputError as error:
-        if error.where == key and error.expected == "expected a list":
-            wanted = f"expected a list of one number a component, for example {example}"
-            raise type(error)(error.what, where=key, expected=wanted) from None
-        raise
+        raise joined(
+            InputError(one.what, where=key, expected=wanted)
+            if (one.where, one.expected) == (key, "expected a list")
+            else one
+            for one in error.each
+        ) from None
 
 
 # --- materials on the body ---

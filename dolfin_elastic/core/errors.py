@@ -64,8 +64,10 @@ class InputError(ElasticError, ValueError):
 
     @property
     def each(self) -> tuple[InputError, ...]:
-        """This error and the others."""
-        return (self, *self.others)
+        """This error alone, and the others, each alone."""
+        if not self.others:
+            return (self,)
+        return _rebuild(type(self), self.what, self.where, self.expected, ()), *self.others
 
     def __str__(self) -> str:
         return "\n".join(one.text for one in self.each)

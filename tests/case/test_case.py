@@ -937,6 +937,16 @@ def test_materials_fill_what_others_leave() -> None:
             'example [0, 0, "-2 kN"]',
         ),
         (
+            "[statics]",
+            '[[load]]\nkind = "force"\non = "right"\ncurve = 3\nvalue = "-2 kN"\n[statics]',
+            '"a.csv"}\ncase.toml: load[1].value: "-2 kN" is wrong; expected a list of one number',
+        ),
+        (
+            '[[support]]\non = "left"',
+            '[[support]]\nkind = "fixed"\non = "left"',
+            "support[0]: unknown key 'displacement'; displacement belongs to kind = ",
+        ),
+        (
             'E = "210 GPa"',
             'E = "210 GPa"\nyield = "235 MPa"',
             "materials.steel: unknown key 'yield'; did you mean 'allowable'?",
@@ -964,7 +974,7 @@ def test_materials_fill_what_others_leave() -> None:
             "or a law with fibres",
         ),
     ],
-    ids=["comma", "force", "yield", "clamp", "safety factor", "view", "fibre"],
+    ids=["comma", "force", "curve", "fixed", "yield", "clamp", "safety factor", "view", "fibre"],
 )
 def test_slips(folder: Path, old: str, new: str, message: str) -> None:
     assert old in GOOD
@@ -1002,6 +1012,23 @@ def test_all_errors_are_told(folder: Path) -> None:
     assert said[5] == "case.toml: support[0]: unknown key 'onn'; did you mean 'on'?"
 
 
+def test_errors_stand_in_the_order_of_the_file(folder: Path) -> None:
+    """Whichever table it begins with."""
+    head, tail = GOOD.split("[mesh]")
+    middle, end = f"[mesh]{tail}".replace('"linear-elastic"', '"z"').split("[[support]]")
+    end = end.replace("displacement =", "kind = 'y'\ndisplacement =")
+    end = end.replace('"traction"', '"x"').replace("steps = 2", "steps = 0")
+    text = f"{head}[[support]]{end}{middle.replace('degree = 1', 'degree = 7')}"
+    said = [line.removeprefix("case.toml: ") for line in message_of(folder, text).splitlines()]
+    assert [line.partition(": ")[0] for line in said] == [
+        "support[0].kind",
+        "load[0].kind",
+        "statics.steps",
+        "mesh.degree",
+        "materials.steel.law",
+    ]
+
+
 def test_the_words_of_an_engineer(folder: Path) -> None:
     """What works works; all others get the right word in one run."""
     text = (
@@ -1027,20 +1054,22 @@ def test_the_words_of_an_engineer(folder: Path) -> None:
 
 
 def test_all_names_that_are_missing_are_told(folder: Path) -> None:
-    text = GOOD.replace('on = "left"', 'on = ["left", "lef", "foto"]').replace(
-        'fields = ["displacement"]', 'fields = ["safety_factor"]'
+    text = GOOD.replace('on = "left"', 'on = ["left", "lef", "foto"]')
+    text = text.replace(
+        "[materials.steel]", '[output]\nfields = ["safety_factor"]\n[materials.steel]'
     )
+    text = text.partition('[output]\nfields = ["displacement"]')[0]
     text += '[[load]]\nkind = "gravity"\n[[load]]\nkind = "force"\non = "rihgt"\nvalue = [1, 2]\n'
     said = [line.removeprefix("case.toml: ") for line in message_of(folder, text).splitlines()]
     assert [line.partition(": ")[0] for line in said] == [
+        "output.fields[0]",
         "materials.steel.density",
         "support[0].on[1]",
         "support[0].on[2]",
         "load[2].on",
         "load[2].value",
-        "output.fields[0]",
     ]
-    assert said[1].endswith("there is no surface 'lef'; did you mean 'left'?")
+    assert said[2].endswith("there is no surface 'lef'; did you mean 'left'?")
 
 
 SHOP = """

@@ -121,6 +121,13 @@ def test_errors_together() -> None:
     ]
 
 
+def test_errors_in_another_order() -> None:
+    """Each error is alone, so that what sorts or replaces one does not meet the others again."""
+    both = errors.joined([errors.InputError("b"), errors.InputError("a")])
+    assert str(errors.joined(sorted(both.each, key=str))) == "a\nb"
+    assert [str(one) for one in both.each] == ["b", "a"]
+
+
 def test_synonyms_are_of_names_that_exist() -> None:
     """And none is a name itself, but in another table."""
     tables = case_schema()["definitions"].values()

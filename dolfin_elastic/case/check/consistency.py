@@ -41,11 +41,14 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
         InputError: All faults, each with file and key, the same on every rank.
     """
     with locate_errors(case.file):
-        with in_order(case.to_dict), all_errors() as attempt:
+        with in_order(lambda: case.written), all_errors() as attempt:
             for check_case in (_check_names, _check_components, _check_densities, _check_fields):
                 with attempt():
                     check_case(case, body)
-        with in_order(case.to_dict), all_errors() as attempt:  # by the names, which are right
+        with (
+            in_order(lambda: case.written),
+            all_errors() as attempt,
+        ):  # by the names, which are right
             for check_case in (_check_materials, _check_energies, _check_constants, _check_output):
                 with attempt():
                     check_case(case, body)
