@@ -439,12 +439,19 @@ def configuration_of_moments(problem: Problem) -> str:
 
 
 def _on_parts(body: Body, loads: Sequence[Load]) -> Iterator[Load]:
-    """The loads, total forces as those on the kind of their parts. Local."""
+    """The loads, total forces as those on the kind of their parts. Local.
+
+    A set of nodes that facets do not cover counts as points.
+    """
     for index, load in enumerate(loads):
         if isinstance(load, Force):
             with keyed(f"load[{index}].on"):
-                load = load.on_kind(body.common_kind(load.parts))  # noqa: PLW2901
+                load = load.on_kind(_kind(body, load.parts))  # noqa: PLW2901
         yield load
+
+
+def _kind(body: Body, names: Sequence[str]) -> str:
+    return "point" if body.uncovered.keys() & names else body.common_kind(names)
 
 
 def _check_normals(

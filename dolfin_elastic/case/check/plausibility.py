@@ -393,7 +393,8 @@ def _loads_on_supports(case: Case, body: Body) -> Iterator[str]:
     held = [body.surfaces[name] for name in names if name in body.surfaces]
     prescribed = np.concatenate([empty, *held])
     for i, load in enumerate(case.load):
-        if load.domain.kind != "surface" or not set(load.parts) <= body.surfaces.keys():
+        covered = body.surfaces.keys() - body.uncovered.keys()
+        if load.domain.kind != "surface" or not set(load.parts) <= covered:
             continue
         facets = np.concatenate([body.owned_facets(name) for name in load.parts])
         free = np.count_nonzero(~np.isin(facets, prescribed))

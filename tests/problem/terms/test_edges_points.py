@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -151,6 +152,18 @@ def test_point_forces_on_nodes(degree: int) -> None:
         load = kind(on=["end", "d"], value=["2 N", 0, "x + y"])
         force, _ = resultants(Problem(bar(), LAW, loads=[load], degree=degree))
         np.testing.assert_allclose(force, share * np.array([2, 0, 2.5]), rtol=1e-13)
+
+
+def test_force_on_nodes_that_facets_do_not_cover() -> None:
+    """A set of nodes that is no surface shares it out among its nodes."""
+    body = bar()
+    body = body.named(surfaces={"set": body.surfaces["left"]}, points={"set": body.points["d"]})
+    body = replace(body, uncovered={"set": 1})
+    problem = Problem(
+        body, LAW, supports=[Support(on="right")], loads=[Force(on="set", value=[0, 0, 6])]
+    )
+    np.testing.assert_allclose(resultants(problem)[0], [0, 0, 6], atol=1e-12)
+    assert isinstance(problem.loads[0], PointForce)
 
 
 def test_point_force_by_name_is_that_by_place() -> None:
