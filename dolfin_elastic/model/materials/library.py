@@ -44,8 +44,9 @@ def completed(table: Entry, own: Mapping[str, Entry] | None = None) -> dict[str,
         InputError: There is no entry of this name.
     """
     given = {key: value for key, value in table.items() if key != "material"}
-    try:
-        name, entry = _found(table["material"], {**library(), **(own or {})})
+    own = own or {}
+    try:  # the first one wins that has the name
+        name, entry = _found(table["material"], {**own, **library(), **own})
     except InputError as error:
         others = () if "energy" in given else _unknown_keys(given, ("law", "on", "source"))
         raise joined([error, *others]) from None

@@ -72,6 +72,18 @@ def test_what_the_case_gives_wins() -> None:
     own = {"ours": {"E": 1e9, "nu": 0.3, "rho": 1000}}
     assert completed({"material": "ours", "density": 900}, own)["density"] == 900
     assert "rho" not in completed({"material": "ours", "density": 900}, own)
+
+
+@pytest.mark.parametrize("name", ["steel S235", "Steel s235", "S235", "mild steel"])
+def test_a_name_of_ones_own_wins_however_it_is_written(name: str) -> None:
+    own = {name: {"E": 1e9, "nu": 0.2}}
+    for written in (name, name.upper()):
+        assert completed({"material": written}, own)["E"] == 1e9
+    own = {"ours": {"also": [name], "E": 1e9, "nu": 0.2}}
+    assert completed({"material": name}, own)["source"] == "ours"
+
+
+def test_more_that_the_case_gives() -> None:
     law = named("rubber NR 50 Shore A", law="mooney-rivlin", c10="0.2 MPa", c01="0.1 MPa")
     assert (law.K, law.density) == (1030e6, 1100)
     law = named("bone, trabecular", E="300 MPa", density=500)
