@@ -176,7 +176,10 @@ def with_library(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """
     result, file = dict(tables), tables.get("library")
     if isinstance(file, str):
-        own = read_toml(str(folder / result.pop("library")))
+        try:
+            own = read_toml(str(folder / result.pop("library")))
+        except InputError as error:
+            raise error.moved(lambda where: f"library: {where}") from None
         try:
             check_library(own)
         except InputError as error:

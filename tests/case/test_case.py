@@ -1120,13 +1120,18 @@ def test_a_library_of_ones_own(folder: Path) -> None:
         ("PLA", "[a]\nalso = 1", 'shop.toml: "a".also: 1 is wrong; expected a list'),
         ("PLA", "[a]\nlaw = [1]", 'shop.toml: "a".law: unknown law'),
         ("PLA", "a = 1", 'shop.toml: "a": 1 is wrong; expected a table'),
-        ("PLA", "[a", "shop.toml: the heading has no closing bracket"),
+        ("PLA", "[a", "case.toml: library: shop.toml: the heading has no closing bracket"),
     ],
 )
 def test_a_wrong_library(folder: Path, name: str, library: str, says: str) -> None:
     with pytest.raises(InputError) as caught:
         shop_case(folder, name, library)
-    assert says in str(caught.value)
+    assert says in str(caught.value).replace(f"{folder}/", "")
+
+
+def test_a_library_that_is_not_there(folder: Path) -> None:
+    text = GOOD.replace('title = "Block"', 'library = "shp.toml"')
+    assert message_of(folder, text).startswith("case.toml: library: shp.toml: there is no such ")
 
 
 def test_moments_without_any_support(folder: Path) -> None:
