@@ -86,7 +86,7 @@ class Case(AnalysisTables):
             InputError: With the file's name and the dotted key.
         """
         with locate_errors(file), in_order(lambda: tables):
-            case = with_curves(cls(**with_library(tables, Path(folder))), Path(folder))
+            case = with_curves(cls(**_with_library(tables, Path(folder))), Path(folder))
         return case._from(file, Path(folder), trust, tables)
 
     def _from(self, file: str, folder: Path, trust: bool, tables: Mapping[str, Any]) -> Case:
@@ -192,11 +192,24 @@ def read_case(
     tables = written = on_root(comm, lambda: read_toml(file))
     with locate_errors(file), in_order(lambda: written):
         if "library" in tables:
-            tables = on_root(comm, lambda: with_library(written, folder))
+            tables = on_root(comm, lambda: _with_library(written, folder))
         case = Case(**tables)
         if has_curve_files(case):
             case = on_root(comm, lambda: with_curves(case, folder))
     return case._from(file, folder, trust, written)
+
+
+def _with_library(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """See `with_library`; its errors stand beside those of all tables but the materials."""
+    try:
+        return with_library(tables, folder)
+    except InputError as error:
+        errors = [*error.each]
+        try:
+            Case(**{k: v for k, v in tables.items() if k not in ("library", "materials")})
+        except InputError as others:  # always: without materials
+            errors += [one for one in others.each if one.where != "materials"]
+        raise joined(errors) from None
 
 
 def read_materials(path: str | PathLike[str]) -> dict[str, Material]:

@@ -1129,6 +1129,19 @@ def test_a_wrong_library(folder: Path, name: str, library: str, says: str) -> No
     assert says in str(caught.value).replace(f"{folder}/", "")
 
 
+def test_a_wrong_library_hides_nothing(folder: Path) -> None:
+    text = GOOD.replace("degree = 1", "degree = 7").replace("[statics]", "[statics]\nend = -1")
+    text = text.replace('title = "Block"', 'library = "shp.toml"\ntitel = 3')
+    said = [line.removeprefix("case.toml: ") for line in message_of(folder, text).splitlines()]
+    keys = sorted(line.partition(": ")[0] for line in said)
+    assert keys == [
+        "library",
+        "mesh.degree",
+        "statics.end",
+        "unknown key 'titel'; did you mean 'title'?",
+    ]
+
+
 def test_a_library_that_is_not_there(folder: Path) -> None:
     text = GOOD.replace('title = "Block"', 'library = "shp.toml"')
     assert message_of(folder, text).startswith("case.toml: library: shp.toml: there is no such ")
