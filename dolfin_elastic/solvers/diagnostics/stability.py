@@ -143,7 +143,7 @@ def _of_fields(newton: Newton, *, surely: bool) -> Inertia:
     pc, symmetric = newton.linear.factors, newton.assembler.problem.symmetric
     if newton.linear.direct and _counts_pivots(pc):
         below = negative_pivots(pc, newton.assembler)
-        if symmetric:
+        if symmetric or below is None:
             return Inertia(below, reason=_SINGULAR if below is None else "")
         return count_by_factors(newton, below)
     exactly = newton.bordered is not None and bool(np.any(newton.bordered.scalars.signs < 0.0))

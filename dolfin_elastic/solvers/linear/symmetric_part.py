@@ -26,6 +26,9 @@ LIMIT = 6
 """Iterations beyond which factors of A cost less: those of S save a third, of which each iteration
 takes a sixth (three-dimensional body of 10,000 unknowns)."""
 
+PAUSE = 8
+"""Tangents that are factorised themselves before S is tried again: at most an eighth is lost."""
+
 _ROOM, _ROOT, _NULL, _RIGHT_HAND_SIDE, _DETERMINANT = 14, 13, 24, 20, 33
 """Indices of MUMPS's ICNTL."""
 
@@ -66,7 +69,9 @@ def symmetric_part(A: PETSc.Mat) -> PETSc.Mat:
 class SymmetricPart:
     """A PC of type "python": A^-1 by GMRES and factors of S. Collective to make.
 
-    Where GMRES takes more than `LIMIT` iterations, A itself is factorised from there on.
+    Where GMRES takes more than `LIMIT` iterations, A itself is factorised, and so are the next
+    `PAUSE` tangents, each time twice as many, before S is tried again: a step too large may pass by
+    states that are far from symmetric.
 
     Attributes:
         factors: A PC: those of the last S, or of the last A.
@@ -80,19 +85,21 @@ class SymmetricPart:
         self._ksp.setPCSide(PETSc.PC.Side.RIGHT)
         self._ksp.setTolerances(rtol=DIGITS, atol=0.0, max_it=LIMIT)
         self._ksp.setPC(self.factors)
-        self._far = False
+        self._left, self._pause = 0, PAUSE
         pc.setType("python")
         pc.setPythonContext(self)
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Factorises. Collective."""
         A = pc.getOperators()[1]
-        if not self._far:
+        if self._left:
+            self._left -= 1
+        else:
             S = self._symmetric_part(A)
-            self._far = not factorise(self.factors, S, symmetric=True)
-            self._ksp.setOperators(A, S)
-        if self._far:
-            self._factorise(pc, A)
+            if factorise(self.factors, S, symmetric=True):
+                self._ksp.setOperators(A, S)
+                return
+        self._factorise(pc, A)
 
     def _symmetric_part(self, A: PETSc.Mat) -> PETSc.Mat:
         """S, in the same matrix where it has the same entries: MUMPS need not analyse it again."""
@@ -112,12 +119,14 @@ class SymmetricPart:
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """y = A^-1 x. Collective."""
-        if not self._far:
+        if self._S is not None:
             self._ksp.solve(x, y)
             if self._ksp.getConvergedReason() > 0:
                 return
-            log.info("the tangent is far from symmetric: LU from here on")
-            self._far = True
+            self._left, self._pause = self._pause, 2 * self._pause
+            log.info(
+                "far from symmetric: the next %d tangents are factorised themselves", self._left
+            )
             self._factorise(pc, pc.getOperators()[1])
         self.factors.apply(x, y)
 

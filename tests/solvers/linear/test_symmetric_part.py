@@ -101,6 +101,17 @@ def test_far_from_symmetric_the_tangent_itself_is_factorised(
     assert same(partial(strip, 3e-4))
 
 
+def test_the_symmetric_part_is_tried_again():
+    """After as many tangents as are factorised themselves."""
+    with equilibrium(strip(3e-4), "direct") as newton:
+        newton.linear._parts._left = 2
+        kinds = []
+        for _ in range(3):
+            newton.factorise()
+            kinds.append(newton.linear.factors.getType())
+    assert kinds == ["lu", "lu", "cholesky"]
+
+
 def test_where_it_is_chosen():
     """In statics, where the user has no say."""
 
