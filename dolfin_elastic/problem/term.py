@@ -342,8 +342,13 @@ class Terms(list[Term]):
                 term.assume(None)
 
     def within_stride(self, t: float, goal: float) -> float:
-        """See `Term`."""
-        return min((term.within_stride(t, goal) for term in self), default=goal)
+        """See `Term`: of all terms, each at the end that the others allow."""
+        before = np.inf
+        while goal < before:
+            before = goal
+            for term in self:
+                goal = term.within_stride(t, goal)
+        return goal
 
     def begin(self, *, moving: bool) -> None:
         """A run begins, in motion or in statics: from here, too. Collective."""

@@ -218,6 +218,23 @@ def test_no_step_of_an_obstacle_is_longer_than_half_its_radius(begin):
         assert problem.terms.within_stride(begin, begin + asked) == pytest.approx(begin + taken)
 
 
+def test_a_step_that_one_obstacle_shortens_is_looked_at_by_the_others():
+    """One rod goes down at an even pace, another one swings and is back at the end of the step."""
+    rod, hub = ({"axis": "z", "point": [x, 1.3], "radius": 0.1} for x in (0.2, 0.8))
+    pushed = Contact(on="top", cylinder=rod, motion=[0, "-0.4*t"], name="pushed")
+    swung = Contact(on="top", cylinder=hub, motion=["0.1*sin(4*pi*t)", 0], name="swung")
+    for contacts in ([pushed, swung], [swung, pushed]):
+        problem = Problem(
+            rectangle_body(size=(1, 1), cells=(1, 1)),
+            NeoHookean(E=E, nu=NU),
+            supports=[Support(on="bottom")],
+            contacts=contacts,
+            degree=1,
+        )
+        # By itself one may move for 1/8, and the other one for 1/4, where it is back.
+        assert problem.terms.within_stride(0.0, 0.25) == pytest.approx(1 / 32)
+
+
 def test_weight_on_the_floor():
     """A body that only lies there: the floor carries its weight, exactly."""
     body = rectangle_body(size=(2, 1), cells=(4, 2))
