@@ -451,7 +451,6 @@ class ArcLength:
     def _end_at_load_factor(self, here: FloatArray, t: float) -> PathPoint:
         """The last point: equilibrium at the load factor `end`, between the last two points."""
         beyond = self._newton.unknowns()
-        self._problem.terms.commit()  # what they have learnt beyond serves here, too
         share = (self._end - t) / (self._length.t - t)
         self._length.put(np.array([self._end]))
         result = self._retry.solve([("", here + share * (beyond - here)), ("", beyond)])

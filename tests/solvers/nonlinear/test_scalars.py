@@ -436,11 +436,8 @@ class Leaking(BodyCavity):
         return self._before + self.dt * (self.rate - self.leak * self.get()[0])
 
 
-def test_a_term_of_ones_own_with_a_past(folder):
-    """Filled at the rate q, a tube of compliance C that leaks p k obeys C dp/dt = q - k p.
-
-    Backward Euler's: p (C + k dt) = C p0 + q dt.  The term needs its own class only.
-    """
+def leaking(folder):
+    """A quarter of a tube."""
     load = Cavity(on="inside", volume_ratio=1.0, name="tube")
     problem = Problem(
         quarter(folder, (1, 3)),
@@ -454,7 +451,15 @@ def test_a_term_of_ones_own_with_a_past(folder):
     )
     (at,) = (i for i, term in enumerate(problem.terms) if isinstance(term, BodyCavity))
     problem.terms[at] = Leaking(load, problem.context, problem.constraints, "load[0]")
-    states = list(Statics(problem, steps=5).steps())
+    return problem
+
+
+def test_a_term_of_ones_own_with_a_past(folder):
+    """Filled at the rate q, a tube of compliance C that leaks p k obeys C dp/dt = q - k p.
+
+    Backward Euler's: p (C + k dt) = C p0 + q dt.  The term needs its own class only.
+    """
+    states = list(Statics(leaking(folder), steps=5).steps())
     p, V = ([state.numbers[f"{name}_tube"] for state in states] for name in ("pressure", "volume"))
     C, k, q, dt = (V[1] - V[0]) / p[1], Leaking.leak, Leaking.rate, 0.2
     wanted = [0.0]
@@ -463,6 +468,19 @@ def test_a_term_of_ones_own_with_a_past(folder):
     # The error of a volume that Newton's method leaves, 1e-10 of it, over the compliance.
     assert p == pytest.approx(wanted, rel=1e-8, abs=1e-8)
     assert 0.01 < p[1] < p[5] < 0.99 * q / k
+
+
+def test_the_last_step_of_a_path_begins_at_the_point_before_it(folder):
+    """The path goes beyond the end first: what is there is no past of the last point."""
+    states = list(Statics(leaking(folder), method="arc-length", first_step=0.2).steps())
+    assert len(states) > 3
+    t = np.array([state.t for state in states])
+    p, V = (
+        np.array([state.numbers[f"{name}_tube"] for state in states])
+        for name in ("pressure", "volume")
+    )
+    leaked = np.diff(t) * (Leaking.rate - Leaking.leak * p[1:])
+    np.testing.assert_allclose(np.diff(V), leaked, rtol=0.0, atol=1e-9)
 
 
 def test_arc_length_cavity_and_rigid_surface_together(folder):
