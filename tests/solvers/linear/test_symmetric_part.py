@@ -11,7 +11,17 @@ import numpy as np
 import pytest
 from helpers.buckling import LU, equilibrium, referee
 
-from dolfin_elastic import Contact, NeoHookean, Pressure, Problem, Statics, Support, rectangle_body
+from dolfin_elastic import (
+    Contact,
+    NeoHookean,
+    Pressure,
+    Problem,
+    Rigid,
+    Rotation,
+    Statics,
+    Support,
+    rectangle_body,
+)
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.diagnostics.stability import judge, negative_pivots
 from dolfin_elastic.solvers.linear import symmetric_part
@@ -22,11 +32,11 @@ RUBBER = NeoHookean(E=1.0, nu=0.3)
 
 
 def strip(pressure: float, **settings: Any) -> Problem:
-    """Fixed at its left end, under a pressure that follows its lower side [Pa]."""
+    """Held at its left end, under a pressure that follows its lower side [Pa]."""
     return Problem(
         rectangle_body(size=(8, 1), cells=(16, 2)),
         settings.pop("law", RUBBER),
-        supports=[Support(on="left")],
+        supports=[settings.pop("held", Support(on="left"))],
         loads=[Pressure(on="bottom", value=pressure)],
         **{"degree": 2, **settings},
     )
@@ -60,8 +70,9 @@ PLATE = {"plane": {"point": [0, 1.3], "normal": [0, -1]}}
         {"degree": 1},
         {"law": NeoHookean(E=1.0, nu=0.4999)},
         {"contacts": [Contact(on="top", **PLATE)]},
+        {"held": Rotation(on="left", point=[0, 0.5], angle="0.2*t")},
     ],
-    ids=["quadratic", "linear", "mixed", "contact"],
+    ids=["quadratic", "linear", "mixed", "contact", "turned"],
 )
 def test_solutions_are_those_of_factors(settings: Any):
     problem = partial(strip, 3e-4, **settings)
@@ -113,11 +124,13 @@ def test_the_symmetric_part_is_tried_again():
 
 
 def test_where_it_is_chosen():
-    """In statics, where the user has no say."""
+    """In statics without scalar unknowns, where the user has no say."""
 
     def kind(problem: Problem, petsc: Any = None, **how: Any) -> object:
         linear = LinearSettings(method="direct", petsc=petsc or {})
         return choose(problem, linear, **how).options["pc_type"]
 
-    assert kind(strip(1e-3)) == "python"
+    turned = Rotation(on="left", point=[0, 0.5], angle=0.1)
+    assert kind(strip(1e-3)) == kind(strip(1e-3, held=turned)) == "python"
+    assert kind(strip(1e-3, held=Rigid(on="left", force=[0, 0]))) == "lu"
     assert kind(strip(1e-3), moving=True) == kind(strip(1e-3), {"mat_mumps_icntl_14": 90}) == "lu"
