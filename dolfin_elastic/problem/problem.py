@@ -296,6 +296,11 @@ class Problem:
         return jit.options(self.body.comm)
 
     @property
+    def loaded(self) -> bool:
+        """There are loads, in forms or in none."""
+        return bool(self.loads) or any(term.nodal and not term.restrains for term in self.terms)
+
+    @property
     def loads_change(self) -> bool:
         """The applied nodal forces change in motion: with time, or with the body's shape."""
         return (

@@ -121,7 +121,7 @@ class EnergyBalance:
         self._initial: float | None = None
         self.scale = 0.0
         problem = moving.problem
-        self._constant = bool(problem.loads) and not problem.loads_change
+        self._constant = problem.loaded and not problem.loads_change
         self._shifts: FloatArray = np.empty(0)
         size = problem.constant(1.0) * problem.weak_form.volume(None, 1)
         volume = integral(problem, compiled(problem, [size])[0])
@@ -283,12 +283,12 @@ class ExternalWork:
         springs = [term for term in problem.terms if term.account == "springs"]
         resting = springs if all(term.at_rest for term in springs) else []
         works = [term for term in problem.terms if term.shift is None and term not in resting]
-        changing, loaded = forms_of(works, "work"), bool(problem.loads)
-        if loaded and problem.loads_change:
+        changing = forms_of(works, "work")
+        if problem.loaded and problem.loads_change:
             at_points = problem.constant(0.0) * sum(problem.v) * problem.weak_form.volume(None, 1)
             external = problem.weak_form.external
             changing.append(at_points if external is None else external)
-        self._steady = loaded and not problem.loads_change
+        self._steady = problem.loaded and not problem.loads_change
         self.paths: list[_Path] = []
         self._forces: list[NodalForces] = []
         if changing:

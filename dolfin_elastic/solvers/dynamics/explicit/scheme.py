@@ -31,7 +31,7 @@ from dolfin_elastic.solvers.dynamics.work import ExternalWork, supports_move
 
 
 def check_explicit(problem: Problem, scheme: str) -> None:
-    """Refuses problems without a positive lumped mass, or with unknowns beside the displacement.
+    """Refuses problems without a positive lumped mass, or with what the schemes do not know.
 
     Raises:
         InputError: Explicit schemes cannot compute this problem.
@@ -50,6 +50,14 @@ def check_explicit(problem: Problem, scheme: str) -> None:
             expected=f"{'not plane stress' if stretch else 'displacement'}, or the scheme "
             "'generalized-alpha'",
         )
+    for term in problem.terms:
+        if term.nodal and term.restrains:
+            raise InputError(
+                f"'{scheme}' knows no forces that answer to the motion and are in no form, as "
+                f"those of '{term.label}'",
+                where="dynamics.scheme",
+                expected='"generalized-alpha"',
+            )
     for part in problem.regions:
         if part.law.viscosity is not None:
             raise InputError(
@@ -62,7 +70,7 @@ def check_explicit(problem: Problem, scheme: str) -> None:
 def changes(problem: Problem) -> bool:
     """Whether loads, supports, springs or obstacles depend on time."""
     return (
-        (bool(problem.loads) and problem.loads_change)
+        (problem.loaded and problem.loads_change)
         or any(not support.at_rest for support in problem.supports)
         or any(not term.at_rest for term in problem.terms)
     )

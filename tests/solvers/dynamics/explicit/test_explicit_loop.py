@@ -31,11 +31,15 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.jit import cell_integrals
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.signals import PythonStop
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh import Body
 from dolfin_elastic.mesh.distribute import make_mesh
+from dolfin_elastic.model.amplitude import Amplitude
+from dolfin_elastic.problem.term import Term
 from dolfin_elastic.solvers.assembly.assembler import compiled
 from dolfin_elastic.solvers.dynamics.explicit import explicit
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
@@ -378,3 +382,58 @@ def test_energy_balance_of_all_that_moves(scheme, rate):
         off.append(worst / state.energies["total"])
     assert max(off) < 0.1
     assert off[1] < rate * off[0]
+
+
+PUSHED = [1.0, 0.25]
+
+
+class Push(Term):
+    """A force of one's own on a node, [0, f(t)] N."""
+
+    label, nodal = "push", True
+
+    def __init__(self, problem: Problem, changes: bool) -> None:
+        near = np.abs(problem.places[:, :2] - PUSHED).max(axis=1) < 1e-9
+        owned = np.arange(len(near)) < problem.V.dofmap.index_map.size_local
+        self._node, self.changes, self._t = np.flatnonzero(near & owned), changes, 0.0
+
+    def set_time(self, t: float, default: Amplitude) -> None:
+        self._t = t
+
+    def add_forces(self, forces: FloatArray) -> None:
+        forces.reshape(-1, 2)[self._node, 1] -= 5e4 * self._t if self.changes else 500.0
+
+
+def pushed(terms: str, changes: bool) -> Problem:
+    """A strip under a force on a node, as a load or as a term of one's own."""
+    load = PointForce(at=PUSHED, value=[0, "-5e4*t" if changes else -500.0])
+    problem = Problem(
+        rectangle_body(size=(1.0, 0.5), cells=(4, 2)),
+        NeoHookean(E=E, nu=NU, density=RHO),
+        supports=[Support(on="left")],
+        loads=[load] if terms == "load" else [],
+        degree=1,
+    )
+    if terms != "load":
+        problem.terms.append(Push(problem, changes))
+    return problem
+
+
+@BOTH
+@pytest.mark.parametrize("changes", [False, True])
+def test_a_load_of_ones_own_that_is_in_no_form(changes, scheme):
+    """Forces and work are those of a point force, without any other load."""
+    found = []
+    for terms in ("load", "own"):
+        *_, state = Dynamics(pushed(terms, changes), end=0.02, scheme=scheme).steps()
+        found.append({"moved": state.max_displacement, **state.energies})
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
+    assert found[0]["external"] > 0.1
+
+
+@BOTH
+def test_forces_of_ones_own_that_answer_to_the_motion_are_refused(scheme):
+    problem = pushed("own", changes=False)
+    problem.terms[-1].restrains = True
+    with pytest.raises(InputError, match="in no form, as those of 'push'"):
+        next(Dynamics(problem, end=0.02, scheme=scheme).steps())
