@@ -115,6 +115,9 @@ class LoadStepping:
             saved: A `restart_state` from which the run continues.
         """
         by_load = self._settings.method == "load"
+        if saved is None:
+            self._problem.set_time(0.0, default=PROPORTIONAL)
+            self._problem.terms.commit()
         if near is not None and by_load and (state := self._straight(near)) is not None:
             yield state
             return
@@ -124,8 +127,6 @@ class LoadStepping:
 
                 self._arc = ArcLength(self._retry, end=self._settings.end)
             if saved is None:
-                self._problem.set_time(0.0, default=PROPORTIONAL)
-                self._problem.terms.commit()
                 self._evaluate_start()
                 begin = NewtonResult(reason="initial state")
                 yield self._states.state(0.0, begin, stored=self._path_check.stored)
@@ -220,7 +221,7 @@ class LoadStepping:
     def _straight(self, near: InitialGuess) -> State | None:
         """The equilibrium of the full load next to a guess, None if there is none. Collective.
 
-        All unknowns are put back if there is none.
+        All unknowns and the time are put back if there is none.
         """
         start, end = self._newton.unknowns(), self._settings.end
         self._problem.set_time(end, default=PROPORTIONAL)
@@ -230,6 +231,7 @@ class LoadStepping:
         if refusal:
             log.info("from the coarser mesh's solution: %s; the load grows from zero", refusal)
             self._retry.undo(start)
+            self._problem.set_time(0.0, default=PROPORTIONAL)
             self._retry.restarted()
             return None
         self._t = end

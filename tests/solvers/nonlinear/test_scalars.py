@@ -39,6 +39,7 @@ from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered, JoinedScalars
 from dolfin_elastic.solvers.nonlinear.newton import scalar_unknowns
 from dolfin_elastic.solvers.statics.arc_length import ArcLengthConstraint
+from dolfin_elastic.solvers.statics.load_stepping import InitialGuess
 
 FREE = "free"
 
@@ -481,6 +482,18 @@ def test_the_last_step_of_a_path_begins_at_the_point_before_it(folder):
     )
     leaked = np.diff(t) * (Leaking.rate - Leaking.leak * p[1:])
     np.testing.assert_allclose(np.diff(V), leaked, rtol=0.0, atol=1e-9)
+
+
+def test_a_run_from_a_guess_begins_at_its_own_time(folder):
+    """A second run of a problem goes on where the first one has ended, for another second."""
+    problem = leaking(folder)
+    *_, first = Statics(problem, steps=1).steps()
+    p, V = first.numbers["pressure_tube"], first.numbers["volume_tube"]
+    guess = InitialGuess(problem.w.x.array.copy(), (p,))
+    (second,) = Statics(problem, steps=1).steps(near=guess)
+    leaked = Leaking.rate - Leaking.leak * second.numbers["pressure_tube"]
+    assert second.numbers["volume_tube"] - V == pytest.approx(leaked, abs=1e-9)
+    assert second.numbers["pressure_tube"] > 1.05 * p
 
 
 def test_arc_length_cavity_and_rigid_surface_together(folder):
