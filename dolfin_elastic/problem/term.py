@@ -366,6 +366,10 @@ class Terms(list[Term]):
         for term in self:
             term.rollback()
 
+    def unsettled(self) -> bool:
+        """See `Term`: of any."""
+        return any(term.unsettled() for term in self)
+
     @stage("contact")
     def solve_again(self) -> bool:
         """Whether the equilibrium is none with what the terms learn of it: all do so. Collective.
@@ -373,7 +377,7 @@ class Terms(list[Term]):
         Augmented Lagrangian of contact (Uzawa), lam <- max(0, lam - eps g) until gaps are small.
         Source: J. C. Simo & T. A. Laursen, Computers & Structures 42 (1992) 97, box 1.
         """
-        if not any(term.unsettled() for term in self):
+        if not self.unsettled():
             return False
         for term in self:
             term.augment()

@@ -132,6 +132,8 @@ def try_whole_load(
     problem.set_time(end, default=PROPORTIONAL)
     problem.constraints.check_finite()
     result = _solved(newton, path_check)
+    if result.converged and problem.terms.unsettled():
+        result = result.refused("a term is to be solved with again")
     if result.converged:
         verdict = judge(newton)
         if verdict.stable:

@@ -19,6 +19,7 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.term import Term
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 E, NU = 1e6, 0.3
@@ -76,6 +77,25 @@ def test_a_block_takes_one_step(method):
 def test_states_that_are_asked_for_are_computed(settings):
     states = solved(block(), **settings)
     assert [s.t for s in states] == pytest.approx([0, 0.25, *settings.get("times", [0.75]), 1.0])
+
+
+class Learning(Term):
+    """Has to be solved with again once."""
+
+    label, learnt = "learning", 0
+
+    def unsettled(self) -> bool:
+        return self.learnt == 0
+
+    def augment(self) -> None:
+        self.learnt += 1
+
+
+def test_a_term_that_has_to_learn_takes_load_steps():
+    problem = block()
+    problem.terms.append(Learning())
+    assert len(solved(problem)) > 2
+    assert problem.terms[-1].learnt == 1
 
 
 def test_states_on_the_way_are_computed_where_an_output_shows_them():
