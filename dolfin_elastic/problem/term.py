@@ -148,7 +148,10 @@ class Term:
         """
 
     def commit(self) -> None:
-        """The present equilibrium is accepted: the next step begins here. Collective."""
+        """The present equilibrium is accepted: the next step begins here. Collective.
+
+        Its results have been asked for before.  In motion only the start is committed.
+        """
         self._committed = [field.x.array.copy() for field in self.memory.values()]
 
     def rollback(self) -> None:

@@ -237,7 +237,7 @@ class LoadStepping:
         self._t = end
         # The auditor compares a state with the one before it: it is shown this one twice.
         self._states.state(end, result)
-        return self._states.state(end, result, verdict=self._verdict)
+        return self._committed(self._states.state(end, result, verdict=self._verdict))
 
     def _join_arrays(self, near: InitialGuess) -> FloatArray:
         return np.concatenate([near.unknowns, np.array(near.scalars, dtype=np.float64)])
@@ -260,7 +260,8 @@ class LoadStepping:
             result, self._verdict = whole_load
             self._accept(_Step(0.0, end, start), end, result, left_path=False)
             stored = self._path_check.stored
-            yield self._states.state(end, result, verdict=self._verdict, stored=stored)
+            state = self._states.state(end, result, verdict=self._verdict, stored=stored)
+            yield self._committed(state)
         while not sizes.done(self._t) and not self._ends_early():
             goal = self._problem.terms.within_stride(self._t, sizes.goal(self._t))
             step = _Step(self._t, goal, self._newton.unknowns())
@@ -284,7 +285,8 @@ class LoadStepping:
                 self._retry.undo(step.start)
                 continue
             self._accept(step, goal, result, left_path=bool(refusal))
-            yield self._states.state(goal, result, verdict=self._verdict, limits=self._limits)
+            state = self._states.state(goal, result, verdict=self._verdict, limits=self._limits)
+            yield self._committed(state)
 
     def _solve(self, step: _Step) -> NewtonResult:
         """Tries to take a step; all unknowns are put back if that fails. Collective."""
@@ -311,9 +313,13 @@ class LoadStepping:
         if left_path:
             self._sizes.begin_anew()
         self._t = goal
-        self._problem.terms.commit()
         if self._problem.history is not None:
             self._problem.history.commit()
+
+    def _committed(self, state: State) -> State:
+        """The same: only after it was measured its terms begin the next step. Collective."""
+        self._problem.terms.commit()
+        return state
 
     def _refusal(self, *, last: bool) -> str:
         """Why the equilibrium is not the next point of the path; empty: it is. Collective.
@@ -450,8 +456,8 @@ class LoadStepping:
                 good = self._newton.unknowns() if point.good is None else point.good
                 raise self._failure(point.t, point.t, result, good, point.failed)
             self._t, self._limits = point.t, tuple(limit.t for limit in arc.limits)
-            self._problem.terms.commit()
             state = self._states.state(point.t, result, verdict=point.verdict, limits=self._limits)
-            yield replace(state, limit_errors=tuple(limit.error for limit in arc.limits))
+            errors = tuple(limit.error for limit in arc.limits)
+            yield self._committed(replace(state, limit_errors=errors))
             if self._ends_early():
                 return

@@ -436,6 +436,11 @@ class Leaking(BodyCavity):
     def _prescribed(self):
         return self._before + self.dt * (self.rate - self.leak * self.get()[0])
 
+    def add_results(self, result, forces):
+        super().add_results(result, forces)
+        if self.dt:
+            result["growth"] = (self.volume() - self._before) / self.dt
+
 
 def leaking(folder):
     """A quarter of a tube."""
@@ -469,6 +474,9 @@ def test_a_term_of_ones_own_with_a_past(folder):
     # The error of a volume that Newton's method leaves, 1e-10 of it, over the compliance.
     assert p == pytest.approx(wanted, rel=1e-8, abs=1e-8)
     assert 0.01 < p[1] < p[5] < 0.99 * q / k
+    # Results are those of the step that has ended there.
+    growth = [state.numbers["growth"] for state in states[1:]]
+    assert growth == pytest.approx([q - k * each for each in p[1:]], abs=1e-8)
 
 
 def test_the_last_step_of_a_path_begins_at_the_point_before_it(folder):
@@ -481,6 +489,7 @@ def test_the_last_step_of_a_path_begins_at_the_point_before_it(folder):
         for name in ("pressure", "volume")
     )
     leaked = np.diff(t) * (Leaking.rate - Leaking.leak * p[1:])
+    assert "growth" in states[-1].numbers
     np.testing.assert_allclose(np.diff(V), leaked, rtol=0.0, atol=1e-9)
 
 
