@@ -95,7 +95,7 @@ class Case(AnalysisTables):
         return self
 
     @cached_property
-    def written(self) -> Mapping[str, Any]:
+    def written(self) -> Mapping[str, object]:
         """The tables in the order in which they were written."""
         return self.to_dict()
 
@@ -199,7 +199,7 @@ def read_case(
     return case._from(file, folder, trust, written)
 
 
-def _with_library(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def _with_library(tables: Mapping[str, object], folder: Path) -> dict[str, object]:
     """See `with_library`; its errors stand beside those of all tables but the materials."""
     try:
         return with_library(tables, folder)

@@ -163,7 +163,7 @@ def read_material_tables(tables: object) -> dict[str, Material]:
     return read
 
 
-def with_library(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def with_library(tables: Mapping[str, object], folder: Path) -> dict[str, object]:
     """The tables of a case, its materials completed from the file that `library` names.
 
     Not collective.
@@ -177,19 +177,22 @@ def with_library(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     result, file = dict(tables), tables.get("library")
     if isinstance(file, str):
         try:
-            own = read_toml(str(folder / result.pop("library")))
+            own = read_toml(str(folder / file))
         except InputError as error:
             raise error.moved(lambda where: f"library: {where}") from None
         try:
             check_library(own)
         except InputError as error:
             raise error.moved(lambda where: f"{file}: {where}") from None
+        del result["library"]
         rows = tables.get("materials")
-        with all_errors() as attempt:
-            for name, row in rows.items() if isinstance(rows, Mapping) else ():
-                if isinstance(row, Mapping) and "material" in row:
-                    with attempt(), keyed(f"materials.{key_text(name)}"):
-                        result["materials"] = {**result["materials"], name: completed(row, own)}
+        if isinstance(rows, Mapping):
+            result["materials"] = materials = {**rows}
+            with all_errors() as attempt:
+                for name, row in rows.items():
+                    if isinstance(row, Mapping) and "material" in row:
+                        with attempt(), keyed(f"materials.{key_text(name)}"):
+                            materials[name] = completed(row, own)
     return result
 
 

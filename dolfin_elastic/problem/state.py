@@ -76,7 +76,7 @@ class Stability:
         negative: How many are negative, those of pressures and constraints left out: 0 of a stable
             equilibrium; None where it could not be judged.
         at_least: There may be more than these.
-        reason: Why it could not be judged.
+        reason: Why it could not be judged, or need not be.
     """
 
     negative: int | None

@@ -512,7 +512,8 @@ def _stability(stability: object) -> str:
     ):
         return ""
     if stability.get("verdict") == "stable":
-        return "The last equilibrium is stable: no small motion lowers its energy."
+        why = stability.get("reason") or "no small motion lowers its energy"
+        return f"The last equilibrium is stable: {why}."
     least = "at least " if stability.get("at_least") else ""
     return (
         "The last equilibrium is unstable, a real body would leave it: its tangent has "

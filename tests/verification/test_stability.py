@@ -52,7 +52,7 @@ from dolfin_elastic.problem.state import Stability
 from dolfin_elastic.report.contents import audit_of
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.solvers.diagnostics import negative_curvature
-from dolfin_elastic.solvers.diagnostics.stability import judge
+from dolfin_elastic.solvers.diagnostics.stability import LINEAR, judge
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.linear.hierarchy import _inverse
 from dolfin_elastic.solvers.statics.retry import RetryStrategy
@@ -140,6 +140,27 @@ def test_a_follower_force_does_not_buckle_a_column(method):
         assert judge(newton).stable is not False
 
 
+@pytest.mark.parametrize("method", ["direct", "lu"])
+@pytest.mark.parametrize(("share", "verdict"), [(0.85, "stable"), (1.02, "not judged")])
+def test_flutter_is_no_static_question(method: str, share: float, verdict: str):
+    """Beck's column, whose two lowest frequencies become one at 20.05 EI/L^2.
+
+    Shear and shortening lower this load in a column that is only ten times as long as thick.
+    """
+    value = share * 20.05 * E / (1 - 0.3**2) / 12 / LENGTH**2
+    problem = Problem(
+        rectangle_body(size=(1, LENGTH), cells=(2, 16)),
+        NH,
+        degree=2,
+        supports=[Support(on="bottom")],
+        loads=[Pressure(on="top", value=value)],
+    )
+    with equilibrium(problem, method, 4) as newton:
+        found = judge(newton).stability
+    assert found.verdict == verdict
+    assert ("flutter" in found.reason) is (verdict == "not judged")
+
+
 def at_the_end(problem: Problem, method: str, **settings: Any) -> Any:
     return [*Statics(problem, linear=LinearSettings(method=method), **settings).steps()][-1]
 
@@ -182,7 +203,7 @@ def test_what_cannot_be_judged_is_no_pass(monkeypatch: pytest.MonkeyPatch):
 def test_small_strains_are_stable_without_a_look(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(negative_curvature, "ITERATIONS", 1)
     state = at_the_end(column(0.5, ONE_END, law=LinearElastic(E=E, nu=0.3)), "iterative")
-    assert state.stability.verdict == "stable"
+    assert state.stability == Stability(0, reason=LINEAR)
 
 
 class Negated(LinearElastic):

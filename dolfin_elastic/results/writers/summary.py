@@ -336,7 +336,7 @@ def _numbers(state: State) -> dict[str, object]:
 
 
 def _stability(stability: Stability) -> dict[str, object]:
-    """Whether the equilibrium of a state is stable; a verdict "not judged" has a reason."""
+    """Whether the equilibrium of a state is stable; a verdict without a look has a reason."""
     return {
         "verdict": stability.verdict,
         "negative_eigenvalues": stability.negative,

@@ -26,6 +26,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.negative_curvature import (
+    FLUTTER,
     ROUND_OFF,
     Inertia,
     by_directions,
@@ -40,6 +41,10 @@ DETERMINANT = 12
 GLANCE, SEARCH = 2, 24
 """Solves for a first look, and for all directions of negative curvature: two at a time, as two
 modes of a square column are equal."""
+
+SOFTEST, COMPLEX = 0.1, 0.02
+"""Compliances over the largest one that are looked at for flutter, and imaginary over absolute
+values from which they count as complex: two that are equal differ by round-off."""
 
 
 def count_by_factors(newton: Newton, symmetric_part: int | None = None) -> Inertia:
@@ -72,7 +77,8 @@ def _inertia(space: _Krylov, symmetric_part: int | None) -> Inertia:
         space.grow(2)
         X = space.negative()
         if len(X) >= symmetric_part:
-            return space.verdict(X, at_least=False)
+            inertia = space.verdict(X, at_least=False)
+            return inertia if inertia.negative else space.flutter() or inertia
         if space.count >= SEARCH:
             inertia = space.verdict(X, at_least=True) if len(X) else Inertia(0)
             return Inertia(
@@ -146,6 +152,22 @@ class _Krylov:
         w[self._moves] = inertia.direction
         self._assembler.extend(w)
         return replace(inertia, direction=w)
+
+    def flutter(self) -> Inertia | None:
+        """No verdict, where softest eigenvalues of A are complex; None where they are real.
+
+        By Arnoldi's method.  The symmetric part is indefinite: A has no negative eigenvalue only
+        because it is not symmetric, as that of a column under a force that turns with its end.
+        Collective.
+        """
+        self.grow(SEARCH - self.count)
+        inverse = total(self._comm, np.array(self._F) @ np.array(self._Y)[:, self._moves].T)
+        compliances = np.linalg.eigvals(inverse)
+        sizes = np.abs(compliances)
+        soft = sizes > SOFTEST * sizes.max()
+        if np.any(np.abs(compliances[soft].imag) > COMPLEX * sizes[soft]):
+            return Inertia(None, reason=FLUTTER)
+        return None
 
     def _inverse(self, f: FloatArray) -> FloatArray:
         """A^-1 f, owned entries of all unknowns. Collective."""

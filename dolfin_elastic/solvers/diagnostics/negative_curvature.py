@@ -66,7 +66,7 @@ equal ones the parts of a mode of the whole body cancelled each other on some me
 ROUND_OFF = 1e-8
 """Of inner products of vectors of size 1, in the preconditioner's norm."""
 
-_FLUTTER = (
+FLUTTER = (
     "its tangent is not symmetric and has complex eigenvalues: flutter is a question of motion"
 )
 
@@ -416,7 +416,7 @@ def by_directions(
     else:
         inertia, vectors = np.linalg.eig(G)
         if np.any(np.abs(inertia.imag) > _REAL * np.abs(inertia)):
-            return Inertia(None, reason=_FLUTTER)
+            return Inertia(None, reason=FLUTTER)
         compliances, vectors = inertia.real, vectors.real
     weakest = int(np.argmin(compliances))
     if compliances[weakest] > 0.0:

@@ -108,7 +108,7 @@ def judge(newton: Newton, *, surely: bool = True) -> Verdict:
             one that is judged so.
     """
     if newton.assembler.problem.linear and _has_checked_stiffness(newton.assembler.problem):
-        return Verdict(Stability(0))
+        return Verdict(Stability(0, reason=LINEAR))
     if newton.shift > 0.0 or not (newton.result.newton or newton.factorised):
         newton.factorise()
     fields = _of_fields(newton, surely=surely)
@@ -135,6 +135,7 @@ def _has_checked_stiffness(problem: Problem) -> bool:
     )
 
 
+LINEAR = "laws of small strains know no buckling; 'st-venant-kirchhoff' takes the same constants"
 _SINGULAR = "its tangent is singular"
 
 
