@@ -121,6 +121,17 @@ def test_two_stiff_modes_are_met_behind_soft_ones(method: str, share: float):
         assert glance.stability.negative == (0 if method == "lu" else 2)
 
 
+def under_a_follower(load: float) -> Problem:
+    """A column whose load turns with its end, over EI/L^2."""
+    return Problem(
+        rectangle_body(size=(1, LENGTH), cells=(2, 16)),
+        NH,
+        degree=2,
+        supports=[Support(on="bottom")],
+        loads=[Pressure(on="top", value=load * E / (1 - 0.3**2) / 12 / LENGTH**2)],
+    )
+
+
 @pytest.mark.parametrize("method", ["direct", "lu", "iterative"])
 def test_a_follower_force_does_not_buckle_a_column(method):
     """M. Beck, Z. angew. Math. Phys. 3 (1952) 225: no other equilibrium under any force.
@@ -128,15 +139,7 @@ def test_a_follower_force_does_not_buckle_a_column(method):
     Its symmetric part alone has negative eigenvalues from Euler's load on: the force turns with
     the end.
     """
-    value = 1.5 * ONE_END * E / (1 - 0.3**2) / 12 / LENGTH**2
-    problem = Problem(
-        rectangle_body(size=(1, LENGTH), cells=(2, 16)),
-        NH,
-        degree=2,
-        supports=[Support(on="bottom")],
-        loads=[Pressure(on="top", value=value)],
-    )
-    with equilibrium(problem, method) as newton:
+    with equilibrium(under_a_follower(1.5 * ONE_END), method) as newton:
         assert judge(newton).stable is not False
 
 
@@ -147,15 +150,7 @@ def test_flutter_is_no_static_question(method: str, share: float, verdict: str):
 
     Shear and shortening lower this load in a column that is only ten times as long as thick.
     """
-    value = share * 20.05 * E / (1 - 0.3**2) / 12 / LENGTH**2
-    problem = Problem(
-        rectangle_body(size=(1, LENGTH), cells=(2, 16)),
-        NH,
-        degree=2,
-        supports=[Support(on="bottom")],
-        loads=[Pressure(on="top", value=value)],
-    )
-    with equilibrium(problem, method, 4) as newton:
+    with equilibrium(under_a_follower(share * 20.05), method, 4) as newton:
         found = judge(newton).stability
     assert found.verdict == verdict
     assert ("flutter" in found.reason) is (verdict == "not judged")

@@ -124,12 +124,17 @@ class _Krylov:
 
         Collective.
         """
-        F = np.array(self._F)
-        G = total(self._comm, F @ np.array(self._Y)[:, self._moves].T)
+        G = self._compliances()
         sizes = np.sqrt(np.abs(np.diag(G)))
         scale = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=sizes > 0.0)
         values, vectors = np.linalg.eigh(scale[:, None] * (G + G.T) / 2 * scale)
         return np.asarray((vectors[:, values < -ROUND_OFF] * scale[:, None]).T)
+
+    def _compliances(self) -> FloatArray:
+        """F^T A^-1 F. Collective."""
+        return np.asarray(
+            total(self._comm, np.array(self._F) @ np.array(self._Y)[:, self._moves].T)
+        )
 
     def verdict(self, X: FloatArray, *, at_least: bool) -> Inertia:
         """What D = M X says. Collective.
@@ -161,8 +166,7 @@ class _Krylov:
         Collective.
         """
         self.grow(SEARCH - self.count)
-        inverse = total(self._comm, np.array(self._F) @ np.array(self._Y)[:, self._moves].T)
-        compliances = np.linalg.eigvals(inverse)
+        compliances = np.linalg.eigvals(self._compliances())
         sizes = np.abs(compliances)
         soft = sizes > SOFTEST * sizes.max()
         if np.any(np.abs(compliances[soft].imag) > COMPLEX * sizes[soft]):

@@ -57,10 +57,15 @@ def factorise(pc: PETSc.PC, matrix: PETSc.Mat, *, symmetric: bool) -> bool:
     return largest(matrix.comm.tompi4py(), float(not good)) == 0.0
 
 
-def symmetric_part(A: PETSc.Mat) -> PETSc.Mat:
-    """(A + A^T)/2, owned by the caller. Collective."""
-    S = A.transpose(PETSc.Mat())
-    S.axpy(1.0, A, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+def symmetric_part(A: PETSc.Mat, before: PETSc.Mat | None = None) -> PETSc.Mat:
+    """(A + A^T)/2, owned by the caller. Collective.
+
+    Args:
+        before: That of a matrix with the same entries, which is overwritten and returned.
+    """
+    how = PETSc.Mat.Structure
+    S = A.transpose(PETSc.Mat() if before is None else before)
+    S.axpy(1.0, A, how.DIFFERENT_NONZERO_PATTERN if before is None else how.SAME_NONZERO_PATTERN)
     S.scale(0.5)
     S.setOption(PETSc.Mat.Option.SYMMETRIC, True)
     return S
@@ -95,22 +100,14 @@ class SymmetricPart:
         if self._left:
             self._left -= 1
         else:
-            S = self._symmetric_part(A)
-            if factorise(self.factors, S, symmetric=True):
-                self._ksp.setOperators(A, S)
+            if self._tangent.blocks is not None:
+                self._free()  # blocks may be of other pairs of nodes now
+            # In the same matrix, so that MUMPS need not analyse it again.
+            self._S = symmetric_part(A, self._S)
+            if factorise(self.factors, self._S, symmetric=True):
+                self._ksp.setOperators(A, self._S)
                 return
         self._factorise(pc, A)
-
-    def _symmetric_part(self, A: PETSc.Mat) -> PETSc.Mat:
-        """S, in the same matrix where it has the same entries: MUMPS need not analyse it again."""
-        if self._S is None or self._tangent.blocks is not None:
-            self._free()
-            self._S = symmetric_part(A)
-            return self._S
-        A.transpose(self._S)
-        self._S.axpy(1.0, A, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self._S.scale(0.5)
-        return self._S
 
     def _factorise(self, pc: PETSc.PC, A: PETSc.Mat) -> None:
         self._free()
