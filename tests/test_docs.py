@@ -23,6 +23,8 @@ sys.path.append(str(ROOT / "docs/_ext"))
 import messages
 import said
 
+MAIN = '<div class="main">'
+"""Where the sidebar of a page ends."""
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="runs one process")
 
 
@@ -42,6 +44,13 @@ def test_site(tmp_path: Path) -> None:
         assert not re.findall(r'<(?:script|link|img)[^>]*(?:src|href)="https?:', text), page
     keys = (tmp_path / "reference/case.html").read_text(encoding="utf-8")
     assert "Mass per reference volume" in keys
+    assert not re.findall(r">(?:None: |`?[A-Z][a-z]+[A-Z]\w+(?:Settings|Table|Selector))", keys)
+    sidebar = (tmp_path / "index.html").read_text(encoding="utf-8").partition("sidebar-tree")[2]
+    links = re.findall(
+        r'<a class="reference internal" href="([\w/.-]+)">', sidebar.partition(MAIN)[0]
+    )
+    assert len(links) > 50
+    assert [one for one, times in Counter(links).items() if times > 1] == []
     page = (tmp_path / "reference/messages/free-body.html").read_text(encoding="utf-8")
     assert "the supports leave the body free" in page
     assert "What to do" in page

@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[2]
 Schema = Mapping[str, Any]
 
 TABLES: dict[str, str] = {}
-"""Name of a record to the table of a case file that it reads, filled by `keys`."""
+"""Name of a definition of the schema to its table of a case file, in their order; see `tables`."""
 
 
 def write(folder: Path) -> None:
@@ -55,25 +55,46 @@ def write(folder: Path) -> None:
 
 
 def keys(schema: Schema) -> str:
-    """Every table with its keys."""
-    tables = {"The whole file": schema}
+    """Every table with its keys, in the order of a case file."""
     names = schema["definitions"]
-    TABLES["FormulaEnergy"] = "[materials.NAME] with an energy"
-    TABLES["SplitFormulaEnergy"] = "[materials.NAME] with an energy and volumetric"
+    TABLES.clear()
     for key, one in schema["properties"].items():
-        for name in referred(one):
-            TABLES.setdefault(name, f"[[{key}]]" if one.get("type") == "array" else f"[{key}]")
-    for outer in [name for name in names if name in TABLES]:
-        for key, one in names[outer].get("properties", {}).items():
-            for name in referred(one):
-                TABLES.setdefault(name, f"{TABLES[outer]} {key}")
-    plain = sorted(name for name in names if "-" not in name and "properties" in names[name])
-    tables |= {f"{name}": names[name] for name in plain}
-    tables |= {name: names[name] for name in sorted(names) if "-" in name and "law-" not in name}
-    tables |= {name: names[name] for name in sorted(names) if name.startswith("law-")}
-    return "\n\n".join(
-        f"({anchor(name)})=\n## {title(name)}\n\n{table(one)}" for name, one in tables.items()
-    )
+        enter(one, f"[[{key}]]" if one.get("type") == "array" else f"[{key}]", names)
+    parts = [f"(keys-the-whole-file)=\n## The whole file\n\n{table(schema)}"]
+    for name, title in TABLES.items():
+        level = "###" if "] " in title.partition("` with")[0] else "##"
+        parts.append(f"({anchor(name)})=\n{level} {title}\n\n{table(names[name])}")
+    return "\n\n".join(parts)
+
+
+def enter(schema: Schema, where: str, names: Schema) -> None:
+    """Enters the tables that a value may be into `TABLES`, each before those within it.
+
+    Args:
+        schema: Of the value.
+        where: What its key is called in a case file.
+        names: Definitions of the schema.
+    """
+    for name in referred(schema):
+        if name not in TABLES and "properties" in names[name]:
+            TABLES[name] = heading(name, where)
+            for key, one in names[name]["properties"].items():
+                enter(one, f"{where} {key}", names)
+
+
+def heading(name: str, where: str) -> str:
+    """The heading of a table."""
+    kind, _, word = name.partition("-")
+    special = {
+        "FormulaEnergy": "`energy`",
+        "SplitFormulaEnergy": "`energy` and `volumetric`",
+        "MaterialByName": "`material`",
+    }
+    if kind == "law":
+        return f'`[materials.NAME]` with `law = "{word}"`'
+    if name in special:
+        return f"`[materials.NAME]` with {special[name]}"
+    return f'`{where}` with `kind = "{word}"`' if word else f"`{where}`"
 
 
 def referred(schema: Schema) -> list[str]:
@@ -86,15 +107,6 @@ def anchor(name: str) -> str:
     return "keys-" + re.sub(r"\W+", "-", name.lower())
 
 
-def title(name: str) -> str:
-    """The heading of a table."""
-    kind, _, word = name.partition("-")
-    if kind == "law":
-        return f"Law `{word}`"
-    key = f"`{TABLES[name]}`" if name in TABLES else kind
-    return f"{key} of kind `{word}`" if word else key
-
-
 def table(schema: Schema) -> str:
     """One table's keys in Markdown."""
     needed = schema.get("required", [])
@@ -103,7 +115,7 @@ def table(schema: Schema) -> str:
         default = "needed" if key in needed else ""
         if "default" in one and one["default"] not in ("", None):
             default = f"`{json.dumps(one['default'])}`"
-        text = str(one.get("description", "")).replace("|", "\\|")
+        text = str(one.get("description", "")).replace("|", "\\|").replace("None:", "by default")
         rows.append(f"| `{key}` | {kind(one)} | {default} | {escaped(text)} |")
     head = escaped(schema.get("description", ""))
     return "\n".join([head, "", "| key | value | default | what |", "|---|---|---|---|", *rows])
@@ -113,8 +125,8 @@ def kind(schema: Schema) -> str:
     """What a value is, in words."""
     if "$ref" in schema:
         name = schema["$ref"].rpartition("/")[2]
-        word = name.partition("-")[2]
-        return "curve" if name == "Curve" else f"[{word or escaped(name)}](#{anchor(name)})"
+        word = name.partition("-")[2] or TABLES.get(name, "").rpartition(" with ")[2]
+        return "curve" if name == "Curve" else f"[{word}](#{anchor(name)})"
     if "const" in schema:
         return f"`{json.dumps(schema['const'])}`"
     if "enum" in schema:

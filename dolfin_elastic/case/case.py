@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 class Case(AnalysisTables):
-    """Everything a run needs to know: the tables of a case file, and where they came from.
+    """The tables of a case file.
 
     The keys are the attributes of `ModelTables` and `AnalysisTables`.
     """

@@ -48,8 +48,7 @@ class ModelTables(Record):
         regions: The same for cells.
         edges: The same for edges of solids.
         points: The same for nodes.
-        library: A TOML file of materials of the user's own, relative to the case file; see
-            `with_library`.
+        library: A TOML file of materials of the user's own, relative to the case file.
         materials: Name to law and place; together they fill the body exactly once.
         support: What holds surfaces; where displacements are prescribed twice the later one holds.
         load: External forces.

@@ -111,12 +111,12 @@ class MeshTable(Record):
         refine: How often every edge is halved, or places where the elements are smaller.
         time_limit: Time that Gmsh may take for a file.
         join: Whether bodies of a STEP, IGES or BREP file that touch are joined; True by default.
-        curved: Whether a CAD file's cells are quadratic and follow curved surfaces; None: as
-            `AnalysisTables.curved` says.  Of a finished mesh, false: quadratic cells are straight.
+        curved: Whether a CAD file's elements follow curved surfaces; by default where the
+            displacement is quadratic.  Of a finished mesh, false: its elements are straight.
         unit: Unit of length of the mesh and of bare numbers about it; by default that of a STEP or
             IGES file, else "m".
-        degree: Degree of the displacement in the elements, 1 or 2; None: as
-            `AnalysisTables.degree` says.
+        degree: Degree of the displacement in the elements, 1 or 2; by default 2, in explicit motion
+            1.
         formulation: "displacement", "mixed" (with a pressure, for nearly incompressible materials)
             or "auto".
         geometry: What a two-dimensional body is: "plane-strain", "plane-stress" or "axisymmetric".

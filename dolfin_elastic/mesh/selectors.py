@@ -141,8 +141,8 @@ class Selector(Place):
 
     Attributes:
         faces: Numbers of faces of a CAD file (of curves, if the body is plane).
-        kind: What these faces are: see `CadFace.kind` and `CadFace.form`; faces between joined
-            bodies are picked by number only.
+        kind: What these faces are, as `look` lists them; faces between joined bodies are picked
+            by number only.
         cone: Conical ones.
         torus: Toroidal ones.
         normal: Facets whose outward normal is within `angle` degrees of this direction.

@@ -112,7 +112,7 @@ class Support(PrescribingSupport):
         displacement: One entry a component [m]: a number, a text with a unit ("2 mm"), a formula
             in the reference coordinates x, y, z [m] and in t, or "free".  None: all components
             are 0.
-        curve: Its amplitude over time, see `PrescribingSupport`.
+        curve: Amplitude over time; without it constants grow with the load in statics.
     """
 
     kind: Literal["displacement"] = "displacement"
@@ -221,7 +221,7 @@ class Normal(PrescribingSupport):
 
     Attributes:
         displacement: Along the outward normal [m]: a number, a text with a unit, or a formula.
-        curve: Its amplitude over time, see `PrescribingSupport`.
+        curve: Amplitude over time; without it constants grow with the load in statics.
     """
 
     kind: Literal["normal", "roller"] = "normal"
@@ -305,7 +305,7 @@ class Rotation(PrescribingSupport):
         axis: x, y, z or a direction; in a plane body z.
         angle: "90 deg", a number in rad, or a formula in t; right-handed about the axis.
         displacement: Translation d [m]: numbers, texts with units, or formulas in t.
-        curve: Amplitude of angle and translation over time, see `PrescribingSupport`.
+        curve: Amplitude of angle and translation over time; without it as in `displacement`.
     """
 
     kind: Literal["rotation"] = "rotation"

@@ -113,7 +113,7 @@ class DynamicsSettings(Record):
         atol: Free residual that always is small enough [N].
         max_iterations: Newton iterations after which a step is made smaller.
         safety: Share of the stable step that the explicit scheme takes; at most 0.6 of it where
-            there are obstacles, see `stable_step.RESONANCE`.
+            there are obstacles.
         every: Steps from one yielded state to the next, if not given 1, of explicit schemes about
             200 states in all; or, with a unit, the time between states, which is met exactly
             (implicit schemes).

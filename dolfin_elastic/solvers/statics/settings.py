@@ -31,7 +31,7 @@ class StaticsSettings(Record):
             continuation leads to another; "arc-length": the path of equilibria is followed
             through limit points, where the load falls.
         steps: Equal load steps; by default the size of steps is chosen as they go, where the whole
-            load in one step is not beyond doubt (see `whole_load`).
+            load in one step is not beyond doubt.
         first_step: Share of the load in the first step; by default a quarter, and all of it in a
             linear problem.
         max_step: Share of the load that no step exceeds.
