@@ -9,17 +9,17 @@ from __future__ import annotations
 import json
 import os
 import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import UnionType
 from typing import (
     TYPE_CHECKING,
     Annotated,
     Any,
     ClassVar,
+    Literal,
     Self,
     TypeVar,
-    Union,
     cast,
     get_args,
     get_origin,
@@ -40,7 +40,8 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, core_schema
 
 from dolfin_elastic.core.errors import MOST_ERRORS, InputError, joined, nearest
-from dolfin_elastic.core.units import Quantity
+from dolfin_elastic.core.help.records import help_text, signature
+from dolfin_elastic.core.units import Quantity, members_of
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
@@ -52,17 +53,23 @@ else:
 os.environ.setdefault("PYDANTIC_SKIP_VALIDATING_CORE_SCHEMAS", "1")
 
 
-class _InputErrorMeta(ModelMetaclass):
-    """Raises `InputError` in place of pydantic's error, at the outermost constructor only."""
+class _RecordType(ModelMetaclass):
+    # Raises `InputError` in place of pydantic's error, at the outermost constructor only; and has
+    # the help of records.  It has no docstring, whose name is that of a property.
 
-    def __call__(cls, *args: Any, **kwargs: Any) -> Any:  # noqa: N805  of a metaclass
-        try:
-            return super().__call__(*args, **kwargs)
-        except ValidationError as error:
-            raise input_error(cast(type[BaseModel], cls), error, kwargs) from None
+    if not TYPE_CHECKING:  # editors then see the fields as keywords
+
+        def __call__(self, *args: Any, **kwargs: Any) -> Any:
+            try:
+                return super().__call__(*args, **kwargs)
+            except ValidationError as error:
+                raise input_error(cast(type[BaseModel], self), error, kwargs) from None
+
+        __signature__ = property(signature, lambda self, unreadable: None)  # pydantic sets its own
+        __doc__ = property(help_text)
 
 
-class Record(BaseModel, metaclass=_InputErrorMeta):
+class Record(BaseModel, metaclass=_RecordType):
     """A frozen set of named values.
 
     Raises:
@@ -112,6 +119,7 @@ class Record(BaseModel, metaclass=_InputErrorMeta):
             )
             raise InputError(f"unknown key '{name}'", expected=expected)
         field = fields[str(name)]
+        _refuse_other_kind(cls.__name__, field.annotation, str(name), value)
         if not _validates_itself(field.metadata):
             _refuse_boolean([field.annotation], str(name), value)
         _refuse_non_boolean(field.annotation, str(name), value)
@@ -173,6 +181,20 @@ WhenGiven = Annotated[T, _Apart()]
 
 Its schema is made when one is given, not together with that of the outer record.
 """
+
+
+def _refuse_other_kind(record: str, kind: object, where: str, value: object) -> None:
+    """Names the class for the kind of a support or load, or the law, that another class is of."""
+    if where not in ("kind", "law") or get_origin(kind) is not Literal or value in get_args(kind):
+        return
+    classes = {one.casefold(): one for one in sys.modules["dolfin_elastic"].__all__}
+    name = classes.get(str(value).replace("-", ""))
+    if name is not None:
+        raise InputError(
+            f"{record} is of another {where} than {quoted(value)}",
+            where=where,
+            expected=f"write {name}(...) in Python",
+        )
 
 
 def _refuse_boolean(kinds: Sequence[object], where: str, value: object) -> None:
@@ -367,16 +389,6 @@ def _part_types(kind: object, part: str | int) -> list[object]:
     if isinstance(origin, type) and issubclass(origin, list | tuple) and isinstance(part, int):
         return members_of(inside[0])
     return []
-
-
-def members_of(kind: object) -> list[object]:
-    """The members of a union without what annotates them, or the type itself."""
-    origin = get_origin(kind)
-    if origin is Annotated:
-        return members_of(get_args(kind)[0])
-    if origin is Union or origin is UnionType:
-        return [member for one in get_args(kind) for member in members_of(one)]
-    return [kind]
 
 
 def known_keys(model: type[BaseModel]) -> list[str]:

@@ -13,7 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from types import UnionType
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BeforeValidator, GetCoreSchemaHandler
 from pydantic_core import core_schema
@@ -391,6 +392,16 @@ def _as_written(value: object) -> object:
 
 as_written = core_schema.plain_serializer_function_ser_schema(_as_written)
 """For pydantic: writes a `SpatialValue` as it was read."""
+
+
+def members_of(kind: object) -> list[object]:
+    """The members of a union without what annotates them, or the type itself."""
+    origin = get_origin(kind)
+    if origin is Annotated:
+        return members_of(get_args(kind)[0])
+    if origin is Union or origin is UnionType:
+        return [member for one in get_args(kind) for member in members_of(one)]
+    return [kind]
 
 
 def quantity(unit: str) -> Any:

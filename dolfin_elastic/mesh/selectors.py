@@ -148,6 +148,9 @@ class Selector(Place):
         normal: Facets whose outward normal is within `angle` degrees of this direction.
         angle: Degrees, 20 by default.
         all: The whole boundary, or all cells.
+
+    Example:
+        Selector(plane="z", at="min")
     """
 
     normal: Annotated[Direction, AfterValidator(nonzero)] | None = None
@@ -203,6 +206,9 @@ class EdgeSelector(Place):
         all: All sharp edges.
         angle: Degrees between the normals on both sides from which an edge is sharp, 30 by default;
             if it is given, edges that are not sharp are left out.
+
+    Example:
+        EdgeSelector(between=["left", "top"])
     """
 
     between: Annotated[list[str], Field(min_length=2)] | None = None
@@ -230,6 +236,9 @@ class PointSelector(Place):
         nearest: The one vertex nearest to this place, at most `tolerance` away; by default the mean
             length of a cell.
         between: Vertices that belong to each of these surfaces, edges or points.
+
+    Example:
+        PointSelector(nearest=["2 mm", 0, 0])
     """
 
     nearest: Point | None = None

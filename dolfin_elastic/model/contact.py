@@ -14,7 +14,6 @@ from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
-from dolfin_elastic.core.schema import members_of
 from dolfin_elastic.core.shapes.shapes import (
     CylinderObstacle,
     Plane,
@@ -23,7 +22,7 @@ from dolfin_elastic.core.shapes.shapes import (
     check_components,
 )
 from dolfin_elastic.core.si_text import given
-from dolfin_elastic.core.units import ForceDensity, Length
+from dolfin_elastic.core.units import ForceDensity, Length, members_of
 from dolfin_elastic.model.amplitude import Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.values import OnSurfaces, amplitude_of, components
@@ -43,6 +42,9 @@ class Contact(OnSurfaces):
         curve: Amplitude of the motion over time, as that of a support.
         gap_tolerance: Penetration that statics leaves [m]; 1e-3 of the cells' size there.
         stiffness: Pressure per depth [Pa/m]; about 10 (K + 4 mu/3)/h of the cells there.
+
+    Example:
+        Contact(on="bottom", plane={"point": [0, 0, 0], "normal": [0, 0, 1]})
     """
 
     plane: Plane | None = None

@@ -34,6 +34,9 @@ class Periodic(Record):
             default.
         curve: Amplitude of F - I and of the stress over time.  Without one, numbers grow with the
             load steps, and formulas in t are taken as they are.
+
+    Example:
+        Periodic(pairs=[["left", "right"], ["bottom", "top"]], gradient=[[1.1, 0], [0, 1]])
     """
 
     pairs: list[Pair]

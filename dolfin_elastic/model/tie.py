@@ -27,6 +27,9 @@ class Tie(OnSurfaces):
         to: Name of the surface that they follow, or several.
         tolerance: Largest distance between the two that is tied [m]; a tenth of the facets' size
             there by default.  The gap that there is at first is kept.
+
+    Example:
+        Tie(on="top of the foot", to="bottom of the bar")
     """
 
     to: str | list[str]

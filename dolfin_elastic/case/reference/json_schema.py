@@ -19,14 +19,15 @@ from pydantic_core import PydanticUndefined
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.tables import Material
-from dolfin_elastic.core.schema import Record, field_keys, members_of
-from dolfin_elastic.core.units import Quantity
+from dolfin_elastic.core.help.records import descriptions
+from dolfin_elastic.core.schema import Record, field_keys
+from dolfin_elastic.core.units import Quantity, members_of
 from dolfin_elastic.mesh.selectors import Place
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.loads import LOADS, Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.laws.linear_elastic import LinearElastic
-from dolfin_elastic.model.materials.pages import descriptions, summary
+from dolfin_elastic.model.materials.pages import summary
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.user import FormulaEnergy, SplitFormulaEnergy
 from dolfin_elastic.model.supports.displacement import Restraint

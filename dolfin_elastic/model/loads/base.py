@@ -141,6 +141,7 @@ class Load(Record):
         curve: Amplitude over time.  Without one, loads grow with the load steps in statics and
             act in full from the start in motion, and formulas in t are taken as they are,
             component by component.
+        on: Its surface or region, or a list of them; without one the whole body.
     """
 
     kind: str = ""

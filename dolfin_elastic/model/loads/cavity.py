@@ -44,6 +44,9 @@ class Cavity(Load):
         origin: A point in all planes of symmetry [m]; zero by default.
         curve: Amplitude over time of the pressure, or of the change of volume.
         name: Its name in results; the surfaces' names by default.
+
+    Example:
+        Cavity(on="inside", added="2 ml")
     """
 
     kind: Literal["cavity"] = "cavity"

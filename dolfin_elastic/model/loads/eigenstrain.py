@@ -47,6 +47,9 @@ class Thermal(ScalarLoad, Eigenstrain):
 
     Attributes:
         value: A number, a text with a unit, or a formula in x, y, z [m] (undeformed) and t.
+
+    Example:
+        Thermal(value=60)
     """
 
     kind: Literal["thermal"] = "thermal"
@@ -69,6 +72,9 @@ class Growth(Eigenstrain):
         value: Stretches along x, y and z, or a 3x3 list G; numbers or formulas in x, y, z [m] and
             t.  In a plane the third is across it, in a body of revolution around the axis; it may
             be left out, and is 1 then.
+
+    Example:
+        Growth(value=[1.1, 1, 1])
     """
 
     kind: Literal["growth"] = "growth"

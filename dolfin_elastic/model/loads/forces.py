@@ -32,6 +32,9 @@ class Traction(Load):
 
     The virtual work is the integral of t . v over the reference surface, so the total force is
     t times the reference area however the body deforms.
+
+    Example:
+        Traction(on="right", value=[0, 0, "-2 kPa"])
     """
 
     kind: Literal["traction"] = "traction"
@@ -58,6 +61,9 @@ class Force(Load):
     Surfaces have the total over their undeformed area everywhere, edges over their length, and
     nodes an equal part each.  In a plane it is the force on the whole thickness, in a body of
     revolution on the whole ring.
+
+    Example:
+        Force(on="right", value=[0, 0, "-2 kN"])
     """
 
     kind: Literal["force"] = "force"
@@ -102,7 +108,11 @@ class _PointsForce(PointForce):
 
 
 class BodyForce(Load):
-    """Force per reference volume [N/m^3], on regions or on the whole body."""
+    """Force per reference volume [N/m^3], on regions or on the whole body.
+
+    Example:
+        BodyForce(value=[0, 0, "-2 kN/m^3"])
+    """
 
     kind: Literal["body-force"] = "body-force"
     on: str | list[str] | None = None
@@ -122,6 +132,9 @@ class Gravity(Load):
     """Weight: density times an acceleration [m/s^2], on regions or on the whole body.
 
     Without a value it is 9.81 m/s^2 downwards, against the last axis (z, or y in a plane).
+
+    Example:
+        Gravity(value=[0, 0, -9.81])
     """
 
     kind: Literal["gravity"] = "gravity"
@@ -182,6 +195,9 @@ class Centrifugal(Load):
         point: A point on the axis [m]; the origin by default.
 
     Source: Goldstein, Poole & Safko, Classical Mechanics (2002), (4.91).
+
+    Example:
+        Centrifugal(value="3000 rpm", axis="z")
     """
 
     kind: Literal["centrifugal"] = "centrifugal"

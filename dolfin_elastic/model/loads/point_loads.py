@@ -100,6 +100,9 @@ class PointForce(ConcentratedLoad):
     Attributes:
         at: The undeformed place [m]; the force goes with its material point.
         on: Named points, each of whose nodes bears the force.
+
+    Example:
+        PointForce(at=[1, 0, 0], value=[0, 0, "-2 kN"])
     """
 
     kind: Literal["point-force", "force"] = "point-force"
@@ -123,6 +126,9 @@ class LineForce(ConcentratedLoad):
         start: Where the line begins [m].
         end: Where it ends [m].
         on: Named edges in place of both.
+
+    Example:
+        LineForce(start=[1, 0, 0], end=[1, 1, 0], value=[0, 0, "-2 kN/m"])
     """
 
     kind: Literal["line-force", "force"] = "line-force"

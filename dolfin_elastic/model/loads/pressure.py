@@ -33,6 +33,9 @@ class Pressure(ScalarLoad):
 
     Source: Bonet & Wood (2008), (4.68) and section 8.5.2; Schweizerhof & Ramm, Computers &
     Structures 18 (1984).
+
+    Example:
+        Pressure(on="right", value="0.2 MPa")
     """
 
     kind: Literal["pressure"] = "pressure"

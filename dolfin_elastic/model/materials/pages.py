@@ -7,14 +7,13 @@ writes them; by default into docs/laws.
 
 from __future__ import annotations
 
-import inspect
 import json
-import re
 import sys
 from pathlib import Path
 
 from pydantic_core import PydanticUndefined
 
+from dolfin_elastic.core.help.records import descriptions, without_keys
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.model.materials.law import Law, SplitLaw
 from dolfin_elastic.model.materials.moduli import Isotropic
@@ -26,26 +25,13 @@ quadratic elements on a busy machine of two cores (`hencky` the longest, then `o
 terms), and as long again for each further material.  Later runs find them in the cache; changing a
 constant compiles nothing.  An `ogden` with another number of terms does, and so does the first body
 of at least 10 000 cells a rank: for those, eight cells are computed at once."""
-_SECTION = re.compile(r"^Attributes:\n((?:    .*\n?|\n)+)", re.MULTILINE)
-_KEY = re.compile(r"^    (\w+): (.*(?:\n     .*)*)", re.MULTILINE)
 KEYS = {"lmbda": "lambda"}
 """Field to the key that case files prefer."""
 
 
-def descriptions(kind: type[Record]) -> dict[str, str]:
-    """Field to its description in the docstring of a record's class or of a base."""
-    result: dict[str, str] = {}
-    for base in kind.__mro__:
-        section = _SECTION.search(inspect.cleandoc(base.__doc__ or ""))
-        for name, text in _KEY.findall(section[1] if section else ""):
-            result.setdefault(name, " ".join(text.split()))
-    return result
-
-
 def page(kind: type[Law]) -> str:
     """A law's page in Markdown."""
-    text = _SECTION.sub("", inspect.cleandoc(kind.__doc__ or "")).rstrip()
-    title, _, body = text.partition("\n")
+    title, _, body = without_keys(kind).partition("\n")
     parts = [f"# {kind.name()}", title, body.strip(), "## Keys", _keys(kind), _properties(kind)]
     return "\n\n".join(part for part in [*parts, "## Example", _example(kind)] if part) + "\n"
 
@@ -113,7 +99,7 @@ def overview() -> str:
 
 def summary(kind: type[Record]) -> str:
     """The first line of a record's docstring."""
-    return inspect.cleandoc(kind.__doc__ or "").partition("\n")[0]
+    return without_keys(kind).partition("\n")[0]
 
 
 def pages() -> dict[str, str]:

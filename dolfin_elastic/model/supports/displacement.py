@@ -113,6 +113,9 @@ class Support(PrescribingSupport):
             in the reference coordinates x, y, z [m] and in t, or "free".  None: all components
             are 0.
         curve: Amplitude over time; without it constants grow with the load in statics.
+
+    Example:
+        Support(on="left", displacement=["2 mm", 0, "free"])
     """
 
     kind: Literal["displacement"] = "displacement"
@@ -185,7 +188,11 @@ class Support(PrescribingSupport):
 
 
 class Fixed(PrescribingSupport):
-    """Nothing moves: all components of the displacement are 0."""
+    """Nothing moves: all components of the displacement are 0.
+
+    Example:
+        Fixed(on="left")
+    """
 
     kind: Literal["fixed"] = "fixed"
     key_hints: ClassVar[Mapping[str, str]] = {
@@ -222,6 +229,9 @@ class Normal(PrescribingSupport):
     Attributes:
         displacement: Along the outward normal [m]: a number, a text with a unit, or a formula.
         curve: Amplitude over time; without it constants grow with the load in statics.
+
+    Example:
+        Normal(on="left")
     """
 
     kind: Literal["normal", "roller"] = "normal"
@@ -274,7 +284,11 @@ def _read_at(key: str, written: object, unit: str) -> Component:
 
 
 class Symmetry(PrescribingSupport):
-    """A plane of symmetry: no displacement along its normal.  Its surfaces must be flat."""
+    """A plane of symmetry: no displacement along its normal.  Its surfaces must be flat.
+
+    Example:
+        Symmetry(on="left")
+    """
 
     kind: Literal["symmetry"] = "symmetry"
 
@@ -306,6 +320,9 @@ class Rotation(PrescribingSupport):
         angle: "90 deg", a number in rad, or a formula in t; right-handed about the axis.
         displacement: Translation d [m]: numbers, texts with units, or formulas in t.
         curve: Amplitude of angle and translation over time; without it as in `displacement`.
+
+    Example:
+        Rotation(on="left", point=[0, 0, 0], axis="x", angle="90 deg")
     """
 
     kind: Literal["rotation"] = "rotation"

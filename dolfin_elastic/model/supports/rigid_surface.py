@@ -45,6 +45,9 @@ class Rigid(Restraint):
         force: One entry a component [N]; where the displacement is free.
         moment: One entry a component of theta [N m]; where the rotation is free.
         curve: Amplitude over time of all that is prescribed and given.
+
+    Example:
+        Rigid(on="right", moment=[0, "100 N*m", 0])
     """
 
     kind: Literal["rigid"] = "rigid"

@@ -287,6 +287,9 @@ class Spring(ResistingSupport):
         stiffness: Stiffness along each axis instead of along and across the normal.
         displacement: Of the base that the springs stand on, components [m] or formulas.
         curve: Amplitude of it, as of prescribed displacements.
+
+    Example:
+        Spring(on="left", normal="2 kN/mm", total=True)
     """
 
     kind: Literal["spring"] = "spring"
@@ -346,6 +349,9 @@ class Dashpot(ResistingSupport):
     Attributes:
         viscosity: Coefficients along each axis [N s/m^3] instead of along and across the normal; on
             an edge [N s/m^2], on a point [N s/m].
+
+    Example:
+        Dashpot(on="left", normal="40 N*s/m", tangential=0, total=True)
     """
 
     kind: Literal["dashpot"] = "dashpot"
