@@ -42,6 +42,7 @@ _WORDS = {
     "centrifugal": "spin rpm rotationalvelocity angularvelocity omega",
     "point-force": "pointload nodalforce concentratedforce",
     "line-force": "lineload edgeload",
+    "bearing": "bearingload bearingforce boltload pinload lugload",
     "thermal": "temperature heat heating thermalload",
     "growth": "swelling eigenstrain prestrain initialstrain",
     # tables and keys

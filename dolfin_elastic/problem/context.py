@@ -8,7 +8,7 @@ carries more than one quadrature degree.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import ufl
@@ -23,9 +23,11 @@ from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.mesh.geometry.curved import quadrature_rule
+from dolfin_elastic.mesh.geometry.curved import facet_quadrature, quadrature_rule
+from dolfin_elastic.mesh.geometry.simplices import prepare_facets
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.kinematics import Geometry, WeightedMeasure, full_gradient
+from dolfin_elastic.model.loads import LoadPoints
 from dolfin_elastic.model.values import Component, Parts, depends_on_time
 from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.problem.material_regions import MaterialRegion
@@ -131,6 +133,22 @@ class Measures:
         rule = {"quadrature_degree": degree}
         return WeightedMeasure(self._weight, self._ds(self._surfaces[tuple(names)], metadata=rule))
 
+    def load_points(self, names: Sequence[str], degree: int) -> LoadPoints:
+        """The points of `surfaces` of this rank in numbers, with their weights. Collective."""
+        body, weight = self._body, self._weight
+        prepare_facets(body.mesh)
+        facets = np.unique(np.concatenate([body.owned_facets(name) for name in names]))
+        rule = facet_quadrature(body.mesh, facets, degree, raised=False)
+        depth = float(weight.value) if isinstance(weight, Constant) else 1.0
+        return LoadPoints(
+            rule.X,
+            0.0,
+            rule.N,
+            axisymmetric=not (weight is None or isinstance(weight, Constant)),
+            weights=depth * rule.weights,
+            total=partial(total, body.comm),
+        )
+
     def lower(self, names: Sequence[str], degree: int) -> SummedMeasure:
         """Length of edges, or the number of points, of a spring or dashpot."""
         return self._lower[tuple(names)].measure(self._dx, degree)
@@ -213,7 +231,9 @@ class FormContext:
         self._amplitudes: list[tuple[Constant, Amplitude | None]] = []
         self.formulas: FormulaValues | None = None
 
-    def constant(self, value: float | Sequence[float] | Sequence[Sequence[float]]) -> Constant:
+    def constant(
+        self, value: float | Sequence[float] | Sequence[Sequence[float]] | FloatArray
+    ) -> Constant:
         """A UFL constant: a new value of it needs no new compilation."""
         return Constant(self.body.mesh, np.asarray(value, dtype=np.float64))
 
@@ -251,6 +271,10 @@ class FormContext:
         for name in surfaces:
             self.body.surface(name)
         return self.measures.surfaces(surfaces, 2 * self.order)
+
+    def surface(self, surfaces: Sequence[str]) -> tuple[LoadPoints, WeightedMeasure]:
+        """Quadrature points of the reference area of surfaces, and its measure. Collective."""
+        return self.measures.load_points(surfaces, 2 * self.order), self.areas(surfaces)
 
     def area(self, surfaces: Sequence[str]) -> Constant:
         """Size of the reference area of surfaces [m^2]. Collective."""

@@ -94,6 +94,7 @@ SHARED = {
     "mesh/test_edges_and_points.py",
     "mesh/test_read.py",
     "mesh/test_refine.py",
+    "model/loads/test_bearing.py",
     "model/loads/test_loads.py",
     "model/loads/test_pressure.py",
     "model/supports/test_supports.py",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -195,7 +196,9 @@ def _resultant(
     weights = integrals.full_weights(points)
     axisymmetric = integrals.problem.geometry == "axisymmetric"
     size = float(total(integrals.body.comm, float(weights.sum())))
-    intensity = load.intensity(LoadPoints(points.X, t, points.N, density, size, axisymmetric))
+    share = partial(total, integrals.body.comm)
+    places = LoadPoints(points.X, t, points.N, density, size, axisymmetric, weights, share)
+    intensity = load.intensity(places)
     if intensity is None:
         return None
     forces = weights[..., None] * intensity

@@ -223,18 +223,21 @@ def cell_quadrature(mesh: Mesh, cells: IndexArray, degree: int) -> QuadraturePoi
     return QuadraturePoints(X, size, cells, local=local)
 
 
-def facet_quadrature(mesh: Mesh, facets: IndexArray, degree: int) -> QuadraturePoints:
+def facet_quadrature(
+    mesh: Mesh, facets: IndexArray, degree: int, *, raised: bool = True
+) -> QuadraturePoints:
     """Quadrature points over local facets, with normals outward of the cell beside.
 
     Local, after `prepare_facets`.
 
     Args:
         facets: Local facets, shape (n,).
-        degree: Degree of polynomials that straight facets integrate exactly; on curved ones, where
-            the integrand is no polynomial, the rule is 8 degrees higher.
+        degree: Degree of polynomials that straight facets integrate exactly.
+        raised: On curved facets, where the integrand is no polynomial, the rule is 8 degrees
+            higher; else it is that of a form's measure of this degree.
     """
     d, curved = mesh.topology.dim, mesh.geometry.cmap.degree
-    local, weights = quadrature_rule(d - 1, degree + (8 if curved > 1 else 0))
+    local, weights = quadrature_rule(d - 1, degree + (8 if raised and curved > 1 else 0))
     X, slopes = facet_points(mesh, facets, local)
     if d == 2:
         along = slopes[..., 0]

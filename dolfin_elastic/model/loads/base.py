@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Protocol
@@ -60,10 +60,13 @@ class LoadContext(Protocol):
     def area(self, surfaces: Sequence[str]) -> Expr:
         """Reference area of surfaces as a constant [m^2]. Collective."""
 
+    def surface(self, surfaces: Sequence[str]) -> tuple[LoadPoints, ufl.Measure]:
+        """Quadrature points of the reference area of surfaces, and its measure. Collective."""
+
     def densities(self, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
         """Density [kg/m^3] and measure of the reference volume, material by material."""
 
-    def constant(self, value: float | Sequence[float]) -> Expr:
+    def constant(self, value: float | Sequence[float] | FloatArray) -> Expr:
         """A number or vector whose value can change without a form being compiled again."""
 
     def unknown(self, label: str) -> Expr:
@@ -122,6 +125,8 @@ class LoadPoints:
         density: Mass density [kg/m^3], shape (...), for loads that need it.
         size: Area of all surfaces, or volume of all regions, of the load [m^2, m^3].
         axisymmetric: The body is axisymmetric about y.
+        weights: Quadrature weights times area or volume, shape (...); None: single places.
+        total: Sum of an array over all ranks, collective.
     """
 
     X: FloatArray
@@ -130,6 +135,8 @@ class LoadPoints:
     density: FloatArray | None = None
     size: float = 1.0
     axisymmetric: bool = False
+    weights: FloatArray | None = None
+    total: Callable[[FloatArray], FloatArray] = lambda own: own
 
 
 class Load(Record):

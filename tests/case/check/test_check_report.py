@@ -242,7 +242,7 @@ MESHES: dict[str, dict[str, Any]] = {
 
 @pytest.mark.sample(12)
 @pytest.mark.parametrize("geometry", MESHES)
-@pytest.mark.parametrize("name", sorted(LOADS))
+@pytest.mark.parametrize("name", sorted({*LOADS} - {"bearing"}))  # which needs a bore
 def test_same_as_the_forms(name, geometry):
     """What is summed up in numbers is what the virtual work gives."""
     if LOADS[name].intensity is Load.intensity:
