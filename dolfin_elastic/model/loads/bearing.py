@@ -42,6 +42,9 @@ class Bearing(Load):
         axis: x, y, z or a direction of any length; the axis of the surface by default: least
             squares of its normals.
 
+    Example:
+        Bearing(on="hole", value=["1 kN", 0, 0])
+
     Source: W. D. Pilkey, Peterson's Stress Concentration Factors (1997), section 5.8.
     """
 
