@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.loads import LineForce as LineForce
     from dolfin_elastic.model.loads import PointForce as PointForce
     from dolfin_elastic.model.loads import Pressure as Pressure
+    from dolfin_elastic.model.loads import RemoteForce as RemoteForce
     from dolfin_elastic.model.loads import Thermal as Thermal
     from dolfin_elastic.model.loads import Traction as Traction
     from dolfin_elastic.model.materials.laws.arruda_boyce import ArrudaBoyce as ArrudaBoyce
@@ -142,6 +143,7 @@ _PLACES = {
         "LineForce",
         "PointForce",
         "Pressure",
+        "RemoteForce",
         "Thermal",
         "Traction",
     ),

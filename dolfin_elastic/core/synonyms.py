@@ -31,7 +31,7 @@ _WORDS = {
     "symmetry": "mirror symmetric symmetryplane",
     "rotation": "turn rotate twist",
     "displacement": "prescribed imposed enforced move motion u disp deflection deformation",
-    "rigid": "rigidbody rbe2 coupling remote hinge",
+    "rigid": "rigidbody rbe2 coupling remote remotedisplacement hinge",
     "spring": "winkler foundation elasticsupport elasticfoundation bedding",
     "dashpot": "damper",
     # loads
@@ -42,6 +42,7 @@ _WORDS = {
     "centrifugal": "spin rpm rotationalvelocity angularvelocity omega",
     "point-force": "pointload nodalforce concentratedforce",
     "line-force": "lineload edgeload",
+    "remote-force": "rbe3 remote remoteload remotemoment momentload",
     "bearing": "bearingload bearingforce boltload pinload lugload",
     "thermal": "temperature heat heating thermalload",
     "growth": "swelling eigenstrain prestrain initialstrain",

@@ -128,7 +128,7 @@ class Problem:
         periodic: Periodic | None = None,
     ) -> None:
         self.body, self.degree, self.thickness = body, degree, thickness
-        self.supports, self.loads = tuple(supports), tuple(_on_parts(body, loads))
+        self.supports, self.loads = _all_supports(supports, loads), tuple(_on_parts(body, loads))
         self.geometry = checked_geometry(geometry, thickness, body)
         order = max(degree, int(body.mesh.geometry.cmap.degree))
         axisymmetric = self.geometry == "axisymmetric"
@@ -441,6 +441,10 @@ def configuration_of_moments(problem: Problem) -> str:
     if problem.geometry == "axisymmetric" or (any(linear) and not all(linear)):
         return "none"
     return "reference" if all(linear) else "current"
+
+
+def _all_supports(supports: Sequence[Restraint], loads: Sequence[Load]) -> tuple[Restraint, ...]:
+    return (*supports, *(plate for load in loads if (plate := load.support) is not None))
 
 
 def _on_parts(body: Body, loads: Sequence[Load]) -> Iterator[Load]:

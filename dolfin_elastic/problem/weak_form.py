@@ -236,7 +236,7 @@ class WeakForm:
         return [
             (load, self._work(index))
             for index, load in enumerate(self._loads)
-            if not (load.concentrated or load.is_eigenstrain)
+            if not (load.concentrated or load.is_eigenstrain or load.support)
         ]
 
     def _work(self, index: int) -> ufl.Form:

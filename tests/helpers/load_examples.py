@@ -10,6 +10,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "traction": {"on": "top", "value": [f"{SIZE}*x", SIZE, SIZE]},
     "force": {"on": ["top", "right"], "value": [SIZE, f"{SIZE}*x", SIZE]},
     "pressure": {"on": ["top", "right"], "value": f"{SIZE}*(1 + x)"},
+    "remote-force": {"on": ["top", "right"], "point": [2, 1, 3], "force": [SIZE, -SIZE, "1e4*t"]},
     "body-force": {"value": [SIZE, f"{SIZE}*x", 0]},
     "gravity": {},
     "centrifugal": {"value": 5, "point": [0.2, 0.1, 0]},

@@ -97,6 +97,7 @@ SHARED = {
     "model/loads/test_bearing.py",
     "model/loads/test_loads.py",
     "model/loads/test_pressure.py",
+    "model/loads/test_remote_force.py",
     "model/supports/test_supports.py",
     "problem/terms/test_at_points.py",
     "problem/terms/test_contact.py",

@@ -20,6 +20,7 @@ from dolfin_elastic.model.loads.point_loads import ConcentratedLoad as Concentra
 from dolfin_elastic.model.loads.point_loads import LineForce as LineForce
 from dolfin_elastic.model.loads.point_loads import PointForce as PointForce
 from dolfin_elastic.model.loads.pressure import Pressure as Pressure
+from dolfin_elastic.model.loads.remote import RemoteForce as RemoteForce
 
 LOADS: dict[str, type[Load]] = {
     str(kind.model_fields["kind"].default): kind
@@ -28,6 +29,7 @@ LOADS: dict[str, type[Load]] = {
         Force,
         Pressure,
         Bearing,
+        RemoteForce,
         Cavity,
         BodyForce,
         Gravity,

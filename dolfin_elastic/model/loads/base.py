@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import ufl
 from pydantic import model_validator
@@ -24,6 +24,9 @@ from dolfin_elastic.model.values import (
     components,
     depends_on_time,
 )
+
+if TYPE_CHECKING:
+    from dolfin_elastic.model.supports.displacement import Restraint
 
 
 class LoadContext(Protocol):
@@ -156,8 +159,8 @@ class Load(Record):
     curve: Curve | None = None
 
     key_hints: ClassVar[Mapping[str, str]] = {
-        "moment": "a support of kind 'rigid' on the surface takes a moment and a force, as in "
-        '[[support]] kind = "rigid", on = "tip", moment = [0, "100 N*m", 0]',
+        "moment": 'a moment on a surface is kind = "remote-force", as in '
+        '[[load]] kind = "remote-force", on = "tip", moment = [0, "100 N*m", 0]',
     }
     unit: ClassVar[str] = ""
     """SI unit of `value`."""
@@ -233,6 +236,11 @@ class Load(Record):
         """Where its integral is taken."""
         surfaces = "on" in type(self).model_fields and type(self).model_fields["on"].is_required()
         return Parts("surface" if surfaces else "region", self.parts)
+
+    @property
+    def support(self) -> Restraint | None:
+        """The support that applies it, if it is no virtual work but a force of a support."""
+        return None
 
     def describe(self, setting: Setting = ALONE) -> str:
         """What it does, without its place: as it was written, with units."""

@@ -247,6 +247,8 @@ def test_same_as_the_forms(name, geometry):
     """What is summed up in numbers is what the virtual work gives."""
     if LOADS[name].intensity is Load.intensity:
         pytest.skip("these loads have no resultant in the report")
+    if (name, geometry) == ("remote-force", "axisymmetric"):
+        pytest.skip("a body of revolution takes no force at a point")
     mesh, dim = dict(MESHES[geometry]), 3 if geometry == "space" else 2
     if dim == 2:
         mesh["geometry"] = geometry
@@ -255,7 +257,7 @@ def test_same_as_the_forms(name, geometry):
     if (name, geometry) == ("gravity", "axisymmetric"):
         vector[0] = 0
     table = {"kind": name, **keys}
-    if isinstance(keys.get("value", []), list):
+    if isinstance(keys.get("value", []), list) and "force" not in keys:
         table["value"] = vector
     elif name == "centrifugal":
         del table["point"]  # of a body of revolution it is on the axis

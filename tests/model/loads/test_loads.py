@@ -394,7 +394,7 @@ def test_a_centrifugal_axis_with_a_name(name, row):
             "'total'; a total force [N] of all that `on` names is kind = \"force\"",
         ),
         ("traction", {"on": [], "value": [1, 2]}, "on: no name is given"),
-        ("traction", {"on": "top", "moment": [1, 2, 3]}, "'moment'; a support of kind 'rigid'"),
+        ("traction", {"on": "top", "moment": [1, 2, 3]}, "'moment'; a moment on a surface is kind"),
         ("gravity", {"on": []}, "on: no name is given; a region's name; left out, it is the"),
         ("centrifugal", {"value": "2 mm"}, "value: '2 mm' has the wrong unit"),
         ("centrifugal", {"value": "x"}, "value: a body spins with one speed"),
