@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _ORIGIN = 1e-12
 """Coordinates below this are round-off [m]."""
 WIDTH = 100
-_TYPED = str.maketrans({"\u2212": "-", "\u00b2": "^2", "\u00b3": "^3", "\u00b5": "u"})
+_TYPED = str.maketrans({"−": "-", "²": "^2", "³": "^3", "µ": "u", "±": "+-", "‘": "'", "’": "'"})
 """Signs of pages as they are typed, searched for, and printed by any terminal."""
 _LEAST = 0.05
 """Share of a run that is to be done before the time left can be told."""
@@ -342,6 +342,11 @@ def show_end(
     show_table(screen, table)
     # Not in the table: the line is longer than a column may be.
     screen.tell(f" time: {_times(seconds)}")
+
+
+def typed(text: str) -> str:
+    """A text of pages as it is typed."""
+    return text.translate(_TYPED)
 
 
 def extreme_lines(summary: Mapping[str, Any]) -> list[str]:

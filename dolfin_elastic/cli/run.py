@@ -187,8 +187,8 @@ def _compute(
     if visible:
         from dolfin_elastic.cli.console import show_files, show_restart
 
-        if case.dynamics is not None and code != INTERRUPTED:
-            _show_extremes(folder)
+        if code != INTERRUPTED:
+            _show_verdict(folder, motion=case.dynamics is not None)
         if folder.is_dir():
             show_files(folder, case.listing(folder))
         if code == INTERRUPTED:
@@ -197,14 +197,17 @@ def _compute(
         raise Exit(code)
 
 
-def _show_extremes(folder: Path) -> None:
-    """Prints where a motion has ended with the largest stress; statics logs it with its error."""
+def _show_verdict(folder: Path, *, motion: bool) -> None:
+    """Prints the verdict; of a motion its largest stress at the end, which statics logs."""
     from json import loads
 
-    from dolfin_elastic.cli.console import extreme_lines
+    from dolfin_elastic.cli.console import extreme_lines, typed
 
-    for line in extreme_lines(loads(_summary(folder) or "{}")):
+    summary = loads(_summary(folder) or "{}")
+    for line in extreme_lines(summary) if motion else ():
         print(f" {line}")
+    if verdict := summary.get("verdict"):
+        print(typed(verdict["text"]))
 
 
 def _written(folder: Path) -> tuple[int, int] | None:

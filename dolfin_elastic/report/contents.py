@@ -11,8 +11,9 @@ import numpy as np
 from dolfin_elastic.core.si_text import number, percent, quantity, scaled_unit
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.report.charts import Axis, Line, line_chart
-from dolfin_elastic.report.words import Table, analysis_of
+from dolfin_elastic.report.words import analysis_of
 from dolfin_elastic.results.finished.run import FinishedRun
+from dolfin_elastic.results.verdict import Table
 
 _ROWS = 60
 """Steps that the table shows: the first and the last ones."""

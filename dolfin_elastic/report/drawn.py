@@ -16,7 +16,6 @@ from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.core.units import to_si
 from dolfin_elastic.mesh.geometry.simplices import qualities, signed_volumes
 from dolfin_elastic.report.scene import Viewed, chosen_frames, node_values, surface_of
-from dolfin_elastic.report.words import Table
 from dolfin_elastic.results.finished.draw import obstacles_of
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.finished.xdmf import Frame, read_frames, read_grid
@@ -24,6 +23,7 @@ from dolfin_elastic.results.scene.edges import sharp_edges
 from dolfin_elastic.results.scene.obstacles import Reach, obstacles_beside
 from dolfin_elastic.results.scene.scene import Frame as State
 from dolfin_elastic.results.scene.scene import Glyphs, Obstacle, Scene
+from dolfin_elastic.results.verdict import Table
 
 if TYPE_CHECKING:
     import pyvista

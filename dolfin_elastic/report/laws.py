@@ -19,7 +19,8 @@ from dolfin_elastic.model.materials.user import SplitFormulaEnergy
 from dolfin_elastic.model.point.homogeneous_tests import ResponseCurve
 from dolfin_elastic.model.point.report import material_report
 from dolfin_elastic.report.charts import Axis, Line, line_chart
-from dolfin_elastic.report.words import Table, names, part_names
+from dolfin_elastic.report.words import names, part_names
+from dolfin_elastic.results.verdict import Table
 
 _DRAWN = 8
 """Materials whose curves are computed: a second each."""

@@ -25,10 +25,11 @@ from dolfin_elastic.report.laws import materials_of
 from dolfin_elastic.report.page import json_text, render
 from dolfin_elastic.report.scene import Viewed, packed
 from dolfin_elastic.report.still import stills
-from dolfin_elastic.report.words import Table, analysis_of, what_was_computed
+from dolfin_elastic.report.words import analysis_of, what_was_computed
 from dolfin_elastic.results.files import replace_text
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.finished.xdmf import Frame
+from dolfin_elastic.results.verdict import Table
 
 log = logging.getLogger("dolfin_elastic")
 

@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from dolfin_elastic.case.described import Described, described_tables
 from dolfin_elastic.core.si_text import given, listed, number, quantity
 from dolfin_elastic.model.describe import Setting
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.results.finished.run import FinishedRun
-
-Table = Mapping[str, Any]
+from dolfin_elastic.results.verdict import Table
 
 
 def part_names(table: Table) -> list[str]:

@@ -11,6 +11,7 @@ from dolfinx import fem
 
 from dolfin_elastic.core.ghosts import marked, with_ghosts
 from dolfin_elastic.core.parallel import largest_row, total
+from dolfin_elastic.core.si_text import quantity
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.core.units import stress_unit
 from dolfin_elastic.mesh.body import cell_size
@@ -147,9 +148,8 @@ class Peaks:
         if self.largest.singular:
             result.append(_unbounded(self.largest, "grows"))
         if self.elsewhere is not None:
-            known = np.isfinite(self.elsewhere.error)
-            error = f", {ERROR} {percent(self.elsewhere.error)}" if known else ""
-            result.append(Remark("largest elsewhere", self.elsewhere.text() + error))
+            text = self.elsewhere.text() + _apart(self.elsewhere, self.largest)
+            result.append(Remark("largest elsewhere", text))
         elif not self.largest.singular and np.isfinite(self.largest.error):
             result.append(Remark(ERROR, percent(self.largest.error)))
         if self.regular is not None:
@@ -163,9 +163,10 @@ class Peaks:
                 result.append(
                     Remark("not known", "its error, as that of the stress", reserved=True)
                 )
-        if self.safety_elsewhere is not None:
+        if self.safety is not None and self.safety_elsewhere is not None:
             beside = self.safety_elsewhere
-            result.append(Remark("smallest elsewhere", f"{beside.value:.3g} {beside.where()}"))
+            text = f"{beside.value:.3g} {beside.where()}{_apart(beside, self.safety)}"
+            result.append(Remark("smallest elsewhere", text))
         share = f"{percent(norm)} of the stresses on average (energy norm)"
         if not np.isfinite(norm):
             share = "none is known: its energy at these strains has no finite value"
@@ -184,6 +185,13 @@ def _unbounded(peak: Peak, changes: str) -> Remark:
     """
     text = f"at {peak.singular} it {changes} with every refinement"
     return Remark("not to be relied on", text, reserved=True)
+
+
+def _apart(peak: Peak, singular: Peak) -> str:
+    """Error of a regular peak, and its distance from the singular one."""
+    error = f"+- {percent(peak.error)}" if np.isfinite(peak.error) else "error unknown"
+    distance = float(np.linalg.norm(np.subtract(peak.place, singular.place)))
+    return f", {error}, {quantity(distance, 'm').replace('µ', 'u')} away"
 
 
 def _doubts(peak: Peak, rival: Peak | None) -> list[Remark]:

@@ -30,6 +30,8 @@ from dolfin_elastic.results.quantity import Extremes, Measured
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.locking import unseen_locking
 from dolfin_elastic.results.recovery.peaks import ERROR, find_peaks
+from dolfin_elastic.results.recovery.slender import may_buckle
+from dolfin_elastic.results.verdict import verdict_of
 from dolfin_elastic.results.writer import LastState, Numbers
 from dolfin_elastic.results.writers.modes import row
 
@@ -220,6 +222,9 @@ class SummaryWriter:
             }
             if estimate:
                 extra["error"] = _error(self.problem, estimate, logs=self._logs)
+                stress = estimate.stress.stress
+                if isinstance(self._last["stability"], dict) and may_buckle(self.problem, stress):
+                    self._last["stability"]["may_buckle"] = True
             if isinstance(error, SolveError) and error.diagnosis is not None:
                 extra["diagnosis"] = asdict(error.diagnosis)
             if self.problem.mixed and content:
@@ -239,7 +244,8 @@ class SummaryWriter:
     def _save(
         self, status: str, reason: str = "", extra: Mapping[str, object] | None = None
     ) -> None:
-        content = {
+        content: dict[str, object] = {
+            "verdict": None,
             "status": status,
             "reason": reason,
             **self._sizes(),
@@ -254,6 +260,8 @@ class SummaryWriter:
             **self._copies,
             **(extra or {}),
         }
+        verdict = verdict_of(content)
+        content["verdict"] = verdict and verdict.as_json()
         on_root(self.comm, lambda: replace_text(self.path, _text(content)))
         self._written = time.monotonic()
 
@@ -417,6 +425,8 @@ def mark_stopped(
     text = json.loads(path.read_text(encoding="utf-8"))
     if text["status"] == before:
         text |= {"status": "stopped", "reason": reason}
+        verdict = verdict_of(text)
+        text["verdict"] = verdict and verdict.as_json()
         replace_text(path, _text(text))
 
 

@@ -1,0 +1,243 @@
+"""The verdict on a run in one sentence: the part holds, fails, or that is not known.
+
+It follows from the numbers of `summary.json` alone, so that console, summary and report say the
+same, and that runs before there were verdicts get one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.si_text import number, percent, quantity, scaled_unit
+from dolfin_elastic.core.units import to_si
+
+ENOUGH = 0.3
+"""Estimated error of a stress above which it is not known."""
+
+Kind = Literal["holds", "fails", "not known", "result"]
+Table = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The verdict on a run.
+
+    Attributes:
+        kind: "result": there is nothing to judge by, such as an allowable stress.
+        text: One sentence, which begins with the kind unless that is "result".
+    """
+
+    kind: Kind
+    text: str
+
+    def as_json(self) -> dict[str, str]:
+        """For `summary.json`."""
+        return asdict(self)
+
+
+def verdict_of(summary: Table) -> Verdict | None:
+    """The verdict on a run; None of one that goes on or has no results.
+
+    Args:
+        summary: `summary.json`, which may come from a stranger.
+    """
+    status = summary.get("status")
+    if status in ("failed", "stopped"):
+        return _unknown(_ended_early(summary, str(status)))
+    if status != "completed":
+        return None
+    if (summary.get("stability") or {}).get("verdict") == "unstable":
+        return _verdict("fails", "the equilibrium is unstable, the part leaves it: it buckles")
+    audit = summary.get("audit") or {}
+    if audit.get("verdict") == "fail":
+        return _unknown("the audit fails: " + "; ".join(map(str, audit.get("reasons") or ["?"])))
+    if rows := [row for row in summary.get("modes") or [] if isinstance(row, Mapping)]:
+        return _of_buckling(rows) if rows[0].get("kind") == "buckling" else _of_modes(rows, summary)
+    return _of_stress(summary) if summary.get("steps") else None
+
+
+def _verdict(kind: Kind, text: str) -> Verdict:
+    return Verdict(kind, text if kind == "result" else f"{kind}: {text}")
+
+
+def _unknown(text: str) -> Verdict:
+    return _verdict("not known", text)
+
+
+def _number(value: object) -> float:
+    """NaN of what is no number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return math.nan
+    return float(value)
+
+
+def _ended_early(summary: Table, status: str) -> str:
+    what = "no solution was found" if status == "failed" else "the run was stopped"
+    t = _number(summary.get("t"))
+    if not summary.get("steps") or math.isnan(t):
+        return f"{what} in the first step"
+    if (summary.get("case") or {}).get("dynamics"):
+        return f"{what} after t = {quantity(t, 's')}"
+    load = _number(summary.get("load_factor"))
+    return f"{what} beyond {percent(load)} of the load"
+
+
+# --- modes ---
+
+
+def _of_buckling(rows: Sequence[Table]) -> Verdict:
+    factors = [factor for row in rows if (factor := _number(row.get("load_factor"))) > 0]
+    if not factors:
+        return _verdict("result", "it buckles under loads of the opposite sign only")
+    least = min(factors)
+    text = f"it buckles at {number(least, 3)} times the load, without imperfections"
+    return _verdict("holds" if least > 1 else "fails", text)
+
+
+def _of_modes(rows: Sequence[Table], summary: Table) -> Verdict:
+    if any(row.get("kind") == "unstable" for row in rows):
+        return _verdict("fails", "the loaded part is unstable: it buckles")
+    elastic = [row for row in rows if row.get("kind") == "elastic"]
+    if not elastic:
+        return _verdict("result", "all modes are motions of the rigid part")
+    first = min(elastic, key=lambda row: _number(row.get("frequency")))
+    text = f"lowest natural frequency {quantity(_number(first.get('frequency')), 'Hz')}"
+    shape = mode_text(first, summary.get("whole") or {})
+    return _verdict("result", f"{text}: {shape}" if shape else text)
+
+
+def mode_text(row: Table, whole: Table) -> str:
+    """A mode in words, such as "bending in y, 33 % of the mass"; empty where nothing is known.
+
+    Args:
+        row: Of `summary.json`.
+        whole: Direction to mass and inertia of the whole body.
+    """
+    shares = {
+        axis: _number(row.get(f"effective_{axis}")) / mass
+        for axis in ("x", "y", "z")
+        if (mass := _number(whole.get(axis))) > 0
+    }
+    most = max(shares.values(), default=0.0)
+    parts = [str(row.get("shape") or row.get("name") or "")]
+    if row.get("kind") == "elastic" and most >= 0.005:
+        parts.append(f"{percent(most)} of the mass")
+    return ", ".join(filter(None, parts))
+
+
+# --- stresses ---
+
+
+def _of_stress(summary: Table) -> Verdict:
+    error, extremes = (summary.get(key) or {} for key in ("error", "extremes"))
+    safety = _reliable(error, "safety_factor", "safety_factor_elsewhere", extremes)
+    stress = _reliable(error, "von_mises", "elsewhere", extremes)
+    if safety is not None:
+        return _of_safety(safety, summary)
+    if stress is None or not _number(stress.get("value")) > 0:
+        u = _number((extremes.get("displacement") or {}).get("value"))
+        return _verdict("result", f"largest displacement {quantity(u, 'm')}, without stress")
+    if doubt := _doubt(stress):
+        return _unknown(f"the largest von Mises stress{_where(stress, summary)}: {doubt}")
+    text = f"largest von Mises stress {quantity(_number(stress['value']), 'Pa')}"
+    return _verdict("result", f"{text}{_error(stress)}{_where(stress, summary)}")
+
+
+def _reliable(error: Table, name: str, elsewhere: str, extremes: Table) -> Table | None:
+    """The extreme value to judge by: where it is singular, that away from there."""
+    peak = error.get(name)
+    if not isinstance(peak, Mapping):  # of a motion, or unloaded
+        peak = extremes.get(name)
+        return peak if isinstance(peak, Mapping) else None
+    other, rival = error.get(elsewhere), error.get("may_be_larger")
+    if peak.get("singular") and isinstance(other, Mapping):
+        peak = {**other, "apart": peak["singular"]}
+    if isinstance(rival, Mapping) and rival.get("unresolved"):
+        peak = {**peak, "unresolved": peak.get("unresolved") or rival["unresolved"]}
+    return peak
+
+
+def _doubt(peak: Table) -> str:
+    """Why a value is not known; empty where it is, or where nothing is said of its error."""
+    if peak.get("singular"):
+        return f"it is singular at {peak['singular']}, and elements are too large to look beside"
+    if peak.get("unresolved"):
+        return str(peak["unresolved"])
+    if "error" not in peak:
+        return ""
+    error = _number(peak.get("error"))
+    if math.isnan(error):
+        return "the elements are too large for it"
+    return "" if error <= ENOUGH else f"it is known to {percent(error)} only: refine the mesh"
+
+
+def _of_safety(safety: Table, summary: Table) -> Verdict:
+    value, error = _number(safety.get("value")), _number(safety.get("error"))
+    where, allowable = _where(safety, summary), _allowable(safety, summary)
+    limit = quantity(allowable, "Pa") if allowable else "the allowable stress"
+    if value < 1 and not safety.get("singular"):
+        stress = f"von Mises stress {quantity(allowable / value, 'Pa')} is " if allowable else ""
+        named = f"the allowable {limit}" if allowable else limit
+        times = f"{stress}{_times(1 / value)} times {named}"
+        return _verdict("fails", f"{times}{_error(safety)}{where}")
+    times = f"{_times(value)} times below {limit}"
+    if doubt := _doubt(safety):
+        return _unknown(f"stress {times}{where}, but {doubt}")
+    times += _error(safety)
+    if value / (1 + (0.0 if math.isnan(error) else error)) < 1:
+        return _unknown(f"stress {times}{where}: refine the mesh")
+    if "error" not in safety:
+        return _unknown(f"stress {times} at the end{where}; its error, and all before, are open")
+    if (summary.get("stability") or {}).get("may_buckle"):
+        return _unknown(
+            f"stress {times}{where}, but so slender a part under compression may buckle, "
+            "which small strains do not show: compute it with [buckling]"
+        )
+    return _verdict("holds", f"{times}{where}")
+
+
+def _times(ratio: float) -> str:
+    """A ratio with as many digits as tell it from 1."""
+    return number(ratio, 2 if ratio >= 1.2 else 3)
+
+
+def _error(peak: Table) -> str:
+    error = _number(peak.get("error"))
+    return "" if math.isnan(error) else f", ± {percent(error)}"
+
+
+def _allowable(peak: Table, summary: Table) -> float:
+    """The allowable stress [Pa] of the material at a place; 0 where it is no number."""
+    materials = (summary.get("case") or {}).get("materials")
+    row = materials.get(peak.get("part")) if isinstance(materials, Mapping) else None
+    try:
+        return max(0.0, float(to_si(row["allowable"], "Pa"))) if isinstance(row, Mapping) else 0.0
+    except (InputError, KeyError, TypeError, ValueError):  # a field of the mesh, or a formula
+        return 0.0
+
+
+def _where(peak: Table, summary: Table) -> str:
+    """Where, and which singular place does not count."""
+    extent = (summary.get("model") or {}).get("mesh", {}).get("extent") or [1.0]
+    place = place_text(peak, max(map(_number, extent)))
+    text = f", on ‘{peak['surface']}’" if peak.get("surface") else f", at {place}" if place else ""
+    return f"{text} (not at {peak['apart']}: singular)" if peak.get("apart") else text
+
+
+def place_text(row: Table, size: float) -> str:
+    """Coordinates for people, in a unit that suits the body; empty where there are none.
+
+    Args:
+        row: With "place" [m].
+        size: Of the body [m].
+    """
+    place = [x for x in row.get("place") or [] if isinstance(x, int | float)]
+    if not place:
+        return ""
+    factor, unit = scaled_unit(min(size, 0.999), "m") if size < 1 else (1.0, "m")
+    text = ", ".join(number(0.0 if abs(x) < 1e-9 * size else x / factor) for x in place)
+    return f"({text}) {unit}"

@@ -1,0 +1,137 @@
+"""The verdict on a run: each kind from the numbers of its summary, and of a computed one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dolfin_elastic import Case, run
+from dolfin_elastic.results.verdict import Verdict, verdict_of
+
+PEAK = {"value": 4.0, "place": [0.1, 0.0, 0.005], "part": "steel", "error": 0.1}
+PEAK |= {"surface": "fillet", "singular": "", "unresolved": ""}
+RIM = {**PEAK, "value": 0.8, "singular": "the rim of the support 'left'"}
+CASE = {"materials": {"steel": {"allowable": "235 MPa"}}}
+
+
+def summary(**changed: Any) -> dict[str, Any]:
+    model = {"mesh": {"extent": [0.2, 0.01, 0.01]}}
+    base = {"status": "completed", "steps": 1, "t": 1.0, "case": CASE, "model": model}
+    return {**base, **changed}
+
+
+def of_safety(peak: dict[str, Any], **more: Any) -> dict[str, Any]:
+    return summary(error={"safety_factor": peak, "von_mises": peak, **more})
+
+
+STRESS = {**PEAK, "value": 9.27e7}
+LAST = {"extremes": {"safety_factor": {"value": 3.0, "place": [0.0, 0.0, 0.0], "part": "steel"}}}
+MODES = [
+    {"kind": "rigid", "frequency": 0.0},
+    {"kind": "elastic", "frequency": 208.6, "effective_x": 0.02, "effective_y": 0.33},
+    {"kind": "elastic", "frequency": 101.0, "effective_x": 0.02, "effective_y": 0.33},
+]
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (of_safety(PEAK), "holds: 4 times below 235 MPa, ± 10 %, on ‘fillet’"),
+        (
+            of_safety(RIM, safety_factor_elsewhere={**PEAK, "surface": ""}),
+            "holds: 4 times below 235 MPa, ± 10 %, at (100, 0, 5) mm "
+            "(not at the rim of the support 'left': singular)",
+        ),
+        (of_safety(RIM), "not known: stress 0.8 times below 235 MPa, on ‘fillet’, but it is"),
+        (
+            of_safety({**PEAK, "value": 0.8}),
+            "fails: von Mises stress 293.8 MPa is 1.2 times the allowable 235 MPa, ± 10 %",
+        ),
+        (of_safety({**PEAK, "value": 1.06}), "not known: stress 1.06 times below 235 MPa, ± 10 %"),
+        (of_safety({**PEAK, "error": 0.4}), "not known: stress 4 times below 235 MPa, on ‘fillet’"),
+        (
+            of_safety({**PEAK, "error": None}, may_be_larger={"unresolved": "an element turns"}),
+            "not known: stress 4 times below 235 MPa, on ‘fillet’, but an element turns",
+        ),
+        ({**of_safety(PEAK), "case": {}}, "holds: 4 times below the allowable stress, ± 10 %"),
+        (
+            {**of_safety(PEAK), "stability": {"may_buckle": True}},
+            "not known: stress 4 times below 235 MPa, ± 10 %, on ‘fillet’, but so slender a part",
+        ),
+        (summary(**LAST), "not known: stress 3 times below 235 MPa at the end, at (0, 0, 0) mm"),
+        (
+            summary(error={"von_mises": STRESS}),
+            "largest von Mises stress 92.7 MPa, ± 10 %, on ‘fillet’",
+        ),
+        (
+            summary(error={"von_mises": {**STRESS, "error": 0.5}}),
+            "not known: the largest von Mises stress, on ‘fillet’: it is known to 50 % only",
+        ),
+        (summary(extremes={"displacement": {"value": 1e-3}}), "largest displacement 1 mm"),
+        (
+            {**of_safety(PEAK), "audit": {"verdict": "fail", "reasons": ["forces: 3 %"]}},
+            "not known: the audit fails: forces: 3 %",
+        ),
+        ({**of_safety(PEAK), "stability": {"verdict": "unstable"}}, "fails: the equilibrium is"),
+        (summary(status="failed", steps=0), "not known: no solution was found in the first step"),
+        (
+            summary(status="failed", load_factor=0.5),
+            "not known: no solution was found beyond 50 % of the load",
+        ),
+        (
+            summary(status="stopped", t=0.2, case={"dynamics": {"end": 1}}),
+            "not known: the run was stopped after t = 200 ms",
+        ),
+        (
+            summary(modes=MODES, whole={"x": 1.0, "y": 1.0}),
+            "lowest natural frequency 101 Hz: 33 % of the mass",
+        ),
+        (summary(modes=[{"kind": "unstable", "frequency": 0.0}]), "fails: the loaded part is"),
+        (
+            summary(modes=[{"kind": "buckling", "load_factor": f} for f in (-0.5, 3.25, 4.0)]),
+            "holds: it buckles at 3.25 times the load",
+        ),
+        (
+            summary(modes=[{"kind": "buckling", "load_factor": 0.22}]),
+            "fails: it buckles at 0.22 times the load",
+        ),
+        (
+            summary(modes=[{"kind": "buckling", "load_factor": -0.22}]),
+            "it buckles under loads of the opposite sign only",
+        ),
+    ],
+)
+def test_verdict(content: dict[str, Any], text: str) -> None:
+    found = verdict_of(content)
+    assert found is not None
+    assert found.text.startswith(text)
+    kinds = [kind for kind in ("holds", "fails", "not known") if text.startswith(f"{kind}: ")]
+    assert found.kind == (kinds[0] if kinds else "result")
+
+
+@pytest.mark.parametrize("content", [summary(status="running"), summary(steps=0), {}])
+def test_no_verdict(content: dict[str, Any]) -> None:
+    assert verdict_of(content) is None
+
+
+@pytest.mark.parametrize(("force", "kind"), [(-10e3, "not known"), (-100.0, "holds")])
+def test_a_column_that_may_buckle(force: float, kind: str, folder: Path) -> None:
+    """At 4.6 times Euler's load small strains see no buckling, which is said.
+
+    Euler, clamped and free: pi^2 E I/(4 L^2) = 2.7 kN of 210 GPa, 10 mm square and 400 mm.
+    """
+    case = Case(
+        mesh={"box": {"size": [0.4, 0.01, 0.01], "cells": [10, 1, 1]}, "degree": 2},
+        materials={"steel": {"material": "steel S235"}},
+        support=[{"kind": "fixed", "on": "left"}],
+        load=[{"kind": "force", "on": "right", "value": [force, 0, 0]}],
+    )
+    for _ in run(case, output=folder):
+        pass
+    found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert found["verdict"]["kind"] == kind
+    assert found["stability"].get("may_buckle", False) == (kind == "not known")
+    assert Verdict(**found["verdict"]) == verdict_of(found)
