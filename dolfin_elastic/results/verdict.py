@@ -192,7 +192,11 @@ def _of_safety(safety: Table, summary: Table) -> Verdict:
         return _unknown(f"stress {times}{where}: refine the mesh")
     if "error" not in safety:
         return _unknown(f"stress {times} at the end{where}; its error, and all before, are open")
-    if (summary.get("stability") or {}).get("may_buckle"):
+    stability = summary.get("stability") or {}
+    if stability.get("verdict") == "not judged":
+        why = stability.get("reason")
+        return _unknown(f"stress {times}{where}, but its stability is not judged: {why}")
+    if stability.get("may_buckle"):
         return _unknown(
             f"stress {times}{where}, but so slender a part under compression may buckle, "
             "which small strains do not show: compute it with [buckling]"

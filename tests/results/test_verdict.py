@@ -56,6 +56,11 @@ MODES = [
             of_safety({**PEAK, "error": None}, may_be_larger={"unresolved": "an element turns"}),
             "not known: stress 4 times below 235 MPa, on ‘fillet’, but an element turns",
         ),
+        (
+            {**of_safety(PEAK), "stability": {"verdict": "not judged", "reason": "flutter"}},
+            "not known: stress 4 times below 235 MPa, ± 10 %, on ‘fillet’, "
+            "but its stability is not judged: flutter",
+        ),
         ({**of_safety(PEAK), "case": {}}, "holds: 4 times below the allowable stress, ± 10 %"),
         (
             {**of_safety(PEAK), "stability": {"may_buckle": True}},

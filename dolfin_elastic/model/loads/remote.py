@@ -39,6 +39,9 @@ class RemoteForce(Load):
         moment: The same, about the axes through the point.
         coupling: How the surface takes them up.
         name: What results call a rigid coupling; its surfaces by default.
+
+    Example:
+        RemoteForce(on="top", point=[0, 0, "50 mm"], force=["1 kN", 0, 0])
     """
 
     kind: Literal["remote-force"] = "remote-force"
