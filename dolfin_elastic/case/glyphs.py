@@ -15,6 +15,7 @@ from dolfin_elastic.mesh.geometry.curved import facet_points
 from dolfin_elastic.mesh.geometry.simplices import outward_normals, prepare_facets
 from dolfin_elastic.model.loads import Load, LoadPoints
 from dolfin_elastic.model.loads.point_loads import ConcentratedLoad
+from dolfin_elastic.model.values import fields_of
 from dolfin_elastic.problem.terms.edges_points import points_of
 from dolfin_elastic.results.scene.scene import Glyphs
 
@@ -129,7 +130,11 @@ def _intensity(
     d = body.dim
     time = case.final_load if case.dynamics is None else case.dynamics.end
     intensity = load.intensity(LoadPoints(rows[:, :d], time, N=rows[:, 3 : 3 + d]))
-    return along if intensity is None else np.pad(intensity, ((0, 0), (0, 3 - d)))
+    return (
+        along
+        if intensity is None or fields_of(load.values)
+        else np.pad(intensity, ((0, 0), (0, 3 - d)))
+    )
 
 
 def _middle(body: Body, load: Load) -> FloatArray:

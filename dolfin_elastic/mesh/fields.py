@@ -14,7 +14,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import agree, largest, smallest
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
-from dolfin_elastic.mesh.geometry.curved import shape_functions
+from dolfin_elastic.mesh.geometry.curved import QuadraturePoints, shape_functions
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.formats.raw import RawMesh
@@ -66,6 +66,15 @@ class MeshField:
             return np.repeat(self.values[cells][:, None, :], len(points), axis=1)
         nodes = self.values[mesh.geometry.dofmap[cells]]
         return np.asarray(np.einsum("kn,cnj->ckj", shape_functions(mesh, points), nodes))
+
+    def over(self, points: QuadraturePoints) -> FloatArray:
+        """Values at quadrature points of cells or facets, shape (entities, points, columns).
+
+        Local.
+        """
+        if self.centre == "cell":
+            return np.repeat(self.values[points.cells][:, None, :], points.X.shape[1], axis=1)
+        return np.asarray(np.einsum("pn,enj->epj", points.shapes, self.values[points.nodes]))
 
 
 def as_columns(data: npt.ArrayLike, rows: int, name: str) -> FloatArray:

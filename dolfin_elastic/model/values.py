@@ -1,18 +1,20 @@
-"""Vectors as users write them: numbers, texts with units, formulas; and names of surfaces."""
+"""Values as users write them: numbers, texts with units, formulas, fields; names of surfaces."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import NamedTuple, Self
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import GetCoreSchemaHandler, model_validator
+from pydantic_core import core_schema
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import LOAD_EXAMPLES, is_quantity, to_si
+from dolfin_elastic.core.units import LOAD_EXAMPLES, is_quantity, to_base, to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 
 
@@ -50,7 +52,106 @@ PLACE = frozenset("xyz")
 FREE = "free"
 
 Component = float | Formula | None
-"""A number in SI units, a formula in x, y, z [m] and t, or None for a free component."""
+"""A number in SI units, a formula in x, y, z [m] and t, or None for a free component.
+
+A field of the mesh is a `FieldFormula`.
+"""
+
+FieldsAt = Callable[[str], FloatArray]
+"""Gives a field of the mesh by its name: its values at known points, shape (..., columns)."""
+
+
+@dataclass(frozen=True)
+class FieldFormula(Formula):
+    """A field of the mesh, or a component of it: a formula that has values on its mesh only.
+
+    Attributes:
+        field: The field's name.
+        factor: SI units per unit of its values.
+        column: Which component of a vector; None: the field must be a scalar.
+    """
+
+    field: str
+    factor: float
+    column: int | None
+
+    @classmethod
+    def read(
+        cls, written: Mapping[str, object], unit: str, column: int | None = None
+    ) -> FieldFormula:
+        """The field of a table such as ``{field = "p", unit = "MPa"}``.
+
+        Args:
+            unit: SI unit of the value.
+
+        Raises:
+            InputError: Another key, or a unit that does not fit.
+        """
+        table, factor = field_table(written, unit)
+        return cls(f"field '{table.field}'", PLACE, 0.0, table.field, factor, column)
+
+    def evaluate(self, **values: float | FloatArray) -> Any:
+        """Not a number anywhere: coordinates are not enough, see `number_at`."""
+        shape = np.broadcast_shapes(*(np.shape(value) for value in values.values()))
+        return np.full(shape, np.nan) if shape else np.nan
+
+
+class _FieldTable(Record):
+    """``{field = "E_cell", unit = "MPa"}``."""
+
+    field: str
+    unit: str = ""
+
+
+def field_table(written: Mapping[str, object], unit: str | None) -> tuple[_FieldTable, float]:
+    """Name and unit of a field as a user wrote them, and SI units per unit.
+
+    Args:
+        unit: SI unit of the values; None: they may have any.
+
+    Raises:
+        InputError: Another key, or a unit that does not fit.
+    """
+    table = _FieldTable(**written)
+    one, factor = f"1 {table.unit}", 1.0
+    with keyed("unit"):
+        if table.unit:
+            factor = to_base(one) if unit is None else to_si(one, unit)
+    return table, factor
+
+
+def fields_of(values: Iterable[Component]) -> list[FieldFormula]:
+    """Those values that are fields of the mesh."""
+    return [value for value in values if isinstance(value, FieldFormula)]
+
+
+def sized(values: tuple[Component, ...], dim: int) -> tuple[Component, ...]:
+    """The components of a vector in a body of 2 or 3 dimensions: of a field as many."""
+    whole = fields_of(values) and all(one.column is not None for one in fields_of(values))
+    return values[:dim] if whole else values
+
+
+class OrField:
+    """Of an annotated type: a table ``{field = "f"}`` may stand in its place."""
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        def read(value: object, inner: core_schema.ValidatorFunctionWrapHandler) -> object:
+            return value if isinstance(value, Mapping) else inner(value)
+
+        return core_schema.no_info_wrap_validator_function(
+            read,
+            handler(source),
+            serialization=core_schema.plain_serializer_function_ser_schema(lambda value: value),
+        )
+
+
+if TYPE_CHECKING:
+    Vector = list[Any]
+else:
+    Vector = Annotated[list[Any], OrField()]
+    """Components of a vector, or a field of the mesh."""
 
 
 class Parts(NamedTuple):
@@ -65,19 +166,25 @@ class Parts(NamedTuple):
     names: tuple[str, ...]
 
 
-def component(written: object, unit: str, *, may_be_free: bool = False) -> Component:
+def component(
+    written: object, unit: str, *, may_be_free: bool = False, fields: bool = False
+) -> Component:
     """Reads one component.
 
     Args:
-        written: A number, a text such as "2 mm", a formula such as "0.1*x*t", or "free".
+        written: A number, a text such as "2 mm", a formula such as "0.1*x*t", "free", or a table
+            such as {field = "p"}.
         unit: SI unit of the component; formulas give values in it.
         may_be_free: Whether "free" is allowed.
+        fields: Whether a field of the mesh is allowed.
 
     Raises:
         InputError: None of these.
     """
     if written == FREE and may_be_free:
         return None
+    if fields and isinstance(written, Mapping):
+        return FieldFormula.read(written, unit)
     if isinstance(written, str) and not is_quantity(written) and not misspelt_unit(written):
         return Formula.parse(written, allowed=COORDINATES)
     try:
@@ -106,17 +213,22 @@ def misspelt_unit(text: str, names: Collection[str] = COORDINATES) -> bool:
 
 
 def components(
-    written: object, unit: str, *, key: str = "", may_be_free: bool = False
+    written: object, unit: str, *, key: str = "", may_be_free: bool = False, fields: bool = False
 ) -> tuple[Component, ...]:
     """Reads a vector of two or three components.
 
     Args:
         unit: SI unit of the components.
         may_be_free: Whether components may be "free".
+        fields: Whether fields of the mesh are allowed: of components, or one of the vector, which
+            is read as three components, see `sized`.
 
     Raises:
         InputError: Not a list of two or three, or a component is wrong (its index is named).
     """
+    if fields and isinstance(written, Mapping):
+        with keyed(key):
+            return tuple(FieldFormula.read(written, unit, column) for column in range(3))
     if not isinstance(written, list | tuple) or len(written) not in (2, 3):
         raise InputError(
             f"{written!r} is not a vector",
@@ -126,7 +238,7 @@ def components(
     result = []
     for index, item in enumerate(written):
         with keyed(f"{key}[{index}]"):
-            result.append(component(item, unit, may_be_free=may_be_free))
+            result.append(component(item, unit, may_be_free=may_be_free, fields=fields))
     return tuple(result)
 
 
@@ -144,34 +256,42 @@ def amplitude_of(value: Component, curve: Amplitude | None) -> Amplitude | None:
     return CONSTANT if curve is None and depends_on_time((value,)) else curve
 
 
-def vector_at(vector: tuple[Component, ...], X: FloatArray, t: float) -> FloatArray:
+def vector_at(
+    vector: tuple[Component, ...], X: FloatArray, t: float, fields: FieldsAt | None = None
+) -> FloatArray:
     """Values of a vector at points of the reference configuration.
 
     Args:
         vector: Its components; free ones count as 0.
         X: Points [m], shape (..., dim).
         t: Time [s], or load parameter.
+        fields: See `number_at`.
 
     Returns:
         Shape of X.
     """
     result = np.empty_like(X)
-    for i, item in enumerate(vector):
-        result[..., i] = number_at(item, X, t)
+    for i, item in enumerate(sized(vector, X.shape[-1])):
+        result[..., i] = number_at(item, X, t, fields)
     return result
 
 
-def number_at(item: Component, X: FloatArray, t: float | FloatArray) -> FloatArray:
+def number_at(
+    item: Component, X: FloatArray, t: float | FloatArray, fields: FieldsAt | None = None
+) -> FloatArray:
     """Values of a component at points of the reference configuration.
 
     Args:
         item: The component; a free one counts as 0.
         X: Points [m], shape (..., dim).
         t: Time [s], or load parameter; one, or one for each point.
+        fields: Gives the fields of the mesh at these points; None: they are not a number.
 
     Returns:
         Shape (...).
     """
+    if isinstance(item, FieldFormula) and fields is not None:
+        return np.asarray(fields(item.field)[..., item.column or 0] * item.factor)
     place = dict(zip(COORDINATES, np.moveaxis(X, -1, 0), strict=False))
     place.setdefault("z", np.zeros(X.shape[:-1]))
     if isinstance(item, Formula):

@@ -28,9 +28,10 @@ from dolfin_elastic.mesh.geometry.simplices import prepare_facets
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.kinematics import Geometry, WeightedMeasure, full_gradient
 from dolfin_elastic.model.loads import LoadPoints
-from dolfin_elastic.model.values import Component, Parts, depends_on_time
+from dolfin_elastic.model.values import Component, Parts, depends_on_time, sized
 from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.problem.material_regions import MaterialRegion
+from dolfin_elastic.problem.mesh_fields import check_fields, check_finite
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.terms.at_points import FormulaValues, IntegralPoints, facet_sets
 from dolfin_elastic.problem.terms.edges_points import (
@@ -361,6 +362,7 @@ class FormContext:
             curve: What the user wrote: see `values.amplitude_of`.
             parts: See `value`.
         """
+        values = sized(values, self.body.dim)
         if len(values) != self.body.dim:
             raise InputError(
                 f"{len(values)} components given, the body has {self.body.dim}", where="load"
@@ -368,7 +370,7 @@ class FormContext:
         factors = self.factors(values, curve)
         if not any(isinstance(value, Formula) for value in values):
             return factors[0] * self.constant([float(value) for value in values])  # type: ignore[arg-type]
-        result = _formulas(self).make(values, parts, scalar=False)
+        result = _made(self, values, parts, scalar=False)
         if any(factor is not factors[0] for factor in factors):
             return ufl.as_vector([factor * result[i] for i, factor in enumerate(factors)])
         return factors[0] * result
@@ -386,7 +388,7 @@ class FormContext:
         return self.factor(amplitude) * self.value(value, parts)
 
     def value(self, value: Component, parts: Parts | None = None) -> Expr:
-        """A number or a formula in x, y, z and t at a point of the body. Collective.
+        """A number, a formula in x, y, z and t or a field at a point of the body. Collective.
 
         Args:
             parts: Where it is integrated: there formulas are evaluated.  None: anywhere, and a
@@ -394,7 +396,7 @@ class FormContext:
         """
         if not isinstance(value, Formula):
             return self.constant(float(value or 0.0))
-        return _formulas(self).make((value,), parts, scalar=True)
+        return _made(self, (value,), parts, scalar=True)
 
     # --- time ---
 
@@ -426,6 +428,17 @@ def formula_places(context: FormContext, parts: Parts) -> FloatArray:
     return _formulas(context).places(parts)
 
 
+def _made(
+    context: FormContext, values: tuple[Component, ...], parts: Parts | None, *, scalar: bool
+) -> Constant | fem.Function:
+    """Values of which some are formulas or fields, see `FormulaValues.make`. Collective."""
+    check_fields(context.body, values)
+    result = _formulas(context).make(values, parts, scalar=scalar)
+    if isinstance(result, fem.Function):
+        check_finite(context.body, values, result.x.array)
+    return result
+
+
 def _formulas(context: FormContext) -> FormulaValues:
     """The context's values of formulas, which plain problems have not."""
     if context.formulas is None:
@@ -435,6 +448,10 @@ def _formulas(context: FormContext) -> FormulaValues:
             return context.measures.points(parts, degree)
 
         context.formulas = FormulaValues(
-            context.body.mesh, points, context.unknowns.degree, float(context.t.value)
+            context.body.mesh,
+            points,
+            context.unknowns.degree,
+            float(context.t.value),
+            context.body.fields,
         )
     return context.formulas

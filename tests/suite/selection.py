@@ -104,6 +104,7 @@ SHARED = {
     "problem/terms/test_edges_points.py",
     "problem/test_connected_bodies.py",
     "problem/test_dealt_out.py",
+    "problem/test_mesh_fields.py",
     "problem/test_mixed.py",
     "problem/test_parameters.py",
     "problem/constraints/periodic/test_periodic.py",

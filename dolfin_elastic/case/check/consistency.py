@@ -12,17 +12,20 @@ from dolfin_elastic.case.case import Case, in_order, locate_errors
 from dolfin_elastic.case.check.initial_state import NOTHING_MOVES
 from dolfin_elastic.case.check.plausibility import plausibility_notes
 from dolfin_elastic.case.toml import key_text
-from dolfin_elastic.core.errors import CaseError, MeshError, all_errors, nearest
+from dolfin_elastic.core.errors import CaseError, MeshError, all_errors, keyed, nearest
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.law import SplitLaw
+from dolfin_elastic.model.supports.displacement import Normal
 from dolfin_elastic.model.supports.springs import ResistingSupport
 from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
+from dolfin_elastic.model.values import sized
 from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.problem.history import NO_PRONY, PERIODIC
 from dolfin_elastic.problem.material_regions import check_user_energies, volume_modulus
+from dolfin_elastic.problem.mesh_fields import check_fields
 from dolfin_elastic.results.fields import FIBRE_FIELDS, FIELDS, has_fibre
 from dolfin_elastic.solvers.dynamics import settings as dynamics
 from dolfin_elastic.solvers.statics import settings as statics
@@ -40,9 +43,10 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
     Raises:
         InputError: All faults, each with file and key, the same on every rank.
     """
+    first = (_check_names, _check_components, _check_mesh_fields, _check_densities, _check_fields)
     with locate_errors(case.file):
         with in_order(lambda: case.written), all_errors() as attempt:
-            for check_case in (_check_names, _check_components, _check_densities, _check_fields):
+            for check_case in first:
                 with attempt():
                     check_case(case, body)
         with (
@@ -250,12 +254,27 @@ def _check_components(case: Case, body: Body) -> None:
             ("dynamics.initial_velocity", case.dynamics.velocity),
         ]
     for where, values in vectors:
-        if values and len(values) != body.dim:
+        given = len(sized(values, body.dim))
+        if values and given != body.dim:
             raise CaseError(
-                f"{len(values)} components given",
+                f"{given} components given",
                 where=where,
                 expected=f"the body is {body.dim}-dimensional, expected {body.dim}",
             )
+
+
+def _check_mesh_fields(case: Case, body: Body) -> None:
+    """Fields that loads and supports take their values from, and their components."""
+    uses = [(f"load[{i}].value", load.values) for i, load in enumerate(case.load)]
+    for i, support in enumerate(case.support):
+        uses += [(f"support[{i}].{key}", values) for key, values in support.vectors.items()]
+        if isinstance(support, Normal):
+            uses.append((f"support[{i}].displacement", (support.value,)))
+        if isinstance(support, ResistingSupport) and support.by_normal:
+            uses.append((f"support[{i}].normal", support.coefficients))
+    for where, values in uses:
+        with keyed(where):
+            check_fields(body, values)
 
 
 def _check_output(case: Case, body: Body) -> None:

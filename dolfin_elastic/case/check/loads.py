@@ -12,9 +12,10 @@ from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check.formulas import all_times
 from dolfin_elastic.case.check.initial_state import TIMES
 from dolfin_elastic.case.check.integrals import Integrals
-from dolfin_elastic.core.errors import CaseError
+from dolfin_elastic.core.errors import CaseError, keyed
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.curved import QuadraturePoints
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.loads import ConcentratedLoad, Load, LoadPoints
@@ -22,6 +23,7 @@ from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.values import depends_on_time, vector_at
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
 from dolfin_elastic.problem.material_regions import young
+from dolfin_elastic.problem.mesh_fields import check_finite
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.terms.undefined import undefined
 
@@ -197,8 +199,12 @@ def _resultant(
     axisymmetric = integrals.problem.geometry == "axisymmetric"
     size = float(total(integrals.body.comm, float(weights.sum())))
     share = partial(total, integrals.body.comm)
-    places = LoadPoints(points.X, t, points.N, density, size, axisymmetric, weights, share)
-    intensity = load.intensity(places)
+    fields = partial(_field, integrals.body, points)
+    intensity = load.intensity(
+        LoadPoints(
+            points.X, t, points.N, density, size, axisymmetric, weights, share, fields=fields
+        )
+    )
     if intensity is None:
         return None
     forces = weights[..., None] * intensity
@@ -207,6 +213,10 @@ def _resultant(
     scales = total(integrals.body.comm, np.array([lengths.sum(), (arms * lengths).sum()]))
     limits = _ROUND_OFF * np.repeat(scales, [forces.shape[-1], len(sums) - forces.shape[-1]])
     return np.where(np.abs(sums) < limits, 0.0, sums)
+
+
+def _field(body: Body, points: QuadraturePoints, name: str) -> FloatArray:
+    return body.mesh_field(name).over(points)
 
 
 def _samples(load: Load, integrals: Integrals) -> tuple[FloatArray, FloatArray]:
@@ -250,6 +260,8 @@ def _check_finite(
         error = undefined(integrals.body.comm, index, load, X, t)
         if error is not None:
             raise error
+        with keyed(f"load[{index}].value"):
+            check_finite(integrals.body, load.values, sums)
         raise CaseError(
             f"the load is not finite somewhere at t = {t:g}",
             where=f"load[{index}].value",

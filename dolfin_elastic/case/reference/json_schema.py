@@ -32,6 +32,7 @@ from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.user import FormulaEnergy, SplitFormulaEnergy
 from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.supports.springs import SUPPORTS
+from dolfin_elastic.model.values import OrField
 from dolfin_elastic.results.checkpoint.checkpoints import CheckpointSettings
 from dolfin_elastic.results.probes import ProbePoint
 
@@ -152,6 +153,10 @@ class _Writer:
             metadata: What pydantic knows beside the type: units and bounds.
             varies: A number may vary in space.
         """
+        metadata = list(metadata)
+        if any(isinstance(one, OrField) for one in metadata):
+            rest = [one for one in metadata if not isinstance(one, OrField)]
+            return {"anyOf": [self._value(kind, rest, varies=varies), FIELD]}
         kinds = [one for one in members_of(kind) if one is not NoneType]
         if get_origin(kind) is Annotated:
             inner, *more = get_args(kind)
@@ -160,7 +165,6 @@ class _Writer:
             parts = [one for one in _union(kind) if one is not NoneType]
             variants = [self._value(one, metadata, varies=varies) for one in parts]
             return variants[0] if len(variants) == 1 else {"anyOf": variants}
-        metadata = list(metadata)
         limits = {
             key: getattr(one, limit)
             for one in metadata

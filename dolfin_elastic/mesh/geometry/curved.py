@@ -143,7 +143,7 @@ def facet_areas(mesh: Mesh, facets: IndexArray) -> FloatArray:
     """
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
     points, weights = quadrature_rule(d - 1, 8 if degree > 1 else 0)
-    slopes = cell_gradients(_facet_nodes(mesh, facets), degree, points)
+    slopes = cell_gradients(mesh.geometry.x[_facet_nodes(mesh, facets), :d], degree, points)
     metric = np.einsum("npgs,npgt->npst", slopes, slopes)
     return np.asarray(np.sqrt(np.linalg.det(metric)) @ weights)
 
@@ -161,7 +161,7 @@ def facet_points(
         Shapes (facets, points, d) and (facets, points, d, d - 1).
     """
     d, degree = mesh.topology.dim, mesh.geometry.cmap.degree
-    nodes = _facet_nodes(mesh, facets)
+    nodes = mesh.geometry.x[_facet_nodes(mesh, facets), :d]
     table = facet_shape_functions(d, degree, points)
     coordinates = np.einsum("pk,fkj->fpj", table, nodes)
     return np.asarray(coordinates), cell_gradients(nodes, degree, points)
@@ -179,13 +179,12 @@ def facet_shape_functions(dim: int, degree: int, points: FloatArray) -> FloatArr
     return np.asarray(_element(dim - 1, degree).tabulate(0, points)[0, :, :, 0], dtype=np.float64)
 
 
-def _facet_nodes(mesh: Mesh, facets: IndexArray) -> FloatArray:
-    """Coordinates of all nodes of facets, shape (n, k, d)."""
+def _facet_nodes(mesh: Mesh, facets: IndexArray) -> IndexArray:
+    """All nodes of facets, shape (n, k)."""
     d = mesh.topology.dim
     cells, local = cells_beside_facets(mesh, facets)
     closure = np.array(_element(d, mesh.geometry.cmap.degree).entity_closure_dofs[d - 1])
-    nodes = np.take_along_axis(mesh.geometry.dofmap[cells], closure[local], axis=1)
-    return np.asarray(mesh.geometry.x[nodes, :d])
+    return np.take_along_axis(mesh.geometry.dofmap[cells], closure[local], axis=1)
 
 
 @dataclass(frozen=True)
@@ -197,6 +196,8 @@ class QuadraturePoints:
         weights: Quadrature weight times volume, area or length element, shape (entities, points).
         cells: The cell of each entity, shape (entities,).
         local: The points in the reference cell or facet, shape (points, its dimension).
+        nodes: The mesh's nodes of each entity, shape (entities, nodes).
+        shapes: Their shape functions at the points, shape (points, nodes).
         N: For facets, outward unit normals, shape of X; else None.
     """
 
@@ -204,6 +205,8 @@ class QuadraturePoints:
     weights: FloatArray
     cells: IndexArray
     local: FloatArray
+    nodes: IndexArray
+    shapes: FloatArray
     N: FloatArray | None = None
 
 
@@ -217,10 +220,10 @@ def cell_quadrature(mesh: Mesh, cells: IndexArray, degree: int) -> QuadraturePoi
     """
     d, curved = mesh.topology.dim, mesh.geometry.cmap.degree
     local, weights = quadrature_rule(d, degree + d * (curved - 1))
-    nodes = mesh.geometry.x[mesh.geometry.dofmap[cells], :d]
-    X = np.einsum("pn,cnj->cpj", shape_functions(mesh, local), nodes)
+    nodes, shapes = mesh.geometry.dofmap[cells], shape_functions(mesh, local)
+    X = np.einsum("pn,cnj->cpj", shapes, mesh.geometry.x[nodes, :d])
     size = np.abs(cell_jacobians(mesh, local, cells)) * weights
-    return QuadraturePoints(X, size, cells, local=local)
+    return QuadraturePoints(X, size, cells, local, nodes, shapes)
 
 
 def facet_quadrature(
@@ -249,9 +252,9 @@ def facet_quadrature(
     corner = mesh.geometry.x[mesh.geometry.dofmap[cells, opposite], :d]
     inward = np.einsum("fpj,fpj->fp", normals, corner[:, None] - X) > 0
     normals = np.where(inward[..., None], -normals, normals)
-    return QuadraturePoints(
-        X, size * weights, cells, local, N=normals / np.where(size > 0, size, 1.0)[..., None]
-    )
+    nodes, shapes = _facet_nodes(mesh, facets), facet_shape_functions(d, curved, local)
+    normals = normals / np.where(size > 0, size, 1.0)[..., None]
+    return QuadraturePoints(X, size * weights, cells, local, nodes, shapes, normals)
 
 
 @dataclass(frozen=True)

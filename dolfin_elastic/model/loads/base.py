@@ -19,7 +19,9 @@ from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.values import (
     Component,
+    FieldsAt,
     Parts,
+    Vector,
     component,
     components,
     depends_on_time,
@@ -130,6 +132,7 @@ class LoadPoints:
         axisymmetric: The body is axisymmetric about y.
         weights: Quadrature weights times area or volume, shape (...); None: single places.
         total: Sum of an array over all ranks, collective.
+        fields: Gives the fields of the mesh at the points, for loads that have any.
     """
 
     X: FloatArray
@@ -140,6 +143,7 @@ class LoadPoints:
     axisymmetric: bool = False
     weights: FloatArray | None = None
     total: Callable[[FloatArray], FloatArray] = lambda own: own
+    fields: FieldsAt | None = None
 
 
 class Load(Record):
@@ -147,7 +151,8 @@ class Load(Record):
 
     Attributes:
         kind: The load's name in a case file.
-        value: Components in SI units, texts with units, or formulas in x, y, z [m] and t.
+        value: Components in SI units, texts with units, formulas in x, y, z [m] and t; of some
+            kinds also fields of the mesh, see `takes_fields`.
         curve: Amplitude over time.  Without one, loads grow with the load steps in statics and
             act in full from the start in motion, and formulas in t are taken as they are,
             component by component.
@@ -155,7 +160,7 @@ class Load(Record):
     """
 
     kind: str = ""
-    value: list[Any]
+    value: Vector
     curve: Curve | None = None
 
     key_hints: ClassVar[Mapping[str, str]] = {
@@ -182,6 +187,8 @@ class Load(Record):
     """The load is no force but changes the natural state, see `eigenstrain`."""
     conservative: ClassVar[bool] = True
     """The load has a potential, so that its load stiffness is symmetric."""
+    takes_fields: ClassVar[bool] = False
+    """Its value, or a component of it, may be a field of the mesh."""
 
     @model_validator(mode="after")
     def _read_components(self) -> Load:
@@ -201,7 +208,7 @@ class Load(Record):
     @cached_property
     def values(self) -> tuple[Component, ...]:
         """The components as numbers or formulas."""
-        return components(self.value, self.unit, key="value")
+        return components(self.value, self.unit, key="value", fields=self.takes_fields)
 
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:
@@ -280,7 +287,7 @@ class ScalarLoad(Load):
     def values(self) -> tuple[Component, ...]:
         """The value, one number or formula."""
         with keyed("value"):
-            return (component(self.value, self.unit),)
+            return (component(self.value, self.unit, fields=self.takes_fields),)
 
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:

@@ -46,7 +46,8 @@ class Thermal(ScalarLoad, Eigenstrain):
     Fg = (1 + alpha dT) I with the coefficient of expansion alpha of the material.
 
     Attributes:
-        value: A number, a text with a unit, or a formula in x, y, z [m] (undeformed) and t.
+        value: A number, a text with a unit, a formula in x, y, z [m] (undeformed) and t, or a
+            field of the mesh.
 
     Example:
         Thermal(value=60)
@@ -54,6 +55,7 @@ class Thermal(ScalarLoad, Eigenstrain):
 
     kind: Literal["thermal"] = "thermal"
     unit: ClassVar[str] = "K"
+    takes_fields: ClassVar[bool] = True
     sentence: ClassVar[str] = "change of temperature by {}"
 
     def growth(self, context: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
@@ -69,9 +71,9 @@ class Growth(Eigenstrain):
     At amplitude a it is Fg = I + a (G - I).
 
     Attributes:
-        value: Stretches along x, y and z, or a 3x3 list G; numbers or formulas in x, y, z [m] and
-            t.  In a plane the third is across it, in a body of revolution around the axis; it may
-            be left out, and is 1 then.
+        value: Stretches along x, y and z, or a 3x3 list G; numbers, formulas in x, y, z [m] and t,
+            or scalar fields of the mesh.  In a plane the third is across it, in a body of
+            revolution around the axis; it may be left out, and is 1 then.
 
     Example:
         Growth(value=[1.1, 1, 1])
@@ -91,7 +93,7 @@ class Growth(Eigenstrain):
         if len(written) == 3 and all(isinstance(row, list | tuple) for row in written):
             if any(len(row) != 3 for row in written):
                 raise InputError("this is no 3x3 list", expected=_GROWTH)
-            result = [[component(item, "") for item in row] for row in written]
+            result = [[component(item, "", fields=True) for item in row] for row in written]
             if all(isinstance(item, float) for row in result for item in row):
                 change = float(np.linalg.det(np.array(result, dtype=np.float64)))
                 if not change > 0:
@@ -102,7 +104,7 @@ class Growth(Eigenstrain):
             return result
         if len(written) not in (2, 3) or any(isinstance(row, list | tuple) for row in written):
             raise InputError(f"{written!r} is no growth", expected=_GROWTH)
-        stretches = [component(item, "") for item in [*written, 1.0][:3]]
+        stretches = [component(item, "", fields=True) for item in [*written, 1.0][:3]]
         if any(isinstance(item, float) and item <= 0 for item in stretches):
             raise InputError("a stretch must be above 0", expected="1 is no growth")
         return [[stretches[i] if i == j else 0.0 for j in range(3)] for i in range(3)]

@@ -40,6 +40,7 @@ class Traction(Load):
     kind: Literal["traction"] = "traction"
     on: str | list[str]
     unit: ClassVar[str] = "Pa"
+    takes_fields: ClassVar[bool] = True
     sentence: ClassVar[str] = "force per area of {}"
     key_hints: ClassVar[Mapping[str, str]] = {
         **Load.key_hints,
@@ -48,7 +49,7 @@ class Traction(Load):
 
     def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
-        return vector_at(self.values, points.X, points.t)
+        return vector_at(self.values, points.X, points.t, points.fields)
 
     def virtual_work(self, context: LoadContext) -> ufl.Form:
         """See the class."""
@@ -117,11 +118,12 @@ class BodyForce(Load):
     kind: Literal["body-force"] = "body-force"
     on: str | list[str] | None = None
     unit: ClassVar[str] = "N/m^3"
+    takes_fields: ClassVar[bool] = True
     sentence: ClassVar[str] = "force per volume of {}"
 
     def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
-        return vector_at(self.values, points.X, points.t)
+        return vector_at(self.values, points.X, points.t, points.fields)
 
     def virtual_work(self, context: LoadContext) -> ufl.Form:
         """See the class."""

@@ -29,7 +29,8 @@ class Pressure(ScalarLoad):
     surface is closed, or its edge fixed.
 
     Attributes:
-        value: A number, a text with a unit, or a formula in x, y, z [m] (undeformed) and t.
+        value: A number, a text with a unit, a formula in x, y, z [m] (undeformed) and t, or a
+            field of the mesh.
 
     Source: Bonet & Wood (2008), (4.68) and section 8.5.2; Schweizerhof & Ramm, Computers &
     Structures 18 (1984).
@@ -41,6 +42,7 @@ class Pressure(ScalarLoad):
     kind: Literal["pressure"] = "pressure"
     on: str | list[str]
     unit: ClassVar[str] = "Pa"
+    takes_fields: ClassVar[bool] = True
     along_normal: ClassVar[bool] = True
     follower: ClassVar[bool] = True
     linearises: ClassVar[bool] = True
@@ -60,8 +62,8 @@ class Pressure(ScalarLoad):
     def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
         assert points.N is not None
-        (p,) = self.values
-        return np.asarray(-number_at(p, points.X, points.t)[..., None] * points.N)
+        p = number_at(self.values[0], points.X, points.t, points.fields)
+        return np.asarray(-p[..., None] * points.N)
 
     def virtual_work(self, context: LoadContext) -> ufl.Form:
         """See the class."""

@@ -34,10 +34,9 @@ from dolfin_elastic.core.units import (
     SpatialValue,
     as_written,
     is_quantity,
-    to_base,
     to_si,
 )
-from dolfin_elastic.model.values import misspelt_unit
+from dolfin_elastic.model.values import field_table, misspelt_unit
 
 PLACE = ("x", "y", "z")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*", re.ASCII)
@@ -142,13 +141,6 @@ class SpatialDirection(SpatialValue):
         return [getattr(item, "written", item) for item in self.components]
 
 
-class _FieldTable(Record):
-    """``{field = "E_cell", unit = "MPa"}``."""
-
-    field: str
-    unit: str = ""
-
-
 def constant(value: object, unit: str | None) -> object:
     """Reads a constant that may vary in space; any other value is returned unchanged.
 
@@ -191,12 +183,7 @@ def _cells(values: FloatArray) -> SpatialCells:
 
 
 def _field(value: Mapping[str, object], unit: str | None) -> SpatialField:
-    table = _FieldTable(**value)
-    one = f"1 {table.unit}"
-    factor = 1.0
-    with keyed("unit"):
-        if table.unit:
-            factor = to_base(one) if unit is None else to_si(one, unit)
+    table, factor = field_table(value, unit)
     return SpatialField(table.field, table.unit, factor)
 
 

@@ -19,12 +19,16 @@ from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.materials.spatial import Axis, axis_vector
 from dolfin_elastic.model.values import (
     Component,
+    FieldsAt,
     OnSurfaces,
+    Vector,
     amplitude_of,
     component,
     components,
     depends_on_time,
     misspelt_unit,
+    number_at,
+    sized,
 )
 
 NORMAL = -1
@@ -83,7 +87,22 @@ class PrescribingSupport(Restraint):
         """Indices of the prescribed components, or `NORMAL`, in a body of 2 or 3 dimensions."""
         raise TypeError(f"{type(self).__name__} prescribes nothing")
 
-    def at(self, which: int, x: FloatArray, t: float, default: Amplitude) -> FloatArray | float:
+    def component(self, which: int) -> Component:
+        """The displacement that is prescribed [m], where no `at` of its own gives it.
+
+        Args:
+            which: One of `prescribed_components`.
+        """
+        return 0.0
+
+    def at(
+        self,
+        which: int,
+        x: FloatArray,
+        t: float,
+        default: Amplitude,
+        fields: FieldsAt | None = None,
+    ) -> FloatArray | float:
         """Prescribed displacement [m], shape (n,) or one number for all points.
 
         Args:
@@ -91,18 +110,20 @@ class PrescribingSupport(Restraint):
             x: Points of the reference configuration [m], shape (n, 3).
             t: Time [s], or load parameter.
             default: Amplitude where the support has no curve.
+            fields: Gives the fields of the mesh at the points; None: they are not a number.
         """
-        raise TypeError(f"{type(self).__name__} prescribes nothing")
+        value = self.component(which)
+        return self._scale(value, t, default) * _evaluated(value, x, t, fields)
 
     def _scale(self, value: Component, t: float, default: Amplitude) -> float:
         """Amplitude at time t: of the curve, 1 for a formula in t, else of the default."""
         return float((amplitude_of(value, getattr(self, "curve", None)) or default).at(t))
 
 
-def _evaluated(value: Component, x: FloatArray, t: float) -> FloatArray | float:
-    if isinstance(value, Formula):
-        return value.evaluate(x=x[:, 0], y=x[:, 1], z=x[:, 2], t=t)
-    return float(value or 0.0)
+def _evaluated(
+    value: Component, x: FloatArray, t: float, fields: FieldsAt | None = None
+) -> FloatArray | float:
+    return number_at(value, x, t, fields) if isinstance(value, Formula) else float(value or 0.0)
 
 
 class Support(PrescribingSupport):
@@ -110,8 +131,8 @@ class Support(PrescribingSupport):
 
     Attributes:
         displacement: One entry a component [m]: a number, a text with a unit ("2 mm"), a formula
-            in the reference coordinates x, y, z [m] and in t, or "free".  None: all components
-            are 0.
+            in the reference coordinates x, y, z [m] and in t, a scalar field of the mesh, or
+            "free"; or a vector field for all.  None: all components are 0.
         curve: Amplitude over time; without it constants grow with the load in statics.
 
     Example:
@@ -119,7 +140,7 @@ class Support(PrescribingSupport):
     """
 
     kind: Literal["displacement"] = "displacement"
-    displacement: list[Any] | None = None
+    displacement: Vector | None = None
     curve: Curve | None = None
 
     def describe(self, setting: Setting = ALONE) -> str:
@@ -129,6 +150,8 @@ class Support(PrescribingSupport):
     def _held(self) -> str:
         if self.at_rest and None not in self.values:
             return _FIXED
+        if isinstance(self.displacement, Mapping):
+            return f"moved by the {given(self.displacement, 'm')}"
         axes = [*zip("xyz", self.values, self.displacement or (), strict=False)]
         parts = [f"moved along {axis} by {given(text, 'm')}" for axis, v, text in axes if v]
         for words, value in (("no displacement", 0.0), ("free", None)):
@@ -146,7 +169,7 @@ class Support(PrescribingSupport):
         """The components as numbers, formulas or None (free); empty if all are 0."""
         if self.displacement is None:
             return ()
-        return components(self.displacement, "m", key="displacement", may_be_free=True)
+        return components(self.displacement, "m", key="displacement", may_be_free=True, fields=True)
 
     def values_in(self, dim: int) -> tuple[Component, ...]:
         """The components in a body of 2 or 3 dimensions.
@@ -154,7 +177,7 @@ class Support(PrescribingSupport):
         Raises:
             InputError: There are fewer or more.
         """
-        values = self.values or (0.0,) * dim
+        values = sized(self.values, dim) or (0.0,) * dim
         _check_length(self, "displacement", values, dim)
         return values
 
@@ -181,10 +204,9 @@ class Support(PrescribingSupport):
         """See `PrescribingSupport`."""
         return tuple(i for i, value in enumerate(self.values_in(dim)) if value is not None)
 
-    def at(self, which: int, x: FloatArray, t: float, default: Amplitude) -> FloatArray | float:
+    def component(self, which: int) -> Component:
         """See `PrescribingSupport`."""
-        value = self.values[which] if self.values else 0.0
-        return self._scale(value, t, default) * _evaluated(value, x, t)
+        return self.values[which] if self.values else 0.0
 
 
 class Fixed(PrescribingSupport):
@@ -208,10 +230,6 @@ class Fixed(PrescribingSupport):
         """See `PrescribingSupport`."""
         return tuple(range(dim))
 
-    def at(self, which: int, x: FloatArray, t: float, default: Amplitude) -> FloatArray | float:
-        """See `PrescribingSupport`."""
-        return 0.0
-
 
 def _check_length(support: Restraint, key: str, values: tuple[Component, ...], dim: int) -> None:
     if len(values) != dim:
@@ -227,7 +245,8 @@ class Normal(PrescribingSupport):
     On a curved surface each node has the mean normal of the facets around it, by their areas.
 
     Attributes:
-        displacement: Along the outward normal [m]: a number, a text with a unit, or a formula.
+        displacement: Along the outward normal [m]: a number, a text with a unit, a formula, or a
+            scalar field of the mesh.
         curve: Amplitude over time; without it constants grow with the load in statics.
 
     Example:
@@ -262,7 +281,8 @@ class Normal(PrescribingSupport):
                 expected="one number along the outward normal; components need "
                 'kind = "displacement"',
             )
-        return _read_at("displacement", self.displacement, "m")
+        with keyed("displacement"):
+            return component(self.displacement, "m", fields=True)
 
     @property
     def at_rest(self) -> bool:
@@ -273,14 +293,9 @@ class Normal(PrescribingSupport):
         """See `PrescribingSupport`."""
         return (NORMAL,)
 
-    def at(self, which: int, x: FloatArray, t: float, default: Amplitude) -> FloatArray | float:
+    def component(self, which: int) -> Component:
         """See `PrescribingSupport`."""
-        return self._scale(self.value, t, default) * _evaluated(self.value, x, t)
-
-
-def _read_at(key: str, written: object, unit: str) -> Component:
-    with keyed(key):
-        return component(written, unit)
+        return self.value
 
 
 class Symmetry(PrescribingSupport):
@@ -302,10 +317,6 @@ class Symmetry(PrescribingSupport):
     def prescribed_components(self, dim: int) -> tuple[int, ...]:
         """See `PrescribingSupport`."""
         return (NORMAL,)
-
-    def at(self, which: int, x: FloatArray, t: float, default: Amplitude) -> FloatArray | float:
-        """See `PrescribingSupport`."""
-        return 0.0
 
 
 class Rotation(PrescribingSupport):
@@ -438,7 +449,14 @@ class Rotation(PrescribingSupport):
             _check_length(self, "displacement", self.translation, dim)
         return tuple(range(dim))
 
-    def at(self, which: int, x: FloatArray, t: float, default: Amplitude) -> FloatArray | float:
+    def at(
+        self,
+        which: int,
+        x: FloatArray,
+        t: float,
+        default: Amplitude,
+        fields: FieldsAt | None = None,
+    ) -> FloatArray | float:
         """See `PrescribingSupport`."""
         angle = self._scale(self.rotation_angle, t, default) * _at_time(self.rotation_angle, t)
         r = x - np.array([*map(float, self.centre), 0.0])[:3]  # type: ignore[arg-type]

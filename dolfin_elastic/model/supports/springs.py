@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar, Literal, Protocol, Self, TypeVar
 
 import ufl
@@ -25,7 +25,14 @@ from dolfin_elastic.model.supports.displacement import (
     Symmetry,
 )
 from dolfin_elastic.model.supports.rigid_surface import Rigid
-from dolfin_elastic.model.values import Component, Parts, component, components
+from dolfin_elastic.model.values import (
+    Component,
+    Parts,
+    Vector,
+    component,
+    components,
+    sized,
+)
 
 T = TypeVar("T")
 _POWERS = {"surface": "^3", "edge": "^2", "point": ""}
@@ -122,7 +129,7 @@ class ResistingSupport(Restraint):
 
     @cached_property
     def coefficients(self) -> tuple[Component, ...]:
-        """Along each axis, or (n, s); numbers in SI units or formulas in x, y, z.
+        """Along each axis, or (n, s); numbers in SI units, formulas in x, y, z, or fields.
 
         Raises:
             InputError: None or both kinds are given, or a number is negative.
@@ -166,10 +173,11 @@ class ResistingSupport(Restraint):
     def _read_in(self, unit: str) -> tuple[Component, ...]:
         if not self.by_normal:
             written = getattr(self, self.axes)
-            return self._checked({self.axes: _located(self.axes, components, written, unit)})
-        keys = ("normal", "tangential")
+            read = partial(components, fields=True)
+            return self._checked({self.axes: _located(self.axes, read, written, unit)})
+        keys, one = ("normal", "tangential"), partial(component, fields=True)
         return self._checked(
-            {key: (_located(key, component, getattr(self, key) or 0.0, unit),) for key in keys}
+            {key: (_located(key, one, getattr(self, key) or 0.0, unit),) for key in keys}
         )
 
     def _checked(self, readings: Mapping[str, tuple[Component, ...]]) -> tuple[Component, ...]:
@@ -204,7 +212,8 @@ class ResistingSupport(Restraint):
         held = context.held(self.surfaces)
         self._check_kind(held.kind)
         parts = Parts(held.kind, self.surfaces)
-        values = [context.value(c, parts) for c in self._readings[held.kind]]
+        given = sized(self._readings[held.kind], len(context.v))
+        values = [context.value(c, parts) for c in given]
         if not self.total:
             return values
         size = held.size()
@@ -285,7 +294,7 @@ class Spring(ResistingSupport):
 
     Attributes:
         stiffness: Stiffness along each axis instead of along and across the normal.
-        displacement: Of the base that the springs stand on, components [m] or formulas.
+        displacement: Of the base that the springs stand on, components [m], formulas or fields.
         curve: Amplitude of it, as of prescribed displacements.
 
     Example:
@@ -293,8 +302,8 @@ class Spring(ResistingSupport):
     """
 
     kind: Literal["spring"] = "spring"
-    stiffness: list[Any] | None = None
-    displacement: list[Any] | None = None
+    stiffness: Vector | None = None
+    displacement: Vector | None = None
     curve: Curve | None = None
 
     unit: ClassVar[str] = "N/m"
@@ -305,7 +314,7 @@ class Spring(ResistingSupport):
         """Displacement of the base [m]; empty if it is at rest."""
         if self.displacement is None:
             return ()
-        return _located("displacement", components, self.displacement, "m")
+        return _located("displacement", partial(components, fields=True), self.displacement, "m")
 
     @model_validator(mode="after")
     def _read_base(self) -> Self:
@@ -355,7 +364,7 @@ class Dashpot(ResistingSupport):
     """
 
     kind: Literal["dashpot"] = "dashpot"
-    viscosity: list[Any] | None = None
+    viscosity: Vector | None = None
 
     unit: ClassVar[str] = "N*s/m"
     axes: ClassVar[str] = "viscosity"

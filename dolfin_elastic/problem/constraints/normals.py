@@ -19,6 +19,7 @@ from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, span
 from dolfin_elastic.model.supports.springs import Spring
+from dolfin_elastic.model.values import sized
 from dolfin_elastic.problem.spaces import part_nodes
 
 log = logging.getLogger("dolfin_elastic")
@@ -124,7 +125,8 @@ def check_outside(body: Body, name: str, where: str) -> None:
 def spring_directions(spring: Spring, body: Body, V: fem.FunctionSpace) -> Iterator[Projections]:
     """The nodes at which a spring resists, surface by surface. Collective."""
     dim, size = body.dim, V.dofmap.index_map.size_local
-    stiff = np.array([isinstance(k, Formula) or k != 0.0 for k in spring.coefficients], float)
+    given = sized(spring.coefficients, dim)
+    stiff = np.array([isinstance(k, Formula) or k != 0.0 for k in given], float)
     kind = body.common_kind(spring.surfaces)
     for name in spring.surfaces:
         if kind != "surface":

@@ -5,18 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from dolfinx import fem
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.supports.displacement import NORMAL, PrescribingSupport, Restraint
 from dolfin_elastic.model.supports.rigid_surface import Rigid
+from dolfin_elastic.model.values import Component, FieldsAt, fields_of
 from dolfin_elastic.problem.constraints.normals import surface_normals, unit_normals
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
+from dolfin_elastic.problem.mesh_fields import check_fields, check_finite, fields_at_nodes
 from dolfin_elastic.problem.spaces import part_nodes
 
 IN_PLANE = 0.7
@@ -47,6 +50,7 @@ class PrescribedComponent:
         nodes: Local nodes, owned and ghost, sorted.
         directions: Unit vectors along which it is measured, of shape (nodes, dim).
         curved: The directions are normals of a curved surface.
+        fields: Gives the fields of the mesh at all local nodes; None: none is prescribed.
     """
 
     support: PrescribingSupport | RigidMotion | None
@@ -54,12 +58,11 @@ class PrescribedComponent:
     nodes: IndexArray
     directions: FloatArray
     curved: bool = False
+    fields: FieldsAt | None = None
 
     def at(self, chosen: BoolArray) -> PrescribedComponent:
         """The same at some of its nodes."""
-        return PrescribedComponent(
-            self.support, self.which, self.nodes[chosen], self.directions[chosen], self.curved
-        )
+        return replace(self, nodes=self.nodes[chosen], directions=self.directions[chosen])
 
     def values(self, x: FloatArray, t: float, default: Amplitude = CONSTANT) -> FloatArray:
         """Prescribed displacement along each direction [m].
@@ -77,10 +80,21 @@ class PrescribedComponent:
         values = np.zeros(len(self.nodes))
         if self.support is not None:
             try:
-                values[:] = self.support.at(self.which, x[self.nodes], t, default)
+                values[:] = self._given(x[self.nodes], t, default)
             except InputError as error:
                 raise error.at(f"support '{self.support.label}'") from None
         return values
+
+    def _given(self, x: FloatArray, t: float, default: Amplitude) -> FloatArray | float:
+        support, fields = self.support, self.fields
+        if isinstance(support, PrescribingSupport) and fields is not None:
+            own = partial(_rows, fields, self.nodes)
+            return support.at(self.which, x, t, default, own)
+        return 0.0 if support is None else support.at(self.which, x, t, default)
+
+
+def _rows(fields: FieldsAt, nodes: IndexArray, name: str) -> FloatArray:
+    return fields(name)[nodes]
 
 
 @dataclass(frozen=True)
@@ -146,8 +160,11 @@ class PrescribedComponents:
 
     def _add(self, support: PrescribingSupport) -> None:
         which = support.prescribed_components(self._dim)
+        fields = self._fields(support, [support.component(i) for i in which])
         if which == (NORMAL,):
-            self.components += [self._along_normal(support, name) for name in support.surfaces]
+            self.components += [
+                self._along_normal(support, name, fields) for name in support.surfaces
+            ]
             return
         if self._axisymmetric and support.kind == "rotation":
             raise InputError(
@@ -156,7 +173,18 @@ class PrescribedComponents:
                 expected='"displacement"',
             )
         nodes = self._nodes(support)
-        self.components += [self._along_axis(support, i, nodes) for i in which]
+        self.components += [self._along_axis(support, i, nodes, fields) for i in which]
+
+    def _fields(self, support: PrescribingSupport, values: Sequence[Component]) -> FieldsAt | None:
+        """Fields at all nodes, with values at those of a support; None without any. Collective."""
+        if not (given := fields_of(values)):
+            return None
+        with keyed(f"support '{support.label}'.displacement"):
+            check_fields(self._body, values)
+            fields, nodes = fields_at_nodes(self._body, self._V), self._nodes(support)
+            table = [fields(one.field)[nodes].ravel() for one in given]
+            check_finite(self._body, values, np.concatenate(table))
+        return fields
 
     def _add_rigid(self, support: Rigid) -> None:
         where = f"support '{support.label}'"
@@ -182,12 +210,18 @@ class PrescribedComponents:
         return np.unique(np.concatenate(result)).astype(np.int32)
 
     def _along_axis(
-        self, support: PrescribingSupport | RigidMotion | None, i: int, nodes: IndexArray
+        self,
+        support: PrescribingSupport | RigidMotion | None,
+        i: int,
+        nodes: IndexArray,
+        fields: FieldsAt | None = None,
     ) -> PrescribedComponent:
         directions = np.tile(np.eye(self._dim)[i], (len(nodes), 1))
-        return PrescribedComponent(support, i, nodes, directions)
+        return PrescribedComponent(support, i, nodes, directions, fields=fields)
 
-    def _along_normal(self, support: PrescribingSupport, name: str) -> PrescribedComponent:
+    def _along_normal(
+        self, support: PrescribingSupport, name: str, fields: FieldsAt | None
+    ) -> PrescribedComponent:
         """The component along a surface's normal. Collective."""
         normals = surface_normals(self._body, self._V, name)
         if support.needs_flat and not normals.flat:
@@ -202,7 +236,7 @@ class PrescribedComponents:
                 expected='a plane of symmetry is flat; kind = "normal" takes any surface',
             )
         return PrescribedComponent(
-            support, NORMAL, normals.nodes, normals.normals, not normals.flat
+            support, NORMAL, normals.nodes, normals.normals, not normals.flat, fields
         )
 
     def _turn_into_planes(self) -> None:

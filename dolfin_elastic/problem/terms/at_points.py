@@ -13,9 +13,10 @@ of the degree of the displacement, one more than its strain has.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from types import MappingProxyType
 
 import basix
 import basix.ufl
@@ -30,6 +31,7 @@ from dolfin_elastic.core.compat import adjacency, make_index_map, space_like
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.mesh.geometry.curved import shape_functions
 from dolfin_elastic.model.values import PLACE, Component, Parts, depends_on_time, number_at
 
@@ -120,9 +122,13 @@ class FormulaSpace(ABC):
     Args:
         points: Where formulas are evaluated.
         width: Components of a function; 0: it is a scalar.
+
+    Attributes:
+        fields: Of the mesh, by name.
     """
 
     _space: fem.FunctionSpace
+    fields: Mapping[str, MeshField] = MappingProxyType({})
 
     def __init__(self, mesh: Mesh, points: IntegralPoints, width: int) -> None:
         self._mesh, self._points, self._width = mesh, points, width
@@ -139,10 +145,9 @@ class FormulaSpace(ABC):
         """
         rows = function.x.array.reshape(-1, max(self._width, 1))
         for start in range(0, len(self._points.cells), _CHUNK):
-            coordinates = self._places_for(start, values)
-            self._store(
-                rows, start, np.stack([number_at(v, coordinates, t) for v in values], axis=2)
-            )
+            coordinates, fields = self._places_for(start, values), partial(self._field, start)
+            table = [number_at(v, coordinates, t, fields) for v in values]
+            self._store(rows, start, np.stack(table, axis=2))
 
     @abstractmethod
     def _store(self, rows: FloatArray, start: int, table: FloatArray) -> None:
@@ -162,6 +167,15 @@ class FormulaSpace(ABC):
         starts = range(0, len(self._points.cells), _CHUNK)
         result = [np.zeros((0, 3)), *(self._places(start).reshape(-1, 3) for start in starts)]
         return np.concatenate(result)
+
+    def _field(self, start: int, name: str) -> FloatArray:
+        """A field at the points of the entities of a chunk, shape (entities, points, columns)."""
+        field, sets = self.fields[name], self._points.sets
+        cells, which = (a[start : start + _CHUNK] for a in (self._points.cells, self._points.which))
+        result = np.empty((len(cells), sets.shape[1], field.columns))
+        for i, own in enumerate(sets):
+            result[which == i] = field.at(self._mesh, cells[which == i], own)
+        return result
 
     def _places(self, start: int) -> FloatArray:
         sets, geometry = self._points.sets, self._mesh.geometry
@@ -249,15 +263,22 @@ class FormulaValues:
         points: Gives the points of an integral over parts; collective.
         degree: Of the displacement, and of what formulas are in a cell where they stand anywhere.
         t: Time [s], or load parameter.
+        fields: Of the mesh, by name.
 
     Attributes:
         moving: Functions that change with time.
     """
 
     def __init__(
-        self, mesh: Mesh, points: Callable[[Parts], IntegralPoints], degree: int, t: float
+        self,
+        mesh: Mesh,
+        points: Callable[[Parts], IntegralPoints],
+        degree: int,
+        t: float,
+        fields: Mapping[str, MeshField],
     ) -> None:
         self._mesh, self._points, self._degree, self._t = mesh, points, degree, t
+        self._fields = fields
         self._spaces: dict[tuple[Parts | None, int], FormulaSpace] = {}
         self._timed: list[Callable[[float], None]] = []
         self.moving: list[fem.Function] = []
@@ -307,6 +328,7 @@ class FormulaValues:
                 if parts is None
                 else PointsSpace(self._mesh, self._points(parts), width)
             )
+            self._spaces[parts, width].fields = self._fields
         return self._spaces[parts, width]
 
     def set_time(self, t: float) -> None:

@@ -12,7 +12,7 @@ from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import first_of
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.loads import Cavity, ConcentratedLoad, Load
-from dolfin_elastic.model.values import PLACE, number_at
+from dolfin_elastic.model.values import PLACE, FieldFormula, number_at
 from dolfin_elastic.problem.context import formula_places
 
 if TYPE_CHECKING:
@@ -78,6 +78,8 @@ def undefined_formula(
     Returns:
         With the least of its places by coordinates, the same on every rank; None if it has values.
     """
+    if isinstance(formula, FieldFormula):
+        return None  # is checked where its values are taken from the mesh
     bad = X[~np.isfinite(number_at(formula, X, t))]
     # Rounded, lest the last digits differ with the number of ranks.
     first = first_of(comm, [tuple(float(x) + 0.0 for x in row.round(12)) for row in bad])
