@@ -190,18 +190,24 @@ def _of_safety(safety: Table, summary: Table) -> Verdict:
     times += _error(safety)
     if value / (1 + (0.0 if math.isnan(error) else error)) < 1:
         return _unknown(f"stress {times}{where}: refine the mesh")
-    if "error" not in safety:
-        return _unknown(f"stress {times} at the end{where}; its error, and all before, are open")
-    stability = summary.get("stability") or {}
-    if stability.get("verdict") == "not judged":
-        why = stability.get("reason")
-        return _unknown(f"stress {times}{where}, but its stability is not judged: {why}")
-    if stability.get("may_buckle"):
-        return _unknown(
-            f"stress {times}{where}, but so slender a part under compression may buckle, "
-            "which small strains do not show: compute it with [buckling]"
-        )
+    if doubt := _unjudged(safety, summary):
+        return _unknown(f"stress {times}{where}, but {doubt}")
     return _verdict("holds", f"{times}{where}")
+
+
+def _unjudged(safety: Table, summary: Table) -> str:
+    """What speaks against a part whose stress is known to be below the allowable one."""
+    stability = summary.get("stability") or {}
+    if "error" not in safety:
+        return "that is the end of the motion alone, with an unknown error"
+    if stability.get("verdict") == "not judged":
+        return f"its stability is not judged: {stability.get('reason')}"
+    if stability.get("may_buckle"):
+        return (
+            "so slender a part under compression may buckle, which small strains do not show: "
+            "compute it with [buckling]"
+        )
+    return ""
 
 
 def _times(ratio: float) -> str:
