@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Literal, Self, TypeAlias
 
-from pydantic import model_validator
+from pydantic import PrivateAttr, model_validator
 
 from dolfin_elastic.case.model_tables import ModelTables
 from dolfin_elastic.case.tables import Output
@@ -29,8 +28,8 @@ if TYPE_CHECKING:
 
 Analysis = Literal["statics", "dynamics", "modal", "buckling"]
 
-ANALYSES: tuple[Analysis, ...] = ("statics", "dynamics", "modal", "buckling")
-"""Keys of the tables, of which a case has one; [statics] also beside a preload."""
+ANALYSES: tuple[Analysis, ...] = ("statics", "modal", "buckling", "dynamics")
+"""Keys of their tables, in the order in which they run."""
 EXPLICIT_STATES = 200
 """States whose fields are written of an explicit motion, which takes too many steps for all."""
 
@@ -40,9 +39,10 @@ class AnalysisTables(ModelTables):
 
     Attributes:
         statics: Equilibrium under growing load; the analysis of a case without any of these tables.
+            It also says how the preload of the others is found.
         dynamics: Motion in time.
-        modal: Natural frequencies and modes; with a preload [statics] says how that is found.
-        buckling: Load factors at which it buckles; as above.
+        modal: Natural frequencies and modes.
+        buckling: Load factors at which it buckles.
         solver: How linear systems are solved.
         output: What is written.
     """
@@ -54,31 +54,52 @@ class AnalysisTables(ModelTables):
     solver: WhenGiven[LinearSettings] = LinearSettings.model_construct()
     output: WhenGiven[Output] = Output.model_construct()
 
-    @model_validator(mode="before")
-    @classmethod
-    def _refuse_both(cls, tables: object) -> object:
-        # Before the tables are read: errors in one that the user then leaves out do not matter.
-        if isinstance(tables, Mapping) and all(
-            tables.get(key) is not None for key in ("statics", "dynamics")
-        ):
-            raise InputError(
-                "[statics] and [dynamics] given together",
-                expected="a case has one analysis; leave one of them out",
-            )
-        return tables
+    _part: Analysis | None = PrivateAttr(default=None)
+    _whole: Self | None = PrivateAttr(default=None)
 
     @model_validator(mode="after")
     def _cross_check(self) -> Self:
-        _check_one_analysis(self)
+        _check_periodic(self)
         _check_contacts(self)
         _check_output(self)
         return self
 
     @property
+    def given(self) -> tuple[Analysis, ...]:
+        """What is computed, in the order in which it runs."""
+        if self._part is not None:
+            return (self._part,)
+        return tuple(key for key in ANALYSES if getattr(self, key) is not None) or ("statics",)
+
+    @property
     def analysis(self) -> Analysis:
-        """What is done: "statics", "dynamics", "modal" or "buckling"."""
-        others: tuple[Analysis, ...] = ("dynamics", "modal", "buckling")
-        return next((key for key in others if getattr(self, key) is not None), "statics")
+        """What is computed, the first of several: "statics", "modal", "buckling" or "dynamics"."""
+        return self.given[0]
+
+    @property
+    def whole(self) -> Self:
+        """The case of which this is one analysis, see `analyses`; else this one."""
+        return self._whole or self
+
+    def analyses(self) -> tuple[Self, ...]:
+        """A case for each analysis, in the order in which they run; this one, if it has one.
+
+        Their results go into folders of one, named after the analysis.  Those with a preload have
+        the settings of [statics] for the way to it.
+        """
+        given = self.given
+        return tuple(self._only(one) for one in given) if len(given) > 1 else (self,)
+
+    def _only(self, analysis: Analysis) -> Self:
+        keys: dict[str, object] = {key: None for key in ANALYSES if key != analysis}
+        modes, motion = analysis in ("modal", "buckling"), analysis == "dynamics"
+        if modes and self.statics is not None and getattr(self, analysis).preload:
+            keys["statics"] = self.statics.as_way(ends=analysis == "modal")
+        mixed = "dynamics" in self.given
+        keys["output"] = self.output.only(modes=modes, motion=motion if mixed else None)
+        part = self.model_copy(update=keys)
+        part._part, part._whole = analysis, self
+        return part
 
     @property
     def gives_modes(self) -> bool:
@@ -170,25 +191,13 @@ class AnalysisTables(ModelTables):
 # --- what fits together ---
 
 
-def _check_one_analysis(case: AnalysisTables) -> None:
-    """A case has one analysis.
+def _check_periodic(case: AnalysisTables) -> None:
+    """A periodic cell has statics only.
 
     Raises:
-        InputError: It has several, or one that a periodic cell has not.
+        InputError: It has another analysis.
     """
-    given = [key for key in ANALYSES if getattr(case, key) is not None]
-    others = [key for key in given if key != "statics"]
-    if len(others) > 1:
-        raise InputError(
-            f"[{given[0]}] and [{given[1]}] given together",
-            expected="a case has one analysis; leave one of them out",
-        )
-    if len(given) > 1 and not case.preloaded:
-        raise InputError(
-            f"[statics] beside [{others[0]}] says how the preload is found, but there is none",
-            where="statics",
-            expected=f"leave it out, or write {others[0]}.preload",
-        )
+    others = [key for key in case.given if key != "statics"]
     if case.periodic is not None and others:
         what = {"dynamics": "motion", "modal": "modes of its own", "buckling": "modes of its own"}
         raise InputError(
@@ -205,19 +214,23 @@ def _check_contacts(case: AnalysisTables) -> None:
         "in motion the penalty decides how far a surface penetrates",
         "leave it out; a higher `stiffness` makes it less",
     )
-    for index, contact in enumerate(case.contact if case.dynamics is not None else ()):
+    for index, contact in enumerate(case.contact if case.given == ("dynamics",) else ()):
         refuse_unused_keys(contact, [rule], f"contact[{index}]")
 
 
 def _check_output(case: AnalysisTables) -> None:
-    """Refuses keys of [output] for what the analysis does not give."""
-    rules = [UnusedKeys(["frames", "amplitude"], f"there are no modes in {case.analysis}")]
-    if case.gives_modes:
-        rules = []
+    """Refuses keys of [output] for what none of the analyses gives."""
+    parts = case.analyses()
+    names = " and ".join(f"[{part.analysis}]" for part in parts)
+    rules = []
+    if not any(part.gives_modes for part in parts):
+        words = " and ".join(case.given)
+        rules.append(UnusedKeys(["frames", "amplitude"], f"there are no modes in {words}"))
+    if all(part.gives_modes for part in parts):
         if not case.output.checkpoint.off:
-            what = f"a run of [{case.analysis}] has no checkpoints and cannot be restarted"
+            what = f"a run of {names} has no checkpoints and cannot be restarted"
             rules.append(UnusedKeys(["checkpoint"], what))
-        if not case.preloaded:
+        if not any(part.preloaded for part in parts):
             what = "modes without a preload have no states with fields, probes or steps"
             expected = f"leave it out, or write {case.analysis}.preload"
             rules.append(UnusedKeys(["fields", "every", "probes"], what, expected))

@@ -168,8 +168,10 @@ class Case(AnalysisTables):
     def results_folder(self) -> Path:
         """Folder of the results, unless `run` is given another one."""
         if self.output.folder is not None:
-            return self.folder / self.output.folder
-        return Path(f"{self.name}_results")
+            whole = self.folder / self.output.folder
+        else:
+            whole = Path(f"{self.name}_results")
+        return whole if self.whole is self else whole / self.analysis
 
 
 def read_case(

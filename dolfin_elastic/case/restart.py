@@ -6,7 +6,7 @@ import json
 import logging
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any
 
 from mpi4py import MPI
 
+from dolfin_elastic.case.analysis import ANALYSES
 from dolfin_elastic.case.case import Case, read_case
 from dolfin_elastic.case.curve_files import CURVED
 from dolfin_elastic.case.toml import toml_text
@@ -51,12 +52,14 @@ class Unfinished:
         folder: Of its results.
         found: Its newest undamaged checkpoint.
         newest: Step of its newest checkpoint, damaged or not.
+        rest: Other analyses of the same case that are to be computed afterwards.
     """
 
     case: Case
     folder: Path
     found: Checkpoint
     newest: int | None
+    rest: tuple[Case, ...] = ()
 
     @property
     def step(self) -> int:
@@ -121,6 +124,9 @@ def unfinished(
 ) -> Unfinished:
     """Finds the run in a folder of results. Collective.
 
+    Of a case with several analyses, in their common folder, that is the first one with a
+    checkpoint; those after it that are not complete are its rest.
+
     Args:
         case: What it computes; needed only of a case with Python functions, which is no text.
         comm: The ranks that continue it.
@@ -130,6 +136,11 @@ def unfinished(
         RestartError: There is nothing to go on from, the case is another one, or it is still going.
     """
     path = Path(folder)
+    if part := on_root(comm, lambda: _stopped_part(path)):
+        one = unfinished(path / part, case=case, comm=comm, trust=trust)
+        after = one.case.whole.analyses()[one.case.whole.given.index(one.case.analysis) + 1 :]
+        left = on_root(comm, lambda: [_status(path / p.analysis) != "completed" for p in after])
+        return replace(one, rest=tuple(p for p, open_ in zip(after, left, strict=True) if open_))
     on_root(comm, lambda: _check_folder(path))
     latest = on_root(comm, lambda: last_step(path))
     checkpoint = newest_checkpoint(comm, path)
@@ -162,7 +173,17 @@ def unfinished(
         _warn_if_changed(written, checkpoint.content["file"], comm)
     known = case or written
     assert known is not None
-    return Unfinished(known, path, checkpoint, latest)
+    parts, which = known.analyses(), checkpoint.content.get("analysis")
+    stopped = next((one for one in parts if one.analysis == which), parts[0])
+    return Unfinished(stopped, path, checkpoint, latest)
+
+
+def _stopped_part(folder: Path) -> str:
+    """The first analysis of several with a checkpoint; empty where there is none. On rank 0."""
+    if (folder / "summary.json").exists() or not folder.is_dir():
+        return ""
+    refuse_links(folder)
+    return next((one for one in ANALYSES if last_step(folder / one) is not None), "")
 
 
 def _case_text(folder: Path, content: Mapping[str, Any]) -> str:
@@ -212,6 +233,14 @@ def _check_unfinished(folder: Path) -> None:
             "this run is complete", where=where, expected="nothing is left to compute"
         )
     if last_step(folder) is None:
+        parts = {one: state for one in ANALYSES if (state := _status(folder / one))}
+        if parts and not status:
+            words = ", ".join(f"{one} {state}" for one, state in parts.items())
+            raise RestartError(
+                f"no analysis has a checkpoint here: {words}",
+                where=where,
+                expected="compute the case anew; modes and buckling have no checkpoints",
+            )
         if not status:
             raise RestartError(
                 "this is no folder of results",
@@ -245,14 +274,14 @@ def describe_run(
             but the file to compare with at the next restart stays the user's.
     """
     try:
-        tables = portable(case)
+        tables = portable(case.whole)
         text = toml_text(tables)
     except TypeError:  # TOML has no Python functions
         text = ""
     file = str(Path(case.file).resolve()) if case.file else ""
     if before is not None:
         file = before.found.content["file"] or file
-    return RunDescription(text, file, partial(fingerprint, body), petsc)
+    return RunDescription(text, file, partial(fingerprint, body), petsc, case.analysis)
 
 
 def portable(case: Case) -> dict[str, Any]:
@@ -319,7 +348,7 @@ def _warn_if_changed(written: Case, file: str, comm: MPI.Comm) -> None:
 
 def _tables(case: Case) -> dict[str, Any]:
     """Tables by which two cases are compared; without the mesh file, which has a fingerprint."""
-    tables = json.loads(json.dumps(portable(case), default=repr))
+    tables = json.loads(json.dumps(portable(case.whole), default=repr))
     tables["mesh"].pop("file", None)
     return dict(tables)
 

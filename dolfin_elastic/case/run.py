@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain, islice
 from os import PathLike
 from pathlib import Path
@@ -28,6 +28,7 @@ from dolfin_elastic.case.check.mesh_quality import bending_notes, section_notes,
 from dolfin_elastic.case.check.plausibility import unit_information
 from dolfin_elastic.case.model_record import model_record
 from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished, written_tables
+from dolfin_elastic.case.run_checkpoints import RunCheckpoints
 from dolfin_elastic.case.tables import check_name_of_folder
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import (
@@ -40,16 +41,14 @@ from dolfin_elastic.core.errors import (
 )
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue, chooses_solvers
-from dolfin_elastic.core.signals import acknowledge, remove_stop_file, watched
+from dolfin_elastic.core.signals import acknowledge, remove_stop_file
 from dolfin_elastic.core.together import end_all_if_alone, loop_together
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import (
     Mode,
     RestartableSolver,
-    RestartState,
     State,
-    StateCopy,
     restoring,
 )
 from dolfin_elastic.results.checkpoint.checkpoints import Checkpoints
@@ -62,6 +61,8 @@ from dolfin_elastic.solvers.petsc.c_api import give_back
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.analysis import Solver
+    from dolfin_elastic.solvers.eigen.preload import PreloadedAnalysis
+    from dolfin_elastic.solvers.statics.load_stepping import InitialGuess
 
 log = logging.getLogger("dolfin_elastic")
 States = Generator[State | Mode, None, None]
@@ -78,11 +79,13 @@ def run(
 ) -> States:
     """Solves a case and yields its states and modes after they are written.  Collective.
 
-    Closing the generator between two states writes a checkpoint.
+    Closing the generator between two states writes a checkpoint.  Of a case with several analyses
+    it yields those of one after the other; `case.analyses()` has each as a case of its own.
 
     Args:
         case: From `read_case`, or made in Python.
-        output: Folder of the results; by default what the case says.
+        output: Folder of the results; by default what the case says.  In it several analyses have
+            a folder each.
         petsc: PETSc options that win over the case's own.
         comm: The ranks that work together.
         asked: Called after each state on each rank; if it is true on one, a checkpoint is written.
@@ -90,7 +93,8 @@ def run(
     Raises:
         InputError: The case is wrong, or a run is still going in that folder; nothing has been
             written.
-        SolveError: No solution was found; the results so far are complete.
+        SolveError: No solution was found; the results so far are complete, and those of the other
+            analyses.
         OutputError: Results cannot be written.
     """
     if isinstance(output, str):
@@ -99,7 +103,7 @@ def run(
         except InputError as error:
             raise error.at("output") from None
     folder = Path(output) if output is not None else case.results_folder()
-    yield from loop_together(comm, _Run(case, folder, dict(petsc or {}), comm, asked).states())
+    yield from _all(InTurn(case.analyses(), folder, dict(petsc or {}), comm), asked)
 
 
 def _options_before(folder: Unfinished) -> PetscOptions:
@@ -146,22 +150,140 @@ def restart(
     if not isinstance(folder, Unfinished):
         folder = unfinished(folder, case=case, comm=comm)
         log.info("%s", folder.message())
-    options = {**_options_before(folder), **(petsc or {})}
-    states = _Run(folder.case, folder.folder, options, comm, asked).states(folder)
-    yield from loop_together(comm, states)
+    yield from _all(InTurn.going_on(folder, petsc or {}), asked)
+
+
+def _all(runs: InTurn, asked: Callable[[], bool] | None) -> States:
+    """States and modes of several analyses, one after the other; see `run`."""
+    with closing(runs):
+        for one in runs:
+            try:
+                yield from one.states(asked=asked)
+            except SolveError as error:
+                runs.failed(one, error)
+                log.error("[%s]: %s", one.case.analysis, error)
+    if runs.errors:
+        raise next(iter(runs.errors.values()))
+
+
+class InTurn:
+    """The analyses of a case, to be run one after the other on one mesh. Collective.
+
+    One that fails keeps those from running whose preload it was to find.
+
+    Args:
+        cases: From `Case.analyses`, all or the rest of them.
+        folder: Of the results of the whole case.
+        petsc: PETSc options that win over the case's own.
+        comm: The ranks that work together.
+        before: The run of the first one that is continued.
+
+    Attributes:
+        several: There is more than one.
+        errors: Analysis to its error, of those that have failed.
+    """
+
+    def __init__(
+        self,
+        cases: Sequence[Case],
+        folder: Path,
+        petsc: dict[str, PetscValue],
+        comm: MPI.Comm,
+        before: Unfinished | None = None,
+    ) -> None:
+        self.several, self.errors = len(cases) > 1, dict[str, SolveError]()
+        self._folder, self._comm = folder, comm
+        self._lease = FolderLease(comm, folder)
+        shared = _Shared(keep=any(one.preloaded for one in cases))
+        self.runs = [
+            CaseRun(one, folder / one.analysis if self.several else folder, petsc, comm, shared)
+            for one in cases
+        ]
+        self.runs[0].before = before
+
+    @classmethod
+    def going_on(cls, stopped: Unfinished, petsc: PetscOptions) -> InTurn:
+        """What is left of a case of which a run was stopped. Collective.
+
+        Args:
+            petsc: PETSc options that win over those of the first run.
+        """
+        options = {**_options_before(stopped), **petsc}
+        folder = stopped.folder.parent if stopped.rest else stopped.folder
+        return cls([stopped.case, *stopped.rest], folder, options, stopped.found.comm, stopped)
+
+    def __iter__(self) -> Iterator[CaseRun]:
+        for one in self.runs:
+            if one.case.preloaded and "statics" in self.errors:
+                log.warning("[%s] is left out: its preload was not found", one.case.analysis)
+                continue
+            if self.several:
+                self._lease.acquire()
+            yield one
+            if self.several:
+                on_root(self._comm, lambda: _remove_results(self._folder))
+
+    def failed(self, one: CaseRun, error: SolveError) -> None:
+        """Notes that an analysis has failed.
+
+        Raises:
+            SolveError: The error itself, where there is no other analysis.
+        """
+        if not self.several:
+            raise error
+        self.errors[one.case.analysis] = error
+
+    def close(self) -> None:
+        """Lets others write into the folder. Not collective."""
+        self._lease.close()
 
 
 @dataclass
-class _Run:
-    """One run, from the start or from a checkpoint; see `run` for the attributes."""
+class _Shared:
+    """What the analyses of a case share.
+
+    Attributes:
+        keep: The equilibrium that statics finds is the preload of another one.
+        body: The mesh, and whether it follows curved surfaces.
+        known: Load factor and unknowns of that equilibrium.
+        told: Notes that were logged.
+    """
+
+    keep: bool = False
+    body: tuple[bool | None, Body] | None = None
+    known: tuple[float, InitialGuess] | None = None
+    told: set[str] = field(default_factory=set)
+
+    def body_of(self, case: Case, comm: MPI.Comm) -> Body:
+        """The mesh of a case, read once. Collective."""
+        if self.body is None or self.body[0] != case.curved:
+            self.body = case.curved, case.read_body(comm)
+        return self.body[1]
+
+
+@dataclass
+class CaseRun:
+    """A run of one analysis; see `InTurn` for the attributes."""
 
     case: Case
     folder: Path
     petsc: dict[str, PetscValue]
     comm: MPI.Comm
-    asked: Callable[[], bool] | None
+    shared: _Shared = field(default_factory=_Shared)
+    before: Unfinished | None = None
+    asked: Callable[[], bool] | None = None
 
-    def states(self, before: Unfinished | None = None) -> States:
+    @property
+    def around(self) -> Path | None:
+        """Folder of all analyses of the case; None of a single one."""
+        return self.folder.parent if self.case.whole is not self.case else None
+
+    def states(self, *, asked: Callable[[], bool] | None = None) -> States:
+        """All states and modes after they are written; see `run`. Collective."""
+        self.asked = asked
+        return loop_together(self.comm, self._locked(self.before))
+
+    def _locked(self, before: Unfinished | None) -> States:
         """All states and modes, while no other run can write into the folder. Collective.
 
         Args:
@@ -178,31 +300,40 @@ class _Run:
     def _states(self, before: Unfinished | None, lock: FolderLease) -> States:
         timing.begin()
         with timing.stage("mesh"):
-            body = self.case.read_body(self.comm)
+            body = self.shared.body_of(self.case, self.comm)
         description = describe_run(self.case, body, self.petsc, before)
         if before is not None:
             with timing.stage("mesh"):
                 before.check_mesh(description)
-        notes = log_notes(self.case, body)
+        told = self.shared.told
+        notes = log_notes(self.case, body, told)
         problem = self.case.make_problem(body)
-        more, sums = check_problem(self.case, problem)
+        more, sums = check_problem(self.case, problem, told)
         model = model_record(self.case, body, sums, [*notes, *more], self.petsc)
         solver = self.case.make_solver(problem, petsc=self.petsc)
+        if self.case.gives_modes:
+            cast("PreloadedAnalysis", solver).known = self.shared.known
         steps = _steps(solver, problem, before)
         step, settings = 0 if before is None else before.step, self.case.output.checkpoint
         checkpoints = Checkpoints(self.comm, self.folder, settings, description, step=step)
-        run_checkpoints = _RunCheckpoints(checkpoints, solver, self.asked)
+        run_checkpoints = RunCheckpoints(checkpoints, solver, self.asked)
         with locate_errors(self.case.file), closing(steps):
             files = outputs_of(self.case, model)
             yield from self._write_all(problem, files, steps, run_checkpoints, before, lock)
         checkpoints.clear()
+        if self.shared.keep and self.case.analysis == "statics":
+            from dolfin_elastic.solvers.statics.load_stepping import InitialGuess
+
+            scalars = cast(RestartableSolver, solver).restart_state().numbers["scalars"]
+            guess = InitialGuess(problem.w.x.array.copy(), tuple(scalars))
+            self.shared.known = self.case.final_load, guess
 
     def _write_all(
         self,
         problem: Problem,
         files: Sequence[Output],
         steps: States,
-        checkpoints: _RunCheckpoints,
+        checkpoints: RunCheckpoints,
         before: Unfinished | None,
         lock: FolderLease,
     ) -> States:
@@ -278,121 +409,42 @@ def _write(writer: Writer, result: State | Mode) -> None:
         writer.write_mode(result)
 
 
-class _RunCheckpoints:
-    """Checkpoints of a run whose solver can restart; of others there are none.  Collective.
-
-    Args:
-        checkpoints: Where they are written.
-        solver: What is saved; modes and buckling loads are not.
-        asked: See `run`.
-    """
-
-    def __init__(
-        self, checkpoints: Checkpoints, solver: Solver, asked: Callable[[], bool] | None
-    ) -> None:
-        self._checkpoints, self._asked = checkpoints, asked
-        self._solver = solver if isinstance(solver, RestartableSolver) else None
-        self._remembered: tuple[State, RestartState, StateCopy] | None = None
-
-    def remove_foreign(self, *, new: bool) -> None:
-        """Removes the checkpoints of other runs in the folder.
-
-        Args:
-            new: The run begins: all of them; otherwise those after the one that it continues from.
-        """
-        if not new:
-            self._checkpoints.remove_later()
-        elif self._checkpoints.clear():
-            log.warning("the checkpoints of a run that had not ended are removed")
-
-    def save_if_due(self, state: State | Mode, writers: Sequence[Writer]) -> None:
-        """Writes a checkpoint if it is time or if one was asked for.
-
-        Args:
-            state: The last one yielded by the solver.
-            writers: The open outputs, which have written it.
-        """
-        asked = self._asked is not None and self._asked()  # on every rank, whatever the solver
-        if self._solver is None or isinstance(state, Mode):
-            return
-        if self._checkpoints.due(state, asked=asked):
-            self._save(self._solver, state, writers)
-
-    def save_at_stop(self, state: State | Mode, writers: Sequence[Writer]) -> None:
-        """Writes a checkpoint of a run that is stopped, for its restart.
-
-        Args:
-            state: The last one yielded by the solver.
-            writers: The open outputs, which have written it.
-        """
-        if self._solver is None or isinstance(state, Mode):
-            return
-        if self._checkpoints.off or state.done >= 1.0:
-            return
-        try:
-            self._save(self._solver, state, writers)
-        except OutputError as error:
-            log.warning("%s", error)
-
-    def remember(self, state: State | Mode) -> None:
-        """Copies a state, for a stop amid the step after it; only where signals can stop the run.
-
-        Args:
-            state: The last one yielded by the solver; all outputs have written it.
-        """
-        if self._solver is None or isinstance(state, Mode) or not watched():
-            return
-        if self._checkpoints.off or state.done >= 1.0:
-            return
-        restart = self._solver.restart_state()
-        self._remembered = state, restart, StateCopy(restart)
-
-    def forget(self) -> None:
-        """Forgets the state that was remembered."""
-        self._remembered = None
-
-    def save_remembered(self, writers: Sequence[Writer]) -> None:
-        """Writes a checkpoint of the last complete step, where the one after it was interrupted.
-
-        Args:
-            writers: The open outputs, which have written it.
-        """
-        if self._remembered is None:
-            return
-        state, restart, copy = self._remembered
-        copy.fill(restart.fields)
-        try:
-            outputs = [writer.restart_state() for writer in writers]
-            self._checkpoints.save(state, RestartState(restart.fields, copy.numbers), outputs)
-        except OutputError as error:
-            log.warning("%s", error)
-
-    def _save(self, solver: RestartableSolver, state: State, writers: Sequence[Writer]) -> None:
-        outputs = [writer.restart_state() for writer in writers]
-        self._checkpoints.save(state, solver.restart_state(), outputs)
-
-
 # --- output files ---
 
 
 @timing.stage("checks")
-def log_notes(case: Case, body: Body) -> list[str]:
+def log_notes(case: Case, body: Body, told: set[str] | None = None) -> list[str]:
     """Logs how a body was made, and warns of what is doubtful in it and in its case. Collective.
+
+    Args:
+        told: What was logged before, and is not again; it grows.
 
     Returns:
         The warnings.
     """
-    for text in (*body.information, *unit_information(case, body)):
-        log.info("mesh: %s", text)
+    made = [f"mesh: {text}" for text in (*body.information, *unit_information(case, body))]
+    _log_new(logging.INFO, made, told)
     notes = [*(f"mesh: {note}" for note in mesh_notes(case, body)), *check(case, body)]
-    for note in notes:
-        log.warning("%s", note)
+    _log_new(logging.WARNING, notes, told)
     return notes
 
 
+def _log_new(level: int, texts: Sequence[str], told: set[str] | None) -> None:
+    for text in texts:
+        if not told or text not in told:
+            log.log(level, "%s", text)
+    if told is not None:
+        told.update(texts)
+
+
 @timing.stage("checks")
-def check_problem(case: Case, problem: Problem) -> tuple[list[str], tuple[LoadSum, ...]]:
+def check_problem(
+    case: Case, problem: Problem, told: set[str] | None = None
+) -> tuple[list[str], tuple[LoadSum, ...]]:
     """Warns of what needs the problem: loads beyond the material, obstacles, elements. Collective.
+
+    Args:
+        told: See `log_notes`.
 
     Returns:
         The warnings, and the resultants of the loads; none where one has no value at some time.
@@ -410,8 +462,7 @@ def check_problem(case: Case, problem: Problem) -> tuple[list[str], tuple[LoadSu
     with suppress(CaseError):  # of a load without a value at some time: the run finds it, or not
         sums = load_sums(case, integrals)
         notes += stress_notes(case, integrals, sums)
-    for note in notes:
-        log.warning("%s", note)
+    _log_new(logging.WARNING, notes, told)
     return notes, sums
 
 
@@ -485,6 +536,12 @@ def _remove_others(folder: Path, files: Sequence[Output]) -> None:
             kind.model_construct().remove(folder)  # defaults need no check, which costs its schema
     if Modes not in kinds:
         clear_modes(folder)
+
+
+def _remove_results(folder: Path) -> None:
+    """Removes files of an older run with one analysis, beside the folders of several."""
+    _remove_others(folder, ())
+    (folder / "summary.json").unlink(missing_ok=True)
 
 
 def _close(writers: Iterable[Writer], ending: tuple[str, object]) -> None:

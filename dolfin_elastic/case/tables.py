@@ -506,6 +506,32 @@ class Output(Record):
         drawn = [ModePicture(**{**table_of(p), "amplitude": self.amplitude}) for p in pictures]
         return [*result, Modes(frames=self.frames, amplitude=self.amplitude), *drawn, Summary()]
 
+    def only(self, *, modes: bool, motion: bool | None) -> Self:
+        """What of it one of several analyses gives.
+
+        Args:
+            modes: It gives modes, which have pictures without a field, and no film.
+            motion: It is a motion, or not; None: no analysis of the case is.
+        """
+
+        def given(name: str) -> bool:
+            field = FIELDS[name]
+            return motion is None or not (field.statics if motion else field.motion)
+
+        pictures = [p for p in self.pictures if all(map(given, p.fields))]
+        if modes:
+            bare = [(p, table_of(p)) for p in self.pictures if not p.film]
+            pictures = [type(p)(**{k: v for k, v in t.items() if k != "field"}) for p, t in bare]
+        keys: dict[str, object] = {"pictures": pictures}
+        if self.fields is not None:
+            keys["fields"] = tuple(filter(given, self.fields))
+        keys["probes"] = {
+            name: probe.model_copy(update={"fields": fields})
+            for name, probe in self.probes.items()
+            if (fields := tuple(filter(given, probe.fields)))
+        }
+        return self.model_copy(update=keys)
+
     def names(self) -> list[str]:
         """Names of files that the case gives its results."""
         return [picture.file for picture in self.pictures]

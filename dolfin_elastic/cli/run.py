@@ -6,7 +6,7 @@ from __future__ import annotations
 import gc
 import logging
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mpi4py import MPI
 
     from dolfin_elastic.case.case import Case
+    from dolfin_elastic.case.run import CaseRun, InTurn
     from dolfin_elastic.cli.console import ProgressDisplay
     from dolfin_elastic.problem.state import Mode, State
 
@@ -64,22 +65,22 @@ def run(
       mpirun -n 4 dolfin-elastic run beam.toml -- -ksp_type gmres -log_view
 
     Results go to CASE_results (fields for ParaView, history.csv, summary.json) unless the case or
-    --output says otherwise.  Ctrl-C, SIGTERM, SIGUSR2, or a file called `stop` in that folder stop
-    it with a checkpoint of the last complete step, from which `restart` goes on; SIGUSR1 makes a
-    checkpoint and no stop.
+    --output says otherwise; several analyses of a case have a folder each in it.
+    Ctrl-C, SIGTERM, SIGUSR2, or a file called `stop` in that folder stop it with a checkpoint of
+    the last complete step, from which `restart` goes on; SIGUSR1 makes a checkpoint and no stop.
     What follows two dashes are PETSc options; they win over the case's own.
     """
     options, at_start = parse_arguments(petsc or [])
     start(at_start)
     from dolfin_elastic.case.case import read_case
-    from dolfin_elastic.case.run import run as run_case
+    from dolfin_elastic.case.run import InTurn
 
     shown = _Shown(quiet=quiet or json, verbose=verbose, json=json, profile=profile)
     comm = begin(shown.quiet, verbose=verbose)
     read = read_case(case, comm=comm, trust=trust)
     folder = output if output is not None else read.results_folder()
     check_kept(folder, "--output" if output is not None else "output.folder")
-    _compute(read, folder, partial(run_case, read, output=folder, petsc=options), shown, comm)
+    _compute_all(InTurn(read.analyses(), folder, options, comm), shown, comm)
 
 
 def restart(
@@ -99,19 +100,20 @@ def restart(
       mpirun -n 8 dolfin-elastic restart beam_results      whatever it began on
 
     DIR is the folder of its results; it goes on from the last checkpoint there, and the results
-    go on with it.  PETSc options of the first run hold; those after two dashes win over them.
+    go on with it, as do the analyses of the case that come after it.  PETSc options of the first
+    run hold; those after two dashes win over them.
     """
     options, at_start = parse_arguments(petsc or [])
     start(at_start)
     from dolfin_elastic.case.restart import unfinished
-    from dolfin_elastic.case.run import restart as restart_case
+    from dolfin_elastic.case.run import InTurn
 
     shown = _Shown(quiet=quiet or json, verbose=verbose, json=json, profile=profile)
     comm = begin(shown.quiet, verbose=verbose)
     checkpoint = unfinished(folder, comm=comm, trust=trust)
     logging.getLogger("dolfin_elastic").info("%s", checkpoint.message())
     shown.since = checkpoint.step
-    _compute(checkpoint.case, folder, partial(restart_case, checkpoint, petsc=options), shown, comm)
+    _compute_all(InTurn.going_on(checkpoint, options), shown, comm)
 
 
 def begin(quiet: bool, *, verbose: bool = False) -> MPI.Comm:
@@ -153,26 +155,47 @@ class _Shown:
     since: int = 0
 
 
-def _compute(
-    case: Case,
-    folder: Path,
-    states: Callable[..., Generator[State | Mode, None, None]],
-    shown: _Shown,
-    comm: MPI.Comm,
-) -> None:
-    """Computes and shows a run; leaves with its exit code if that is not 0. Collective.
+def _compute_all(runs: InTurn, shown: _Shown, comm: MPI.Comm) -> None:
+    """Computes and shows the analyses of a case; leaves with the first exit code that is not 0.
 
-    Args:
-        states: Makes the generator that computes it, given `asked`.
+    Collective.
     """
+    from contextlib import closing
+
+    from dolfin_elastic.cli import console
+
+    code = 0
+    with closing(runs):
+        for number, one in enumerate(runs, start=1):
+            if runs.several and comm.rank == 0 and not shown.quiet:
+                of = f"({number} of {len(runs.runs)})"
+                console.console().print(f"{one.case.analysis} {of}", style="bold")
+            try:
+                _compute(one, shown, comm)
+            except SolveError as error:
+                runs.failed(one, error)
+                if comm.rank == 0:
+                    print(console.error_text(error), file=sys.stderr, flush=True)
+                code = code or error.exit_code
+            except Exit as ended:
+                code = code or ended.exit_code
+                if ended.exit_code == INTERRUPTED:
+                    raise
+            shown.since = 0
+    if code:
+        raise Exit(code)
+
+
+def _compute(run: CaseRun, shown: _Shown, comm: MPI.Comm) -> None:
+    """Computes and shows a run; leaves with its exit code if that is not 0. Collective."""
     from dolfin_elastic.results.writers.summary import mark_stopped
 
-    visible = comm.rank == 0 and not shown.quiet
-    stop = Stop(folder, partial(mark_stopped, folder.absolute()))
+    case, folder, visible = run.case, run.folder, comm.rank == 0 and not shown.quiet
+    stop = Stop(folder, partial(mark_stopped, folder.absolute()), around=run.around)
     before = _written(folder)
     code = INTERRUPTED
     try:
-        code = _follow(case, states(asked=stop.wants_checkpoint), stop, shown, comm)
+        code = _follow(case, run.states(asked=stop.wants_checkpoint), stop, shown, comm)
     except StoppedError:
         stop.acknowledge()
     except SolveError as error:

@@ -45,13 +45,21 @@ class Stop:
     Args:
         folder: Folder of the results, where a file called "stop" may appear.
         last_words: Called before the process ends at once.
+        around: The folder around it, of several analyses, where the file may appear, too.
     """
 
     _first_words: ClassVar[str] = "\nstopping with a checkpoint of the last complete step"
 
-    def __init__(self, folder: Path, last_words: Callable[[], object] = lambda: None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        last_words: Callable[[], object] = lambda: None,
+        *,
+        around: Path | None = None,
+    ) -> None:
         self.asked, self._checkpoint, self._file = False, False, folder / STOP_FILE
-        self._absolute = self._file.absolute()  # cffi compiles in a folder of its own
+        folders = [folder, around or folder]
+        self._folders = [one.absolute() for one in folders]  # cffi compiles in one of its own
         self._since, self._signals, self._looked = 0.0, 0, 0.0
         self._interruptible = self._agreed = self._noticed = False
         self._last: Callable[[], object] = lambda: None
@@ -65,7 +73,7 @@ class Stop:
         _current.append(self)
 
     def _file_is_there(self) -> bool:
-        return self._absolute.exists()
+        return any((one / STOP_FILE).exists() for one in self._folders)
 
     def _request_stop(self, number: int, frame: FrameType | None) -> None:
         if self._noticed:
@@ -115,7 +123,7 @@ class Stop:
         if comm.rank == 0 and self._file_is_there():
             self.asked = True
             _tell(f"stopping: there was a file {self._file}")
-            remove_stop_file(self._file.parent)  # or the next run would stop at once
+            self._remove_file()  # or the next run would stop at once
         self._agreed = bool(comm.allreduce(int(self.asked), op=MPI.MAX))
         return self._agreed
 
@@ -126,7 +134,11 @@ class Stop:
         """
         self.asked = self._agreed = True
         if launched_rank() == 0 and self._file_is_there():
-            remove_stop_file(self._file.parent)
+            self._remove_file()
+
+    def _remove_file(self) -> None:
+        for folder in self._folders:
+            remove_stop_file(folder)
 
     @contextmanager
     def interruptible(self, last: Callable[[], object]) -> Iterator[None]:

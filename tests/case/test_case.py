@@ -370,11 +370,6 @@ MISTAKES = {
         "regions.core.box[1][0]: '1 s' has the wrong unit; expected a number in m, for "
         'example "2 mm"',
     ),
-    "both": (
-        "[solver]",
-        "[dynamics]\n[solver]",
-        "[statics] and [dynamics] given together; a case has one analysis; leave one of them out",
-    ),
     "density dyn": (
         "[statics]\nsteps = 2",
         "[dynamics]\ndt = 0.1\nend = 1.0",

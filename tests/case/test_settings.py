@@ -279,22 +279,6 @@ def test_keys_of_statics_beside_each_other(keys, message):
 
 
 WAYS: list[tuple[dict[str, Any], str]] = [
-    (
-        {"buckling": {"preload": 0.5}, "statics": {"end": 0.8}},
-        "statics.end: the way to the preload ends where buckling.preload says",
-    ),
-    (
-        {"buckling": {"preload": 0.5}, "statics": {"times": [0.2, 0.7]}},
-        r"statics.times\[1\]: 0.7 lies beyond the end; at most buckling.preload = 0.5",
-    ),
-    (
-        {"modal": {"preload": True}, "statics": {"max_displacement": "1 mm"}},
-        "statics.max_displacement: a preload is reached in full",
-    ),
-    (
-        {"modal": {}, "statics": {}},
-        r"statics: \[statics\] beside \[modal\] says how the preload is found, but there is none",
-    ),
     ({"modal": {}, "output": {"fields": ["displacement"]}}, "output.fields: modes without a"),
     ({"modal": {}, "output": {"every": 2}}, "output.every: modes without a preload"),
     ({"modal": {}, "output": {"probes": {"a": [0, 0]}}}, "output.probes: modes without a preload"),
@@ -351,6 +335,11 @@ def test_in_python_too():
         Dynamics(problem, end=1.0, linear=LinearSettings(method="iterative"), **CENTRAL)
     with pytest.raises(InputError, match=r"^statics.end: .* ends where buckling.preload says"):
         Buckling(problem, preload=0.5, statics=StaticsSettings(end=2.0))
+    beyond = r"^statics.times\[1\]: 0.7 lies beyond the end; at most buckling.preload = 0.5"
+    with pytest.raises(InputError, match=beyond):
+        Buckling(problem, preload=0.5, statics=StaticsSettings(times=[0.2, 0.7]))
+    with pytest.raises(InputError, match=r"^statics.max_displacement: a preload is reached in f"):
+        Modal(problem, preload=True, statics=StaticsSettings(max_displacement="1 mm"))
     with pytest.raises(InputError, match="^modal.below: modes below a frequency are counted"):
         Modal(problem, below="1 kHz", linear=LinearSettings(method="iterative"))
     with pytest.raises(InputError, match="^count and below given together"):

@@ -52,7 +52,7 @@ def broken(*args, **kwargs):
         raise RuntimeError("a fault of ours")
     MPI.COMM_WORLD.barrier()
     yield
-dolfin_elastic.case.run.run = broken
+dolfin_elastic.case.run.CaseRun.states = broken
 sys.argv = ["dolfin-elastic", "run", "case.toml"]
 dolfin_elastic.cli.app.main()
 """

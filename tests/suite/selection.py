@@ -90,6 +90,7 @@ SHARED = {
     "study/converge/test_converge.py",
     "case/test_node_loads.py",
     "case/test_restart.py",
+    "case/test_several.py",
     "hostile/test_generated.py",
     "mesh/test_edges_and_points.py",
     "mesh/test_read.py",

@@ -467,6 +467,14 @@ def _notes(case: Case) -> Iterator[str]:
                 f"materials.{key_text(name)}.prony: nothing relaxes in [{case.analysis}]: the "
                 "stiffness is that of a sudden load"
             )
+    if case.analysis != "dynamics" and case.whole.dynamics is not None:
+        for key in ("load", "support"):
+            for i, row in enumerate(getattr(case, key)):
+                if getattr(row, "curve", None) is not None:
+                    yield (
+                        f"{key}[{i}].curve: its t is the load factor in [{case.analysis}], and the "
+                        "time in seconds in [dynamics]"
+                    )
     moving = any(not support.at_rest for support in case.support)
     moving = moving or any(value != 0.0 for c in case.contact for value in c.values)
     if case.modal is not None and not case.preloaded:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from mpi4py import MPI
@@ -86,7 +86,7 @@ class Report:
         cells: Cells on all ranks.
         degree: Of the displacement in the elements, 1 or 2.
         unknowns: Degrees of freedom on all ranks.
-        analysis: "statics", "dynamics", "modal" or "buckling".
+        analysis: "statics", "modal", "buckling" or "dynamics"; of several, with commas.
         scheme: Of dynamics; else empty.
         linear_solver: Which linear solver, and why.
         surfaces: The named surfaces.
@@ -140,12 +140,32 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
         comm: The ranks that share the mesh.
 
     Returns:
-        The report, the same on every rank.
+        The report, the same on every rank; of several analyses the loads of the first one.
 
     Raises:
         InputError: The first fault, on every rank; the notes so far are its notes.
     """
-    body = case.read_body(comm)
+    bodies: dict[bool | None, Body] = {}
+    reports = []
+    for one in case.analyses():
+        if one.curved not in bodies:
+            bodies[one.curved] = one.read_body(comm)
+        reports.append(_report(one, bodies[one.curved]))
+    if len(reports) == 1:
+        return reports[0]
+    solvers = dict.fromkeys(one.linear_solver for one in reports)
+    return replace(
+        reports[0],
+        analysis=", ".join(one.analysis for one in reports),
+        scheme=next((one.scheme for one in reports if one.scheme), ""),
+        linear_solver="; ".join(solvers),
+        notes=tuple(dict.fromkeys(note for one in reports for note in one.notes)),
+        memory=max((one.memory for one in reports), key=lambda memory: memory.total),
+    )
+
+
+def _report(case: Case, body: Body) -> Report:
+    """See `report`, of one analysis. Collective."""
     notes = (*run_notes(case), *check(case, body))
     try:
         with locate_errors(case.file):

@@ -28,7 +28,8 @@ def report(
       dolfin-elastic report bracket_results --output bracket.html --pdf
 
     One HTML file that every browser opens, without network: what was computed, pictures that can be
-    turned, largest values, curves, audit, materials, and how to repeat it.
+    turned, largest values, curves, audit, materials, and how to repeat it.  Of several analyses of
+    one case, each gets a page in its folder.
 
     \f
     Raises:
@@ -42,7 +43,12 @@ def report(
     from dolfin_elastic.core.errors import CaseError
     from dolfin_elastic.core.parallel import on_root
     from dolfin_elastic.report.report import write_report
+    from dolfin_elastic.results.finished.run import folders_of_analyses
 
+    if output is None and (several := folders_of_analyses(folder)):
+        for one in several:
+            report(one, pdf=pdf)
+        return
     page = output or folder / "report.html"
     if page.suffix.lower() not in (".html", ".htm"):
         raise CaseError(

@@ -115,12 +115,14 @@ class RunDescription:
         file: The case file it was read from; empty for one made in Python.
         fingerprint: Makes that of the mesh, see `checksums.fingerprint`. Collective.
         petsc: PETSc options from outside the case.
+        analysis: Which of the case's analyses it is.
     """
 
     case: str
     file: str
     fingerprint: Callable[[], Mapping[str, Any]]
     petsc: PetscOptions
+    analysis: str = ""
 
     @cached_property
     def mesh(self) -> Mapping[str, Any]:
@@ -226,6 +228,7 @@ class Checkpoints:
                 "version": __version__,
                 "mesh": mesh,
                 "case": digest(self._run.case),
+                "analysis": self._run.analysis,
                 "case_text": self._run.case,
                 "file": self._run.file,
                 "petsc": self._run.petsc,

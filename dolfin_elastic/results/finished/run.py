@@ -99,7 +99,16 @@ def _field_unit(column: str) -> str | None:
     return FIELDS[max(result, key=len)].unit if result else None
 
 
+ANALYSES = ("statics", "modal", "buckling", "dynamics")
+"""Folders of the results of a case with several analyses."""
 _SUMMARY, _HISTORY, _FIELDS = "summary.json", "history.csv", "results.xdmf"
+
+
+def folders_of_analyses(folder: Path) -> list[Path]:
+    """Folders in that of a case with several analyses; none in that of a single one."""
+    if (folder / _SUMMARY).is_file():
+        return []
+    return [folder / one for one in ANALYSES if (folder / one / _SUMMARY).is_file()]
 
 
 class FinishedRun:
@@ -139,6 +148,12 @@ class FinishedRun:
             hint = nearest_file(folder.name, others) if others else expected
             raise InputError("there is no such folder", where=where, expected=hint)
         refuse_links(folder)
+        if several := folders_of_analyses(folder):
+            raise InputError(
+                "it holds the results of several analyses",
+                where=where,
+                expected=f"the folder of one: {' or '.join(map(str, several))}",
+            )
         if not (folder / _SUMMARY).is_file():
             raise InputError(f"it holds no {_SUMMARY}", where=where, expected=expected)
 

@@ -14,6 +14,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.eigen.mode_shapes import shared
 from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.statics.load_stepping import InitialGuess
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 from dolfin_elastic.solvers.statics.statics import Statics
 
@@ -25,6 +26,10 @@ class PreloadedAnalysis(ABC):
 
     Args:
         petsc: PETSc and SLEPc options, which win over everything.
+
+    Attributes:
+        known: Load factor of an equilibrium that is known, and its unknowns; a preload of that
+            factor is found from them.
     """
 
     def __init__(
@@ -35,6 +40,7 @@ class PreloadedAnalysis(ABC):
         petsc: PetscOptions | None,
     ) -> None:
         self.problem, self._way = problem, statics
+        self.known: tuple[float, InitialGuess] | None = None
         self.statics, self.linear = statics or StaticsSettings(), linear or LinearSettings()
         self.petsc = {**self.linear.petsc, **(petsc or {})}
 
@@ -112,7 +118,8 @@ class PreloadedAnalysis(ABC):
         linear = self.linear.model_copy(update={"petsc": {}})
         state = None
         way = Statics(self.problem, settings, linear=linear, petsc=of_statics, preload=True)
-        for state in way.steps():
+        near = self.known[1] if self.known is not None and self.known[0] == settings.end else None
+        for state in way.steps(near=near):
             yield state
         if state is not None and state.done < 1.0 - 1e-9:
             raise ConvergenceError(

@@ -59,7 +59,7 @@ class _Step:
 
 @dataclass(frozen=True)
 class InitialGuess:
-    """Unknowns near those of the full load, as those of a coarser mesh are.
+    """Unknowns near those of the full load, as those of a coarser mesh or of an earlier run are.
 
     Attributes:
         unknowns: Local array of all fields, `Problem.w`.
@@ -229,7 +229,7 @@ class LoadStepping:
         result = self._retry.solve([("", self._join_arrays(near))])
         refusal = self._refusal_of_guess() if result.converged else result.reason
         if refusal:
-            log.info("from the coarser mesh's solution: %s; the load grows from zero", refusal)
+            log.info("from the solution before: %s; the load grows from zero", refusal)
             self._retry.undo(start)
             self._problem.set_time(0.0, default=PROPORTIONAL)
             self._retry.restarted()

@@ -77,6 +77,15 @@ class StaticsSettings(Record):
         refuse_times_beyond(self.times, self.end, "statics.end")
         return self
 
+    def as_way(self, *, ends: bool) -> Self:
+        """The settings for the way to the preload of another analysis.
+
+        Args:
+            ends: That state is the end of this analysis; else the other one says what it is.
+        """
+        left = {"max_displacement"} if ends else {"max_displacement", "end", "times"}
+        return type(self)(**{key: getattr(self, key) for key in self.model_fields_set - left})
+
 
 def refuse_relaxing(settings: StaticsSettings) -> None:
     """Refuses what materials that relax do not allow: steps without a time, or of any size.

@@ -133,7 +133,7 @@ def converge(
     The results of the finest mesh, and the report, are written before they are yielded.
 
     Args:
-        case: From `read_case`, or made in Python; of statics.
+        case: From `read_case`, or made in Python; its statics is computed.
         output: Folder of the results; by default that of `run` with "_converged" at its end.
         petsc: PETSc options that win over the case's own.
         comm: The ranks that work together.
@@ -145,6 +145,7 @@ def converge(
         OutputError: Results cannot be written.
         StoppedError: A signal has asked for the end; the results of the mesh before are complete.
     """
+    case = next((one for one in case.analyses() if one.analysis == "statics"), case)
     _check_kind(case)
     yield from loop_together(comm, _locked(case, goal, output or default_folder(case), petsc, comm))
 
@@ -162,7 +163,7 @@ def _locked(
 
 def default_folder(case: Case) -> Path:
     """Folder of the results of `converge`."""
-    folder = case.results_folder()
+    folder = case.whole.results_folder()
     return folder.with_name(f"{folder.name.removesuffix('_results')}_converged")
 
 

@@ -76,7 +76,7 @@ def test_vibration(folder: Path, comm: MPI.Comm) -> None:
 
 def test_preload_and_leftovers(folder: Path, comm: MPI.Comm) -> None:
     """The preload has its steps in files of its own; a later run removes what it does not write."""
-    loaded = case(modal={"count": 1, "preload": True}, statics={"steps": 2})
+    _, loaded = case(modal={"count": 1, "preload": True}, statics={"steps": 2}).analyses()
     found = list(run(loaded, output=folder, comm=comm))
     assert [type(step) for step in found] == [State, State, State, Mode]
     steps = {"results.xdmf", "results_data", "history.csv", "summary.json"}
@@ -157,17 +157,13 @@ def test_picture(folder: Path, comm: MPI.Comm) -> None:
 
 
 def test_tables() -> None:
-    """One analysis; [statics] beside a preload; units; back to TOML."""
+    """Beside [statics], with a preload; units; back to TOML."""
     read = case(modal={"below": "2 kHz", "preload": True}, statics={"steps": 2})
     assert read.modal is not None
     assert read.modal.below == 2000
-    assert read.analysis == "modal"
+    assert [one.analysis for one in read.analyses()] == ["statics", "modal"]
     assert Case.from_dict(read.to_dict(), file="case.toml") == read
     for tables, text in (
-        ({"modal": {}, "dynamics": {"end": 1, "dt": 1}}, r"\[dynamics\] and \[modal\] given tog"),
-        ({"modal": {}, "buckling": {}}, r"\[modal\] and \[buckling\] given together"),
-        ({"modal": {}, "statics": {}}, r"statics: \[statics\] beside \[modal\] says how the"),
-        ({"buckling": {"preload": 0}, "statics": {}}, r"expected|write buckling.preload"),
         ({"modal": {"count": 3, "below": 2}}, "modal: count and below given together"),
         ({"modal": {"below": "2 m"}}, 'modal.below: .*in Hz, for example "440 Hz"'),
         ({"modal": {"cout": 2}}, "did you mean 'count'"),
