@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.materials.user import Energy as Energy
     from dolfin_elastic.model.materials.user import SplitEnergy as SplitEnergy
     from dolfin_elastic.model.periodic import Periodic as Periodic
+    from dolfin_elastic.model.point_mass import PointMass as PointMass
     from dolfin_elastic.model.supports.displacement import Fixed as Fixed
     from dolfin_elastic.model.supports.displacement import Normal as Normal
     from dolfin_elastic.model.supports.displacement import Rotation as Rotation
@@ -127,6 +128,7 @@ _PLACES = {
     "model.materials.laws.yeoh": ("Yeoh",),
     "model.materials.user": ("Energy", "SplitEnergy"),
     "model.periodic": ("Periodic",),
+    "model.point_mass": ("PointMass",),
     "model.tie": ("Tie",),
     "model.contact": ("Contact",),
     "model.supports.displacement": ("Fixed", "Normal", "Rotation", "Support", "Symmetry"),

@@ -31,6 +31,7 @@ from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads import LOADS
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.periodic import Periodic
+from dolfin_elastic.model.point_mass import PointMass
 from dolfin_elastic.model.supports.displacement import Support
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.supports.springs import SUPPORTS
@@ -67,6 +68,7 @@ MODELS: list[type[BaseModel]] = [
     CylinderObstacle,
     *MATERIALS.values(),
     *LOADS.values(),
+    PointMass,
     Periodic,
     StaticsSettings,
     DynamicsSettings,

@@ -12,6 +12,7 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.describe import Setting
 from dolfin_elastic.model.loads import Load
+from dolfin_elastic.model.point_mass import PointMass
 from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.tie import Tie
 
@@ -21,7 +22,7 @@ _UNREADABLE = (InputError, ArithmeticError, KeyError, TypeError, ValueError)
 
 @dataclass(frozen=True)
 class Described:
-    """A support, load, contact or tie.
+    """A support, load, contact, tie or mass.
 
     Attributes:
         key: "load[0]".
@@ -69,7 +70,9 @@ def _rows(lists: Mapping[str, Sequence[object]], setting: Setting) -> Iterator[D
                 yield Described(f"{key}[{i}]", label, on, str(table.get("kind") or key))
 
 
-def _read(key: str, record: Restraint | Load | Contact | Tie, setting: Setting) -> Described:
+def _read(
+    key: str, record: Restraint | Load | Contact | Tie | PointMass, setting: Setting
+) -> Described:
     if not isinstance(record, Load):
         return Described(key, record.label, record.surfaces, record.describe(setting))
     label = str(getattr(record, "label", "+".join(record.parts)))

@@ -32,6 +32,7 @@ from dolfin_elastic.model.loads import LOAD_WORDS, LOADS, Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.library import check_library, completed
 from dolfin_elastic.model.periodic import Periodic
+from dolfin_elastic.model.point_mass import PointMass
 from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.supports.springs import SUPPORTS
 from dolfin_elastic.model.tie import Tie
@@ -54,6 +55,7 @@ class ModelTables(Record):
         load: External forces.
         contact: Rigid obstacles that surfaces may touch.
         tie: Surfaces with different meshes that move together.
+        mass: What is mounted on surfaces and has a mass, but no stiffness.
         periodic: Opposite faces that are one, and the macroscopic deformation of the cell.
     """
 
@@ -73,6 +75,7 @@ class ModelTables(Record):
     load: list[AlreadyRead[Load]] = Field(default=[])
     contact: list[AlreadyRead[Contact]] = Field(default=[])
     tie: list[AlreadyRead[Tie]] = Field(default=[])
+    mass: list[AlreadyRead[PointMass]] = Field(default=[])
     periodic: WhenGiven[Periodic] | None = None
 
     @field_validator("surfaces", "regions", mode="before")
@@ -95,7 +98,7 @@ class ModelTables(Record):
     def _materials(cls, tables: object) -> dict[str, Material]:
         return read_material_tables(tables)
 
-    @field_validator("support", "load", "contact", "tie", mode="before")
+    @field_validator("support", "load", "contact", "tie", "mass", mode="before")
     @classmethod
     def _rows(cls, rows: object, info: ValidationInfo) -> list[Record]:
         key = str(info.field_name)
@@ -118,6 +121,7 @@ class ModelTables(Record):
         tables["load"] = [{"kind": item.kind, **table_of(item)} for item in self.load]
         tables["contact"] = [table_of(item) for item in self.contact]
         tables["tie"] = [table_of(item) for item in self.tie]
+        tables["mass"] = [table_of(item) for item in self.mass]
         return tables
 
     def problem_on(self, body: Body, degree: int) -> Problem:
@@ -134,6 +138,7 @@ class ModelTables(Record):
             loads=self.load,
             contacts=self.contact,
             ties=self.tie,
+            masses=self.mass,
             degree=degree,
             quadrature_degree=self.mesh.quadrature_degree,
             formulation=self.mesh.formulation,
@@ -247,11 +252,16 @@ def _tie(row: object) -> Tie:
     return row if isinstance(row, Tie) else Tie(**as_table(row))
 
 
-READERS: Mapping[str, Callable[[object], Restraint | Load | Contact | Tie]] = {
+def _mass(row: object) -> PointMass:
+    return row if isinstance(row, PointMass) else PointMass(**as_table(row))
+
+
+READERS: Mapping[str, Callable[[object], Restraint | Load | Contact | Tie | PointMass]] = {
     "support": _support,
     "load": _load,
     "contact": _contact,
     "tie": _tie,
+    "mass": _mass,
 }
 """Key of a list of tables to what reads one of it."""
 

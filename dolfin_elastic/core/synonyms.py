@@ -51,6 +51,7 @@ _WORDS = {
     "support": "bc bcs boundary boundaryconditions boundarycondition constraint fixture restraint",
     "load": "loading force forces",
     "contact": "obstacle floor",
+    "mass": "pointmass lumpedmass addedmass remotemass nonstructuralmass",
     "tie": "glue glued bonded mpc",
     "periodic": "rve unitcell homogenisation homogenization",
     "statics": "equilibrium stationary",

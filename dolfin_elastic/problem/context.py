@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import ufl
@@ -40,6 +41,9 @@ from dolfin_elastic.problem.terms.edges_points import (
     SummedMeasure,
     extent,
 )
+
+if TYPE_CHECKING:
+    from dolfin_elastic.model.point_mass import PointMass
 
 
 class Measures:
@@ -191,6 +195,7 @@ class FormContext:
 
     Args:
         measures: Where integrals are taken.
+        mounted: What is on surfaces and has a mass, but no stiffness.
 
     Attributes:
         body: The mesh and its names.
@@ -215,8 +220,9 @@ class FormContext:
         regions: Sequence[MaterialRegion],
         measures: Measures,
         geometry: Geometry,
+        mounted: Sequence[PointMass] = (),
     ) -> None:
-        self.body, self.unknowns, self.regions = body, unknowns, regions
+        self.body, self.unknowns, self.regions, self.mounted = body, unknowns, regions, mounted
         self.measures, self.geometry = measures, geometry
         self.axisymmetric = geometry == "axisymmetric"
         curved = int(body.mesh.geometry.cmap.degree)
@@ -307,6 +313,25 @@ class FormContext:
             (self.density(region), self.measures.filled(region.marker, self.weight_degree))
             for region in self.regions
         ]
+
+    def masses(self) -> list[tuple[Expr, WeightedMeasure, Parts]]:
+        """Mounted masses: their density, and measure and names of their surfaces. Collective."""
+        return self._masses
+
+    @cached_property
+    def _masses(self) -> list[tuple[Expr, WeightedMeasure, Parts]]:
+        result: list[tuple[Expr, WeightedMeasure, Parts]] = []
+        for index, one in enumerate(self.mounted):
+            area = float(self.area(one.surfaces).value)
+            if not area > 0.0:
+                raise InputError(
+                    "the surface has no area",
+                    where=f"mass[{index}].on",
+                    expected="a surface with facets",
+                )
+            density = self.constant(one.mass / area)
+            result.append((density, self.areas(one.surfaces), Parts("surface", one.surfaces)))
+        return result
 
     def density(self, region: MaterialRegion) -> Expr:
         """Density of a region's material.

@@ -53,6 +53,7 @@ from dolfin_elastic.problem.weak_form import (
 )
 
 if TYPE_CHECKING:
+    from dolfin_elastic.model.point_mass import PointMass
     from dolfin_elastic.problem.history import History
 
 
@@ -74,6 +75,7 @@ class Problem:
         contacts: Contact of surfaces with rigid obstacles; bare numbers of these are in the mesh's
             unit.
         ties: Surfaces with different meshes that move together.
+        masses: What is mounted on surfaces and has a mass, but no stiffness.
         degree: Degree of the displacement on tetrahedra or triangles, 1 or 2; explicit schemes
             need 1.
         quadrature_degree: Overrides the law's own choice for the internal forces.
@@ -120,6 +122,7 @@ class Problem:
         loads: Sequence[Load] = (),
         contacts: Sequence[Contact] = (),
         ties: Sequence[Tie] = (),
+        masses: Sequence[PointMass] = (),
         degree: int = 2,
         quadrature_degree: int | None = None,
         formulation: Formulation = "auto",
@@ -153,18 +156,10 @@ class Problem:
         self.W, self.w, self.v = self.unknowns.W, self.unknowns.w, self.unknowns.v
         self.places = self.unknowns.places
         self._scale_unknowns()
-        depth = None if thickness == 1.0 else Constant(body.mesh, float(thickness))
-        self.measures = Measures(
-            body,
-            [region.cells for region in self.regions],
-            [
-                *(term.parts for term in self.loads if not term.concentrated),
-                *(s.surfaces for s in self.supports if isinstance(s, ResistingSupport)),
-            ],
-            weight(self.geometry, ufl.SpatialCoordinate(body.mesh), depth),
-            [contact.surfaces for contact in contacts],
+        self.measures = self._make_measures(contacts, masses)
+        self.context = FormContext(
+            body, self.unknowns, self.regions, self.measures, self.geometry, tuple(masses)
         )
-        self.context = FormContext(body, self.unknowns, self.regions, self.measures, self.geometry)
         self.constant, self.t, self.X = self.context.constant, self.context.t, self.context.X
         self.constraints = Constraints(
             body,
@@ -187,6 +182,21 @@ class Problem:
         self.history = _history(self)
         # Forms are made lazily; evaluated here, an invalid load or spring fails on construction.
         _ = self.weak_form.external, self.weak_form.restraint_works
+
+    def _make_measures(self, contacts: Sequence[Contact], masses: Sequence[PointMass]) -> Measures:
+        mesh, thickness = self.body.mesh, float(self.thickness)
+        depth = None if thickness == 1.0 else Constant(mesh, thickness)
+        return Measures(
+            self.body,
+            [region.cells for region in self.regions],
+            [
+                *(term.parts for term in self.loads if not term.concentrated),
+                *(s.surfaces for s in self.supports if isinstance(s, ResistingSupport)),
+                *(mass.surfaces for mass in masses),
+            ],
+            weight(self.geometry, ufl.SpatialCoordinate(mesh), depth),
+            [contact.surfaces for contact in contacts],
+        )
 
     def _make_rare_terms(self, contacts: Sequence[Contact]) -> None:
         """Makes what few problems have where there is any, to keep the usual path short."""

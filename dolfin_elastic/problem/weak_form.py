@@ -298,15 +298,19 @@ class WeakForm:
     def inertia(self, a: Expr, v: Expr) -> ufl.Form:
         """Virtual work of the inertia forces, the integral of density a . v (consistent mass).
 
+        That of mounted masses is over their surfaces.
+
         Args:
             a: Acceleration [m/s^2], or a trial function.
         """
-        return sum(
+        body = sum(
             self._context.density(region)
             * ufl.inner(a, v)
             * self.volume(region, 2 * self._context.order)
             for region in self._regions
         )
+        mounted = [rho * ufl.inner(a, v) * ds for rho, ds, _ in self._context.masses()]
+        return sum(mounted, body)
 
 
 def derives_from_strain(law: Law) -> bool:

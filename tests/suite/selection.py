@@ -109,6 +109,7 @@ SHARED = {
     "problem/test_mixed.py",
     "problem/test_parameters.py",
     "problem/constraints/periodic/test_periodic.py",
+    "problem/test_point_mass.py",
     "problem/test_problem.py",
     "results/checkpoint/test_checkpoints.py",
     "results/finished/test_finished.py",

@@ -138,18 +138,22 @@ def _named(case: Case, body: Body) -> Iterator[tuple[str, str, Sequence[str], st
     for i, contact in enumerate(case.contact):
         for where, name in _names(f"contact[{i}].on", contact.on):
             yield where, name, ("surface",), "a contact holds surfaces"
-    for where, name in _tied_names(case):
-        yield where, name, ("surface",), "a tie joins surfaces"
+    for where, name, rule in _joined_names(case):
+        yield where, name, ("surface",), rule
     for k, pair in enumerate(case.periodic.pairs if case.periodic else ()):
         for where, name in _names(f"periodic.pairs[{k}]", pair):
             yield where, name, ("surface",), "surfaces come in pairs"
 
 
-def _tied_names(case: Case) -> Iterator[tuple[str, str]]:
-    """The names of both sides of all ties, each after its key."""
+def _joined_names(case: Case) -> Iterator[tuple[str, str, str]]:
+    """Key and name of the surfaces of masses and of both sides of ties, and that rule in words."""
+    for i, mass in enumerate(case.mass):
+        for where, name in _names(f"mass[{i}].on", mass.on):
+            yield where, name, "a mass is mounted on surfaces"
     for i, tie in enumerate(case.tie):
-        yield from _names(f"tie[{i}].on", tie.on)
-        yield from _names(f"tie[{i}].to", tie.to)
+        for key, on in (("on", tie.on), ("to", tie.to)):
+            for where, name in _names(f"tie[{i}].{key}", on):
+                yield where, name, "a tie joins surfaces"
 
 
 def load_kinds(load: Load) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from dolfinx import fem
 
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.geometry.curved import QuadraturePoints, cell_quadrature, facet_quadrature
 from dolfin_elastic.mesh.geometry.simplices import prepare_facets
@@ -38,6 +39,16 @@ class Integrals:
         """Points of the owned facets of surfaces, each facet once. Local."""
         chosen = np.concatenate([self.body.owned_facets(name) for name in names])
         return facet_quadrature(self.body.mesh, np.unique(chosen), self._degree)
+
+    def mounted(self) -> list[tuple[QuadraturePoints, FloatArray]]:
+        """Points of each mounted mass, and its density there [kg/m^2]. Collective."""
+        result = []
+        for one in self.problem.context.mounted:
+            points = self.facets(one.surfaces)
+            weights = self.full_weights(points)
+            area = float(total(self.body.comm, float(weights.sum())))
+            result.append((points, np.full(weights.shape, one.mass / area)))
+        return result
 
     def full_weights(self, points: QuadraturePoints) -> FloatArray:
         """Weights times thickness, or times circumference of an axisymmetric body [m^2, m^3]."""

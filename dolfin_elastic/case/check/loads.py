@@ -195,6 +195,23 @@ def _resultant(
         )
         return sums if load.on is None else np.asarray(total(integrals.body.comm, sums))
     density = integrals.density(points) if load.needs_density else None
+    result = _sums(load, t, points, density, integrals)
+    if result is None or not load.needs_density or load.parts:
+        return result
+    for where, surface_density in integrals.mounted():
+        mounted = _sums(load, t, where, surface_density, integrals)
+        result = result if mounted is None else np.asarray(result + mounted)
+    return result
+
+
+def _sums(
+    load: Load,
+    t: float,
+    points: QuadraturePoints,
+    density: FloatArray | None,
+    integrals: Integrals,
+) -> FloatArray | None:
+    """Force and moment of the points of one integral, see `_resultant`. Collective."""
     weights = integrals.full_weights(points)
     axisymmetric = integrals.problem.geometry == "axisymmetric"
     size = float(total(integrals.body.comm, float(weights.sum())))

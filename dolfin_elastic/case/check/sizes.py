@@ -99,7 +99,7 @@ def region_sizes(body: Body, use: Use, integrals: Integrals | None = None) -> tu
     """
     cells = _CellMoments(body, integrals)
     return (
-        cells.size(WHOLE, body.owned_cells(), ""),
+        cells.size(WHOLE, body.owned_cells(), "", whole=True),
         *(
             cells.size(name, body.owned_cells(name), use(name, "region"))
             for name in sorted(body.regions)
@@ -138,6 +138,7 @@ def references(case: Case, body: Body, name: str, kind: str) -> str:
         return ", ".join(supports + loads)
     contacts = ["contact" for c in case.contact if among(c.surfaces)]
     contacts += ["tie" for tie in case.tie if among((*tie.surfaces, *tie.others))]
+    contacts += ["mass" for mass in case.mass if among(mass.surfaces)]
     pairs = case.periodic.pairs if case.periodic else ()
     periodic = ["periodic"] if any(map(among, pairs)) else []
     return ", ".join(supports + contacts + loads + periodic)
@@ -151,20 +152,29 @@ class _CellMoments:
         points = integrals.cells() if integrals else cell_quadrature(mesh, body.owned_cells(), 1)
         self._volumes = _moments(points.X, points.weights)
         self._masses = np.full_like(self._volumes, np.nan)
+        self._mounted: FloatArray = np.zeros((1, 1 + body.dim))
         if integrals is not None:
             mass = integrals.full_weights(points) * integrals.density(points)
             self._masses = _moments(points.X, mass)
+            rows = [
+                _moments(points.X, density * integrals.full_weights(points))
+                for points, density in integrals.mounted()
+            ]
+            self._mounted = np.concatenate([self._mounted, *rows])
             if integrals.problem.geometry == "axisymmetric":
                 self._masses[:, 1] = 0.0  # radial moments cancel round the axis
+                self._mounted[:, 1] = 0.0
 
-    def size(self, name: str, cells: IndexArray, use: str) -> PartSize:
+    def size(self, name: str, cells: IndexArray, use: str, *, whole: bool = False) -> PartSize:
         """Size of a set of cells. Collective.
 
         Args:
             cells: Local indices of the owned ones.
+            whole: It is the body with all that is mounted on it.
         """
         volume = total(self._comm, self._volumes[cells].sum(axis=0))
-        mass = total(self._comm, self._masses[cells].sum(axis=0))
+        own = self._masses[cells].sum(axis=0) + whole * self._mounted.sum(axis=0)
+        mass = total(self._comm, own)
         count = int(total(self._comm, len(cells)))
         has_mass = bool(np.isfinite(mass[0])) and count > 0
         return PartSize(

@@ -71,6 +71,9 @@ class LoadContext(Protocol):
     def densities(self, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
         """Density [kg/m^3] and measure of the reference volume, material by material."""
 
+    def masses(self) -> list[tuple[Expr, ufl.Measure, Parts]]:
+        """Mounted masses: their density [kg/m^2], and measure and names of their surfaces."""
+
     def constant(self, value: float | Sequence[float] | FloatArray) -> Expr:
         """A number or vector whose value can change without a form being compiled again."""
 

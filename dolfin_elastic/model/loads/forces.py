@@ -180,7 +180,11 @@ class Gravity(Load):
                 expected="0 across it",
             )
         g = self.field(context)
-        return sum(rho * ufl.inner(g, context.v) * dx for rho, dx in context.densities(self.parts))
+        work = sum(rho * ufl.inner(g, context.v) * dx for rho, dx in context.densities(self.parts))
+        for rho, ds, where in [] if self.parts else context.masses():
+            g = context.vector(self.acceleration(len(context.v)), self.curve, where)
+            work += rho * ufl.inner(g, context.v) * ds
+        return work
 
 
 class Centrifugal(Load):
@@ -249,9 +253,10 @@ class Centrifugal(Load):
         axis = context.constant(a[:dim])
         across = r - ufl.inner(axis, r) * axis
         force = context.factor(self.amplitude) * context.value(self.values[0]) ** 2 * across
-        return sum(
-            rho * ufl.inner(force, context.v) * dx for rho, dx in context.densities(self.parts)
-        )
+        densities = context.densities(self.parts)
+        if not self.parts:
+            densities += [(rho, ds) for rho, ds, _ in context.masses()]
+        return sum(rho * ufl.inner(force, context.v) * dx for rho, dx in densities)
 
     def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`; of a body of revolution only the radial part is left."""

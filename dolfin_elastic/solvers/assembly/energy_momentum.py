@@ -36,6 +36,7 @@ class ConsistentMass:
                 problem.context.density(region) * term * problem.weak_form.volume(region, degree)
                 for region in problem.regions
             )
+            + sum(rho * term * ds for rho, ds, _ in problem.context.masses())
             for term in terms
         ]
         self._problem, self._forms = problem, compiled(problem, forms)
