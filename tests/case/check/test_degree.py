@@ -322,11 +322,11 @@ def test_bending_in_explicit_motion() -> None:
 @pytest.mark.long
 @pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="takes two minutes")
 def test_advice_for_a_body_in_contact_ends(folder: Path) -> None:
-    """Quadratic elements, which were advised for the duck, were at 8 % of its load after 400 s.
+    """Quadratic elements, once advised for a duck that tips, were at 8 % of its load after 400 s.
 
     What is advised now is run to its end: so many linear elements across.
     """
-    path = ROOT / "demos" / "duck" / "case.toml"
+    path = ROOT / "demos" / "tipping" / "case.toml"
     tables = tomllib.loads(path.read_text(encoding="utf-8"))
     [note] = [n for n in report(Case.from_dict(tables, path.parent)).notes if "bending" in n]
     assert "mesh.degree" not in note
