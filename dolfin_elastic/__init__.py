@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.mesh import read_body as read_body
     from dolfin_elastic.mesh import rectangle_body as rectangle_body
     from dolfin_elastic.model.contact import Contact as Contact
+    from dolfin_elastic.model.loads import BaseAcceleration as BaseAcceleration
     from dolfin_elastic.model.loads import Bearing as Bearing
     from dolfin_elastic.model.loads import BodyForce as BodyForce
     from dolfin_elastic.model.loads import Cavity as Cavity
@@ -135,6 +136,7 @@ _PLACES = {
     "model.supports.rigid_surface": ("Rigid",),
     "model.supports.springs": ("Dashpot", "Spring"),
     "model.loads": (
+        "BaseAcceleration",
         "Bearing",
         "BodyForce",
         "Cavity",

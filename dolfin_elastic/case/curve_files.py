@@ -1,14 +1,17 @@
-"""Amplitudes in CSV files: times in one column, values in another."""
+"""Curves and records in CSV files: times in one column, values in another."""
 
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 from dolfin_elastic.core.errors import (
     CaseError,
     InputError,
+    keyed,
     nearest,
     nearest_file,
     not_shown,
@@ -17,15 +20,16 @@ from dolfin_elastic.core.errors import (
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.units import is_quantity
 from dolfin_elastic.model.amplitude import Amplitude, CurveFile
+from dolfin_elastic.model.records import RecordTable
 
 R = TypeVar("R", bound=Record)
 
 CURVED = ("support", "load", "contact", "periodic")
-"""Keys of a case whose tables, or whose lists' tables, may have a `curve`."""
+"""Keys of a case whose tables, or whose lists' tables, may have a `curve` or records."""
 
 
 def with_curves(case: R, folder: Path) -> R:
-    """The same case, its curves read from their files. Not collective.
+    """The same case, its curves and records read from their files. Not collective.
 
     Args:
         case: A record with the keys `CURVED`.
@@ -36,12 +40,12 @@ def with_curves(case: R, folder: Path) -> R:
     """
     read: dict[str, Any] = {}
     for key in CURVED:
-        curve = getattr(case, key)
-        if isinstance(curve, list):
-            rows = [_with_curve(row, f"{key}[{i}].curve", folder) for i, row in enumerate(curve)]
-            if rows != curve:
+        found = getattr(case, key)
+        if isinstance(found, list):
+            rows = [_with_files(row, f"{key}[{i}]", folder) for i, row in enumerate(found)]
+            if any(row is not old for row, old in zip(rows, found, strict=True)):
                 read[key] = rows
-        elif curve is not None and (table := _with_curve(curve, f"{key}.curve", folder)) != curve:
+        elif found is not None and (table := _with_files(found, key, folder)) is not found:
             read[key] = table
     return case.model_copy(update=read) if read else case
 
@@ -54,7 +58,7 @@ def has_curve_files(case: Record) -> bool:
     """
     curve = [getattr(case, key) for key in CURVED]
     rows = [row for table in curve for row in (table if isinstance(table, list) else [table])]
-    return any(_unread(row) is not None for row in rows)
+    return any(_unread(row) is not None or [*_unread_records(row)] for row in rows)
 
 
 def _unread(row: object) -> Amplitude | None:
@@ -64,18 +68,57 @@ def _unread(row: object) -> Amplitude | None:
     return curve if is_unread else None
 
 
-def _with_curve(row: R, where: str, folder: Path) -> R:
-    curve = _unread(row)
-    if curve is None:
+def _unread_records(row: object) -> Iterator[str]:
+    """Keys of a table that hold records whose files are still to be read."""
+    for key in type(row).model_fields if isinstance(row, Record) else ():
+        value = getattr(row, key)
+        parts = value if isinstance(value, list | tuple) else [value]
+        if any(_is_unread(part) for part in parts):
+            yield key
+
+
+def _is_unread(value: object) -> bool:
+    return isinstance(value, Mapping) and "file" in value and not isinstance(value, RecordTable)
+
+
+def _with_files(row: R, where: str, folder: Path) -> R:
+    curve, read = _unread(row), dict[str, Any]()
+    if curve is not None:
+        assert curve.source is not None
+        with _of_file(curve.source.file, f"{where}.curve"):
+            read["curve"] = curve.with_rows(_columns(curve.source, folder / curve.source.file))
+    for key in _unread_records(row):
+        value = getattr(row, key)
+        if isinstance(value, list | tuple):
+            place = f"{where}.{key}[{{}}]"
+            read[key] = [_with_rows(part, place.format(i), folder) for i, part in enumerate(value)]
+        else:
+            read[key] = _with_rows(value, f"{where}.{key}", folder)
+    if not read:
         return row
-    assert curve.source is not None
+    with keyed(where):  # made anew, for it has read the value
+        return type(row)(**{key: getattr(row, key) for key in row.model_fields_set} | read)
+
+
+def _with_rows(value: object, where: str, folder: Path) -> object:
+    """A record with the rows of its file; anything else as it is."""
+    if not _is_unread(value):
+        return value
+    assert isinstance(value, Mapping)
+    result = RecordTable(value)
+    source = CurveFile(*(str(value.get(key, "")) for key in ("file", "time", "value")))
+    with _of_file(source.file, where):
+        result.rows = _columns(source, folder / source.file)
+    return result
+
+
+@contextmanager
+def _of_file(name: str, where: str) -> Iterator[None]:
+    """Errors that are raised inside name a file and the key that refers to it."""
     try:
-        read = curve.with_rows(_columns(curve.source, folder / curve.source.file))
+        yield
     except InputError as error:
-        raise CaseError(
-            f"{curve.source.file}: {error.what}", where=where, expected=error.expected
-        ) from None
-    return row.model_copy(update={"curve": read})
+        raise CaseError(f"{name}: {error.what}", where=where, expected=error.expected) from None
 
 
 _MOST_BYTES = 1 << 26

@@ -39,6 +39,7 @@ _WORDS = {
     "traction": "surfaceload surfaceforce distributedload shearload",
     "body-force": "volumeforce volumeload bodyload",
     "gravity": "weight selfweight deadweight acceleration",
+    "base-acceleration": "baseexcitation groundmotion earthquake seismic shaking",
     "centrifugal": "spin rpm rotationalvelocity angularvelocity omega",
     "point-force": "pointload nodalforce concentratedforce",
     "line-force": "lineload edgeload",

@@ -117,7 +117,7 @@ class Amplitude:
         Raises:
             InputError: The rows are no table of a curve.
         """
-        return replace(self, rows=_table(rows))
+        return replace(self, rows=table_of(rows))
 
 
 RAMP, CONSTANT = Amplitude("ramp"), Amplitude("constant")
@@ -136,7 +136,7 @@ def amplitude(written: object) -> Amplitude:
     if isinstance(written, str):
         return _from_text(written)
     if isinstance(written, list | tuple):
-        return Amplitude(_table(written))
+        return Amplitude(table_of(written))
     if isinstance(written, Mapping):
         return _from_keys(written)
     raise InputError(f"{written!r} is not a curve", expected=_EXPECTED)
@@ -160,7 +160,12 @@ def _from_text(text: str) -> Amplitude:
     return Amplitude(text, Formula.parse(text, allowed=("t",)))
 
 
-def _table(rows: Sequence[Any]) -> Rows:
+def table_of(rows: Sequence[Any]) -> Rows:
+    """Rows (t, value) of numbers, or texts with units, as numbers [s, 1].
+
+    Raises:
+        InputError: They are no pairs, or the times do not increase.
+    """
     if not rows or any(not isinstance(row, list | tuple) or len(row) != 2 for row in rows):
         raise InputError("a curve's table needs pairs [t, value]", expected=_EXPECTED)
     table = tuple((to_si(t, "s"), to_si(value, "")) for t, value in rows)
@@ -184,7 +189,7 @@ def _from_keys(keys: Mapping[str, object]) -> Amplitude:
                 where="smooth",
                 expected="for example [[0, 0], [1, 1]]",
             )
-        return Amplitude(_table(keys["smooth"]), smooth=True)
+        return Amplitude(table_of(keys["smooth"]), smooth=True)
     texts = {key: text for key, text in keys.items() if isinstance(text, str) and text}
     for key, value in keys.items():
         if key not in texts:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, NamedTuple, Self
 
 import numpy as np
 from pydantic import GetCoreSchemaHandler, model_validator
@@ -16,6 +16,7 @@ from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import LOAD_EXAMPLES, is_quantity, to_base, to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
+from dolfin_elastic.model.records import RecordFormula
 
 
 class OnSurfaces(Record):
@@ -90,7 +91,7 @@ class FieldFormula(Formula):
         table, factor = field_table(written, unit)
         return cls(f"field '{table.field}'", PLACE, 0.0, table.field, factor, column)
 
-    def evaluate(self, **values: float | FloatArray) -> Any:
+    def evaluate(self, **values: float | FloatArray) -> float | FloatArray:
         """Not a number anywhere: coordinates are not enough, see `number_at`."""
         shape = np.broadcast_shapes(*(np.shape(value) for value in values.values()))
         return np.full(shape, np.nan) if shape else np.nan
@@ -148,9 +149,9 @@ class OrField:
 
 
 if TYPE_CHECKING:
-    Vector = list[Any]
+    Vector = list[object]
 else:
-    Vector = Annotated[list[Any], OrField()]
+    Vector = Annotated[list[object], OrField()]
     """Components of a vector, or a field of the mesh."""
 
 
@@ -167,24 +168,37 @@ class Parts(NamedTuple):
 
 
 def component(
-    written: object, unit: str, *, may_be_free: bool = False, fields: bool = False
+    written: object,
+    unit: str,
+    *,
+    may_be_free: bool = False,
+    fields: bool = False,
+    integrals: int = 0,
 ) -> Component:
     """Reads one component.
 
     Args:
-        written: A number, a text such as "2 mm", a formula such as "0.1*x*t", "free", or a table
-            such as {field = "p"}.
+        written: A number, a text such as "2 mm", a formula such as "0.1*x*t", "free", a table such
+            as {field = "p"}, or a record over time, see `RecordFormula`.
         unit: SI unit of the component; formulas give values in it.
         may_be_free: Whether "free" is allowed.
         fields: Whether a field of the mesh is allowed.
+        integrals: How many times records are integrated; then all else is 0.
 
     Raises:
         InputError: None of these.
     """
     if written == FREE and may_be_free:
         return None
-    if fields and isinstance(written, Mapping):
-        return FieldFormula.read(written, unit)
+    if isinstance(written, Mapping):
+        if fields and "field" in written:
+            return FieldFormula.read(written, unit)
+        return RecordFormula.read(written, unit, integrals)
+    if integrals and written != 0:
+        raise InputError(
+            f"{written!r} is not a record over time",
+            expected='expected 0, "free" or a record such as {file = "quake.csv", unit = "g"}',
+        )
     if isinstance(written, str) and not is_quantity(written) and not misspelt_unit(written):
         return Formula.parse(written, allowed=COORDINATES)
     try:
@@ -213,7 +227,13 @@ def misspelt_unit(text: str, names: Collection[str] = COORDINATES) -> bool:
 
 
 def components(
-    written: object, unit: str, *, key: str = "", may_be_free: bool = False, fields: bool = False
+    written: object,
+    unit: str,
+    *,
+    key: str = "",
+    may_be_free: bool = False,
+    fields: bool = False,
+    integrals: int = 0,
 ) -> tuple[Component, ...]:
     """Reads a vector of two or three components.
 
@@ -222,11 +242,12 @@ def components(
         may_be_free: Whether components may be "free".
         fields: Whether fields of the mesh are allowed: of components, or one of the vector, which
             is read as three components, see `sized`.
+        integrals: See `component`.
 
     Raises:
         InputError: Not a list of two or three, or a component is wrong (its index is named).
     """
-    if fields and isinstance(written, Mapping):
+    if fields and isinstance(written, Mapping) and "field" in written:
         with keyed(key):
             return tuple(FieldFormula.read(written, unit, column) for column in range(3))
     if not isinstance(written, list | tuple) or len(written) not in (2, 3):
@@ -238,7 +259,9 @@ def components(
     result = []
     for index, item in enumerate(written):
         with keyed(f"{key}[{index}]"):
-            result.append(component(item, unit, may_be_free=may_be_free, fields=fields))
+            result.append(
+                component(item, unit, may_be_free=may_be_free, fields=fields, integrals=integrals)
+            )
     return tuple(result)
 
 

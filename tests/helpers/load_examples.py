@@ -13,6 +13,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "remote-force": {"on": ["top", "right"], "point": [2, 1, 3], "force": [SIZE, -SIZE, "1e4*t"]},
     "body-force": {"value": [SIZE, f"{SIZE}*x", 0]},
     "gravity": {},
+    "base-acceleration": {"value": [SIZE, "10*t", 0]},
     "centrifugal": {"value": 5, "point": [0.2, 0.1, 0]},
     "point-force": {"at": [0.3, 0.4, 0.2], "value": [SIZE, 0, SIZE]},
     "thermal": {"value": "20 + 10*x"},

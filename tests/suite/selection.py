@@ -125,6 +125,7 @@ SHARED = {
     "solvers/dynamics/explicit/test_monitor.py",
     "solvers/dynamics/explicit/test_stable_step.py",
     "solvers/dynamics/implicit/test_incompressible_motion.py",
+    "solvers/dynamics/test_base_motion.py",
     "solvers/dynamics/test_dynamics.py",
     "solvers/dynamics/test_initial_conditions.py",
     "solvers/diagnostics/test_rigid_body.py",

@@ -26,6 +26,7 @@ from dolfin_elastic.mesh.point_selection import vertices_of
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.model.loads import ConcentratedLoad, Load
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.records import RATES, RecordFormula
 from dolfin_elastic.model.supports.displacement import (
     NORMAL,
     Normal,
@@ -43,6 +44,10 @@ _UNITLESS = 20.0
 """Length [m] from which a mesh without a unit looks like one in millimetres."""
 _FAR = 10.0
 """Lengths of the body that a moving support or obstacle may go in motion: it may carry the body."""
+_DRIFT = 0.01
+"""Velocity of a base after a record, over the largest, from which it drifts."""
+_STEPPED_OVER = 1.5
+"""Time steps over the time between a record's rows from which peaks are missed."""
 _TIMES = 101
 """Times at which prescribed motions are evaluated."""
 _DENSITIES = 1.0, 30e3
@@ -88,6 +93,7 @@ def plausibility_notes(case: Case, body: Body) -> Iterator[str]:
     yield from _angle_notes(case)
     yield from _material_notes(case, body)
     yield from _growth_notes(case)
+    yield from _record_notes(case)
     yield from _loads_on_supports(case, body)
     yield from _contradictions(case, body)
     yield from _singular_supports(case, body)
@@ -123,6 +129,31 @@ def size_notes(case: Case, body: Body) -> Iterator[str]:
             yield (
                 f"{key}: {moved:.3g} m is more than the body is long "
                 f"({longest:.3g} m): is a unit missing?"
+            )
+
+
+def _record_notes(case: Case) -> Iterator[str]:
+    """Bases that drift at the end of a record, and time steps that pass over its rows. Local."""
+    for i, support in enumerate(case.support):
+        for key, values in support.vectors.items():
+            for axis, value in zip("xyz", values, strict=False):
+                if isinstance(value, RecordFormula) and value.integrals == len(RATES) - 1:
+                    speed, place = value.drift
+                    if abs(speed) > _DRIFT * value.fastest:
+                        yield (
+                            f"support[{i}].{key}: the {value.text} ends with a velocity of "
+                            f"{speed:.3g} m/s along {axis}, displaced by {place:.3g} m, and the "
+                            "base drifts on: does it need a baseline correction?"
+                        )
+    step = None if case.dynamics is None else case.dynamics.dt
+    tables = [load.values for load in case.load]
+    tables += [values for support in case.support for values in support.vectors.values()]
+    records = {v.text: v for values in tables for v in values if isinstance(v, RecordFormula)}
+    for value in records.values():
+        if step is not None and step > _STEPPED_OVER * value.spacing:
+            yield (
+                f"dynamics.dt is {step:.3g} s, but the rows of the {value.text} are "
+                f"{value.spacing:.3g} s apart: peaks between the steps are missed"
             )
 
 

@@ -11,6 +11,7 @@ from dolfin_elastic.model.loads.cavity import Cavity as Cavity
 from dolfin_elastic.model.loads.eigenstrain import Eigenstrain as Eigenstrain
 from dolfin_elastic.model.loads.eigenstrain import Growth as Growth
 from dolfin_elastic.model.loads.eigenstrain import Thermal as Thermal
+from dolfin_elastic.model.loads.forces import BaseAcceleration as BaseAcceleration
 from dolfin_elastic.model.loads.forces import BodyForce as BodyForce
 from dolfin_elastic.model.loads.forces import Centrifugal as Centrifugal
 from dolfin_elastic.model.loads.forces import Force as Force
@@ -33,6 +34,7 @@ LOADS: dict[str, type[Load]] = {
         Cavity,
         BodyForce,
         Gravity,
+        BaseAcceleration,
         Centrifugal,
         PointForce,
         LineForce,

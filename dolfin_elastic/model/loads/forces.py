@@ -82,7 +82,8 @@ class Force(Load):
         """The force on surfaces, edges or points, whichever its names stand for."""
         if kind == "surface":
             return self
-        return (_EdgeForce if kind == "edge" else _PointsForce)(**self.model_dump())
+        given = {key: getattr(self, key) for key in self.model_fields_set}  # with rows of files
+        return (_EdgeForce if kind == "edge" else _PointsForce)(**given)
 
     def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
@@ -185,6 +186,48 @@ class Gravity(Load):
             g = context.vector(self.acceleration(len(context.v)), self.curve, where)
             work += rho * ufl.inner(g, context.v) * ds
         return work
+
+
+class BaseAcceleration(Load):
+    """Acceleration of the base [m/s^2] that carries the body, in the frame that moves with it.
+
+    The force per reference volume is -density a(t).  Displacements, velocities and accelerations
+    are those relative to the base, whose supports are at rest.
+
+    Source: A. K. Chopra, Dynamics of Structures (2012), section 1.7.
+    """
+
+    kind: Literal["base-acceleration"] = "base-acceleration"
+    on: str | list[str] | None = None
+    unit: ClassVar[str] = "m/s^2"
+    sentence: ClassVar[str] = "inertia in a frame that is accelerated by {}"
+    needs_density: ClassVar[bool] = True
+
+    @cached_property
+    def values(self) -> tuple[Component, ...]:
+        """The components of the base's acceleration [m/s^2]: numbers, formulas in t, records."""
+        parts = components(self.value, self.unit, key="value")
+        if any(isinstance(item, Formula) and item.names & PLACE for item in parts):
+            raise InputError(
+                "a base moves as one", where="value", expected="a record, or a formula in t only"
+            )
+        return parts
+
+    def intensity(self, points: LoadPoints) -> FloatArray:
+        """See `Load.intensity`."""
+        assert points.density is not None
+        return np.asarray(-points.density[..., None] * vector_at(self.values, points.X, points.t))
+
+    def virtual_work(self, context: LoadContext) -> ufl.Form:
+        """See the class."""
+        if context.axisymmetric and self.values[0] != 0.0:
+            raise InputError(
+                "the base of a body of revolution moves along its axis",
+                where="value[0]",
+                expected="0 across it",
+            )
+        a = self.field(context)
+        return sum(-rho * ufl.inner(a, context.v) * dx for rho, dx in context.densities(self.parts))
 
 
 class Centrifugal(Load):

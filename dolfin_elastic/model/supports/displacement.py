@@ -17,6 +17,7 @@ from dolfin_elastic.core.units import is_quantity, to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.materials.spatial import Axis, axis_vector
+from dolfin_elastic.model.records import RATES
 from dolfin_elastic.model.values import (
     Component,
     FieldsAt,
@@ -36,6 +37,7 @@ NORMAL = -1
 
 
 _FIXED = "fixed: no displacement"
+_MOTIONS = ("displacement", "velocity", "acceleration")
 
 
 class Restraint(OnSurfaces):
@@ -133,6 +135,9 @@ class Support(PrescribingSupport):
         displacement: One entry a component [m]: a number, a text with a unit ("2 mm"), a formula
             in the reference coordinates x, y, z [m] and in t, a scalar field of the mesh, or
             "free"; or a vector field for all.  None: all components are 0.
+        velocity: In place of the displacement: a record over time a component, 0 or "free"; it is
+            integrated from rest [m/s].
+        acceleration: The same, integrated twice [m/s^2].
         curve: Amplitude over time; without it constants grow with the load in statics.
 
     Example:
@@ -141,19 +146,22 @@ class Support(PrescribingSupport):
 
     kind: Literal["displacement"] = "displacement"
     displacement: Vector | None = None
+    velocity: list[object] | None = None
+    acceleration: list[object] | None = None
     curve: Curve | None = None
 
     def describe(self, setting: Setting = ALONE) -> str:
         """See `Restraint`."""
-        return self._held() + other_keys(self, "displacement")
+        return self._held() + other_keys(self, *_MOTIONS)
 
     def _held(self) -> str:
         if self.at_rest and None not in self.values:
             return _FIXED
         if isinstance(self.displacement, Mapping):
             return f"moved by the {given(self.displacement, 'm')}"
-        axes = [*zip("xyz", self.values, self.displacement or (), strict=False)]
-        parts = [f"moved along {axis} by {given(text, 'm')}" for axis, v, text in axes if v]
+        axes = [*zip("xyz", self.values, getattr(self, self.key) or (), strict=False)]
+        by = f"{self.key} " if self.key != "displacement" else ""
+        parts = [f"moved along {axis} by {by}{given(text, 'm')}" for axis, v, text in axes if v]
         for words, value in (("no displacement", 0.0), ("free", None)):
             if those := [axis for axis, v, _ in axes if v == value]:
                 parts.append(f"{words} along {listed(those)}")
@@ -167,9 +175,29 @@ class Support(PrescribingSupport):
     @cached_property
     def values(self) -> tuple[Component, ...]:
         """The components as numbers, formulas or None (free); empty if all are 0."""
-        if self.displacement is None:
+        given = [key for key in _MOTIONS if getattr(self, key) is not None]
+        if len(given) > 1:
+            raise InputError(
+                f"{' and '.join(given)} are given together", where=given[1], expected="one of them"
+            )
+        key = self.key
+        if (written := getattr(self, key)) is None:
             return ()
-        return components(self.displacement, "m", key="displacement", may_be_free=True, fields=True)
+        integrals = _MOTIONS.index(key)
+        return components(
+            written,
+            RATES[integrals],
+            key=key,
+            may_be_free=True,
+            fields=not integrals,
+            integrals=integrals,
+        )
+
+    @property
+    def key(self) -> str:
+        """The key that prescribes the motion: that of the displacement or of one of its rates."""
+        given = (key for key in _MOTIONS if getattr(self, key) is not None)
+        return next(given, "displacement")
 
     def values_in(self, dim: int) -> tuple[Component, ...]:
         """The components in a body of 2 or 3 dimensions.
@@ -178,13 +206,13 @@ class Support(PrescribingSupport):
             InputError: There are fewer or more.
         """
         values = sized(self.values, dim) or (0.0,) * dim
-        _check_length(self, "displacement", values, dim)
+        _check_length(self, self.key, values, dim)
         return values
 
     @property
     def vectors(self) -> Mapping[str, tuple[Component, ...]]:
         """See `Restraint`."""
-        return {"displacement": self.values}
+        return {self.key: self.values}
 
     @property
     def amplitude(self) -> Amplitude | None:
@@ -219,7 +247,7 @@ class Fixed(PrescribingSupport):
     kind: Literal["fixed"] = "fixed"
     key_hints: ClassVar[Mapping[str, str]] = {
         key: f'{key} belongs to kind = "displacement"; kind = "fixed" needs none'
-        for key in ("displacement", "curve")
+        for key in (*_MOTIONS, "curve")
     }
 
     def describe(self, setting: Setting = ALONE) -> str:
