@@ -66,7 +66,10 @@ MODES = [
             {**of_safety(PEAK), "stability": {"may_buckle": True}},
             "not known: stress 4 times below 235 MPa, ± 10 %, on ‘fillet’, but so slender a part",
         ),
-        (summary(**LAST), "not known: stress 3 times below 235 MPa, at (0, 0, 0) mm, but that is the end of the motion"),
+        (
+            summary(**LAST),
+            "not known: stress 3 times below 235 MPa, at (0, 0, 0) mm, but that is the end of the motion",
+        ),
         (
             summary(error={"von_mises": STRESS}),
             "largest von Mises stress 92.7 MPa, ± 10 %, on ‘fillet’",

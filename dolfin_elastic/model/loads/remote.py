@@ -45,7 +45,7 @@ class RemoteForce(Load):
     """
 
     kind: Literal["remote-force"] = "remote-force"
-    value: list[float | str] = Field(default=[])
+    value: list[object] = Field(default=[])
     on: str | list[str]
     point: list[float | str] | None = None
     force: list[float | str] | None = None
