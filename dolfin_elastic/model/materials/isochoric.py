@@ -104,9 +104,9 @@ class Volumetric(SplitLaw):
     """A law whose energy of volume changes, K/2 g(J)^2, can be chosen.
 
     Attributes:
-        volumetric: The energy of volume changes: "simo-taylor", K/4 (J^2 - 1 - 2 ln J);
-            "quadratic", K/2 (J - 1)^2, soft in strong compression; "log", K/2 (ln J)^2, soft beyond
-            J = e.  At nu = 0.5 it has no meaning: the constraint is J = 1.
+        volumetric: Energy of volume changes: "simo-taylor", K/4 (J^2 - 1 - 2 ln J);
+            "quadratic", K/2 (J - 1)^2, soft in strong compression; "log", K/2 (ln J)^2, soft above
+            J = e.  At nu = 0.5 the key has no effect: the constraint is J = 1.
     """
 
     volumetric: Literal["simo-taylor", "quadratic", "log"] = "simo-taylor"

@@ -102,10 +102,10 @@ class Law(spatial.SpatialRecord):
 
     Attributes:
         law: The law's name in a case file.
-        density: Mass per reference volume [kg/m^3]; needed for gravity and for motion.
+        density: Mass per reference volume [kg/m^3]; required for gravity, dynamics and modes.
         expansion: Coefficient of thermal expansion, strain per change of temperature [1/K].
-        allowable: Von Mises stress that the material may bear [Pa]; needed for safety factors.
-        viscosity: Viscous stress per rate of strain, over 2 [Pa s], in implicit motion.
+        allowable: Allowable von Mises stress [Pa]; required for safety factors.
+        viscosity: eta of the viscous stress S = 2 eta dE/dt [Pa s], in implicit dynamics.
     """
 
     law: str = ""

@@ -20,11 +20,11 @@ from dolfin_elastic.model.materials.moduli import Isotropic
 from dolfin_elastic.model.materials.registry import MATERIALS
 
 COST = """\
-The first run with a law compiles its forms: residual and tangent together take 1 to 7 seconds for
-quadratic elements on a busy machine of two cores (`hencky` the longest, then `ogden` with three
-terms), and as long again for each further material.  Later runs find them in the cache; changing a
-constant compiles nothing.  An `ogden` with another number of terms does, and so does the first body
-of at least 10 000 cells a rank: for those, eight cells are computed at once."""
+The first run with a law compiles its code.  For quadratic elements, residual and tangent together
+take 1 to 7 seconds on a busy machine of two cores (`hencky` the longest, then `ogden` with three
+terms), and as long again for each further material.  Later runs use the cache.  A change of a
+constant needs no compilation.  An `ogden` with another number of terms does, and so does the first
+body of at least 10 000 elements a rank, for which eight elements are computed at once."""
 KEYS = {"lmbda": "lambda"}
 """Field to the key that case files prefer."""
 
@@ -43,7 +43,7 @@ def _keys(kind: type[Law]) -> str:
         f"| `{KEYS.get(name, name)}` | {described.get(name, '')} | {_default(kind, name)} |"
         for name in [*names, "density"]
     ]
-    return "\n".join(["| key | what | default |", "|---|---|---|", *rows])
+    return "\n".join(["| key | meaning | default |", "|---|---|---|", *rows])
 
 
 def _default(kind: type[Law], name: str) -> str:
@@ -51,7 +51,7 @@ def _default(kind: type[Law], name: str) -> str:
     if info.default_factory is not None:
         return "any two" if issubclass(kind, Isotropic) else "one of K, nu"
     if info.default is PydanticUndefined:
-        return "needed"
+        return "required"
     return "" if info.default is None else f"`{json.dumps(info.default)}`"
 
 
@@ -61,13 +61,13 @@ def _properties(kind: type[Law]) -> str:
         "Linear: for small strains and rotations.": law.linear,
         "It has no strain energy.": not law.has_energy,
         "It resists inversion: the energy has no value where J <= 0.": law.barrier,
-        "It survives inversion: an inverted cell has a finite stress, which turns it back.": (
+        "It allows inversion: an inverted element has a finite stress, which restores it.": (
             law.survives_inversion
         ),
-        "It does not see inversion: a function of C alone gives an inverted cell the stress of its "
-        "mirror image, so that nothing turns it back. Statics and implicit motion refuse such "
-        "states; in explicit motion the audit fails.": law.blind_to_inversion,
-        "Its pressure can be an unknown of its own, for nearly incompressible bodies.": isinstance(
+        "It does not detect inversion: a function of C alone gives an inverted element the stress "
+        "of its mirror image, so that it remains inverted. Statics and implicit dynamics refuse "
+        "such states; in explicit dynamics the audit fails.": law.blind_to_inversion,
+        "Its pressure can be a separate unknown, for nearly incompressible bodies.": isinstance(
             law, SplitLaw
         ),
         "Isotropic.": law.small_strain() is not None,
@@ -88,13 +88,13 @@ def overview() -> str:
     ]
     head = (
         "# Material laws",
-        "Made by `python3 -m dolfin_elastic.model.materials.pages` from the classes in "
+        "`python3 -m dolfin_elastic.model.materials.pages` writes these pages from the classes in "
         "`dolfin_elastic/model/materials/laws/`.\n"
         "F is the deformation gradient, C = F^T F, J = det F, psi the energy "
-        "per undeformed volume;\nfor the three choices of K/2 g(J)^2 see `volumetric`.",
+        "per undeformed volume.\nThe key `volumetric` selects one of three terms K/2 g(J)^2.",
         COST,
     )
-    return "\n\n".join([*head, "\n".join(["| law | what |", "|---|---|", *rows])]) + "\n"
+    return "\n\n".join([*head, "\n".join(["| law | description |", "|---|---|", *rows])]) + "\n"
 
 
 def summary(kind: type[Record]) -> str:

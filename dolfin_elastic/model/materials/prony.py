@@ -36,8 +36,8 @@ class PronyTerm(Record):
     """One term of a Prony series.
 
     Attributes:
-        g: Share of the deviatoric stress of a sudden strain that relaxes.
-        tau: Time in which it falls to 1/e of itself [s].
+        g: Fraction of the instantaneous deviatoric stress that relaxes.
+        tau: Time in which this fraction falls to 1/e [s].
     """
 
     g: Number = Field(gt=0, lt=1)
@@ -48,9 +48,9 @@ class Relaxing(SplitLaw):
     """A law whose deviatoric stress may relax.
 
     Attributes:
-        prony: Terms of a Prony series, a share g and a time tau each: the deviatoric stress of a
-            sudden strain falls to 1 - sum g (1 - exp(-t/tau)) of itself; the other constants are
-            those of a sudden load. In statics the load parameter is the time in seconds.
+        prony: Terms of a Prony series, each a fraction g and a time tau. After a sudden strain the
+            deviatoric stress is multiplied by 1 - sum g (1 - exp(-t/tau)). The other constants are
+            instantaneous values. In statics the load factor is the time in seconds.
     """
 
     prony: tuple[WhenGiven[PronyTerm], ...] = ()

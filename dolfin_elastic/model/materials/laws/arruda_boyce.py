@@ -26,8 +26,9 @@ class ArrudaBoyce(Isochoric):
 
     psi = mu sum_i C_i/limit^(2i-2) (I1^i - 3^i) + K/2 g(J)^2, i = 1...5,
     C = 1/2, 1/20, 11/1050, 19/7000, 519/673750, I1 the first invariant of J^-2/3 C.  For rubber up
-    to the stretch at which its chains are drawn straight, from two constants with a meaning.  The
-    shear modulus at small strains is mu (1 + 3/(5 limit^2) + 99/(175 limit^4) + ...).
+    to the stretch at which its molecular chains are straight.  Both constants have a physical
+    meaning.  The shear modulus at small strains is
+    mu (1 + 3/(5 limit^2) + 99/(175 limit^4) + ...).
 
     Source: E. M. Arruda and M. C. Boyce, J. Mech. Phys. Solids 41 (1993) 389.
 

@@ -26,8 +26,9 @@ from dolfin_elastic.model.materials.spatial import Range
 class BlatzKo(Isotropic):
     """Compressible foam rubber.
 
-    psi = mu/2 (I2/J^2 - 3) + mu^2/lmbda (J^(lmbda/mu) - 1), I2 the second invariant of C; for
-    nu = 1/4 it is mu/2 (I2/J^2 + 2 J - 5).  For foamed rubber, nu well below 0.5, in large strains.
+    psi = mu/2 (I2/J^2 - 3) + mu^2/lmbda (J^(lmbda/mu) - 1), I2 the second invariant of C.  For
+    nu = 1/4, psi = mu/2 (I2/J^2 + 2 J - 5).  For foamed rubber with nu well below 0.5 at large
+    strains.
 
     Source: P. J. Blatz and W. L. Ko, Trans. Soc. Rheology 6 (1962) 223, with f = 0.
     """

@@ -13,10 +13,10 @@ from dolfin_elastic.model.materials.spectral import Polar, polar
 
 
 class Corotated(Isotropic, SplitLaw):
-    """Hooke's law between the Biot stress and the stretches: linear but for the rotation.
+    """Hooke's law between the Biot stress and the stretches: linear except for the rotation.
 
     psi = mu sum_i (s_i - 1)^2 + lmbda/2 (s1 + s2 + s3 - 3)^2, s the singular values of F.  For
-    large rotations with strains of some per cent; it does not resist inversion.
+    large rotations with strains of a few per cent.  It does not resist inversion.
 
     Source: M. Mueller and M. Gross, Graphics Interface (2004) 239; E. Sifakis and J. Barbic, FEM
     simulation of 3D deformable solids, SIGGRAPH courses (2012), section 3.4.

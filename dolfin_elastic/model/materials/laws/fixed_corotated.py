@@ -14,11 +14,12 @@ from dolfin_elastic.model.materials.spectral import Polar, polar
 
 
 class FixedCorotated(Isotropic, SplitLaw):
-    """Corotated elasticity with a volumetric part that sees the volume.
+    """Corotated elasticity with a volumetric part in terms of J.
 
-    psi = mu sum_i (s_i - 1)^2 + lmbda/2 (J - 1)^2, s the singular values of F, the smallest of
-    which is negative where J is.  For large deformations that must survive and undo inverted
-    elements, as in animation: it is finite and smooth there, so it does not resist inversion.
+    psi = mu sum_i (s_i - 1)^2 + lmbda/2 (J - 1)^2, s the singular values of F.  Where J is
+    negative, the smallest singular value is negative.  For large deformations that must recover
+    from inverted elements, as in animation.  The energy is finite and smooth for inverted elements,
+    so it does not resist inversion.
 
     Source: A. Stomakhin, R. Howes, C. Schroeder and J. Teran, Eurographics/ACM Symposium on
     Computer Animation (2012) 25, section 4.

@@ -22,14 +22,14 @@ class Gent(Isochoric):
     """Gent's rubber with a limit of extension.
 
     psi = -mu limit/2 ln(1 - (I1 - 3)/limit) + K/2 g(J)^2, I1 the first invariant of J^-2/3 C.  For
-    rubber and soft tissue that stiffen without bound: I1 - 3 stays below the limit, and load steps
-    must be small near it.  Neo-Hooke for an endless limit.
+    rubber and soft tissue that stiffen without bound: I1 - 3 stays below the limit.  Load steps
+    must be small near it.  For an infinite limit the law is neo-Hookean.
 
     Source: A. N. Gent, Rubber Chem. Technol. 69 (1996) 59.
 
     Attributes:
         mu: Shear modulus at small strains [Pa].
-        limit: Value that I1 - 3 never reaches; rubber: 30 to 100.
+        limit: Upper bound of I1 - 3; for rubber 30 to 100.
     """
 
     law: Literal["gent"] = "gent"

@@ -16,11 +16,11 @@ from dolfin_elastic.model.materials.spatial import Direction, direction
 
 
 class Guccione(Volumetric):
-    """Passive heart muscle: stiffer along its fibres than across, exponentially.
+    """Passive heart muscle: exponential stiffening, stronger along the fibres than across.
 
     psi = C/2 (exp Q - 1) + K/2 g(J)^2, Q = bf Eff^2 + bt (Ess^2 + Enn^2 + 2 Esn^2)
     + 2 bfs (Efs^2 + Efn^2), E the Green strain of J^-1/3 F, f along the fibre, s and n across.
-    Fibres usually follow the wall: they may vary in space.
+    The direction of the fibres usually follows the wall, so it may vary in space.
 
     Source: J. M. Guccione, A. D. McCulloch and L. K. Waldman, J. Biomech. Eng. 113 (1991) 42.
 

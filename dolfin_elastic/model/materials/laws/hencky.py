@@ -22,10 +22,9 @@ from dolfin_elastic.model.materials.spectral import (
 class Hencky(Isotropic, SplitLaw):
     """Hooke's law between the Kirchhoff stress and the logarithmic strain.
 
-    psi = mu sum_i (ln l_i)^2 + lmbda/2 (ln J)^2, l the principal stretches; the same as
-    mu sum_i (ln (l_i J^-1/3))^2 + K/2 (ln J)^2, which the program uses.  For metals and polymers at
-    moderate strains, for which it keeps Hooke's constants well beyond small strains; it softens
-    at stretches above e.
+    psi = mu sum_i (ln l_i)^2 + lmbda/2 (ln J)^2, l the principal stretches.  The program uses
+    the equal form mu sum_i (ln (l_i J^-1/3))^2 + K/2 (ln J)^2.  For metals and polymers at moderate
+    strains: Hooke's constants hold well beyond small strains.  It softens at stretches above e.
 
     Source: L. Anand, J. Appl. Mech. 46 (1979) 78; Bonet & Wood (2008), section 6.6.
     """

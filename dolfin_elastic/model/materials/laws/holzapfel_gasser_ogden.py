@@ -26,8 +26,8 @@ class HolzapfelGasserOgden(Volumetric):
 
     psi = mu/2 (I1 - 3) + k1/(2 k2) sum_i (exp(k2 e_i^2) - 1) + K/2 g(J)^2 with
     e_i = kappa I1 + (1 - 3 kappa) I4_i - 1, I1 and I4_i = f_i . C f_i of J^-2/3 C, summed over
-    families with e_i > 0.  For arteries and other tissue with collagen.  Where a family goes slack
-    the tangent jumps, which may cost Newton's method an iteration or two.
+    families with e_i > 0.  For arteries and other tissue with collagen.  The tangent
+    jumps where a family goes slack, so Newton's method may need one or two more iterations.
 
     Source: T. C. Gasser, R. W. Ogden and G. A. Holzapfel, J. R. Soc. Interface 3 (2006) 15;
     without dispersion G. A. Holzapfel et al., J. Elasticity 61 (2000) 1.
@@ -35,12 +35,12 @@ class HolzapfelGasserOgden(Volumetric):
     Attributes:
         mu: Shear modulus of the matrix [Pa].
         k1: Stiffness of the fibres [Pa].
-        k2: How fast the fibres stiffen.
-        kappa: Dispersion, from 0 (all parallel) to 1/3 (no direction at all).
+        k2: Exponent of the stiffening of the fibres.
+        kappa: Dispersion, from 0 (all fibres parallel) to 1/3 (isotropic).
         K: Bulk modulus [Pa].
         fibre: Direction of the first family in the undeformed body.
-        fibre2: Direction of the second family; without it there is one.
-        slack: Whether fibres bear no compression; false: they do, as smooth as the exponential.
+        fibre2: Direction of the second family; without it there is one family.
+        slack: Whether fibres carry tension only; false: the same formula holds in compression.
     """
 
     law: Literal["holzapfel-gasser-ogden"] = "holzapfel-gasser-ogden"

@@ -15,8 +15,8 @@ from dolfin_elastic.model.materials.prony import Relaxing
 class LinearElastic(Isotropic, Relaxing):
     """Hooke's law for small strains.
 
-    psi = mu eps:eps + lmbda/2 (tr eps)^2, eps the infinitesimal strain.  Geometry changes are
-    neglected: right for strains and rotations up to a few per cent.
+    psi = mu eps:eps + lmbda/2 (tr eps)^2, eps the infinitesimal strain.  Changes of
+    geometry are neglected: valid for strains and rotations up to a few per cent.
 
     Source: Landau & Lifshitz, Theory of Elasticity, (4.1).
     """

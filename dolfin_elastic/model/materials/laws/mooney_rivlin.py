@@ -21,8 +21,8 @@ class MooneyRivlin(Isochoric):
     """Mooney-Rivlin rubber.
 
     psi = c10 (I1 - 3) + c01 (I2 - 3) + K/2 g(J)^2, I1 and I2 the invariants of J^-2/3 C.  For
-    rubber at moderate stretches, up to about 2, where neo-Hooke is too stiff in tension against
-    shear.  mu = 2 (c10 + c01).
+    rubber at moderate stretches, up to about 2.  A neo-Hookean law fitted to shear is too stiff in
+    tension there.  mu = 2 (c10 + c01).
 
     Source: R. S. Rivlin and D. W. Saunders, Phil. Trans. R. Soc. A 243 (1951) 251; Bonet & Wood
     (2008), section 6.5.

@@ -18,9 +18,9 @@ from dolfin_elastic.model.materials.prony import Relaxing
 class NeoHookeanSplit(Isotropic, Relaxing, Volumetric):
     """Neo-Hookean rubber whose pressure depends on the volume alone.
 
-    psi = mu/2 (I1 - 3) + K/2 g(J)^2, I1 the first invariant of J^-2/3 C; by default
-    K/4 (J^2 - 1 - 2 ln J) for the volume.  For rubber that is nearly incompressible, and to compare
-    with programs that split the energy so.
+    psi = mu/2 (I1 - 3) + K/2 g(J)^2, I1 the first invariant of J^-2/3 C.  The
+    volumetric part is K/4 (J^2 - 1 - 2 ln J) by default.  For nearly incompressible rubber, and for
+    comparison with programs that split the energy in this way.
 
     Source: J. C. Simo and R. L. Taylor, Comput. Methods Appl. Mech. Eng. 35 (1982) 107.
     """

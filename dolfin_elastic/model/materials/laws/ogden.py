@@ -24,9 +24,9 @@ class Ogden(Isochoric):
     """Ogden's rubber, in the principal stretches.
 
     psi = sum_p mu_p/alpha_p (l1^alpha_p + l2^alpha_p + l3^alpha_p - 3) + K/2 g(J)^2, l the
-    principal stretches over J^1/3.  For rubber over its whole range: three terms fit most tests.
-    mu at small strains = sum_p mu_p alpha_p / 2.  Some programs write 2 mu_p/alpha_p^2: their
-    mu_p are alpha_p/2 times these.
+    principal stretches over J^1/3.  For rubber over its full range of stretches: three terms
+    fit most tests.  At small strains mu = sum_p mu_p alpha_p / 2.  Some programs write
+    2 mu_p/alpha_p^2: their mu_p are alpha_p/2 times these.
 
     Source: R. W. Ogden, Proc. R. Soc. A 326 (1972) 565; Bonet & Wood (2008), section 6.6.
 

@@ -29,10 +29,10 @@ class Orthotropic(Law):
     """Hooke's law with three planes of symmetry, for small strains.
 
     psi = (C11 e11^2 + C22 e22^2 + C33 e33^2)/2 + C12 e11 e22 + C13 e11 e33 + C23 e22 e33
-    + 2 (G12 e12^2 + G13 e13^2 + G23 e23^2), e the infinitesimal strain in the material's axes, the
-    stiffnesses C the inverse of the compliances 1/E1, -nu12/E1, ...  For wood, plywood, laminates,
-    rolled and printed parts.  nu12 is the contraction along 2 under tension along 1:
-    nu12/E1 = nu21/E2.
+    + 2 (G12 e12^2 + G13 e13^2 + G23 e23^2), e the infinitesimal strain in the material's axes.  The
+    stiffness matrix C is the inverse of the compliance matrix 1/E1, -nu12/E1, ...  For wood,
+    plywood, laminates, rolled and printed parts.  nu12 is the contraction along 2 under tension
+    along 1: nu12/E1 = nu21/E2.
 
     Source: S. G. Lekhnitskii, Theory of Elasticity of an Anisotropic Body (1981).
 

@@ -15,8 +15,8 @@ from dolfin_elastic.model.materials.moduli import Isotropic
 class StVenantKirchhoff(Isotropic, SplitLaw):
     """Hooke's law between the second Piola-Kirchhoff stress and the Green strain.
 
-    psi = mu E:E + lmbda/2 (tr E)^2.  For large rotations with small strains; it softens in
-    compression (limit point at a stretch of 1/sqrt(3)) and does not resist inversion.
+    psi = mu E:E + lmbda/2 (tr E)^2.  For large rotations with small strains.  It softens in
+    compression, with a limit point at a stretch of 1/sqrt(3), and does not resist inversion.
 
     Source: Bonet & Wood (2008), (6.27)-(6.28).
     """

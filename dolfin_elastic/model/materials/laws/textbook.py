@@ -16,11 +16,10 @@ class Textbook(Isotropic):
 
     sigma = lmbda tr(E) I + 2 mu E, P = J sigma F^-T.
 
-    This law has NO strain energy, so it gains or loses energy over a closed cycle and its tangent
-    is not symmetric.  It is NOT frame-indifferent: E does not turn with the body but sigma should,
-    so the nodal forces of a strained body do not turn when the body is turned (a rotation of 30
-    degrees changes the stress of a stretched square by tens of per cent).  Use
-    `st-venant-kirchhoff` for real work.
+    This law has NO strain energy, so it gains or loses energy over a closed cycle, and its tangent
+    is not symmetric.  It is NOT frame-indifferent: E does not rotate with the body, but sigma
+    should.  A rotation of 30 degrees changes the stress of a stretched square by tens of per cent.
+    For engineering use `st-venant-kirchhoff`.
 
     Source: introductory texts on deformable bodies in computer graphics that combine the two
     tensors directly; against it Bonet & Wood (2008), section 6.3.

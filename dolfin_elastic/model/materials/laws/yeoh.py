@@ -18,11 +18,11 @@ from dolfin_elastic.model.materials.law import negative
 
 
 class Yeoh(Isochoric):
-    """Yeoh's filled rubber.
+    """Yeoh's law for filled rubber.
 
     psi = c10 (I1 - 3) + c20 (I1 - 3)^2 + c30 (I1 - 3)^3 + K/2 g(J)^2, I1 the first invariant of
-    J^-2/3 C.  For filled rubber at large stretches: c20 < 0 softens it at first, c30 > 0 stiffens
-    it in the end.  mu = 2 c10.
+    J^-2/3 C.  For filled rubber at large stretches: c20 < 0 softens it at moderate stretches,
+    c30 > 0 stiffens it at large ones.  mu = 2 c10.
 
     Source: O. H. Yeoh, Rubber Chem. Technol. 66 (1993) 754.
 
