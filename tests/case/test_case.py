@@ -113,29 +113,29 @@ MISTAKES = {
         '"traction"',
         '"tracktion"',
         "load[0].kind: unknown kind 'tracktion'; did you mean 'traction'? known: traction, "
-        "force, pressure, bearing, remote-force, cavity, body-force, gravity, base-acceleration, centrifugal, "
-        "point-force, line-force, thermal, growth",
+        "force, pressure, bearing, remote-force, cavity, body-force, gravity, base-acceleration, "
+        "centrifugal, point-force, line-force, thermal, growth",
     ),
     "kind in words": (
         '"traction"',
         '"Force"',
         "load[0].kind: unknown kind 'Force'; did you mean 'force'? known: force, traction, "
-        "pressure, bearing, remote-force, cavity, body-force, gravity, base-acceleration, centrifugal, "
-        "point-force, line-force, thermal, growth",
+        "pressure, bearing, remote-force, cavity, body-force, gravity, base-acceleration, "
+        "centrifugal, point-force, line-force, thermal, growth",
     ),
     "kind unlike any": (
         '"traction"',
         '"wind"',
         "load[0].kind: unknown kind 'wind'; known: traction, force, pressure, "
-        "bearing, remote-force, cavity, body-force, gravity, base-acceleration, centrifugal, point-force, "
-        "line-force, thermal, growth",
+        "bearing, remote-force, cavity, body-force, gravity, base-acceleration, centrifugal, "
+        "point-force, line-force, thermal, growth",
     ),
     "kind missing": (
         'kind = "traction"\n',
         "",
         "load[0].kind: this key is missing; known: traction, force, pressure, "
-        "bearing, remote-force, cavity, body-force, gravity, base-acceleration, centrifugal, point-force, "
-        "line-force, thermal, growth",
+        "bearing, remote-force, cavity, body-force, gravity, base-acceleration, centrifugal, "
+        "point-force, line-force, thermal, growth",
     ),
     "unit of E": (
         '"210 GPa"',

@@ -68,7 +68,8 @@ MODES = [
         ),
         (
             summary(**LAST),
-            "not known: stress 3 times below 235 MPa, at (0, 0, 0) mm, but that is the end of the motion",
+            "not known: stress 3 times below 235 MPa, at (0, 0, 0) mm, but "
+            "that is the end of the motion",
         ),
         (
             summary(error={"von_mises": STRESS}),
