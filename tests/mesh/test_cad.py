@@ -325,7 +325,8 @@ def test_cells_that_are_large_for_a_small_fillet_are_told_with_their_place(folde
     (note,) = body.notes
     told = re.search(
         r"turns by (\d+) degrees along a curved surface, near \((.*)\) mm: a peak of stress there "
-        r'can be off by more than its estimated error; mesh.size = "(\S+) mm" follows',
+        r'can be off by more than its estimated error; mesh.size = "(\S+) mm" follows that '
+        r"surface, with about (\S+) elements; without sizes, in case and file, ",
         note,
     )
     assert told is not None, note
@@ -335,6 +336,10 @@ def test_cells_that_are_large_for_a_small_fillet_are_told_with_their_place(folde
     chord = float(told[3]) * float(told[1]) / 45
     assert 2 * np.degrees(np.arcsin(chord / 10)) == pytest.approx(float(told[1]), rel=0.02)
     assert read_body(folder / "bracket.step", size=3.8).notes == ()
+    assert read_body(folder / "bracket.step", size=float(told[3])).num_cells == pytest.approx(
+        float(told[4]), rel=0.4
+    ), "what it costs"
+    assert not [n for n in read_body(folder / "bracket.step").notes if "turns by" in n]
     (how,) = [line for line in body.information if "Gmsh" in line]
     found = re.search(r"but for (\d+) that would fold, (.*) mm: the stress there", how)
     assert found is not None, how

@@ -106,7 +106,9 @@ def shape_notes(case: Case, problem: Problem) -> list[str]:
             "linear elements in curved cells: they cannot even turn without strain; use "
             + ("straight cells" if case.explicit else "mesh.degree = 2")
         ]
-    if curved or problem.degree == 1 or not case.mesh.file or is_cad(case.mesh.file):
+    # In motion, where no error of the stress is estimated, a mesh is mostly all that there is.
+    finished = case.mesh.file is not None and not is_cad(case.mesh.file)
+    if curved or problem.degree == 1 or not finished or case.dynamics is not None:
         return []
     angles = np.degrees(ridge_angles(mesh))
     round_ones = angles[(angles > _FLAT) & (angles < _SHARP)]
@@ -169,11 +171,18 @@ def bending_notes(case: Case, problem: Problem) -> list[str]:
         return []
     unit = problem.body.unit
     needed = int(np.ceil(max(count, 1) * np.sqrt((factor - 1) / (_TOO_STIFF - 1))))
-    advice = "use mesh.degree = 2"
+    dim, (nodes, cells) = (
+        problem.body.dim,
+        (problem.body.mesh.topology.index_map(d).size_global for d in (0, problem.body.dim)),
+    )
+    unknowns = dim * nodes * (needed / max(count, 1)) ** dim
+    more = f"use {needed} of them across (about {unknowns:.2g} unknowns)"
+    # Edges by Euler's formula, without half of the boundary's facets.
+    advice = f"use mesh.degree = 2 (about {dim * (2.0 * nodes + cells):.2g} unknowns)"
     if case.explicit:
-        advice = f"use {needed} of them across, or an implicit scheme with mesh.degree = 2"
+        advice = f"{more}, or an implicit scheme with mesh.degree = 2"
     elif case.contact:  # with quadratic elements a body that is squeezed may take hundreds of steps
-        advice = f"use {needed} of them across"
+        advice = more
     return [
         f"linear elements bend too stiffly: with about {max(count, 1):.2g} of them across its thin "
         f"parts ({thickness / unit.metres:.3g} {unit.name}), expect the body to be about "

@@ -316,7 +316,35 @@ def test_bending_in_explicit_motion() -> None:
     """Quadratic elements are no way out there but by another scheme."""
     case = Case.from_dict(rod(dynamics={"end": 1, "scheme": EXPLICIT[0]}))
     [note] = [note for note in report(case).notes if "bending" in note]
-    assert "use 6 of them across, or an implicit scheme with mesh.degree = 2" in note
+    assert re.search(r"use 6 of them across \(about \S+ unknowns\), or an implicit scheme", note)
+    assert note.endswith("with mesh.degree = 2")
+
+
+@pytest.mark.parametrize("touches", [False, True], ids=["free", "contact"])
+def test_advice_for_bending_is_enough(folder: Path, touches: bool) -> None:
+    """What is advised runs to its end, with as many unknowns as said, and is not noted again."""
+    mesh: dict[str, Any] = {"rectangle": {"size": [10, 1], "cells": [30, 3]}, "degree": 1}
+    floor = {"on": "bottom", "plane": {"axis": "y", "at": -0.01}}
+    load = [{"kind": "traction", "on": "right", "value": [0, -3]}]
+    tables = rod(mesh=mesh, contact=[floor] if touches else [], load=load)
+    [note] = [n for n in report(Case.from_dict(tables)).notes if "bending" in n]
+    if touches:
+        told = re.search(r"with about ([\d.]+) of .* use (\d+) of them across \(about (\S+) ", note)
+        assert told is not None, note
+        finer = float(told[2]) / float(told[1])
+        mesh["rectangle"]["cells"] = [int(np.ceil(n * finer)) for n in (30, 3)]
+    else:
+        told = re.search(r"use mesh.degree = (2)()? \(about (\S+) unknowns\)$", note)
+        assert told is not None, note
+        mesh["degree"] = 2
+    case = Case.from_dict(tables)
+    assert not [n for n in report(case).notes if "bending" in n]
+    *_, state = run(case, output=folder / "out")
+    assert state.load_factor == 1.0
+    V = case.make_problem(case.read_body()).V
+    assert V.dofmap.index_map.size_global * V.dofmap.index_map_bs == pytest.approx(
+        float(told[3]), rel=0.3
+    )
 
 
 @pytest.mark.long
@@ -330,7 +358,7 @@ def test_advice_for_a_body_in_contact_ends(folder: Path) -> None:
     tables = tomllib.loads(path.read_text(encoding="utf-8"))
     [note] = [n for n in report(Case.from_dict(tables, path.parent)).notes if "bending" in n]
     assert "mesh.degree" not in note
-    told = re.search(r"with about ([\d.]+) of them .* use (\d+) of them across$", note)
+    told = re.search(r"with about ([\d.]+) of them .* use (\d+) of them across \(about", note)
     assert told is not None, note
     tables["mesh"]["size"] *= float(told[1]) / float(told[2])
     tables["output"] = {}
@@ -425,6 +453,9 @@ def test_shapes(geo: str, order: int, degree: int, said: str, folder: Path) -> N
     with meshed(folder, geo, order):
         tables = rod(mesh={"file": "a.msh", "degree": degree}, support=[], load=[])
         notes = " ".join(report(Case.from_dict({**tables, "modal": {}}, folder)).notes)
+        motion = {"end": 1, "dt": 0.1}
+        moving = " ".join(report(Case.from_dict({**tables, "dynamics": motion}, folder)).notes)
+    assert "straight cells along" not in moving
     for text in ("straight cells along", "linear elements in curved"):
         assert (text in notes) == said.startswith(text)
     if said.startswith("straight"):

@@ -19,7 +19,7 @@ estimated error of a peak there is too small, with the second it was right (fill
 
 
 def follow_curves(
-    gmsh: ModuleType, dim: int, curved: bool | None, lengths: Lengths
+    gmsh: ModuleType, dim: int, curved: bool | None, lengths: Lengths, *, sized: bool
 ) -> tuple[str, list[str]]:
     """Makes the cells quadratic, with their boundary nodes on the CAD surfaces.
 
@@ -31,6 +31,7 @@ def follow_curves(
     Args:
         dim: 2 or 3.
         curved: None: only if a face of the body is curved.
+        sized: Whether the case or the file gives sizes of elements.
 
     Returns:
         What has been done, and notes on what is doubtful.
@@ -46,7 +47,7 @@ def follow_curves(
     if curved is None and not _is_curved(gmsh, dim):
         gmsh.model.mesh.setOrder(1)
         return "", []
-    notes = _coarse(gmsh, dim, lengths)
+    notes = _coarse(gmsh, dim, lengths, sized=sized)
     if not _lost(gmsh, dim, _folded(gmsh, dim)).all():
         gmsh.model.mesh.optimize("HighOrderElastic")
     straight = _straighten_folded(gmsh, dim)
@@ -135,7 +136,7 @@ def _arcs(gmsh: ModuleType, dim: int) -> tuple[FloatArray, FloatArray, FloatArra
     return np.linalg.norm(c - (a + b) / 2, axis=1), np.linalg.norm(b - a, axis=1), c
 
 
-def _coarse(gmsh: ModuleType, dim: int, lengths: Lengths) -> list[str]:
+def _coarse(gmsh: ModuleType, dim: int, lengths: Lengths, *, sized: bool) -> list[str]:
     """A note where cells are too large for a curved surface.
 
     The tangent of a circle of which an edge is a chord turns by 4 atan(2 rise/chord).
@@ -145,11 +146,16 @@ def _coarse(gmsh: ModuleType, dim: int, lengths: Lengths) -> list[str]:
     worst = int(np.argmax(angles)) if len(angles) else 0
     if not len(angles) or angles[worst] < _LARGE:
         return []
-    size = lengths.text(chord[worst] * _FAIR / angles[worst], 1)
+    size = chord[worst] * _FAIR / angles[worst]
+    x = _nodes(gmsh, dim)[2][:, : dim + 1, :dim]
+    volume = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])).sum()
+    count = volume / size**dim * (np.sqrt(2.0) if dim == 3 else 2 / np.sqrt(3.0))  # regular ones
+    bounded = "; without sizes, in case and file, elements follow all such surfaces"
     return [
         f"a cell turns by {angles[worst]:.0f} degrees along a curved surface, "
         f"{lengths.near([middle[worst].tolist()])}: a peak of stress there can be off by more than "
-        f'its estimated error; mesh.size = "{size}" follows that surface'
+        f'its estimated error; mesh.size = "{lengths.text(size, 1)}" follows that surface, '
+        f"with about {count:.2g} elements{bounded if sized else ''}"
     ]
 
 

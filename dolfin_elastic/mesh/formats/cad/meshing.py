@@ -94,7 +94,9 @@ def mesh_model(
     nothing = size is None and not _has_sizes(gmsh) and not _has_options(gmsh)
     default = set_default_size(gmsh, dim) if nothing else None
     how = _mesh(gmsh, size, dim, name, lengths, local, default)
-    curves, notes = ("", []) if curved is False else follow_curves(gmsh, dim, curved, lengths)
+    curves, notes = "", list[str]()
+    if curved is not False:
+        curves, notes = follow_curves(gmsh, dim, curved, lengths, sized=not nothing)
     return Remarks(
         [f"meshed by Gmsh, {how}{curves}"], [*(default.notes(lengths) if default else ()), *notes]
     )
