@@ -93,8 +93,11 @@ class AnalysisTables(ModelTables):
     def _only(self, analysis: Analysis) -> Self:
         keys: dict[str, object] = {key: None for key in ANALYSES if key != analysis}
         modes, motion = analysis in ("modal", "buckling"), analysis == "dynamics"
-        if modes and self.statics is not None and getattr(self, analysis).preload:
+        preloaded = analysis != "statics" and getattr(self, analysis).preload
+        if preloaded and self.statics is not None:
             keys["statics"] = self.statics.as_way(ends=analysis == "modal")
+        if motion and self.explicit:
+            keys["solver"] = LinearSettings.model_construct()
         mixed = "dynamics" in self.given
         keys["output"] = self.output.only(modes=modes, motion=motion if mixed else None)
         part = self.model_copy(update=keys)
@@ -119,8 +122,8 @@ class AnalysisTables(ModelTables):
 
     @property
     def preloaded(self) -> bool:
-        """An equilibrium comes before the modes."""
-        settings = self.modal or self.buckling
+        """An equilibrium comes before the modes or the motion."""
+        settings = self.modal or self.buckling or self.dynamics
         return settings is not None and bool(settings.preload)
 
     @property
@@ -159,7 +162,8 @@ class AnalysisTables(ModelTables):
         if self.dynamics is not None:
             from dolfin_elastic.solvers.dynamics.dynamics import Dynamics
 
-            return Dynamics(problem, self.dynamics, linear=self.solver, petsc=petsc)
+            statics, linear = self.statics, self.solver
+            return Dynamics(problem, self.dynamics, statics=statics, linear=linear, petsc=petsc)
         if self.modal is not None:
             from dolfin_elastic.solvers.eigen.modal import Modal
 

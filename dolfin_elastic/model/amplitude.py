@@ -82,6 +82,10 @@ class Amplitude:
             return WORDS[self.written](t)
         return self._in_table(t)
 
+    def of(self, own: Amplitude | None, t: float) -> float:
+        """Factor of something whose curve may be its own, where this is the default."""
+        return (own or self).at(t)
+
     def _in_table(self, t: float) -> float:
         rows = self.table
         if not rows:
@@ -118,6 +122,21 @@ class Amplitude:
             InputError: The rows are no table of a curve.
         """
         return replace(self, rows=table_of(rows))
+
+
+@dataclass(frozen=True)
+class Share(Amplitude):
+    """A default that multiplies other curves, too: so much of everything that acts at a time.
+
+    Attributes:
+        share: The factor.
+    """
+
+    share: float = 1.0
+
+    def of(self, own: Amplitude | None, t: float) -> float:
+        """See `Amplitude`."""
+        return self.share * (own or CONSTANT).at(t)
 
 
 RAMP, CONSTANT = Amplitude("ramp"), Amplitude("constant")

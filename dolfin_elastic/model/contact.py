@@ -112,7 +112,7 @@ class Contact(OnSurfaces):
         if not self.values:
             return [0.0] * dim
         return [
-            (amplitude_of(v, self.curve) or default).at(t)
+            default.of(amplitude_of(v, self.curve), t)
             * float(v.evaluate(t=t) if isinstance(v, Formula) else v)
             for v in self.values
         ]

@@ -441,7 +441,7 @@ class FormContext:
         if self.formulas is not None:
             self.formulas.set_time(t)
         for factor, amplitude in self._amplitudes:
-            factor.value = (amplitude or default).at(t)
+            factor.value = default.of(amplitude, t)
 
 
 def formula_places(context: FormContext, parts: Parts) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -15,7 +16,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core import jit
 from dolfin_elastic.core.errors import InputError, keyed, nearest
 from dolfin_elastic.mesh.body import Body, cell_size
-from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
+from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Share
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.kinematics import Geometry, weight
 from dolfin_elastic.model.loads import Cavity, ConcentratedLoad, Eigenstrain, Force, Load
@@ -112,6 +113,8 @@ class Problem:
         InputError: A vector with the wrong number of components, a missing density, an energy of
             the user's own that is no material.
     """
+
+    _growing = False
 
     def __init__(
         self,
@@ -360,6 +363,8 @@ class Problem:
             t: Time [s], or load parameter from 0 to 1.
             default: Amplitude of loads, supports and obstacles without `curve`.
         """
+        if self._growing:
+            t, default = 0.0, Share("constant", share=t)
         self.context.set_time(t, default)
         self.constraints.set_time(t, default)
         if self.cell is not None:
@@ -369,6 +374,15 @@ class Problem:
             term.set_time(t, default)
         if self.history is not None:
             self.history.set_time(t)
+
+    @contextmanager
+    def growing_to_start(self) -> Iterator[None]:
+        """Inside, the time is the share of all that acts at time 0 of a motion. Not collective."""
+        self._growing = True
+        try:
+            yield
+        finally:
+            self._growing = False
 
     @cached_property
     def stiffness(self) -> float:

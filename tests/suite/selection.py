@@ -91,6 +91,7 @@ SHARED = {
     "case/test_node_loads.py",
     "case/test_restart.py",
     "case/test_several.py",
+    "solvers/dynamics/test_preload.py",
     "hostile/test_generated.py",
     "mesh/test_edges_and_points.py",
     "mesh/test_read.py",

@@ -319,6 +319,8 @@ def start_notes(problem: Problem, settings: DynamicsSettings) -> tuple[str, ...]
 
     v, s = fem.Function(problem.V), settings
     incompatible = set_initial(problem, v, s.displacement, s.velocity, s.end)
+    if s.preload:
+        incompatible = [one for one in incompatible if one.what != "displacement"]
     penetrations = problem.check_start()
     problem.u.x.array[:] = 0.0
     problem.unknowns.u_to_w()

@@ -146,7 +146,7 @@ class Cavity(Load):
         """
         (value,) = self.values
         number = float(value.evaluate(t=t)) if isinstance(value, Formula) else float(value or 0.0)
-        scale = (self.amplitude or default).at(t)
+        scale = default.of(self.amplitude, t)
         if self.key == "pressure":
             return scale * number
         change = {

@@ -119,7 +119,7 @@ class PrescribingSupport(Restraint):
 
     def _scale(self, value: Component, t: float, default: Amplitude) -> float:
         """Amplitude at time t: of the curve, 1 for a formula in t, else of the default."""
-        return float((amplitude_of(value, getattr(self, "curve", None)) or default).at(t))
+        return float(default.of(amplitude_of(value, getattr(self, "curve", None)), t))
 
 
 def _evaluated(

@@ -203,7 +203,7 @@ class Rigid(Restraint):
             One number a component, 0 for free ones.
         """
         return tuple(
-            (amplitude_of(v, self.curve) or default).at(t)
+            default.of(amplitude_of(v, self.curve), t)
             * (v.evaluate(t=t) if isinstance(v, Formula) else float(v or 0.0))
             for v in values
         )

@@ -9,7 +9,7 @@ from typing import Any
 from dolfinx import fem
 from petsc4py import PETSc
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys, settings_from
 from dolfin_elastic.core.together import failing_together, loop_together
@@ -22,6 +22,7 @@ from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
 from dolfin_elastic.solvers.dynamics.schemes import ExplicitRow
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings, refuse_relaxing
 from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -32,6 +33,7 @@ class Dynamics:
     Args:
         problem: What moves; every material needs a density.
         settings: See `DynamicsSettings`; keyword arguments are its fields.
+        statics: How the equilibrium is found from which the motion starts, with `preload`.
         linear: How linear systems are solved (implicit scheme).
     """
 
@@ -40,6 +42,7 @@ class Dynamics:
         problem: Problem,
         settings: DynamicsSettings | None = None,
         *,
+        statics: StaticsSettings | None = None,
         linear: LinearSettings | None = None,
         petsc: PetscOptions | None = None,
         **fields: Any,
@@ -50,6 +53,7 @@ class Dynamics:
         self.linear = linear or LinearSettings()
         if not self.settings.implicit:
             self._refuse_linear()
+        self.statics = statics or StaticsSettings()
         if problem.history is not None:
             refuse_relaxing(self.settings)
         self.settings.row.scheme.check(problem, self.settings.scheme)
@@ -79,6 +83,8 @@ class Dynamics:
         s = self.settings
         if self.problem.constraints.tied and not s.implicit:
             raise InputError(EXPLICIT_TIES, where="tie[0]", expected=IMPLICIT)
+        if s.preload and saved is None:
+            self._load()
         shocks = set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
         notes = [s.stability_limit] if s.stability_limit else []
         notes += [*map(str, shocks), *self.problem.check_start()]
@@ -92,6 +98,27 @@ class Dynamics:
         finally:
             self._motion = None
             motion.destroy()
+
+    def _load(self) -> None:
+        """Finds the equilibrium under what acts at t = 0. Collective.
+
+        Raises:
+            ConvergenceError: There is none.
+        """
+        from dolfin_elastic.solvers.statics.statics import Statics  # which few motions need
+
+        linear, state = self.linear.model_copy(update={"petsc": {}}), None
+        petsc = {k: v for k, v in self.petsc.items() if not k.startswith("ts_")}
+        with self.problem.growing_to_start():
+            way = Statics(self.problem, self.statics, linear=linear, petsc=petsc, preload=True)
+            for state in way.steps():
+                log.debug("preload: %.4g %% of what acts at t = 0", 100 * state.t)
+        if state is None or state.done < 1.0 - 1e-9:
+            raise ConvergenceError(
+                "the equilibrium from which the motion starts was not reached",
+                advice="more statics.max_steps, or larger steps",
+            )
+        log.info("the motion starts from equilibrium: max |u| %.4g m", state.max_displacement)
 
     @property
     def ts(self) -> PETSc.TS:

@@ -107,6 +107,8 @@ class DynamicsSettings(Record):
         beta: Of Newmark's method; (gamma + 1/2)^2/4 by default.
         gamma: Of Newmark's method; 1/2 by default, more damps.
         rayleigh: Damping of the whole body (implicit schemes).
+        preload: The motion starts from the equilibrium under what acts at t = 0; without, from the
+            undeformed body.
         initial_displacement: Components [m] or formulas in x, y, z.
         initial_velocity: Components [m/s] or formulas in x, y, z.
         rtol: Newton's tolerance, relative to the forces of the step.
@@ -129,6 +131,7 @@ class DynamicsSettings(Record):
     beta: float | None = Field(default=None, gt=0)
     gamma: float | None = Field(default=None, ge=0.5)
     rayleigh: Rayleigh | None = None
+    preload: bool = False
     initial_displacement: list[Any] = Field(default=[])
     initial_velocity: list[Any] = Field(default=[])
     rtol: float = Field(default=1e-8, gt=0, lt=1)
@@ -146,6 +149,10 @@ class DynamicsSettings(Record):
     def _read(self) -> DynamicsSettings:
         _ = self.displacement, self.velocity
         refuse_unused_keys(self, _unused(self))
+        if self.preload:
+            what = "the motion starts from the displacement of the preload"
+            rule = UnusedKeys(["initial_displacement"], what, "leave one of them out")
+            refuse_unused_keys(self, [rule])
         if self.dt is None and self.implicit:
             raise InputError(
                 "this key is missing",
@@ -228,11 +235,17 @@ class DynamicsSettings(Record):
 
 
 def refuse_relaxing(settings: DynamicsSettings) -> None:
-    """Refuses the schemes that take no steps over which a material could relax.
+    """Refuses what takes no steps over which a material could relax.
 
     Raises:
-        InputError: The scheme is explicit, or PETSc's own.
+        InputError: The scheme is explicit, or PETSc's own, or there is a preload.
     """
+    if settings.preload:
+        raise InputError(
+            "materials that relax have no equilibrium before the time begins",
+            where="dynamics.preload",
+            expected="leave it out: let the load grow slowly in the motion, or no `prony`",
+        )
     if not settings.implicit or settings.scheme == "alpha2":
         raise InputError(
             f"the scheme '{settings.scheme}' does not compute materials that relax",
