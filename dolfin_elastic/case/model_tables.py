@@ -43,7 +43,10 @@ class ModelTables(Record):
     """The body and what acts on it, as a case file describes them.
 
     Attributes:
-        title: For people.
+        title: For people, as the next three, which the report shows.
+        part: Number or name of the part.
+        author: Who is responsible.
+        conclusion: What follows from the results.
         mesh: The body's mesh.
         surfaces: Name to selector, or to a list of selectors that are joined.
         regions: The same for cells.
@@ -64,6 +67,9 @@ class ModelTables(Record):
         'material = "steel S235" of the library'
     }
     title: str = ""
+    part: str = ""
+    author: str = ""
+    conclusion: str = ""
     mesh: MeshTable
     surfaces: dict[str, list[AlreadyRead[Selector]]] = Field(default={})
     regions: dict[str, list[AlreadyRead[Selector]]] = Field(default={})
@@ -111,7 +117,8 @@ class ModelTables(Record):
 
     def model_tables(self) -> dict[str, Any]:
         """Nested dictionaries that are read back to equal tables; without [periodic]."""
-        tables: dict[str, Any] = {"title": self.title} if self.title else {}
+        about = ("title", "part", "author", "conclusion")
+        tables: dict[str, Any] = {key: text for key in about if (text := getattr(self, key))}
         tables["mesh"] = table_of(self.mesh)
         for key in ("surfaces", "regions", "edges", "points"):
             named = {n: [table_of(s) for s in rows] for n, rows in getattr(self, key).items()}

@@ -11,7 +11,7 @@ from dolfin_elastic.case.described import Described
 from dolfin_elastic.core.si_text import size as size_text
 from dolfin_elastic.core.si_text import vector
 from dolfin_elastic.report.contents import Value
-from dolfin_elastic.report.words import names, rows_of
+from dolfin_elastic.report.words import loads_act, names, rows_of
 from dolfin_elastic.results.finished.run import FinishedRun
 
 
@@ -76,7 +76,7 @@ def _moment(run: FinishedRun, label: str, force: float) -> str:
 
 
 def loads_of(run: FinishedRun) -> list[Acting]:
-    """What acts on the body, with its resultants."""
+    """What acts on the body in this analysis, with its resultants."""
     forces = _resultants(run)
     return [
         Acting(
@@ -87,7 +87,7 @@ def loads_of(run: FinishedRun) -> list[Acting]:
             vector(forces[row.key], "N") if row.key in forces else "",
         )
         for row in rows_of(run)
-        if row.key.startswith("load")
+        if row.key.startswith("load") and loads_act(run.case)
     ]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,8 +13,14 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.report.charts import Axis, Line, line_chart
 from dolfin_elastic.report.words import analysis_of
 from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.verdict import Table
+from dolfin_elastic.results.verdict import Table, doubt, mode_text, place_text, reliable
 
+_GOOD = 0.1
+"""Estimated error of the largest stress up to which a mesh is good."""
+_ROUND_OFF = 1e-8
+"""Values over the largest of their unit that are not worth a curve."""
+_FEW = 3
+"""Residuals of so few iterations fall to round-off at once, and make no curve."""
 _ROWS = 60
 """Steps that the table shows: the first and the last ones."""
 _AXES = ("x", "y", "z")
@@ -49,18 +55,22 @@ class Extreme:
     """A largest or smallest value with its place.
 
     Attributes:
+        key: Its name in `summary.json`.
         name: Of what.
         value: The value.
         place: Where, for people.
         trust: How well it is known; empty: that is not known.
         remark: What limits it.
+        singular: It has no finite value there, and another row has the one to judge by.
     """
 
+    key: str
     name: str
     value: Value
     place: str
     trust: str = ""
     remark: str = ""
+    singular: bool = False
 
 
 # --- how it ended ---
@@ -93,8 +103,8 @@ _EXTREMES = {
     "safety_factor": ("smallest safety factor", ""),
     "speed": ("largest speed", "m/s"),
     "velocity": ("largest velocity", "m/s"),
-    "min_jacobian": ("smallest change of volume J, means of cells", ""),
-    "max_jacobian": ("largest change of volume J, means of cells", ""),
+    "min_jacobian": ("most compressed element", "of its volume"),
+    "max_jacobian": ("most expanded element", "of its volume"),
     "contact_pressure": ("largest contact pressure", "Pa"),
 }
 
@@ -111,6 +121,7 @@ def extremes_of(summary: Table, size: float) -> list[Extreme]:
     result: list[Extreme] = []
     if not summary.get("steps"):
         return result
+    several = len((summary.get("case") or {}).get("materials") or ()) != 1
     for name, row in (summary.get("extremes") or {}).items():
         title, unit = _EXTREMES.get(name, (str(name).replace("_", " "), ""))
         value = Value.of(row.get("value"), unit)
@@ -118,12 +129,16 @@ def extremes_of(summary: Table, size: float) -> list[Extreme]:
             continue
         peak = _peak(summary, name)
         peak = peak if peak.get("value") == row.get("value") else {}
-        where = place_text(row, size, str(peak.get("surface", "")))
-        result.append(Extreme(title, value, where, *(_trust(peak) if peak else ())))
+        here = row if several else {**row, "part": ""}
+        where, singular = _place(here, peak, size), bool(peak.get("singular"))
+        trust = _trust(peak) if peak else ("", "")
+        mine = Extreme(name, title, value, where, *trust, singular)
         other = _peak(summary, _ELSEWHERE.get(name, ""))  # away from where it is unbounded
-        if (value := Value.of(other.get("value"), unit)) is not None:
-            where = place_text(other, size, str(other.get("surface", "")))
-            result.append(Extreme(f"{title} elsewhere", value, where, *_trust(other)))
+        if (regular := Value.of(other.get("value"), unit)) is not None:
+            where = _place(other if several else {**other, "part": ""}, other, size)
+            result.append(Extreme(name, title, regular, where, *_trust(other)))
+            mine = replace(mine, name=f"{title}, where it is singular")
+        result.append(mine)
     return result
 
 
@@ -135,9 +150,8 @@ def _peak(summary: Table, name: str) -> Table:
 def _trust(peak: Table) -> tuple[str, str]:
     """Estimated error and remark of a peak."""
     if peak.get("singular"):
-        return "no figure: unbounded", (
-            f"In the exact solution it is unbounded here ({peak['singular']}): the value depends "
-            "on the size of the elements, and a finer mesh makes it worse."
+        return "no finite value", (
+            f"Singular at {peak['singular']}: it depends on the size of the elements alone."
         )
     error = peak.get("error")
     if isinstance(error, int | float):
@@ -150,20 +164,21 @@ def _trust(peak: Table) -> tuple[str, str]:
     )
 
 
-def place_text(row: Table, size: float, surface: str = "") -> str:
-    """A place for people.
-
-    Args:
-        row: With "place" [m] and "part".
-        size: Of the body [m].
-    """
-    place = [x for x in row.get("place") or [] if isinstance(x, int | float)]
-    if not place:
-        return ""
-    factor, unit = scaled_unit(min(size, 0.999), "m") if size < 1 else (1.0, "m")
-    text = ", ".join(number(0.0 if abs(x) < 1e-9 * size else x / factor) for x in place)
+def _place(row: Table, peak: Table, size: float) -> str:
     part = f", in ‘{row['part']}’" if row.get("part") else ""
-    return f"({text}) {unit}{part}" + (f", on ‘{surface}’" if surface else "")
+    on = f", on ‘{peak['surface']}’" if peak.get("surface") else ""
+    return place_text(row, size) + part + on
+
+
+def mesh_badge(summary: Table) -> tuple[str, str]:
+    """How well the mesh gives the largest stress, and its kind; see `status_of`."""
+    error = summary.get("error")
+    peak = reliable(error, "von_mises", "elsewhere", {}) if isinstance(error, Mapping) else None
+    if peak is None:
+        return "Mesh: error not estimated", "warn"
+    if doubt(peak) or not isinstance(known := peak.get("error"), int | float):
+        return "Mesh: largest stress not known", "bad"
+    return f"Mesh: largest stress ± {percent(known)}", "good" if known <= _GOOD else "warn"
 
 
 @dataclass(frozen=True)
@@ -253,7 +268,7 @@ def history_charts(run: FinishedRun) -> list[Chart]:
     across, axis = _time_axis(run)
     result = []
     for title, columns in _groups(list(history)):
-        drawn = [name for name in columns if _worth(history[name])]
+        drawn = [name for name in columns if _worth(run, name)]
         if drawn:
             result.append(Chart(title, _chart(run, title, drawn, across, axis)))
     return result
@@ -290,9 +305,12 @@ def _groups(columns: Sequence[str]) -> list[tuple[str, list[str]]]:
     return list(result.items())
 
 
-def _worth(values: FloatArray) -> bool:
-    finite = values[np.isfinite(values)]
-    return len(finite) > 1 and bool(np.any(finite != 0.0))
+def _worth(run: FinishedRun, name: str) -> bool:
+    """Whether a column is more than zeros and round-off, beside the others of its unit."""
+    unit, finite = run.units.get(name), run.history[name][np.isfinite(run.history[name])]
+    alike = [run.history[one] for one in run.history if unit and run.units.get(one) == unit]
+    scale = max((float(np.abs(v[np.isfinite(v)]).max(initial=0.0)) for v in alike), default=0.0)
+    return len(finite) > 1 and float(np.abs(finite).max()) > _ROUND_OFF * scale
 
 
 def _chart(run: FinishedRun, title: str, columns: list[str], x: FloatArray, axis: Axis) -> str:
@@ -320,7 +338,7 @@ def _line_name(column: str, count: int) -> str:
 def newton_chart(run: FinishedRun) -> Chart | None:
     """Newton iterations of each step; None where there are none."""
     counts, steps = run.history.get("newton"), run.history.get("step")
-    if counts is None or steps is None or len(steps) < 3 or not _worth(counts):
+    if counts is None or steps is None or len(steps) < 3 or not _worth(run, "newton"):
         return None
     line = Line("", steps[1:], counts[1:])
     x, y = Axis("step", whole=True), Axis("iterations", whole=True)
@@ -332,7 +350,7 @@ def residual_chart(summary: Table) -> Chart | None:
     lines = []
     for name, row in (summary.get("convergence") or {}).items():
         values = np.array([float(x) for x in row.get("residuals") or [] if x is not None])
-        if len(values) > 1 and (values > 0).any():
+        if len(values) > _FEW and (values > 0).any():
             text = f"step {row.get('step')} ({str(name).replace('_', ' ')})"
             lines.append(Line(text, np.arange(len(values), dtype=float), values))
     if not lines:
@@ -370,12 +388,12 @@ def steps_of(run: FinishedRun) -> Steps | None:
         ("krylov", "linear iterations", ""),
         ("max_displacement", "largest displacement", "m"),
         ("balance_force", "force left", ""),
-        ("min_jacobian", "smallest J", ""),
+        ("min_jacobian", "smallest volume ratio", ""),
     ]
     columns = [
         (title, unit, history[name])
         for name, title, unit in wanted
-        if name in history and (name != "krylov" or _worth(history[name]))
+        if name in history and (name != "krylov" or _worth(run, name))
     ]
     count, first = len(history["step"]), _ROWS // 3
     kept = [k for k in range(count) if k < first or k >= count - (_ROWS - first)]
@@ -394,13 +412,15 @@ class ModeRow:
 
     Attributes:
         number: 1, 2, ...
-        kind: Of the mode, with the name of a rigid one.
+        kind: Of the mode.
+        words: Its shape, and how much of the mass it moves.
         value: Frequency, or load factor.
         shares: Direction to share of the effective mass, for people.
     """
 
     number: int
     kind: str
+    words: str
     value: Value | None
     shares: tuple[tuple[str, str], ...]
 
@@ -415,9 +435,9 @@ def modes_of(run: FinishedRun) -> list[ModeRow]:
             for axis, mass in whole.items()
             if mass and math.isfinite(mass)
         ]
-        name = f": {row['name']}" if row.get("name") else ""
-        kind, value = f"{row.get('kind', '')}{name}", Value.of(row.get(key), unit)
-        result.append(ModeRow(int(row.get("mode", 0)), kind, value, tuple(shares)))
+        kind, value = str(row.get("kind", "")), Value.of(row.get(key), unit)
+        words = mode_text(row, whole) or kind
+        result.append(ModeRow(int(row.get("mode", 0)), kind, words, value, tuple(shares)))
     return result
 
 
@@ -503,7 +523,8 @@ def _reservations(summary: Table) -> Iterator[str]:
     error = summary.get("error")
     notes = error.get("reservations") if isinstance(error, Mapping) else None
     for text in notes if isinstance(notes, list) else []:
-        yield f"Largest stress: {text}."
+        if not str(text).startswith("not to be relied on: at"):  # the table of results has it
+            yield f"Largest stress: {text}."
 
 
 def _stability(stability: object) -> str:
@@ -512,8 +533,10 @@ def _stability(stability: object) -> str:
         stability.get("negative_eigenvalues"), int
     ):
         return ""
+    why = str(stability.get("reason") or "no small motion lowers its energy")
+    if "know no buckling" in why:
+        return f"Whether the part buckles was not looked at: {why}."
     if stability.get("verdict") == "stable":
-        why = stability.get("reason") or "no small motion lowers its energy"
         return f"The last equilibrium is stable: {why}."
     least = "at least " if stability.get("at_least") else ""
     return (

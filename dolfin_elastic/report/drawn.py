@@ -16,6 +16,7 @@ from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.core.units import to_si
 from dolfin_elastic.mesh.geometry.simplices import qualities, signed_volumes
 from dolfin_elastic.report.scene import Viewed, chosen_frames, node_values, surface_of
+from dolfin_elastic.report.words import loads_act
 from dolfin_elastic.results.finished.draw import obstacles_of
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.finished.xdmf import Frame, read_frames, read_grid
@@ -84,13 +85,14 @@ def scene_of(run: FinishedRun, frames: Sequence[tuple[str, Frame]]) -> Viewed | 
         one = grid if frame is frames[-1][1] else read_grid(run.folder, frame)
         if np.array_equal(one.points, points):  # else the run went on with other ranks
             shown.append(_frame(label, one, nodes, _allowable(run.case)))
+    glyphs = [Glyphs.of(row) for row in run.model.get("glyphs") or ()]
     scene = Scene(
         points[nodes],
         triangles,
         sharp_edges(points[nodes], triangles),
         tuple(shown),
         frames[-1][1].dim == 2,
-        glyphs=tuple(Glyphs.of(row) for row in run.model.get("glyphs") or ()),
+        glyphs=tuple(one for one in glyphs if loads_act(run.case) or not one.load),
     )
     viewed = Viewed(scene, bool(run.summary.get("modes")), before)
     return replace(viewed, scene=replace(scene, obstacles=_obstacles(run, viewed, frames[-1][1].t)))

@@ -29,7 +29,7 @@ from dolfin_elastic.report.words import analysis_of, what_was_computed
 from dolfin_elastic.results.files import replace_text
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.finished.xdmf import Frame
-from dolfin_elastic.results.verdict import Table
+from dolfin_elastic.results.verdict import Table, verdict_of
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -95,6 +95,9 @@ def report_contents(run: FinishedRun) -> dict[str, object]:
         "key_figures": _key_figures(run, max(sides, default=1.0)),
         "audit": contents.audit_of(run),
         "audited": _audited(run.summary),
+        "mesh_badge": contents.mesh_badge(run.summary),
+        "verdict": verdict_of(run.summary),
+        "about": {key: str(run.case.get(key) or "") for key in ("part", "author", "conclusion")},
         "extremes": contents.extremes_of(run.summary, max(sides, default=1.0)),
         "last_values": contents.last_values(run),
         "supports": supports,
@@ -222,28 +225,23 @@ def _own_pictures(folder: Path, room: int) -> Iterator[OwnPicture]:
 # --- numbers ---
 
 
-def _key_figures(run: FinishedRun, longest: float) -> list[tuple[str, contents.Value, str]]:
-    """What a reader looks for first: name, value, remark."""
-    result = []
-    summary = run.summary
-    rows = {row.name: row for row in contents.extremes_of(summary, longest)}
-    for name in ("largest displacement", "largest von Mises stress", "smallest safety factor"):
-        if (row := rows.get(name)) is not None:
-            other = rows.get(f"{name} elsewhere")
-            remark = row.trust
-            if row.remark and other is not None:
-                remark = f"unbounded there; elsewhere {other.value.text} {other.trust}"
-            result.append((name, row.value, remark))
+def _key_figures(run: FinishedRun, longest: float) -> list[dict[str, object]]:
+    """What a reader looks for first; what is singular stands small below it."""
+    rows = contents.extremes_of(run.summary, longest)
+    result: list[dict[str, object]] = []
+    for key in ("safety_factor", "von_mises", "displacement"):
+        mine = sorted((row for row in rows if row.key == key), key=lambda row: row.singular)
+        for row in mine[:1]:
+            other = "".join(f"{o.value.text} at {o.place}: singular" for o in mine[1:])
+            bad = key == "safety_factor" and row.value.value < 1
+            remark = ", ".join(filter(None, (row.trust, row.place)))
+            figure = {"name": row.name, "value": row.value, "remark": remark, "other": other}
+            result.append({**figure, "kind": "bad" if bad else ""})
     for mode in contents.modes_of(run)[:3]:
         if mode.value is not None:
-            what = "load factor of buckling" if "buckling" in mode.kind else "frequency"
-            result.append((f"{what} {mode.number}", mode.value, mode.kind))
-    if (
-        not result
-        and summary.get("steps")
-        and (value := contents.Value.of(summary.get("max_displacement"), "m"))
-    ):
-        result.append(("largest displacement", value, "of the last state"))
+            what = "load factor of buckling" if mode.kind == "buckling" else "frequency"
+            figure = {"name": f"{what} {mode.number}", "value": mode.value, "remark": mode.words}
+            result.append({**figure, "other": "", "kind": ""})
     return result
 
 

@@ -60,6 +60,11 @@ def analysis_of(case: Table) -> str:
     return next((kind for kind in kinds if case.get(kind) is not None), "statics")
 
 
+def loads_act(case: Table) -> bool:
+    """Whether loads act: natural frequencies are those of the unloaded part without a preload."""
+    return analysis_of(case) != "modal" or bool((case.get("modal") or {}).get("preload"))
+
+
 def what_was_computed(run: FinishedRun, *, dim: int | None) -> list[str]:
     """Sentences for somebody who knows nothing of the program; none without a case.
 
@@ -72,7 +77,7 @@ def what_was_computed(run: FinishedRun, *, dim: int | None) -> list[str]:
     kind = analysis_of(case)
     return [
         _body_sentence(case, dim),
-        *_acting_sentences(case, rows_of(run), kind),
+        *_acting_sentences(case, rows_of(run)),
         _TASKS[kind](case, summary),
         _mesh_sentence(case, summary, dim),
     ]
@@ -90,7 +95,7 @@ def _body_sentence(case: Table, dim: int | None) -> str:
     return f"An elastic body{shape}{made}."
 
 
-def _acting_sentences(case: Table, rows: Sequence[Described], kind: str) -> list[str]:
+def _acting_sentences(case: Table, rows: Sequence[Described]) -> list[str]:
     """What holds the body, acts on it and may touch it."""
     supports, loads, contacts = (
         [row for row in rows if row.key.startswith(f"{key}[")]
@@ -103,7 +108,7 @@ def _acting_sentences(case: Table, rows: Sequence[Described], kind: str) -> list
         held = [f"{names(row.on)} ({row.text.partition(';')[0]})" for row in supports]
         at = f"at {listed(held)}" if len(held) <= 6 else f"by {len(held)} supports"
         result = [f"It is held {at}."]
-    if kind == "modal" and not (case["modal"] or {}).get("preload"):
+    if not loads_act(case):
         return result
     if len(loads) > 6:
         result.append(f"{len(loads)} loads act on it.")

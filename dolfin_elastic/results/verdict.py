@@ -134,21 +134,27 @@ def mode_text(row: Table, whole: Table) -> str:
 
 def _of_stress(summary: Table) -> Verdict:
     error, extremes = (summary.get(key) or {} for key in ("error", "extremes"))
-    safety = _reliable(error, "safety_factor", "safety_factor_elsewhere", extremes)
-    stress = _reliable(error, "von_mises", "elsewhere", extremes)
+    safety = reliable(error, "safety_factor", "safety_factor_elsewhere", extremes)
+    stress = reliable(error, "von_mises", "elsewhere", extremes)
     if safety is not None:
         return _of_safety(safety, summary)
     if stress is None or not _number(stress.get("value")) > 0:
         u = _number((extremes.get("displacement") or {}).get("value"))
         return _verdict("result", f"largest displacement {quantity(u, 'm')}, without stress")
-    if doubt := _doubt(stress):
-        return _unknown(f"the largest von Mises stress{_where(stress, summary)}: {doubt}")
+    if why := doubt(stress):
+        return _unknown(f"the largest von Mises stress{_where(stress, summary)}: {why}")
     text = f"largest von Mises stress {quantity(_number(stress['value']), 'Pa')}"
     return _verdict("result", f"{text}{_error(stress)}{_where(stress, summary)}")
 
 
-def _reliable(error: Table, name: str, elsewhere: str, extremes: Table) -> Table | None:
-    """The extreme value to judge by: where it is singular, that away from there."""
+def reliable(error: Table, name: str, elsewhere: str, extremes: Table) -> Table | None:
+    """The extreme value to judge by: where it is singular, that away from there.
+
+    Args:
+        error: Of `summary.json`.
+        elsewhere: Key of the one away from singular places.
+        extremes: Of `summary.json`, where no error was estimated.
+    """
     peak = error.get(name)
     if not isinstance(peak, Mapping):  # of a motion, or unloaded
         peak = extremes.get(name)
@@ -161,7 +167,7 @@ def _reliable(error: Table, name: str, elsewhere: str, extremes: Table) -> Table
     return peak
 
 
-def _doubt(peak: Table) -> str:
+def doubt(peak: Table) -> str:
     """Why a value is not known; empty where it is, or where nothing is said of its error."""
     if peak.get("singular"):
         return f"it is singular at {peak['singular']}, and elements are too large to look beside"
@@ -185,8 +191,8 @@ def _of_safety(safety: Table, summary: Table) -> Verdict:
         times = f"{stress}{_times(1 / value)} times {named}"
         return _verdict("fails", f"{times}{_error(safety)}{where}")
     times = f"{_times(value)} times below {limit}"
-    if doubt := _doubt(safety):
-        return _unknown(f"stress {times}{where}, but {doubt}")
+    if why := doubt(safety):
+        return _unknown(f"stress {times}{where}, but {why}")
     times += _error(safety)
     if value / (1 + (0.0 if math.isnan(error) else error)) < 1:
         return _unknown(f"stress {times}{where}: refine the mesh")

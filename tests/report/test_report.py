@@ -10,8 +10,10 @@ import json
 import math
 import os
 import re
+import shutil
 from dataclasses import replace
 from functools import cache
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -23,11 +25,12 @@ from dolfin_elastic import Case, run
 from dolfin_elastic.case.described import described_tables
 from dolfin_elastic.cli.tools.report import _write
 from dolfin_elastic.core.errors import DrawingError, InputError, OutputError, SolveError
+from dolfin_elastic.core.si_text import quantity
 from dolfin_elastic.model.describe import Setting
 from dolfin_elastic.report import pdf, still
-from dolfin_elastic.report.balance import balance_of, supports_of
+from dolfin_elastic.report.balance import balance_of, loads_of, supports_of
 from dolfin_elastic.report.charts import Axis, Line, line_chart
-from dolfin_elastic.report.contents import history_charts, last_values
+from dolfin_elastic.report.contents import history_charts, last_values, mesh_badge, residual_chart
 from dolfin_elastic.report.drawn import drawn_frames, scene_of
 from dolfin_elastic.report.laws import _constants
 from dolfin_elastic.report.page import json_text
@@ -261,6 +264,63 @@ def test_strangers_summary(folders: Any, tmp_path: Path) -> None:
     page = Page((tmp_path / "page.html").read_text(encoding="utf-8"))
     check_policy(page)
     assert page.text.count(EVIL) >= 7
+
+
+def test_the_first_line_is_the_verdict(folders: Any, tmp_path: Path) -> None:
+    """It stands above all else, with part, author and conclusion; the reliable number is large."""
+    folder = shutil.copytree(folders("statics"), tmp_path / "copy")
+    found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    found["case"] |= {"part": "4711-03", "author": "Structures group", "conclusion": "It may be built."}
+    (folder / "summary.json").write_text(json.dumps(found), encoding="utf-8")
+    text = write_report(folder, tmp_path / "page.html").read_text(encoding="utf-8")
+    head = unescape(text[: text.index("<main>")])
+    order = ["</h1>", found["verdict"]["text"][1:], "It may be built.", "Part 4711-03, Structures group"]
+    order += ["Completed", "Audit: pass", "Mesh: largest stress"]
+    assert [one for one in order if one not in head] == []
+    assert [head.index(one) for one in order] == sorted(head.index(one) for one in order)
+    peaks = [found["error"][key]["value"] for key in ("elsewhere", "von_mises")]
+    assert f'class="value"><data value="{peaks[0]!r}"' in head
+    assert f"{quantity(peaks[1], 'Pa')} at" in head[head.index('class="small soft"') :]
+    assert "Whether the part buckles was not looked at" not in text
+
+
+@pytest.mark.parametrize(
+    ("error", "badge"),
+    [
+        (None, ("Mesh: error not estimated", "warn")),
+        ({"von_mises": {"value": 1.0, "error": 0.05}}, ("Mesh: largest stress ± 5 %", "good")),
+        ({"von_mises": {"value": 1.0, "error": 0.2}}, ("Mesh: largest stress ± 20 %", "warn")),
+        ({"von_mises": {"value": 1.0, "error": None}}, ("Mesh: largest stress not known", "bad")),
+    ],
+)
+def test_badge_of_the_mesh(error: Any, badge: tuple[str, str]) -> None:
+    assert mesh_badge({"error": error}) == badge
+
+
+def test_no_curves_of_round_off(tmp_path: Path) -> None:
+    """Nor of a linear problem, whose one iteration falls to round-off at once."""
+    names = "step,t,load_factor,newton,max_displacement,reaction_base_x,reaction_base_z"
+    rows = [f"{k},{k},{k / 4},1,{k}e-3,{k}e-14,{k}00" for k in range(5)]
+    (tmp_path / "history.csv").write_text("\n".join([names, *rows, ""]), encoding="utf-8")
+    (tmp_path / "summary.json").write_text('{"steps": 4}', encoding="utf-8")
+    charts = {one.title: one.svg for one in history_charts(FinishedRun(tmp_path))}
+    assert list(charts) == ["Largest displacement", "Reaction of base"]
+    assert 'class="line line-0"' in charts["Reaction of base"]
+    assert "line-1" not in charts["Reaction of base"]
+    residuals = {"last": {"step": 1, "residuals": [80.0, 1e-12]}}
+    assert residual_chart({"convergence": residuals}) is None
+    residuals["last"]["residuals"] = [80.0, 2.0, 1e-2, 1e-7]
+    assert residual_chart({"convergence": residuals}) is not None
+
+
+def test_loads_that_do_not_act(tmp_path: Path) -> None:
+    """Natural frequencies are those of the unloaded part, unless it is preloaded."""
+    case: dict[str, Any] = {"load": [{"kind": "gravity"}], "modal": {"count": 1}}
+    for preload in (False, True):
+        case["modal"]["preload"] = preload
+        text = json.dumps({"case": case})
+        (tmp_path / "summary.json").write_text(text, encoding="utf-8")
+        assert len(loads_of(FinishedRun(tmp_path))) == preload
 
 
 def test_no_results(tmp_path: Path) -> None:

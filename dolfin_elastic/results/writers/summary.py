@@ -25,6 +25,7 @@ from dolfin_elastic.core.si_text import time_or_load
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.material_regions import locking_notes, shear_modulus
 from dolfin_elastic.problem.state import Audit, Mode, Stability, State, plain
+from dolfin_elastic.results.derived.mode_shape import shape_in_words
 from dolfin_elastic.results.files import make_folder, replace_text
 from dolfin_elastic.results.quantity import Extremes, Measured
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
@@ -108,6 +109,7 @@ class SummaryWriter:
         self._extremes: Extremes | None = None
         self._estimator: ErrorEstimator | None = None
         self._modes: list[Mode] = []
+        self._shapes: list[str] = []
         self._logs = True
         with timing.stage("output"):
             on_root(self.comm, lambda: make_folder(path.parent))
@@ -180,6 +182,8 @@ class SummaryWriter:
         """Takes the numbers of one mode; updates the file if that is due."""
         with timing.stage("output"):
             self._modes.append(mode)
+            rigid = mode.kind == "rigid"
+            self._shapes.append("" if rigid else shape_in_words(self.problem, mode.u))
             self._save_if_due()
 
     def _save_if_due(self) -> None:
@@ -287,7 +291,13 @@ class SummaryWriter:
         """The modes, masses and inertias of the body, and shares of the modes' effective masses."""
         if not self._modes:
             return {}
-        whole, rows = self._modes[0].whole, [row(mode) for mode in self._modes]
+        whole, rows = (
+            self._modes[0].whole,
+            [
+                {**row(mode), "shape": shape}
+                for mode, shape in zip(self._modes, self._shapes, strict=True)
+            ],
+        )
         if not whole:
             return {"modes": rows}
         sums = {name: sum(mode.effective[name] for mode in self._modes) for name in whole}
