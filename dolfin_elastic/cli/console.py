@@ -189,7 +189,8 @@ def step_text(state: State, *, motion: bool) -> str:
         for name, number in counts.items()
         if number or (equilibrium and name == "Newton")
     )
-    return f"step {state.step:>4}   {place:<15} {work:<20} max |u| {state.max_displacement:.4g} m"
+    far = state.unit.length(state.max_displacement, 4)
+    return f"step {state.step:>4}   {place:<15} {work:<20} max |u| {far}"
 
 
 def seconds_text(t: float, digits: int) -> str:
@@ -375,7 +376,7 @@ def count(number: int, thing: str) -> str:
 
 def _end_rows(state: State, motion: bool, most: float = 0.0) -> list[tuple[str, str]]:
     when = " at the end" if motion or state.max_displacement < most / 2 else ""
-    rows = [(f"largest displacement{when}", f"{state.max_displacement:.5g} m")]
+    rows = [(f"largest displacement{when}", state.unit.length(state.max_displacement, 5))]
     for name in ("strain", "kinetic", "contact", "total", "external"):
         known = math.isfinite(state.energies.get(name, math.nan))
         if known and (motion or name == "strain"):

@@ -28,7 +28,7 @@ def show_check(report: Report) -> None:
     screen.print(f"{report.case}: {title}" if title else report.case, style="bold")
     for name, text in _head(report):
         screen.tell(f"  {name:<10} {text}")
-    size = Lengths("m", 1.0, report.dim, max(report.extent))
+    size = _lengths(report)
     for kind in ("surface", "edge", "point", "region", "material"):
         rows: Sequence[PartSize] = getattr(report, f"{kind}s")
         if rows:
@@ -38,7 +38,7 @@ def show_check(report: Report) -> None:
     if report.loads:
         _show_loads(screen, report)
     if report.contacts:
-        show_table(screen, _contacts(report.contacts))
+        show_table(screen, _contacts(report.contacts, size))
     for field in report.fields:
         screen.tell(f"field {field}")
     for note in report.notes:
@@ -49,32 +49,29 @@ def show_check(report: Report) -> None:
     )
 
 
+def _lengths(report: Report) -> Lengths:
+    unit = report.unit if report.unit in LENGTHS else "m"
+    return Lengths(unit, LENGTHS[unit], report.dim, max(report.extent))
+
+
 def _head(report: Report) -> list[tuple[str, str]]:
+    size = _lengths(report)
     kind = "" if report.dim == 3 else f" ({report.geometry})"
     whole, elements = report.regions[0], {1: "linear", 2: "quadratic"}[report.degree]
     by = f" by {report.scheme}" if report.scheme else ""
     rows = [
-        ("mesh", f"{report.mesh}, {report.dim}D{kind}, {report.cells} cells"),
+        ("mesh", f"{report.mesh}, {report.dim}D{kind}, {report.cells} elements"),
         *(("", text) for text in report.information),
-        ("extent", _extent(report)),
-        *([] if report.thickness is None else [("thickness", f"{report.thickness:.4g} m")]),
+        ("extent", size.text(*report.extent)),
+        *([] if report.thickness is None else [("thickness", size.text(report.thickness))]),
         ("analysis", f"{report.analysis}{by}, {elements} elements, {report.unknowns} unknowns"),
         ("equations", report.linear_solver),
         ("memory", f"about {report.memory.total / 1e9:.2g} GB of all ranks together"),
     ]
     if whole.mass is not None:
-        middle = Lengths("m", 1.0, report.dim, max(report.extent)).place(whole.centre_of_mass)
-        rows.append(("mass", f"{whole.mass:.4g} kg, centre of mass {middle} m"))
+        middle = f"{size.place(whole.centre_of_mass)} {size.unit}"
+        rows.append(("mass", f"{whole.mass:.4g} kg, centre of mass {middle}"))
     return [*rows, *(("body", _body(body, len(report.bodies))) for body in report.bodies[:5])]
-
-
-def _extent(report: Report) -> str:
-    """In metres, as all that follows, and as the mesh has it."""
-    extent = f"{' x '.join(f'{side:.4g}' for side in report.extent)} m"
-    if report.unit != "m" and report.unit in LENGTHS:
-        own = (f"{side / LENGTHS[report.unit]:.4g}" for side in report.extent)
-        extent += f" ({' x '.join(own)} {report.unit})"
-    return extent
 
 
 def _body(body: FreeBody, bodies: int) -> str:
@@ -101,12 +98,12 @@ def _show_loads(screen: Screen, report: Report) -> None:
     screen.tell(_loads_caption(report.loads, when))
 
 
-def _contacts(contacts: Sequence[ContactGap]) -> Table:
+def _contacts(contacts: Sequence[ContactGap], size: Lengths) -> Table:
     table = Table("contact", box=SIMPLE_HEAD, pad_edge=False)
-    for head in ("smallest gap at the start [m]", "at [m]"):
+    for head in (f"smallest gap at the start [{size.unit}]", f"at [{size.unit}]"):
         table.add_column(head)
     for row in contacts:
-        table.add_row(row.contact, f"{row.gap:.4g}", vector_text(row.place))
+        table.add_row(row.contact, f"{row.gap / size.metres:.4g}", size.place(row.place))
     return table
 
 

@@ -14,6 +14,7 @@ from click.exceptions import Exit
 from dolfin_elastic.cli.run import AUDIT_FAILED, Petsc, Quiet, Trust, begin
 from dolfin_elastic.core.errors import StoppedError, check_kept
 from dolfin_elastic.core.petsc_options import parse_arguments
+from dolfin_elastic.core.si_text import scaled_unit
 from dolfin_elastic.core.signals import INTERRUPTED, Stop
 from dolfin_elastic.core.startup.libraries import start
 
@@ -108,14 +109,14 @@ def converge(
 def _line(progress: Progress, level: Level) -> str:
     """One mesh while it goes on."""
     return (
-        f"mesh {level.number}: {level.cells} cells, {level.unknowns} unknowns, "
+        f"mesh {level.number}: {level.cells} elements, {level.unknowns} unknowns, "
         f"{progress.quantity} {_with_unit(level.value, progress)}{_estimate(level)}"
     )
 
 
 def _with_unit(value: float, progress: Progress) -> str:
-    unit = progress.quantity.unit
-    return f"{value:.5g} {unit}".rstrip()
+    factor, unit = scaled_unit(value, progress.quantity.unit)
+    return f"{value / factor:.5g} {unit}".rstrip()
 
 
 def _estimate(level: Level) -> str:
@@ -135,7 +136,7 @@ def show_table_of(progress: Progress, folder: Path) -> None:
     from dolfin_elastic.study.converge.report import FILES
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    heads = ("mesh", "cells", "unknowns", progress.head, "estimated error", "in energy")
+    heads = ("mesh", "elements", "unknowns", progress.head, "estimated error", "in energy")
     for head in heads:
         table.add_column(head, justify="right")
     for level in progress.levels:

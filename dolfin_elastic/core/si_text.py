@@ -22,10 +22,6 @@ _PREFIXES = {
 }
 _ROUND_OFF = 1e-9
 """Components of a vector, over the largest, that are shown as 0."""
-_SAME_PLACE = 1e-12
-"""Share of the largest coordinate below which another one is zero."""
-_NO_LENGTH = 1e-15
-"""Length [m] that no body resolves: an atom has 1e-10 m."""
 
 
 def scaled_unit(largest: float, unit: str) -> tuple[float, str]:
@@ -167,10 +163,3 @@ def _list(items: list[object], unit: str) -> str:
 def unit_text(unit: str) -> str:
     """An SI unit as it is printed: "N/m³"."""
     return unit.replace("^2", "²").replace("^3", "³").replace("*", " ")
-
-
-def coordinates(place: Iterable[float]) -> str:
-    """A place or a direction, with four digits; no zero has a sign, nor round-off for digits."""
-    numbers = [float(x) for x in place]
-    least = max(_SAME_PLACE * max(map(abs, numbers), default=0.0), _NO_LENGTH)
-    return "(" + ", ".join(f"{x if abs(x) > least else 0.0:.4g}" for x in numbers) + ")"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
@@ -91,9 +91,22 @@ MESH_UNITS = (*_METRIC, "in", "inch", "ft", "mil", "yd", "mi")
 """Units in which meshes come; any other length is more likely a slip."""
 
 
+_SAME_PLACE = 1e-12
+"""Coordinates up to this, over the largest, are 0."""
+_NO_LENGTH = 1e-15
+"""Length [m] that no body resolves: an atom has 1e-10 m."""
+
+
+def coordinates(point: Iterable[float]) -> str:
+    """A point or a direction, with four digits; no zero has a sign, nor round-off for digits."""
+    numbers = [float(x) for x in point]
+    least = max(_SAME_PLACE * max(map(abs, numbers), default=0.0), _NO_LENGTH)
+    return "(" + ", ".join(f"{x if abs(x) > least else 0.0:.4g}" for x in numbers) + ")"
+
+
 @dataclass(frozen=True)
 class LengthUnit:
-    """The unit of length of a mesh.
+    """The unit of length of a mesh, in which people read lengths; metres where it has no name.
 
     Attributes:
         name: For messages: "mm", or "x 0.5 m" where it has no name.
@@ -115,6 +128,20 @@ class LengthUnit:
         """
         names = (name for name, length in LENGTHS.items() if length == metres)
         return LengthUnit(next(names, f"x {metres:g} m"), metres, stated)
+
+    @property
+    def _named(self) -> LengthUnit:
+        return METRE if self.name.startswith("x ") else self
+
+    def length(self, value: float, digits: int = 3, *, power: int = 1) -> str:
+        """A length [m] for people, such as "2.5 mm"; of power 2 and 3 an area and a volume."""
+        unit = self._named
+        name = unit.name if power == 1 else f"{unit.name}^{power}"
+        return f"{value / unit.metres**power:.{digits}g} {name}"
+
+    def point(self, x: Iterable[float]) -> str:
+        """A point [m] for people, such as "(16, 0, 10) mm"."""
+        return f"{coordinates(c / self._named.metres for c in x)} {self._named.name}"
 
 
 METRE = LengthUnit()

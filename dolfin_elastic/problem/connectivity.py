@@ -87,7 +87,7 @@ class ConnectedBodies:
         cells, middle = self._cells(self._body.owned_cells()), self._middle
         return [
             _name(inside, int(cells[k]))
-            or f"body {k + 1}, about ({', '.join(f'{x:.4g}' for x in middle[k])}) m"
+            or f"body {k + 1}, about {self._body.unit.point(middle[k])}"
             for k, inside in enumerate(self.regions())
         ]
 

@@ -14,6 +14,7 @@ from dolfinx import fem
 
 from dolfin_elastic.core.errors import ElasticError, RestartError
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.units import METRE, LengthUnit
 from dolfin_elastic.model.kinematics import moment_of
 
 
@@ -161,6 +162,7 @@ class State:
         failure: Why nothing of the run so far is to be relied on, with the time of the worst; empty
             where nothing is known against it.
         done: Completed share of the whole run, 0 to 1.
+        unit: Of the mesh: lengths are shown in it.
         between: It is between two states that were asked for, so no output takes it: only for a
             checkpoint and the display of a long run.
         derived: What outputs have computed of the state, by name, so that others need not compute
@@ -190,6 +192,7 @@ class State:
     audit: Audit | None = None
     failure: str = ""
     done: float = 0.0
+    unit: LengthUnit = METRE
     between: bool = False
     derived: dict[str, object] = field(default_factory=dict, compare=False, repr=False)
 

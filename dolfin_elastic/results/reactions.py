@@ -72,14 +72,11 @@ def node_at(problem: Problem, place: Sequence[float], where: str) -> IndexArray:
     first = int(np.argmin(distance)) if own else -1
     local = (float(distance[first]), problem.body.comm.rank, tuple(x[first])) if own else None
     nearest = min(one for one in problem.body.comm.allgather(local) if one is not None)
+    unit = problem.body.unit
     if nearest[0] > _AT_NODE * span(problem.body):
         raise InputError(
-            f"there is no node at {_in_words(place[:dim])} m, and a reaction is a force at nodes",
+            f"there is no node at {unit.point(place[:dim])}, and a reaction is a force at nodes",
             where=where,
-            expected=f"the nearest is at {_in_words(nearest[2])} m; or on = the name of a part",
+            expected=f"the nearest is at {unit.point(nearest[2])}; or on = the name of a part",
         )
     return np.array([first] if nearest[1] == problem.body.comm.rank else [], dtype=np.int64)
-
-
-def _in_words(place: Sequence[float]) -> str:
-    return "(" + ", ".join(f"{round(x, 12) + 0.0:.6g}" for x in place) + ")"

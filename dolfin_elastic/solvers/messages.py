@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.terms.undefined import undefined_load
+
+log = logging.getLogger("dolfin_elastic")
 
 HOLD = (
     "a support on that piece; or, if it was meant to be joined to the rest, a mesh whose nodes "
@@ -61,15 +64,15 @@ SMALLER_STEP = (
 )
 
 
-def far_motion(what: str, far: float, longest: float) -> str:
+def far_motion(what: str, far: str, longest: str) -> str:
     """The suspicion that the unit of a prescribed motion was forgotten.
 
     Args:
-        far: How far it goes [m].
-        longest: The longest side of the body [m].
+        far: How far it goes, with the unit.
+        longest: The longest side of the body, with the unit.
     """
     return (
-        f"{what} is to move by {far:.3g} m, and the body is {longest:.3g} m long: is a unit "
+        f"{what} is to move by {far}, and the body is {longest} long: is a unit "
         "missing? Bare numbers and formulas are in m"
     )
 
@@ -134,7 +137,7 @@ _EPS = {
 
 
 def in_words(reason: str) -> str:
-    """Why a solver has ended, with PETSc's name of it behind the words.
+    """Why a solver has ended; PETSc's name of it is logged as a detail.
 
     Args:
         reason: PETSc's name of the end of a SNES or TS, that of a KSP in parentheses where it is
@@ -144,13 +147,15 @@ def in_words(reason: str) -> str:
     if "LINEAR_SOLVE" in name and "NONLINEAR" not in name:
         return f"the linear solver failed: {linear(reason)[0]}"
     if reason in _ENDS:
-        return f"{_ENDS[reason]} ({reason})"
+        log.debug("%s", reason)
+        return _ENDS[reason]
     return reason
 
 
 def eigenvalues(reason: str) -> str:
-    """Why SLEPc's EPS has ended, in words with its name behind; see `in_words`."""
-    return f"{_EPS.get(reason, 'it did not converge')} ({reason})"
+    """Why SLEPc's EPS has ended; see `in_words`."""
+    log.debug("%s", reason)
+    return _EPS.get(reason, "it did not converge")
 
 
 def ahead(fault: str) -> str:
@@ -159,10 +164,11 @@ def ahead(fault: str) -> str:
 
 
 def linear(reason: str) -> tuple[str, str]:
-    """A linear solver's end in words, with PETSc's name of it, and advice."""
+    """A linear solver's end in words, and advice; see `in_words`."""
     name = reason.partition("(")[2].rstrip(")") or reason
     text, advice = _KSP.get(name, ("it did not converge", 'solver.method = "direct"'))
-    return f"{text} ({name})", advice
+    log.debug("%s", name)
+    return text, advice
 
 
 def load_not_finite(problem: Problem, t: float) -> InputError:

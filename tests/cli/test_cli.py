@@ -161,7 +161,7 @@ def test_converge(folder: Path) -> None:
     what = ["--until", "strain_energy"]
     code, out, err = cli("converge", "case.toml", *what, "20%", folder=folder, ranks=2)
     assert code == 0, err
-    assert re.findall(r"^mesh (\d): \d+ cells, \d+ unknowns, strain_energy", out, re.M) == [
+    assert re.findall(r"^mesh (\d): \d+ elements, \d+ unknowns, strain_energy", out, re.M) == [
         "1",
         "2",
         "3",

@@ -93,10 +93,11 @@ def _initial_gaps(
 
 def tie_information(problem: Problem) -> tuple[str, ...]:
     """How much of which surfaces is tied, and over which gap. Local."""
-    power, ties = "m^2" if problem.body.dim == 3 else "m", problem.constraints.ties
+    unit, ties = problem.body.unit, problem.constraints.ties
+    power, noise = problem.body.dim - 1, _ROUND_OFF
     return tuple(
-        f"tie '{tied.label}': {tied.covered:.4g} {power}, gap at most "
-        f"{tied.gap if tied.gap > _ROUND_OFF * tied.size else 0.0:.3g} m, which is kept"
+        f"tie '{tied.label}': {unit.length(tied.covered, 4, power=power)}, gap at most "
+        f"{unit.length(tied.gap if tied.gap > noise * tied.size else 0.0)}, which is kept"
         for tied in (() if ties is None else ties.surfaces)
     )
 
@@ -134,11 +135,12 @@ def touching_notes(problem: Problem) -> Iterator[str]:
     """Named surfaces of bodies that touch there and move on their own. Collective."""
     from dolfin_elastic.problem.constraints.ties.touching import touching_surfaces
 
-    power = "m^2" if problem.body.dim == 3 else "m"
     remedy = "mesh.join = true joins the bodies, " if problem.body.cad is not None else ""
+    unit = problem.body.unit
     for a, b, area in touching_surfaces(problem):
         yield (
-            f"the surfaces '{a}' and '{b}' of two bodies touch on {area:.4g} {power}, but each "
+            f"the surfaces '{a}' and '{b}' of two bodies touch on "
+            f"{unit.length(area, 4, power=problem.body.dim - 1)}, but each "
             f'moves on its own: {remedy}[[tie]] with on = "{a}" and to = "{b}" ties them'
         )
 
@@ -155,7 +157,7 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     """
     if not problem.contact_pairs:
         return
-    diagonal, reach = span(problem.body), _reach(case, problem)
+    diagonal, reach, unit = span(problem.body), _reach(case, problem), problem.body.unit
     pressed = False
     for i, (pair, gap, _) in enumerate(_initial_gaps(case, problem)):
         nearest = min(gap, *_gaps_over_time(case, pair))
@@ -164,14 +166,14 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
             why = "farther than the body is large" if reach else "and nothing moves the body"
             yield (
                 f"contact '{pair.label}': it can never touch: the obstacle comes no nearer than "
-                f"{nearest:.3g} m, {why}"
+                f"{unit.length(nearest)}, {why}"
             )
         elif -gap > diagonal:
             yield (
-                f"contact '{pair.label}': it begins {-gap:.3g} m deep in the obstacle, more than "
-                "the body is large"
+                f"contact '{pair.label}': it begins {unit.length(-gap)} deep in the obstacle, "
+                "more than the body is large"
             )
-        if text := _in_another_unit(problem.body.unit, case.contact[i], pair, diagonal):
+        if text := _in_another_unit(unit, case.contact[i], pair, diagonal):
             yield f"contact '{pair.label}': {text}"
         end, default = _end(case)
         for t in (end, 0.0):
@@ -224,7 +226,7 @@ def _in_another_unit(unit: LengthUnit, written: Contact, pair: ContactPair, diag
     near = smallest(pair.comm, float(np.min(gaps, initial=np.inf)))
     if abs(near) > _NEAR * diagonal:
         return ""
-    there = f"be {abs(near):.3g} m away" if abs(near) > _ROUND_OFF * pair.size else "touch"
+    there = f"be {unit.length(abs(near))} away" if abs(near) > _ROUND_OFF * pair.size else "touch"
     return (
         f"its numbers are in {unit.name}, as those of the mesh, and beside the origin: are they in "
         f"m? Then it would {there}"

@@ -14,6 +14,7 @@ from dolfin_elastic.case.check.initial_state import TIMES
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.core.errors import CaseError, keyed
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.si_text import quantity
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.curved import QuadraturePoints
@@ -90,9 +91,10 @@ def stress_notes(case: Case, integrals: Integrals, sums: tuple[LoadSum, ...]) ->
     weakest = min(integrals.problem.regions, key=lambda part: young(part.typical))
     if area > 0 and strongest / area > young(weakest.typical) / 2:
         yield (
-            f"the loads on the area of the supports are {strongest / area:.3g} Pa in the mean, "
-            f"Young's modulus of '{weakest.name}' is {young(weakest.typical):.3g} Pa: was "
-            "mesh.unit, or a unit of a load or modulus, forgotten?"
+            f"the loads on the area of the supports are {quantity(strongest / area, 'Pa')} "
+            f"in the mean, Young's modulus of '{weakest.name}' is "
+            f"{quantity(young(weakest.typical), 'Pa')}: "
+            "was mesh.unit, or a unit of a load or modulus, forgotten?"
         )
 
 

@@ -16,7 +16,7 @@ from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import FormulaError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import first_of, total
-from dolfin_elastic.core.si_text import listed
+from dolfin_elastic.core.si_text import listed, quantity
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.core.units import MeshLength
 from dolfin_elastic.mesh.body import Body, cell_size, extent
@@ -127,8 +127,8 @@ def size_notes(case: Case, body: Body) -> Iterator[str]:
         far = _FAR if case.dynamics is not None and _changes(values, curve) else 1.0
         if moved > far * longest:
             yield (
-                f"{key}: {moved:.3g} m is more than the body is long "
-                f"({longest:.3g} m): is a unit missing?"
+                f"{key}: {body.unit.length(moved)} is more than the body is long "
+                f"({body.unit.length(longest)}): is a unit missing?"
             )
 
 
@@ -378,7 +378,8 @@ def _density_notes(where: str, law: Law) -> Iterator[str]:
         fits = _GRAM_PER_CM3 * rho <= high and speed < _FAST * math.sqrt(_GRAM_PER_CM3)
         wanted = f'is it "{rho:.4g} g/cm^3"?' if fits else "is a unit of one of them wrong?"
         yield (
-            f"{where}.density: {rho:.4g} kg/m^3 with a Young's modulus of {modulus:.3g} Pa has "
+            f"{where}.density: {rho:.4g} kg/m^3 with a Young's modulus of "
+            f"{quantity(modulus, 'Pa')} has "
             f"waves of {speed / 1e3:.3g} km/s, faster than in any solid (diamond: 17): {wanted}"
         )
     elif modulus > _SOFT:

@@ -21,14 +21,11 @@ _AXES = ("x", "y", "z")
 def show_look(annotated: Look) -> None:
     """Prints the list."""
     screen = console()
-    unit, size = (
-        annotated.unit,
-        Lengths(annotated.unit, annotated.metres, annotated.dim, max(annotated.extent)),
-    )
+    size = Lengths(annotated.unit, annotated.metres, annotated.dim, max(annotated.extent))
     title = f"{annotated.case}: {annotated.source}" if annotated.case else annotated.source
     screen.tell(title, style="bold")
-    sides = " x ".join(f"{side / annotated.metres:.4g}" for side in annotated.extent)
-    screen.tell(f"  extent {sides} {unit}, {annotated.dim}D, {annotated.cells} cells")
+    extent = size.text(*annotated.extent)
+    screen.tell(f"  extent {extent}, {annotated.dim}D, {annotated.cells} elements")
     for text in annotated.information:
         screen.tell(f"  {text}")
     if annotated.faces:
@@ -97,7 +94,7 @@ def parts_table(
         directions: Normals and CAD faces of surfaces are shown.
     """
     power = {"surface": size.dim - 1, "edge": 1, "point": 0}.get(kind, size.dim)
-    things = {"surface": "facets", "edge": "mesh edges", "point": "nodes"}.get(kind, "cells")
+    things = {"surface": "facets", "edge": "mesh edges", "point": "nodes"}.get(kind, "elements")
     directions = directions and kind == "surface"
     columns: list[tuple[str, bool, Callable[[PartSize], str]]] = [
         (kind, False, lambda row: row.name),
@@ -138,6 +135,10 @@ class Lengths:
     metres: float
     dim: int
     span: float
+
+    def text(self, *lengths: float) -> str:
+        """Lengths [m] with their unit: "100 x 10 mm"."""
+        return " x ".join(f"{one / self.metres:.4g}" for one in lengths) + f" {self.unit}"
 
     def place(self, point: Sequence[float]) -> str:
         """A point with four digits; empty of none."""

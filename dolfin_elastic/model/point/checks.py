@@ -125,7 +125,9 @@ def rest_stress(tested: LawUnderTest) -> Iterator[Finding]:
     size = float(np.abs(P).max())
     good = size <= ROUND_OFF * tested.scale
     hint = "" if good else _balance(P)
-    yield _found("no stress at rest", good, f"largest of P(I) = {size:.3g} Pa{hint}", P=size)
+    yield _found(
+        "no stress at rest", good, f"largest of P(I) = {quantity(size, 'Pa')}{hint}", P=size
+    )
 
 
 def _balance(P: AnyArray) -> str:
@@ -314,18 +316,18 @@ def small_strain(tested: LawUnderTest) -> Iterator[Finding]:
     except np.linalg.LinAlgError:
         return
     E, nu = 1 / soft[0, 0], -soft[0, 1] / soft[0, 0]
-    text = f"E = {E:.6g} Pa, nu = {nu:.6g}"
+    text = f"E = {quantity(E, 'Pa')}, nu = {nu:.6g}"
     values = {"E": float(E), "nu": float(nu), "mu": float(1 / soft[5, 5])}
     sides = [1 / soft[k, k] for k in range(3)]
     if np.ptp(sides) > 1e-6 * max(sides):
-        text = "E along x, y, z = " + ", ".join(f"{side:.4g}" for side in sides) + " Pa"
+        text = "E along x, y, z = " + ", ".join(quantity(side, "Pa") for side in sides)
     stated = [(name, getattr(tested.given, name, None)) for name in ("E", "nu")]
     known = [(n, v) for n, v in stated if isinstance(v, float) and np.isfinite(v)]
     if tested.given is not tested.law or len(known) < 2:
         yield _note("small strains", text, **values)
         return
     good = all(abs(values[n] - v) <= 1e-6 * max(abs(v), 1e-3) for n, v in known)
-    text += ", as stated" if good else f"; stated {known[0][1]:.6g} Pa, {known[1][1]:.6g}"
+    text += ", as stated" if good else f"; stated {quantity(known[0][1], 'Pa')}, {known[1][1]:.6g}"
     yield _found("small strains", good, text, **values)
 
 

@@ -226,7 +226,7 @@ class PrescribedComponents:
         normals = surface_normals(self._body, self._V, name)
         if support.needs_flat and not normals.flat:
             deviation = (
-                f"its nodes lie {normals.unevenness:.3g} m apart across it"
+                f"its nodes lie {self._body.unit.length(normals.unevenness)} apart across it"
                 if np.isfinite(normals.unevenness)
                 else "it is closed"
             )

@@ -25,7 +25,6 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.parallel import largest, smallest, total
-from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size
@@ -262,20 +261,20 @@ class ContactPair(Term):
     @stage("contact")
     def check_start(self) -> str:
         """See `Term`: no surface begins deep inside its obstacle."""
-        gap, place = nearest_node(self)
+        (gap, place), unit = nearest_node(self), self._context.body.unit
         if gap < -self.size:
             raise InputError(
-                f"at the start '{self.label}' lies {-gap:.3g} m deep in the obstacle, "
-                f"at {coordinates(place)} m",
+                f"at the start '{self.label}' lies {unit.length(-gap)} deep in the obstacle, "
+                f"at {unit.point(place)}",
                 where=f"contact[{self._index}].{self.contact.shape}",
-                expected=f"at most a cell deep, {self.size:.3g} m; "
+                expected=f"at most an element deep, {unit.length(self.size)}; "
                 "does the normal point to the free side?",
             )
         if gap >= -self.tolerance:
             return ""
         return (
-            f"at the start '{self.label}' lies {-gap:.3g} m deep in its obstacle, at "
-            f"{coordinates(place)} m: what the penalty stores there throws it off"
+            f"at the start '{self.label}' lies {unit.length(-gap)} deep in its obstacle, at "
+            f"{unit.point(place)}: what the penalty stores there throws it off"
         )
 
     def conflict(self, constraints: Constraints) -> tuple[str, tuple[float, ...]] | None:
@@ -291,11 +290,11 @@ class ContactPair(Term):
         local = self.comm.allgather(_deepest_held(self, self._context.unknowns, constraints))
         if (found := min((one for one in local if one is not None), default=None)) is None:
             return None
-        (_, *place), gap, names = found
+        ((_, *place), gap, names), unit = found, self._context.body.unit
         by = f"the support '{names[0]}'" if names else "the axis"
         text = (
-            f"the obstacle of contact[{self._index}] '{self.label}' pushes {-gap:.3g} m deep into "
-            f"nodes that {by} holds, at {coordinates(place)} m"
+            f"the obstacle of contact[{self._index}] '{self.label}' pushes {unit.length(-gap)} "
+            f"deep into nodes that {by} holds, at {unit.point(place)}"
         )
         return text, tuple(place)
 

@@ -182,14 +182,15 @@ class NodalLoads(Term):
         worst = int(np.argmax(nearest))
         error = None
         if nearest[worst] > limit:
-            place = ", ".join(f"{a:.6g}" for a in points[worst, : self._dim])
-            what = f"({place}) m is {nearest[worst]:.3g} m off the body"
+            unit = self._body.unit
+            place = unit.point(points[worst, : self._dim])
+            what = f"{place} is {unit.length(nearest[worst])} off the body"
             if len(load.points) > 1:  # a point between the two that are written
                 key, what = _nearer_end(load, points[worst, : self._dim]), f"on the line {what}"
             error = InputError(
                 what,
                 where=key,
-                expected=f"a point of the body, or tolerance above that ({limit:.3g} m now)",
+                expected=f"a point of the body, or tolerance above that ({unit.length(limit)} now)",
             )
         agree(comm, error)
         rank = np.where(off <= nearest, comm.rank, comm.size)

@@ -21,7 +21,6 @@ from dolfinx import fem
 from mpi4py import MPI
 
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size
@@ -265,12 +264,12 @@ class EquilibriumAuditor:
         low, high = self._watch.extremes()
         inverted = self._watch.inverted() if self._watch.survives else None
         if not low[0] > 0.0:
-            J, place = low[0], coordinates(low[1])
-            violation = Violation(f"a cell is inside out: det F = {J:.3g} at {place} m", -J)
+            J, place = low[0], self._problem.body.unit.point(low[1])
+            violation = Violation(f"a cell is inside out: det F = {J:.3g} at {place}", -J)
             if inverted is not None:
                 cells = count(self._problem.body.num_cells, "cell")
                 violation = Violation(
-                    f"{inverted} of {cells} inverted, smallest det F = {J:.3g} at {place} m", -J
+                    f"{inverted} of {cells} inverted, smallest det F = {J:.3g} at {place}", -J
                 )
             reasons["jacobian"] = violation
         if reasons:
@@ -366,15 +365,16 @@ class EquilibriumAuditor:
 
     def _check_contacts(self, reasons: Violations) -> None:
         """No node that presses is farther off its obstacle than the tolerance. Collective."""
+        unit = self._problem.body.unit
         for pair in self._problem.contact_pairs:
             if (off := pair.gap_error()) > pair.tolerance:
                 held = pair.conflict(self._problem.constraints)
                 reasons[f"contact {pair.label}"] = Violation(
                     held[0]
                     if held is not None
-                    else f"contact '{pair.label}': a node that presses is {off:.3g} m off the "
-                    f"obstacle, above gap_tolerance = {pair.tolerance:.3g} m; a larger stiffness "
-                    "or more load steps help",
+                    else f"contact '{pair.label}': a node that presses is {unit.length(off)} off "
+                    f"the obstacle, above gap_tolerance = {unit.length(pair.tolerance)}; a larger "
+                    "stiffness or more load steps help",
                     off,
                 )
 

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfin_elastic.core.errors import BadCell, Diagnosis
-from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
@@ -175,7 +174,8 @@ class _CauseSearch:
             start, advice = "the load pulls it off its obstacles, and then ", messages.LIFTED
         if part is None:
             return None
-        what = "the body" if part.whole else f"a piece of it about {coordinates(part.place)} m"
+        unit = self.problem.body.unit
+        what = "the body" if part.whole else f"a piece of it about {unit.point(part.place)}"
         what += f" ({part.name})" if part.name and not part.whole else ""
         text = f"{start}nothing holds {what}: as a rigid body it can {', '.join(part.motions)}"
         return self._make("rigid-motion", text, advice, part.place)
@@ -232,8 +232,8 @@ class _CauseSearch:
             start = f"{often} of Newton's method refused: " if bad.count else ""
         worst = self.worst[0]
         J, place = (bad.jacobian, bad.place) if bad.place else (worst.jacobian, worst.place)
-        place = place[: self.problem.body.dim]
-        text = f"{start}a cell turned inside out (det F = {J:.3g}, at {coordinates(place)} m)"
+        place, unit = place[: self.problem.body.dim], self.problem.body.unit
+        text = f"{start}a cell turned inside out (det F = {J:.3g}, at {unit.point(place)})"
         if count:
             text += (
                 f"; the last iterate has {messages.count(count, 'such cell')} in {self._names()}"

@@ -18,7 +18,6 @@ from dolfin_elastic.core.parallel import (
     smallest,
     total,
 )
-from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.mesh.geometry.quality import SLIVER, quality_at
 from dolfin_elastic.mesh.geometry.simplices import cell_corners
@@ -247,9 +246,8 @@ def _of_material(cells: Cells, part: MaterialRegion) -> Fault | None:
     low = smallest(cells.comm, float(np.min(J, initial=np.inf)))
     inverted = not upright and not np.isnan(low)
     why = f"det F falls to {low:.3g}" if inverted else why
-    text = (
-        f"material '{part.name}': {why}, in {count(bad_ones, 'cell')} near {coordinates(place)} m"
-    )
+    near = problem.body.unit.point(place)
+    text = f"material '{part.name}': {why}, in {count(bad_ones, 'cell')} near {near}"
     return Fault(text, place, inverted=inverted)
 
 
@@ -276,7 +274,7 @@ def _of_term(problem: Problem, name: str, work: ufl.Form) -> Fault | None:
         return None
     places = problem.places[: len(bad), : problem.body.dim][bad]
     place = first_of(problem.body.comm, map(plain, places)) or ()
-    at = f"at {count(bad_ones, 'node')} near {coordinates(place)} m"
+    at = f"at {count(bad_ones, 'node')} near {problem.body.unit.point(place)}"
     return Fault(f"{name} is not finite {at}", place, load=True)
 
 

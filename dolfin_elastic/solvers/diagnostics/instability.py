@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dolfin_elastic.core.parallel import largest, total
-from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.units import coordinates
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -192,8 +192,8 @@ def _finding(
         kind, advice = f"the material is strained by {100 * strain:.2g} %", messages.HUGE
     else:
         kind, advice = _kind(assembler, mode.motion)
-    along = coordinates(direction)
-    text += f"; {kind}; the motion is largest at {coordinates(place)} m{names}, along {along}"
+    at, along = assembler.problem.body.unit.point(place), coordinates(direction)
+    text += f"; {kind}; the motion is largest at {at}{names}, along {along}"
     return Finding(text, advice, place)
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.units import coordinates
 from dolfin_elastic.model.point.alternatives import (
     elliptic_laws,
     law_in_words,
@@ -55,7 +55,7 @@ class SoftSpot:
         how = "squeezed" if stretch < 1.0 else "stretched"
         left = "is not elliptic any more" if self.lost else "is hardly elliptic any more"
         text = (
-            f"material instability: near {coordinates(self.place)} m "
+            f"material instability: near {problem.body.unit.point(self.place)} "
             f"{messages.material(problem, [part.name])} is {how} to {stretch:.3g} of its length "
             f"along {coordinates(along)}, where {law_in_words(part.typical)} {left}"
         )

@@ -115,7 +115,7 @@ def _motions(assembler: Assembler, inside: BoolArray) -> tuple[list[str], tuple[
     place = tuple(float(c) for c in local[1 : 1 + dim] / local[0])
     if problem.geometry == "axisymmetric":
         return ["move along y"], place
-    return motions_in_words(null, centre, radius), place
+    return motions_in_words(null, centre, radius, problem.body.unit), place
 
 
 def _name(problem: Problem, inside: BoolArray) -> str:
@@ -220,7 +220,9 @@ def _check_obstacles_ahead(problem: Problem, free: list[FreeBody]) -> None:
         if free_motions(problem):
             return
     away = {term.label: gap for term in problem.terms if (gap := term.distance())}
-    text = ", ".join(f"'{label}' is {gap:.3g} m away" for label, gap in away.items())
+    text = ", ".join(
+        f"'{label}' is {problem.body.unit.length(gap)} away" for label, gap in away.items()
+    )
     raise InputError(
         f"no obstacle holds the body yet ({text or 'they touch elsewhere'}): as a rigid body it "
         f"can {', '.join(free[0].motions)}",
@@ -334,7 +336,7 @@ def _in_words(problem: Problem, null: FloatArray, centre: FloatArray, size: floa
         return []
     if problem.geometry == "axisymmetric":
         return ["move along y"] * null.shape[1]
-    return motions_in_words(null, centre, size)
+    return motions_in_words(null, centre, size, problem.body.unit)
 
 
 def planes(dim: int) -> list[tuple[int, int]]:

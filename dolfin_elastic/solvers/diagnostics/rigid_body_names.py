@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.units import METRE, LengthUnit
 
 _SAME = 1e-6
 """Differences of directions and places, over the body's size, that nobody means."""
 
 
-def motions_in_words(null: FloatArray, centre: FloatArray, size: float) -> list[str]:
+def motions_in_words(
+    null: FloatArray, centre: FloatArray, size: float, unit: LengthUnit = METRE
+) -> list[str]:
     """Rigid motions in words.
 
     Args:
@@ -31,11 +34,13 @@ def motions_in_words(null: FloatArray, centre: FloatArray, size: float) -> list[
         mix = np.linalg.lstsq(turns, axis, rcond=_SAME)[0]
         shift = shifts @ mix
         shift -= along @ (np.linalg.pinv(along) @ shift) if along.size else 0.0
-        words.append(_turn(axis, shift, centre, size))
+        words.append(_turn(axis, shift, centre, size, unit))
     return words
 
 
-def _turn(axis: FloatArray, shift: FloatArray, centre: FloatArray, size: float) -> str:
+def _turn(
+    axis: FloatArray, shift: FloatArray, centre: FloatArray, size: float, unit: LengthUnit
+) -> str:
     """Rotation about an axis: through the point that it leaves where it is.
 
     The velocity shift + axis x (x - centre) is along the axis at the point
@@ -43,12 +48,14 @@ def _turn(axis: FloatArray, shift: FloatArray, centre: FloatArray, size: float) 
     """
     if len(centre) == 2:
         point = centre + size * np.array([-shift[1], shift[0]]) / axis[0]
-        return f"turn about z through {_place(point, size)}"
+        return f"turn about z through {_place(point, size, unit)}"
     point = centre + size * np.cross(axis, shift)
     while_moving = ""
     if abs(float(shift @ axis)) > _SAME:
-        while_moving = f" while it moves {size * float(shift @ axis):.3g} m along it per radian"
-    return f"turn about {_direction(axis)} through {_place(point, size)}{while_moving}"
+        while_moving = (
+            f" while it moves {unit.length(size * float(shift @ axis))} along it per radian"
+        )
+    return f"turn about {_direction(axis)} through {_place(point, size, unit)}{while_moving}"
 
 
 def _basis(columns: FloatArray) -> list[FloatArray]:
@@ -74,8 +81,8 @@ def _direction(vector: FloatArray) -> str:
     return _text(vector * np.sign(first), 1.0)
 
 
-def _place(point: FloatArray, size: float) -> str:
-    return f"{_text(point, size)} m"
+def _place(point: FloatArray, size: float, unit: LengthUnit) -> str:
+    return unit.point(np.where(np.abs(point) < _SAME * size, 0.0, point))
 
 
 def _text(vector: FloatArray, size: float) -> str:

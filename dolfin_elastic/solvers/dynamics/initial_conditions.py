@@ -11,8 +11,8 @@ from dolfinx import fem
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import agree, first_of, largest, total
-from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.model.values import Component
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.messages import MIRRORED, SEES_INVERSION
@@ -107,7 +107,7 @@ def _check_upright(problem: Problem) -> None:
     J, place = JacobianWatch(problem).refused()
     if J > 0.0:
         return
-    what = f"it turns cells inside out: det F = {J:.3g} at {coordinates(place)} m"
+    what = f"it turns cells inside out: det F = {J:.3g} at {problem.body.unit.point(place)}"
     expected = "det F > 0 everywhere"
     if any(part.law.blind_to_inversion for part in problem.regions):
         what, expected = f"{what}; {MIRRORED}", f"{expected}, or {SEES_INVERSION}"
@@ -184,15 +184,18 @@ class SupportJump:
         what: "velocity" or "displacement".
         most: Largest difference [m/s, m].
         place: Where that is in the undeformed body [m].
+        unit: Of the mesh.
     """
 
     support: str
     what: str
     most: float
     place: tuple[float, ...]
+    unit: LengthUnit
 
     def __str__(self) -> str:
-        unit = {"velocity": "m/s", "displacement": "m"}[self.what]
+        speed = self.what == "velocity"
+        most = f"{self.most:.3g} m/s" if speed else self.unit.length(self.most)
         follows = {
             "velocity": "its nodes move with the support at once, and a shock runs into the body",
             "displacement": "its nodes are put there at once, and the cells beside them strained: "
@@ -200,7 +203,7 @@ class SupportJump:
         }[self.what]
         return (
             f"at the start the support '{self.support}' and the body differ in {self.what}, by "
-            f"{self.most:.3g} {unit} at {coordinates(self.place)} m: {follows}. Was that meant? "
+            f"{most} at {self.unit.point(self.place)}: {follows}. Was that meant? "
             f"Else dynamics.initial_{self.what} fits it, or a curve that begins gently"
         )
 
@@ -240,7 +243,7 @@ def support_jump(problem: Problem, t: float, step: float) -> str:
     if not jumps:
         return ""
     most = max(jumps, key=lambda one: one.most)
-    at = f"by {most.most:.3g} m at {coordinates(most.place)} m"
+    at = f"by {most.unit.length(most.most)} at {most.unit.point(most.place)}"
     return f"the support '{most.support}' jumps there, {at}"
 
 
@@ -264,7 +267,7 @@ def support_jumps(
         alike = x[: len(sizes)][sizes >= most * (1 - 1e-9)]
         place = first_of(problem.body.comm, map(tuple, alike.round(12).tolist()))
         assert place is not None  # some rank has the largest
-        yield SupportJump(label, what, most, place[:dim])
+        yield SupportJump(label, what, most, place[:dim], problem.body.unit)
 
 
 def _by_support(problem: Problem, change: FloatArray) -> Iterator[tuple[str, FloatArray]]:

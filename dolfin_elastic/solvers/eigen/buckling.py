@@ -110,8 +110,8 @@ class Buckling(PreloadedAnalysis):
         size = f"{problem.num_dofs} unknowns"
         if problem.num_dofs > DIRECT_LIMIT[problem.body.dim]:
             size += ", which will take much memory"
-        why = f"buckling by Krylov-Schur iterations (SLEPc; MUMPS, LDL^T): {size}"
-        self.choice = Choice(True, prefixed(factorising(True)), why)
+        detail = "Krylov-Schur iterations (SLEPc; MUMPS, LDL^T)"
+        self.choice = Choice(True, prefixed(factorising(True)), f"{size}, direct solver", detail)
 
     def _steps(self) -> Generator[State | Mode, None, None]:
         """See `steps`."""
@@ -156,7 +156,7 @@ class Buckling(PreloadedAnalysis):
         Args:
             signs: 1 for the loads as they are, -1 for the reversed ones.
         """
-        log.info("%s", self.choice.why)
+        self.choice.report()
         base = fem.Function(self.problem.V, name="displacement")
         base.x.array[:] = self.problem.u.x.array
         path, buckled = _Path(self.problem, share), list[_Buckled]()

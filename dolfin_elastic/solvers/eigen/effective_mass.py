@@ -180,7 +180,8 @@ def _free(assembler: Assembler, frame: Frame) -> list[RigidMode]:
         if problem.geometry == "axisymmetric":
             name = "move along y"
         else:
-            (name,) = motions_in_words(frame.scaled(mix / lengths), frame.centre, frame.size)
+            scaled, unit = frame.scaled(mix / lengths), problem.body.unit
+            (name,) = motions_in_words(scaled, frame.centre, frame.size, unit)
         modes.append(RigidMode(columns @ mix, name))
     return modes
 

@@ -136,7 +136,7 @@ class Modal(PreloadedAnalysis):
 
     def _about_this_state(self) -> Generator[Mode, None, None]:
         """See `about_this_state`."""
-        log.info("%s", self.choice.why)
+        self.choice.report()
         vibration = Vibration(self)
         try:
             with failing_together(self.problem.body.comm):

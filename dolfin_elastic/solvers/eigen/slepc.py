@@ -78,8 +78,8 @@ def choose_eigen(problem: Problem, settings: LinearSettings) -> Choice:
     if direct or problem.unknowns.auxiliary_fields:
         if not direct:
             size += ", with scalar fields beside the displacement"
-        why = f"Krylov-Schur with shift and invert (SLEPc; MUMPS, LDL^T): {size}"
-        return Choice(True, prefixed(factorising(True)), why)
+        detail = "Krylov-Schur with shift and invert (SLEPc; MUMPS, LDL^T)"
+        return Choice(True, prefixed(factorising(True)), f"{size}, direct solver", detail)
     options = {
         "ksp_type": "cg",
         "ksp_rtol": 1e-11,  # errors of solutions are errors of eigenvectors
@@ -87,8 +87,8 @@ def choose_eigen(problem: Problem, settings: LinearSettings) -> Choice:
         **BLOCKS,
     }
     name = grids(problem.degree)
-    why = f"Krylov-Schur with shift and invert (SLEPc; CG, {name}): {size}"
-    return Choice(False, prefixed(options), why)
+    detail = f"Krylov-Schur with shift and invert (SLEPc; CG, {name})"
+    return Choice(False, prefixed(options), f"{size}, iterative solver", detail)
 
 
 def prefixed(options: PetscOptions) -> dict[str, PetscValue]:

@@ -9,6 +9,7 @@ and GAMG do the same.  A pressure is split off (PCFIELDSPLIT).
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,6 +18,8 @@ from pydantic import Field, field_validator
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue, refuse_beyond_solvers
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.problem.problem import Problem
+
+log = logging.getLogger("dolfin_elastic")
 
 DIRECT_LIMIT = {2: 150_000, 3: 20_000}
 """Largest number of unknowns that are factorised by default, by dimension."""
@@ -101,12 +104,19 @@ class Choice:
     Attributes:
         direct: Factorisation, not iterations.
         options: PETSc options without prefix.
-        why: For the log.
+        why: Unknowns and the kind of solver, for people.
+        detail: Its methods, for those who ask.
     """
 
     direct: bool
     options: dict[str, PetscValue]
     why: str
+    detail: str = ""
+
+    def report(self) -> None:
+        """Logs it: the methods at the level of details."""
+        log.info("%s", self.why)
+        log.debug("%s", self.detail)
 
 
 def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) -> Choice:
@@ -125,19 +135,19 @@ def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) 
     symmetric = problem.symmetric
     size = f"{dofs} unknowns"
     if settings.method != "auto":
-        size += f", '{settings.method}' asked for"
+        size += f' (solver.method = "{settings.method}")'
     if direct:
         kind, options = "Cholesky-like LDL^T" if symmetric else "LU", factorising(symmetric)
         scalars = problem.terms.scalars or problem.cell is not None
         if not (symmetric or moving or scalars or settings.petsc):
             kind, options = "LDL^T of the symmetric part", options | BY_SYMMETRIC_PART
-        return Choice(True, options, f"direct solver (MUMPS, {kind}): {size}")
+        return Choice(True, options, f"{size}, direct solver", f"MUMPS, {kind}")
     krylov = "CG" if symmetric and not mixed else "GMRES"
     grid = grids(problem.degree)
     if mixed:
         grid = f"pressure by its mass matrix, displacement by {grid}"
     options = _iterative(problem, symmetric and not mixed)
-    return Choice(False, options, f"iterative solver ({krylov}, {grid}): {size}")
+    return Choice(False, options, f"{size}, iterative solver", f"{krylov}, {grid}")
 
 
 def grids(degree: int) -> str:

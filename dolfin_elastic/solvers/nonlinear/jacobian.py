@@ -15,7 +15,6 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.jit import compile_c, compile_expression
 from dolfin_elastic.core.parallel import largest_row, total
-from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.model.kinematics import displacement_gradient
@@ -369,7 +368,7 @@ class SmallStrains:
     """
 
     def __init__(self, problem: Problem, watch: JacobianWatch | None = None) -> None:
-        self.note, self._dim = "", problem.body.dim
+        self.note, self._dim, self._unit = "", problem.body.dim, problem.body.unit
         self._names = ", ".join(sorted({p.law.name() for p in problem.regions if p.law.linear}))
         self._watch = (watch or JacobianWatch(problem)) if self._names else None
 
@@ -390,7 +389,7 @@ class SmallStrains:
             return
         self.note = (
             f"the law {self._names} is for small strains and rotations, but |grad u| is "
-            f"{steepest:.2g} at {coordinates(place[: self._dim])} m ({when}): st-venant-kirchhoff "
-            "or neo-hookean follow large ones"
+            f"{steepest:.2g} at {self._unit.point(place[: self._dim])} ({when}): "
+            "st-venant-kirchhoff or neo-hookean follow large ones"
         )
         log.warning("%s", self.note)

@@ -273,8 +273,8 @@ class LoadStepping:
                     self._jumped_to = goal, self._newton.unknowns()
                 inverted = not result.converged and (result.rejected > 0 or "NAN" in result.reason)
                 if sizes.failed(step.t, goal, inverted=inverted):
-                    text = "load factor %.6g: %s; a smaller step"
-                    log.info(text, goal, in_words(refusal), extra={"search": True})
+                    text = "at %.4g %% of the load: %s; trying a smaller step"
+                    log.info(text, 100 * goal, in_words(refusal), extra={"search": True})
                     self._retry.undo(step.start)
                     continue
                 goal, result = self._leave_path(step, result, refusal)
@@ -385,8 +385,8 @@ class LoadStepping:
         self._jumps += refusal == ANOTHER
         what = "buckles or tips over" if refusal == UNSTABLE else "has snapped through"
         log.warning(
-            "the body %s between %.4g and %.4g %% of the load: no stable equilibrium is near, it "
-            'flows to the next one; statics.method = "arc-length" shows the path between',
+            "the part %s between %.4g and %.4g %% of the load: the result is where it comes to "
+            'rest; statics.method = "arc-length" shows the way there',
             what,
             100 * step.t,
             100 * step.goal,

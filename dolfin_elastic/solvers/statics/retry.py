@@ -17,7 +17,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from petsc4py import PETSc
 
-from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.diagnostics.negative_curvature import start_vector
 from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
@@ -288,6 +287,7 @@ class RetryStrategy:
         value, place = guard.watch.refused()
         if value > 0.0:
             return result
+        unit = self.newton.assembler.problem.body.unit
         return result.inverted(value, place).refused(
-            f"a cell turned inside out (det F = {value:.3g}, at {coordinates(place)} m)"
+            f"a cell turned inside out (det F = {value:.3g}, at {unit.point(place)})"
         )

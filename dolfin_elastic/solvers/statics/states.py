@@ -10,7 +10,6 @@ import numpy as np
 
 from dolfin_elastic.core.errors import ConvergenceError, FormulaError
 from dolfin_elastic.core.parallel import largest
-from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import extent
 from dolfin_elastic.model.amplitude import PROPORTIONAL
@@ -94,6 +93,7 @@ class StaticStates:
             step=self.count - 1,
             t=t,
             load_factor=t,
+            unit=problem.body.unit,
             u=problem.u,
             w=problem.w,
             newton=result.newton,
@@ -149,7 +149,7 @@ class StaticStates:
         return ConvergenceError(
             f"{none} beyond load factor {t:.6g}: {diagnosis.text}\n  at the end: "
             f"{in_words(result.reason)}, Newton iterations: {result.newton}; the largest force "
-            f"out of balance, {force:.3g} N, is at {coordinates(place)} m",
+            f"out of balance, {force:.3g} N, is at {self._problem.body.unit.point(place)}",
             advice=diagnosis.advice,
             state=state,
             diagnosis=diagnosis,
@@ -172,7 +172,12 @@ class StaticStates:
                 shift = np.abs(np.nan_to_num(term.shift.value, posinf=0.0, neginf=0.0))
                 moved[f"the obstacle of '{term.label}'"] = float(np.max(shift))
         what, far = max(moved.items(), key=lambda one: one[1])
-        return messages.far_motion(what, far, longest) if far > FAR * longest else ""
+        unit = problem.body.unit
+        return (
+            messages.far_motion(what, *(unit.length(x) for x in (far, longest)))
+            if far > FAR * longest
+            else ""
+        )
 
     def restart_state(self) -> dict[str, Any]:
         """See `Restartable`: number of states and history of the audit. Not collective."""

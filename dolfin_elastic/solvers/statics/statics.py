@@ -83,7 +83,7 @@ class Statics:
         self._check_path()
         for dashpot in () if self._preload else self.problem.dashpots:
             log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
-        log.info("%s", self.choice.why)
+        self.choice.report()
         self._end = None
         yield from self._before_the_last(saved, near)
         if self._end is not None:

@@ -24,7 +24,6 @@ from dolfin_elastic.core.compat import collapsed
 from dolfin_elastic.core.errors import InputError, StoppedError
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.core.petsc_options import PetscOptions, PetscValue
-from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.signals import acknowledge, raise_if_agreed, remove_stop_file
 from dolfin_elastic.core.together import loop_together
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
@@ -374,8 +373,8 @@ class _Convergence:
             return ""
         by = f", at {known}," if known else ""
         text = (
-            f"{progress.quantity} has no limit: at {coordinates(place)} m{by} it grows with every "
-            f"refinement, like h^-{exponent:.2f}"
+            f"{progress.quantity} has no limit: at {solved.problem.body.unit.point(place)}{by} "
+            f"it grows with every refinement, like h^-{exponent:.2f}"
         )
         regular = find_peaks(solved.problem, solved.estimate).regular if known else None
         if regular is not None:

@@ -54,7 +54,7 @@ class Wanted:
         """
         match = _TEXT.fullmatch(text)
         if match is None:
-            raise InputError(f"'{text}' is no result of a run", expected=f"for example {_EXAMPLES}")
+            raise InputError(f"a run has no result '{text}'", expected=f"for example {_EXAMPLES}")
         wanted = cls(match[2], match[3] or "", match[1] or "")
         if (field := f"{match[1]}_{match[2]}") in FIELDS:  # "safety factor", "von mises"
             wanted = cls(field, match[3] or "")

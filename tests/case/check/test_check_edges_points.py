@@ -54,8 +54,8 @@ def test_sizes_and_forces() -> None:
     with redirect_stdout(text):
         show_check(found)
     shown = [line.split() for line in text.getvalue().splitlines()]
-    assert ["edge", "mesh", "edges", "[m]", "centroid", "[m]", "used", "by"] in shown
-    assert any(row[:3] == ["ridge", "1", "0.001"] for row in shown)
+    assert ["edge", "mesh", "edges", "[mm]", "centroid", "[mm]", "used", "by"] in shown
+    assert any(row[:3] == ["ridge", "1", "1"] for row in shown)
     assert any(row[:2] == ["lid", "6"] for row in shown)
 
 

@@ -52,11 +52,11 @@ def case(folder: Path, **tables: Any) -> Case:
 def test_bodies_that_touch_are_named_by_their_surfaces(folder: Path) -> None:
     """With the remedy; nothing is said where they are tied."""
     notes = " | ".join(report(case(folder)).notes)
-    assert "the surfaces 'foot' and 'table' of two bodies touch on 9e-06 m^2" in notes
+    assert "the surfaces 'foot' and 'table' of two bodies touch on 9 mm^2" in notes
     assert '[[tie]] with on = "foot" and to = "table" ties them' in notes
     tied = report(case(folder, tie=[{"on": "foot", "to": "table"}]))
     assert not any("of two bodies touch" in note for note in tied.notes)
-    assert "tie 'tie_foot': 9e-06 m^2, gap at most 0 m, which is kept" in tied.information
+    assert "tie 'tie_foot': 9 mm^2, gap at most 0 mm, which is kept" in tied.information
     assert len(tied.bodies) == 1
 
 
@@ -124,7 +124,7 @@ def test_wrong_ties_are_refused(folder: Path) -> None:
         ({"on": "foot"}, r"tie\[0\]\.to"),
         ({"on": "foot", "to": ["table", "foot"]}, r"tie\[0\]\.to: 'foot' is tied to itself"),
         ({"on": "foot", "to": "table", "toleranc": 1}, r"tie\[0\].*'tolerance'"),
-        ({"on": "foot", "to": "bottom"}, r"tie\[0\]\.on: .* are 0\.002 m apart"),
+        ({"on": "foot", "to": "bottom"}, r"tie\[0\]\.on: .* are 2 mm apart"),
     ):
         with pytest.raises(InputError, match=text):
             report(case(folder, tie=[tie]))

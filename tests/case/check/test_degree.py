@@ -149,7 +149,7 @@ def test_cells_of_cad(geo: str, mesh: dict[str, Any], order: int, folder: Path) 
     tables = rod(mesh={"file": "a.geo", "size": 2, **mesh}, support=[], load=[])
     body = Case.from_dict(tables, folder).read_body()
     assert body.mesh.geometry.cmap.degree == order
-    assert ("cells curved" in " ".join(body.information)) == (order == 2)
+    assert ("elements curved" in " ".join(body.information)) == (order == 2)
 
 
 def test_explicit_schemes_keep_straight_cells(folder: Path) -> None:

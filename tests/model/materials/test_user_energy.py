@@ -335,7 +335,7 @@ on = "left"
     process = started([*PROGRAM, command, "gel.toml"], tmp_path, ranks)
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 2
-    said = "error: gel.toml: materials.gel.energy: no stress at rest: largest of P(I) = 4e+05 Pa"
+    said = "error: gel.toml: materials.gel.energy: no stress at rest: largest of P(I) = 400 kPa"
     assert errors.count(said) == 1
     assert "subtract 400000*ln(J)" in errors
     assert [path.name for path in tmp_path.iterdir()] == ["gel.toml"]

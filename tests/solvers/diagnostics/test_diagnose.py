@@ -41,8 +41,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.errors import ConvergenceError, Diagnosis
 from dolfin_elastic.core.parallel import on_root
-from dolfin_elastic.core.si_text import coordinates
-from dolfin_elastic.core.units import LengthUnit
+from dolfin_elastic.core.units import LengthUnit, coordinates
 from dolfin_elastic.mesh.distribute import build_body
 from dolfin_elastic.mesh.formats.raw import RawMesh
 from dolfin_elastic.model.materials.law import Law
@@ -598,7 +597,7 @@ def test_st_venant_kirchhoff_beyond_its_limit_load(shell: Body) -> None:
     assert "its stress falls again below a stretch of 0.577" in found.text  # 1/sqrt(3)
     assert found.advice.startswith("law = 'neo-hookean' or 'hencky' with the same constants")
     assert "a finer mesh does not help" in found.advice
-    assert re.search(r"at the end: \w.* \(DIVERGED_\w+\), Newton iterations", str(error))
+    assert re.search(r"at the end: \w.*, Newton iterations", str(error))
 
 
 @pytest.mark.sample(1)
@@ -650,7 +649,7 @@ def test_a_linear_solver_that_gives_up():
     )
     assert found.cause == "linear-solver"
     assert "ksp_max_it" in found.text
-    assert "DIVERGED_MAX_IT" in found.text
+    assert "DIVERGED_MAX_IT" not in found.text  # a name of PETSc, for -v
     assert 'solver.method = "direct"' in found.advice
 
 

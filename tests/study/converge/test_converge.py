@@ -278,7 +278,7 @@ def test_reaction_of_a_support(tmp_path: Path) -> None:
         ("reaction of lef", "no support 'lef'; did you mean 'left'"),
         ("strain_enrgy", "no result 'strain_enrgy'; did you mean 'strain_energy'"),
         ("displacement of ede", "'ede'; did you mean 'edge'"),
-        ("?", "is no result of a run"),
+        ("?", "a run has no result"),
         ("meen von_mises on hole", "--until: unknown value 'meen'; did you mean 'mean'"),
         ("mean von_mises of edge", "no result 'edge_von_mises'"),
         ("safety factor on hol", "no part and no probe 'hol'; did you mean 'hole'"),

@@ -52,10 +52,10 @@ def follow_curves(
         gmsh.model.mesh.optimize("HighOrderElastic")
     straight = _straighten_folded(gmsh, dim)
     if not straight:
-        return ", cells curved", notes
+        return ", elements curved", notes
     return (
-        f", cells curved, but for {len(straight)} that would fold, {lengths.near(straight)}: the "
-        "stress there is that of straight cells; a smaller mesh.size follows the surface"
+        f", elements curved, but {len(straight)} are too large to follow the round face "
+        f"{lengths.near(straight)}: stress there is unreliable; a smaller mesh.size helps"
     ), notes
 
 
@@ -152,9 +152,9 @@ def _coarse(gmsh: ModuleType, dim: int, lengths: Lengths, *, sized: bool) -> lis
     count = volume / size**dim * (np.sqrt(2.0) if dim == 3 else 2 / np.sqrt(3.0))  # regular ones
     bounded = "; without sizes, in case and file, elements follow all such surfaces"
     return [
-        f"a cell turns by {angles[worst]:.0f} degrees along a curved surface, "
-        f"{lengths.near([middle[worst].tolist()])}: a peak of stress there can be off by more than "
-        f'its estimated error; mesh.size = "{lengths.text(size, 1)}" follows that surface, '
+        f"one element spans {angles[worst]:.0f} degrees of a round face "
+        f"{lengths.near([middle[worst].tolist()])}: its peak stress is not known; mesh.size = "
+        f'"{lengths.text(size, 1)}" or a [[mesh.refine]] of that face follows it, '
         f"with about {count:.2g} elements{bounded if sized else ''}"
     ]
 

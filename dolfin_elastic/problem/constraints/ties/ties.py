@@ -166,15 +166,17 @@ class Ties:
             [tuple(x) for x in pieces.places[pieces.gaps <= least * (1 + 1e-9)].round(12)],
         )
         size = smallest(self.comm, float(pieces.sizes.min(initial=np.inf)))
-        limit = "a tenth of the facets' size" if tie.tolerance is None else f"{tie.tolerance:.4g} m"
+        unit, limit = self._body.unit, "a tenth of the facets' size"
+        if tie.tolerance is not None:
+            limit = unit.length(tie.tolerance, 4)
         assert at is not None
         raise InputError(
-            f"{names} are {least:.4g} m apart where they are nearest, at "
-            f"({', '.join(f'{c:.4g}' for c in at)}) m, facets of {size:.4g} m; tied is what is "
+            f"{names} are {unit.length(least, 4)} apart where they are nearest, at "
+            f"{unit.point(at)}, facets of {unit.length(size, 4)}; tied is what is "
             f"nearer than {limit}",
             where=f"{where}.{'on' if tie.tolerance is None else 'tolerance'}",
-            expected=f"surfaces that touch, or tolerance = {1.2 * least:.3g} m or more, which "
-            "keeps the gap",
+            expected=f'surfaces that touch, or tolerance = "{unit.length(1.2 * least)}" or '
+            "more, which keeps the gap",
         )
 
     def _eliminate(self, mortar: Mortar, held: BoolArray) -> IndexArray:

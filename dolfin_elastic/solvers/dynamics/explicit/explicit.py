@@ -189,6 +189,7 @@ class Explicit:
         return State(
             step=scheme.steps,
             t=scheme.t,
+            unit=self.problem.body.unit,
             u=self.problem.u,
             v=self.v,
             reason="explicit",
@@ -269,6 +270,7 @@ class Explicit:
         return State(
             step=scheme.steps,
             t=scheme.t,
+            unit=self.problem.body.unit,
             u=self.problem.u,
             v=self.v,
             a=scheme.a,

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -81,7 +80,7 @@ class StabilityMonitor:
         if J > 0.0:
             return
         self.place = tuple(float(x) for x in place[: self._problem.body.dim])
-        what = f"det F = {J:.3g} at {coordinates(self.place)} m"
+        what = f"det F = {J:.3g} at {self._problem.body.unit.point(self.place)}"
         self.inverted = f"cells had turned inside out by t = {t:.6g} s, {what}"
         if blind_to_inversion(self._problem, Cells(self._assembler).worst()):
             text = f"{self.inverted}: {MIRRORED}; {SEES_INVERSION}"

@@ -14,7 +14,6 @@ import numpy as np
 
 from dolfin_elastic.core.errors import Diagnosis, StabilityError
 from dolfin_elastic.core.parallel import first_of, largest_row, total
-from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.problem import Problem
@@ -124,7 +123,8 @@ class Replay:
         if not march.finite():
             return self.not_finite()
         state, place = march.state(moved=True), march.size.location()
-        text = error.what + (f"; cells at {coordinates(place)} m ask for it" if place else "")
+        unit = march.problem.body.unit
+        text = error.what + (f"; cells at {unit.point(place)} ask for it" if place else "")
         cells = Cells(march.assembler).worst()
         diagnosis = Diagnosis("step", text, error.advice, place, cells)
         return StabilityError(text, advice=error.advice, state=state, diagnosis=diagnosis)
@@ -163,16 +163,17 @@ class Replay:
             if J <= 0.0 and np.isfinite(J):
                 self._inverted = step, *self._inversion(J, plain(middle), when)
         if self._unbounded is None:
-            far, place = self._farthest()
+            (far, place), unit = self._farthest(), self._march.problem.body.unit
             if far > FAR * span(self._march.problem.body):
-                at = f"max |u| = {far:.3g} m, at {coordinates(place)} m"
+                at = f"max |u| = {unit.length(far)}, at {unit.point(place)}"
                 self._unbounded = step, f"it has grown beyond all bounds {when} ({at})", place
 
     def _inversion(self, J: float, place: Place, when: str) -> tuple[str, Place]:
-        place = place[: self._march.problem.body.dim]
+        body = self._march.problem.body
+        place = place[: body.dim]
         cells = Cells(self._march.assembler)
         many = total(cells.comm, int(np.sum(cells.jacobians() <= 0.0)))
-        at = f"det F = {J:.3g}, at {coordinates(place)} m"
+        at = f"det F = {J:.3g}, at {body.unit.point(place)}"
         return f"{messages.count(many, 'cell')} turned inside out {when} ({at})", place
 
     def _farthest(self) -> tuple[float, Place]:
@@ -211,7 +212,7 @@ class Replay:
                 return "inverted", (text, CRUSHED, fault.place)
             return "nan", (text, messages.LOAD if fault.load else STRAINED, fault.place)
         place = self._first_without_force()
-        at = f" at {coordinates(place)} m" if place else ""
+        at = f" at {self._march.problem.body.unit.point(place)}" if place else ""
         return "nan", (f"forces or energies have no finite value{at}", SHORTER, place)
 
     def _first_without_force(self) -> Place:

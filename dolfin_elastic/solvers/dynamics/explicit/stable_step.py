@@ -13,7 +13,6 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import InputError, StabilityError
 from dolfin_elastic.core.parallel import largest
-from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.startup.slepc import SLEPc
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
@@ -211,7 +210,7 @@ class StepSize:
         contact = "; obstacles may be hit" if self._contact and self._safety == RESONANCE else ""
         if self.bound is None or not self._square:
             return contact
-        return f"{contact}; cells at {coordinates(self.location())} m ask for it"
+        return f"{contact}; cells at {self._problem.body.unit.point(self.location())} ask for it"
 
     def location(self) -> tuple[float, ...]:
         """Where the bound by cells is largest, undeformed [m]; empty without one. Collective."""

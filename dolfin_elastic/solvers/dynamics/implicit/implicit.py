@@ -13,7 +13,6 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
-from dolfin_elastic.core.si_text import coordinates
 from dolfin_elastic.core.signals import raise_if_agreed
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.problem.problem import Problem, conserves, over_step
@@ -221,7 +220,7 @@ class Implicit:
         self.assembler = self.moving.assembler
         self.a = fem.Function(problem.V, name="acceleration of the scheme")
         choice = choose(stepped, linear, moving=True)
-        log.info("%s", choice.why)
+        choice.report()
         if problem.mixed:
             HydrostaticConstant(problem).report()
         self.ts = PETSc.TS().create(problem.body.comm)
@@ -453,7 +452,8 @@ class Implicit:
         return ConvergenceError(
             f"no solution for the step from t = {t:.6g} s: {reason}; {diagnosis.text}\n"
             "  at the end: "
-            f"the largest force out of balance, {force:.3g} N, is at {coordinates(place)} m",
+            f"the largest force out of balance, {force:.3g} N, is at "
+            f"{self.problem.body.unit.point(place)}",
             advice=diagnosis.advice,
             state=self._state(failed=True),
             diagnosis=diagnosis,
@@ -484,6 +484,7 @@ class Implicit:
         return State(
             step=-1 if failed else step,
             t=t,
+            unit=self.problem.body.unit,
             u=self.problem.u,
             w=self.problem.w,
             v=self.v,

@@ -208,7 +208,7 @@ def test_surfaces_too_far_apart_are_refused() -> None:
     """With the distance, the place and the tolerance that would do."""
     body = stacked((1.0, 0.6), (3, 2), (5, 2), gap=0.1)
     hold = [Support(on="bottom", displacement=[0, 0])]
-    with pytest.raises(InputError, match=r"are 0\.1 m apart.*tolerance = 0\.12 m or more"):
+    with pytest.raises(InputError, match=r'are 0\.1 m apart.*tolerance = "0\.12 m" or more'):
         Problem(body, STEEL, supports=hold, ties=[Tie(on="above", to="below")])
     problem = Problem(
         body, STEEL, supports=hold, ties=[Tie(on="above", to="below", tolerance=0.12)]
