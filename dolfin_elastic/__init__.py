@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.mesh import PointSelector as PointSelector
     from dolfin_elastic.mesh import Selector as Selector
     from dolfin_elastic.mesh import box_body as box_body
+    from dolfin_elastic.mesh import mesh_body as mesh_body
     from dolfin_elastic.mesh import name_parts as name_parts
     from dolfin_elastic.mesh import read_body as read_body
     from dolfin_elastic.mesh import rectangle_body as rectangle_body
@@ -106,6 +107,7 @@ _PLACES = {
         "PointSelector",
         "Selector",
         "box_body",
+        "mesh_body",
         "name_parts",
         "read_body",
         "rectangle_body",

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.core.shapes.shapes import Sphere as Sphere
     from dolfin_elastic.mesh.body import Body as Body
     from dolfin_elastic.mesh.generate import box_body as box_body
+    from dolfin_elastic.mesh.generate import mesh_body as mesh_body
     from dolfin_elastic.mesh.generate import rectangle_body as rectangle_body
     from dolfin_elastic.mesh.geometry.quality import MeshStatistics as MeshStatistics
     from dolfin_elastic.mesh.geometry.quality import mesh_statistics as mesh_statistics
@@ -34,6 +35,7 @@ _WHERE = {
     "Selector": "selectors",
     "Sphere": "selectors",
     "box_body": "generate",
+    "mesh_body": "generate",
     "mesh_statistics": "geometry.quality",
     "name_parts": "selection",
     "read_body": "read",

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx.mesh import Mesh, entities_to_geometry
 from mpi4py import MPI
 
@@ -16,7 +17,7 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.core.units import METRE, LengthUnit
 from dolfin_elastic.mesh.faces import CadFaces
-from dolfin_elastic.mesh.fields import MeshField
+from dolfin_elastic.mesh.fields import MeshField, from_array
 from dolfin_elastic.mesh.formats.cad.process import Permission
 from dolfin_elastic.mesh.geometry.boundary_shape import BoundaryShape, KnownSurface
 from dolfin_elastic.mesh.geometry.curved import edge_points, facet_quadrature, node_points
@@ -86,6 +87,33 @@ class CadSource:
     permission: Permission
 
 
+class MeshFields(dict[str, MeshField]):
+    """Name to field of a body; ``body.fields["mu"] = array`` makes one, or replaces it. Collective.
+
+    An array has a row for each cell, or for each point of `mesh.geometry`, of this rank: of the
+    owned ones, whose values the ghosts then get, or of all; in the order of the mesh.  Of an array
+    `every` in the order of the cells (points) that the mesh was made of, the rows of this rank are
+    ``every[mesh.topology.original_cell_index]`` (``every[mesh.geometry.input_global_indices]``).
+    """
+
+    def __init__(self, mesh: Mesh, given: Mapping[str, MeshField]) -> None:
+        super().__init__(given)
+        self._mesh = mesh
+
+    def __setitem__(self, name: str, values: MeshField | npt.ArrayLike) -> None:
+        """See the class.
+
+        Args:
+            values: Shape (rows,) or (rows, columns); or a `MeshField`, whose rows include ghosts.
+
+        Raises:
+            MeshError: See `from_array`.
+        """
+        if not isinstance(values, MeshField):
+            values = from_array(self._mesh, values, name)
+        super().__setitem__(name, values)
+
+
 @dataclass(frozen=True)
 class Body:
     """A distributed mesh in the reference configuration, in metres, with named parts.
@@ -98,7 +126,7 @@ class Body:
         regions: Name to the local cells of this rank (owned and ghost), sorted.
         surfaces: Name to the local facets of this rank (owned and ghost), sorted.
         source: Where the mesh came from, for messages.
-        fields: Name to values at cells or points from the mesh file.
+        fields: Name to values at cells or points, from the mesh file or set: see `MeshFields`.
         notes: Faults found while reading, and what is doubtful.
         cad: The CAD file it was made of, if it was.
         faces: The faces of that file, and the facets on them.
@@ -123,7 +151,7 @@ class Body:
     surfaces: Mapping[str, IndexArray] = field(default_factory=dict)
     source: str = ""
     notes: tuple[str, ...] = ()
-    fields: Mapping[str, MeshField] = field(default_factory=dict)
+    fields: dict[str, MeshField] = field(default_factory=dict)
     cad: CadSource | None = None
     faces: CadFaces | None = None
     edges: Mapping[str, IndexArray] = field(default_factory=dict)
@@ -142,6 +170,7 @@ class Body:
         every = {name for table in tables for name in getattr(self, table)}
         for table in tables:  # the only way to complete an object that is frozen
             object.__setattr__(self, table, PartNames(getattr(self, table), every))
+        object.__setattr__(self, "fields", MeshFields(self.mesh, self.fields))
 
     @property
     def comm(self) -> MPI.Comm:

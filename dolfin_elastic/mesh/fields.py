@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
+from dolfinx import la
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
 
@@ -75,6 +76,39 @@ class MeshField:
         if self.centre == "cell":
             return np.repeat(self.values[points.cells][:, None, :], points.X.shape[1], axis=1)
         return np.asarray(np.einsum("pn,enj->epj", points.shapes, self.values[points.nodes]))
+
+
+def from_array(mesh: Mesh, values: npt.ArrayLike, name: str) -> MeshField:
+    """An array as a field, see `body.MeshFields`. Collective.
+
+    Raises:
+        MeshError: It has another number of rows on some rank, or fits cells and points alike.
+    """
+    maps = {"cell": mesh.topology.index_map(mesh.topology.dim), "point": mesh.geometry.index_map()}
+    owned = {kind: int(map_.size_local) for kind, map_ in maps.items()}
+    sizes = {kind: (size, size + int(maps[kind].num_ghosts)) for kind, size in owned.items()}
+    error, fits, table = None, [False, False], cast("FloatArray", np.empty((0, 1)))
+    try:
+        table = as_columns(values, np.shape(values)[0] if np.shape(values) else 0, name)
+        fits = [len(table) in sizes[kind] for kind in maps]
+    except MeshError as caught:
+        error = caught
+    agree(mesh.comm, error)
+    everywhere = np.array([*fits, -table.shape[1], table.shape[1]], dtype=np.int64)
+    mesh.comm.Allreduce(MPI.IN_PLACE, everywhere, op=MPI.MIN)
+    cells, points = (bool(fit) for fit in everywhere[:2])
+    if cells == points or -everywhere[2] != everywhere[3]:
+        raise MeshError(
+            f"the field '{name}' has {len(table)} rows on this rank",
+            expected='give MeshField("cell", values) or MeshField("point", values)'
+            if cells and points
+            else f"a row for each of {owned['cell']} cells or {owned['point']} points of the rank",
+        )
+    centre: Literal["cell", "point"] = "cell" if cells else "point"
+    vector = la.vector(maps[centre], table.shape[1])
+    vector.array[: table.size] = table.ravel()
+    vector.scatter_forward()
+    return MeshField(centre, vector.array.reshape(-1, table.shape[1]).copy())
 
 
 def as_columns(data: npt.ArrayLike, rows: int, name: str) -> FloatArray:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 from dolfinx.mesh import CellType, GhostMode, create_box, create_rectangle
 from mpi4py import MPI
 
@@ -17,6 +19,9 @@ from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import BYTES, before_partitioning
 from dolfin_elastic.mesh.geometry.simplices import boundary_facets, facet_corners
+
+if TYPE_CHECKING:
+    from dolfin_elastic.mesh.formats.raw import RawMesh
 
 _MOST_CELLS = 2**31 - 1
 _SHORTEST = 1e-14
@@ -106,6 +111,47 @@ def rectangle_body(
             expected="for example [0.2, 0.1]",
         )
     return box_body(size=size, cells=cells, origin=origin, comm=comm, scale=scale)
+
+
+def mesh_body(
+    points: npt.ArrayLike,
+    cells: npt.ArrayLike,
+    *,
+    regions: Mapping[str, npt.ArrayLike] | None = None,
+    nodes: Mapping[str, npt.ArrayLike] | None = None,
+    fields: Mapping[str, npt.ArrayLike] | None = None,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    scale: float = 1.0,
+) -> Body:
+    """A body of arrays, distributed over the ranks. Collective.
+
+    The arrays are those of rank 0; what other ranks give is not looked at.  They are checked and
+    cleaned as those of a mesh file are.
+
+    Args:
+        points: Coordinates in units of `scale` metres, shape (N, 2) or (N, 3).
+        cells: Rows of `points`: triangles, shape (M, 3) or, with the nodes of VTK's quadratic
+            ones, (M, 6); tetrahedra, (M, 4) or (M, 10).
+        regions: Name to rows of `cells`.
+        nodes: Name to rows of `points`: a set of nodes, and the surface of the boundary's facets
+            all of whose corners are in it.
+        fields: Name to values, shape (M,), (N,) or (..., columns).
+        scale: Metres per unit of length.
+
+    Raises:
+        MeshError: The arrays are no mesh.
+
+    Example:
+        mesh_body([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]], nodes={"foot": [0, 1]})
+    """
+    from dolfin_elastic.mesh.distribute import build_body
+    from dolfin_elastic.mesh.formats.arrays import raw_mesh
+    from dolfin_elastic.mesh.geometry.checks import check_cells
+
+    def read() -> RawMesh:
+        return raw_mesh(points, cells, regions or {}, nodes or {}, fields or {})
+
+    return check_cells(build_body(read, comm=comm, unit=LengthUnit.of(scale), source="the arrays"))
 
 
 def _check(size: Sequence[float], cells: Sequence[int], origin: Sequence[float]) -> int:

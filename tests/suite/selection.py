@@ -93,6 +93,7 @@ SHARED = {
     "case/test_several.py",
     "solvers/dynamics/test_preload.py",
     "hostile/test_generated.py",
+    "mesh/test_arrays.py",
     "mesh/test_edges_and_points.py",
     "mesh/test_read.py",
     "mesh/test_refine.py",
