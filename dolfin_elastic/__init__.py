@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.loads import RemoteForce as RemoteForce
     from dolfin_elastic.model.loads import Thermal as Thermal
     from dolfin_elastic.model.loads import Traction as Traction
+    from dolfin_elastic.model.loads.own import OwnLoad as OwnLoad
     from dolfin_elastic.model.materials.laws.arruda_boyce import ArrudaBoyce as ArrudaBoyce
     from dolfin_elastic.model.materials.laws.blatz_ko import BlatzKo as BlatzKo
     from dolfin_elastic.model.materials.laws.corotated import Corotated as Corotated
@@ -153,6 +154,7 @@ _PLACES = {
         "Thermal",
         "Traction",
     ),
+    "model.loads.own": ("OwnLoad",),
     "problem.problem": ("Problem",),
     "solvers.statics.statics": ("Statics",),
     "solvers.dynamics.dynamics": ("Dynamics",),

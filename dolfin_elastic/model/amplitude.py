@@ -62,6 +62,7 @@ class Amplitude:
         smooth: The table is interpolated by smooth steps in place of straight lines.
         source: The file of the table.
         rows: The table read from `source`; empty before.
+        function: A function of the time, or load parameter, of a program; the same on all ranks.
     """
 
     written: str | Rows
@@ -69,6 +70,7 @@ class Amplitude:
     smooth: bool = False
     source: CurveFile | None = None
     rows: Rows = field(default=())
+    function: Callable[[float], float] | None = None
 
     def at(self, t: float) -> float:
         """Value at time t [s], or at load parameter t in statics.
@@ -76,6 +78,8 @@ class Amplitude:
         Raises:
             InputError: The curve's file has not been read.
         """
+        if self.function is not None:
+            return float(self.function(t))
         if self.formula is not None:
             return float(self.formula.evaluate(t=t))
         if isinstance(self.written, str) and self.source is None:
@@ -112,8 +116,9 @@ class Amplitude:
 
     @property
     def is_formula(self) -> bool:
-        """It is a formula in t, which may oscillate between any two times."""
-        return self.formula is not None and self.formula.names == frozenset({"t"})
+        """It is a formula in t or a function, which may oscillate between any two times."""
+        timed = self.formula is not None and self.formula.names == frozenset({"t"})
+        return timed or self.function is not None
 
     def with_rows(self, rows: Sequence[Sequence[float | str]]) -> Amplitude:
         """The same amplitude with the rows of its file.
@@ -152,6 +157,8 @@ def amplitude(written: object) -> Amplitude:
     """
     if isinstance(written, Amplitude):
         return written
+    if callable(written):
+        return Amplitude(getattr(written, "__name__", "function"), function=written)
     if isinstance(written, str):
         return _from_text(written)
     if isinstance(written, list | tuple):

@@ -25,12 +25,20 @@ def signature(kind: type[BaseModel]) -> Signature:
 
     A key that the class itself settles, as `kind` and `law` do, is left out.
     """
+    own: list[Parameter] = []
     if kind.__init__ is not BaseModel.__init__:
-        own = inspect.signature(kind.__init__)
-        return own.replace(parameters=[*own.parameters.values()][1:])
-    fields = {_key(n, f): f for n, f in kind.model_fields.items() if not _settled(f)}
-    arguments = [_argument(key, field, kind) for key, field in fields.items()]
-    return Signature(sorted(arguments, key=lambda one: one.default is not Parameter.empty))
+        own = [*inspect.signature(kind.__init__).parameters.values()][1:]
+    named = {one.name for one in own}
+    taken = getattr(kind, "own_keys", kind.model_fields)  # of an energy, whose others have defaults
+    fields = {_key(n, f): f for n, f in kind.model_fields.items() if n in taken}
+    keys = [
+        _argument(key, field, kind)
+        for key, field in fields.items()
+        if not (_settled(field) or key in named)
+    ]
+    keys.sort(key=lambda one: one.default is not Parameter.empty)
+    first = [one for one in own if one.kind is not Parameter.VAR_KEYWORD]
+    return Signature([*first, *keys, *own[len(first) :]])
 
 
 def _key(name: str, field: FieldInfo) -> str:

@@ -278,6 +278,7 @@ class Energy(UserEnergy):
         "density",
         "rho",
         "expansion",
+        "allowable",
         "viscosity",
         "fibre",
         "fibre2",

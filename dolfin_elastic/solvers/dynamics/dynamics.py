@@ -22,12 +22,13 @@ from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
 from dolfin_elastic.solvers.dynamics.schemes import ExplicitRow
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings, refuse_relaxing
 from dolfin_elastic.solvers.linear.choice import LinearSettings
+from dolfin_elastic.solvers.marching import Marching
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
 log = logging.getLogger("dolfin_elastic")
 
 
-class Dynamics:
+class Dynamics(Marching):
     """Follows the motion of a problem, with every load and support it has.
 
     Args:
@@ -36,6 +37,8 @@ class Dynamics:
         statics: How the equilibrium is found from which the motion starts, with `preload`.
         linear: How linear systems are solved (implicit scheme).
     """
+
+    settings: DynamicsSettings
 
     def __init__(
         self,
@@ -139,6 +142,9 @@ class Dynamics:
         if self._motion is None:
             raise RuntimeError("no state to save: the motion has not begun, or has ended")
         return self._motion.restart_state()
+
+    def _run_is_on(self) -> Explicit | Implicit | None:
+        return self._motion
 
     def _refuse_linear(self) -> None:
         """Keys of [solver], where there is nothing to solve."""

@@ -147,6 +147,11 @@ class LoadStepping:
 
     # --- from one run to the next ---
 
+    def stop_at(self, t: float) -> None:
+        """See `marching.Loop`; loads may have changed, so that no speed is known any more."""
+        self._sizes.stop_at(t)
+        self._speed.accept(known=False)
+
     def restart_state(self) -> RestartState:
         """See `Restartable`. Collective."""
         history = self._problem.history

@@ -17,6 +17,7 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.hydrostatic_constant import HydrostaticConstant
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_no_rigid_motion
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose, in_blocks
+from dolfin_elastic.solvers.marching import Marching
 from dolfin_elastic.solvers.nonlinear.convergence import Tolerance
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton, scalar_unknowns
@@ -28,7 +29,7 @@ from dolfin_elastic.solvers.statics.whole_load import may_take_whole_load
 log = logging.getLogger("dolfin_elastic")
 
 
-class Statics:
+class Statics(Marching):
     """Finds the equilibrium states of a problem under growing load.
 
     Args:
@@ -39,6 +40,8 @@ class Statics:
         gradual: States on the way are wanted: the load grows step by step though it could be taken
             at once.
     """
+
+    settings: StaticsSettings
 
     def __init__(
         self,
@@ -150,6 +153,13 @@ class Statics:
                 "no state to save: `steps` has not begun, or has ended before the full load"
             )
         return self._end[1]
+
+    def _run_is_on(self) -> LoadStepping | None:
+        return self._stepping
+
+    def _begin(self, t: float) -> None:
+        self._gradual = True
+        super()._begin(t)
 
     def _check_path(self) -> None:
         if self.problem.cell is not None and self.settings.method == "arc-length":

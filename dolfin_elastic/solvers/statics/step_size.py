@@ -62,6 +62,11 @@ class StepSizes:
         near = min(1.2 * self.size, max(self.size, self._largest))
         return stop if t + near >= stop * (1 - 1e-12) else t + self.size
 
+    def stop_at(self, t: float) -> None:
+        """Meets a load factor exactly, too."""
+        if all(abs(stop - t) > 1e-12 * self.end for stop in self._stops):
+            self._stops = sorted([*self._stops, t])
+
     def done(self, t: float) -> bool:
         """Whether the end is reached."""
         return t >= self.end * (1 - 1e-12)

@@ -177,6 +177,9 @@ class Explicit:
             self._last.save(self.restart_state())
         self.size.check_before(self.scheme.steps)
 
+    def stop_at(self, t: float) -> None:
+        """See `marching.Loop`: its steps are as long as they are."""
+
     def _state_between(self) -> State:
         """The present state as far as it is known without bringing the velocity to its time.
 

@@ -364,6 +364,10 @@ class Implicit:
             self._newton = self._krylov = 0
         self._output.finish()
 
+    def stop_at(self, t: float) -> None:
+        """See `marching.Loop`."""
+        self.times.add(t)
+
     def _renew_loads(self) -> None:
         """Takes over loads that a program has changed while it had the state. Collective.
 

@@ -58,6 +58,11 @@ class OutputTimes:
         self.steps = every if isinstance(every, int) else None
         self._interval = None if isinstance(every, int) else float(every)
 
+    def add(self, t: float) -> None:
+        """Meets a time exactly, too [s]."""
+        if all(abs(time - t) > 1e-12 * self.end for time in self._times):
+            self._times = sorted([*self._times, t])
+
     def ended(self, t: float) -> bool:
         """Whether the end is reached.
 
