@@ -94,6 +94,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.results.outputs import Summary as Summary
     from dolfin_elastic.results.outputs import Xdmf as Xdmf
     from dolfin_elastic.results.probes import Probe as Probe
+    from dolfin_elastic.solvers.assembly.equations import Equations as Equations
     from dolfin_elastic.solvers.dynamics.dynamics import Dynamics as Dynamics
     from dolfin_elastic.solvers.eigen.buckling import Buckling as Buckling
     from dolfin_elastic.solvers.eigen.modal import Modal as Modal
@@ -156,6 +157,7 @@ _PLACES = {
     ),
     "model.loads.own": ("OwnLoad",),
     "problem.problem": ("Problem",),
+    "solvers.assembly.equations": ("Equations",),
     "solvers.statics.statics": ("Statics",),
     "solvers.dynamics.dynamics": ("Dynamics",),
     "solvers.eigen.modal": ("Modal",),

@@ -154,7 +154,7 @@ def test_examples_run(tmp_path: Path) -> None:
     """The case and the Python programs."""
     (tmp_path / "block.toml").write_text(blocks("toml", PAGES["docs/guide/case-file.md"])[0])
     python = blocks("python", PAGES["docs/guide/python.md"])
-    assert len(python) == 4
+    assert len(python) == 7
     said = []
     for code in python:
         done = subprocess.run(

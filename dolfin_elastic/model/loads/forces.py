@@ -195,6 +195,9 @@ class BaseAcceleration(Load):
     are those relative to the base, whose supports are at rest.
 
     Source: A. K. Chopra, Dynamics of Structures (2012), section 1.7.
+
+    Example:
+        BaseAcceleration(value=["3*sin(40*t)", 0, 0])
     """
 
     kind: Literal["base-acceleration"] = "base-acceleration"
