@@ -196,8 +196,8 @@ def _of_safety(safety: Table, summary: Table) -> Verdict:
     times += _error(safety)
     if value / (1 + (0.0 if math.isnan(error) else error)) < 1:
         return _unknown(f"stress {times}{where}: refine the mesh")
-    if doubt := _unjudged(safety, summary):
-        return _unknown(f"stress {times}{where}, but {doubt}")
+    if why := _unjudged(safety, summary):
+        return _unknown(f"stress {times}{where}, but {why}")
     return _verdict("holds", f"{times}{where}")
 
 

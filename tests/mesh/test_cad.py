@@ -429,7 +429,7 @@ def test_faces_that_are_too_sharp_for_the_default_size_are_told(folder: Path) ->
     """A hole of 0.2 mm in 73 mm would need elements of 0.1 mm: the smallest size is 0.36 mm."""
     write(folder / "tray.step", lambda occ: tray(occ, 0.2))
     note, coarse = read_body(folder / "tray.step").notes
-    assert "turns by" in coarse
+    assert "spans" in coarse
     assert note.startswith("curved faces of a radius below 0.693 mm have fewer than 12 elements")
     assert "the smallest radius is 0.2 mm" in note
     assert "for the smallest default size is 0.363 mm: a peak" in note
