@@ -48,6 +48,7 @@ POINTS = {
     "test_install.py",
     "results/finished/test_plot.py",
     "results/scene/test_series.py",
+    "strangers/test_strangers.py",
     "test_seams.py",
     "test_layout.py",
     "test_scaling_model.py",
