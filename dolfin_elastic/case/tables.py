@@ -610,13 +610,15 @@ def read_list(rows: Iterable[object], read: Callable[[object], T]) -> list[T]:
 
 
 def selectors(kind: type[P]) -> Callable[[object], list[P]]:
-    """Reads one selector, or several whose parts are joined.
+    """Reads one selector, or several whose parts are joined; a text is the name of a part.
 
     Args:
         kind: `Selector`, `EdgeSelector` or `PointSelector`.
     """
 
     def one(value: object) -> P:
+        if isinstance(value, str) and issubclass(kind, Selector):
+            value = {"of": value}
         return value if isinstance(value, kind) else kind(**as_table(value))
 
     def read(value: object) -> list[P]:

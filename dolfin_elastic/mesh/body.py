@@ -72,6 +72,31 @@ class PartNames(Mapping[str, T]):
         return f"PartNames({self._parts!r})"
 
 
+class SurfaceNames(PartNames[IndexArray]):
+    """Name to facets; what is no name is one of CAD faces by number or size, "hole r 4.5".
+
+    Args:
+        faces: The faces of the CAD file; None: of a finished mesh.
+    """
+
+    def __init__(
+        self, parts: Mapping[str, IndexArray], others: Iterable[str], faces: CadFaces | None
+    ) -> None:
+        super().__init__(parts, others)
+        self._faces = faces
+
+    def _on_faces(self, name: str) -> tuple[int, ...]:
+        return () if self._faces is None or self.alike(name) else self._faces.named(name)
+
+    def __getitem__(self, name: str) -> IndexArray:
+        if self._faces is not None and (numbers := self._on_faces(name)):
+            return self._faces.facets_of(numbers)
+        return super().__getitem__(name)
+
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(name) or (isinstance(name, str) and bool(self._on_faces(name)))
+
+
 @dataclass(frozen=True)
 class CadSource:
     """The CAD file that a mesh was made of.
@@ -171,6 +196,7 @@ class Body:
         for table in tables:  # the only way to complete an object that is frozen
             object.__setattr__(self, table, PartNames(getattr(self, table), every))
         object.__setattr__(self, "fields", MeshFields(self.mesh, self.fields))
+        object.__setattr__(self, "surfaces", SurfaceNames(self.surfaces, every, self.faces))
 
     @property
     def comm(self) -> MPI.Comm:

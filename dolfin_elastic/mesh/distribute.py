@@ -255,7 +255,11 @@ def _faces(mesh: Mesh, raw: RawMesh | None, unit: LengthUnit) -> CadFaces | None
     numbers = np.repeat(list(of_faces), [len(rows) for rows in of_faces.values()])
     facets, keys = _candidates(mesh, np.unique(vertices), mesh.topology.dim - 1)
     at = match_rows(vertices, keys) if len(keys) else np.empty(0, dtype=np.int64)
-    return replace(cad, facets=facets[at >= 0], numbers=numbers[at[at >= 0]])
+    facets, numbers = facets[at >= 0], numbers[at[at >= 0]]
+    own = facets < mesh.topology.index_map(mesh.topology.dim - 1).size_local
+    inner = set(numbers[own & ~np.isin(facets, boundary_facets(mesh))].tolist())
+    inside = frozenset[int]().union(*mesh.comm.allgather(inner))
+    return replace(cad, facets=facets, numbers=numbers, inside=inside)
 
 
 def _known_surface(mesh: Mesh, raw: RawMesh | None) -> KnownSurface | None:

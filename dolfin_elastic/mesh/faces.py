@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.types import IndexArray, IntArray
 from dolfin_elastic.core.units import METRE, LengthUnit, metres
 from dolfin_elastic.mesh.selectors import Selector
@@ -44,6 +45,7 @@ class CadFaces:
         unit: Unit of length of the file, for messages.
         facets: Local facets on faces, sorted.
         numbers: The face of each, shape (facets,).
+        inside: Faces between joined bodies.
     """
 
     faces: Mapping[int, CadFace]
@@ -51,6 +53,7 @@ class CadFaces:
     unit: LengthUnit = METRE
     facets: IndexArray = field(default_factory=_none)
     numbers: IntArray = field(default_factory=_no_numbers)
+    inside: frozenset[int] = frozenset()
 
     def numbers_of(self, facets: IndexArray) -> IntArray:
         """The face of each local facet, 0 where there is none, shape (n,)."""
@@ -68,6 +71,24 @@ class CadFaces:
         words = self.faces[number].description(self.unit.name, self.unit.metres, self.dim)
         return f"{number} ({words})"
 
+    def named(self, name: str) -> tuple[int, ...]:
+        """The faces that a name says by number, "face 3", or kind and size, "hole r 4.5".
+
+        All faces of that kind and size on the surface of the body; the unit is the file's unless
+        one is written.  What `text` says of a face is a name, too, where it has a number.
+        """
+        text = " ".join(name.casefold().split())
+        if number := re.fullmatch(r"(?:face|curve) (\d{1,9})", text):
+            return (int(number[1]),) if int(number[1]) in self.faces else ()
+        outer = {n: face for n, face in self.faces.items() if n not in self.inside}
+        if size := re.fullmatch(r"([a-z]+) r (\d+(?:\.\d*)?(?:e[-+]?\d\d?)?)( ?[a-zµ]+)?", text):
+            with suppress(InputError):
+                unit = size[3].strip() if size[3] else ""
+                r = metres(f"{size[2]} {unit}" if unit else float(size[2]), self.unit.metres)
+                return tuple(n for n, face in outer.items() if _is_round(face, size[1], r))
+        words = {n: self.text(n).partition("(")[2][:-1].casefold() for n in outer}
+        return tuple(n for n, one in words.items() if one == text and re.search(r"\d", one))
+
     def listed(self, numbers: Iterable[int]) -> str:
         """The first faces in words."""
         every = list(numbers)
@@ -83,10 +104,22 @@ class CadFaces:
         if number and int(number[1]) in self.faces:
             meant = [int(number[1])]
         one = (meant or list(self.faces) or [1])[0]
+        names = [f'"face {one}"']
+        if (face := self.faces.get(one)) and face.radius and face.major is None:
+            size = f"{face.radius / self.unit.metres:.4g}"
+            names.append(f'"{face.form or face.kind} r {size}"')
         return (
-            f"faces of the CAD file get names in [surfaces], like {{faces = [{one}]}}: it has "
-            f"{self.listed(meant or self.faces)}; `dolfin-elastic look` draws them"
+            f"faces of the CAD file are named by number or size, as {' or '.join(names)}: "
+            f"it has {self.listed(meant or self.faces)}; `dolfin-elastic look` draws them"
         )
+
+
+def _is_round(face: CadFace, word: str, radius: float) -> bool:
+    """A face of a kind or form, with a radius [m]."""
+    words = (face.kind, face.form, "circle" if face.kind == "cylinder" else "")
+    if face.radius is None or face.major is not None or word not in words:
+        return False
+    return abs(face.radius - radius) <= _SAME * radius
 
 
 def chosen_faces(faces: CadFaces | None, selector: Selector, scale: float) -> set[int]:

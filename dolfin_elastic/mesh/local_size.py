@@ -181,7 +181,8 @@ class CadSizes:
         """Faces that a surface consists of; empty: there is no such surface."""
         selectors = (self.surfaces or {}).get(name)
         if selectors is None:
-            return {n for n, face in faces.faces.items() if name in face.names}
+            named = {n for n, face in faces.faces.items() if name in face.names}
+            return named or set(faces.named(name))
         result: set[int] = set()
         for selector in selectors:
             result |= self._selected(name, selector, faces)

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from helpers.bodies import drawing
 from helpers.cad import angle, round_things, stack, write
+from helpers.cad import angle as angle_of
 from mpi4py import MPI
 
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.mesh import Body, Cylinder, Selector, name_parts, read_body
@@ -139,6 +142,70 @@ def test_surfaces_by_kind(angle: Body, keys, exact) -> None:
     assert area(body, "s") == pytest.approx(exact, rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("name", "exact"),
+    [
+        ("hole r 1.5", 2 * np.pi * 1.5 * 3),
+        ("Hole  r 1.500 mm", 2 * np.pi * 1.5 * 3),
+        ("hole r 0.15 cm", 2 * np.pi * 1.5 * 3),
+        ("cylinder r 1.5 mm, hole", 2 * np.pi * 1.5 * 3),
+        ("fillet r 4", 2 * np.pi * 6),
+        ("cylinder r 4", 2 * np.pi * 6),
+    ],
+)
+def test_names_by_kind_and_size(angle: Body, name: str, exact: float) -> None:
+    """As `look` prints them; they are found wherever a surface is, and listed nowhere."""
+    assert name in angle.surfaces and name not in list(angle.surfaces)
+    assert angle.kinds(name) == ("surface",)
+    assert area(angle, name) == pytest.approx(exact, rel=0.02)
+    again = name_parts(angle, surfaces={"bore": Selector(of=name)})
+    assert area(again, "bore") == pytest.approx(area(angle, name), rel=1e-12)
+    (number,) = angle.faces.named(name)
+    np.testing.assert_array_equal(angle.surface(f"face {number}"), angle.surface(name))
+
+
+@pytest.mark.parametrize(
+    "name", ["hole r 1.6", "hole r 4", "face 99", "hole", "plane", "hole r 2 kg", "hole r", "3"]
+)
+def test_what_names_no_face(angle: Body, name: str) -> None:
+    assert name not in angle.surfaces
+    with pytest.raises(MeshError, match="named by number or size, as .*hole r 1.5|face "):
+        angle.surface(name)
+
+
+def test_names_of_the_body_go_first(angle: Body) -> None:
+    bare = angle.named(surfaces={"hole r 1.5": angle.surface("face 1")})
+    np.testing.assert_array_equal(bare.surface("hole r 1.5"), angle.surface("face 1"))
+    assert "face 1" not in box_body(size=(1, 1, 1), cells=(1, 1, 1)).surfaces
+
+
+def test_a_case_with_names_of_faces(folder: Path) -> None:
+    """In `on`, in [surfaces], and for smaller elements; unknown ones with what there is."""
+    write(folder / "angle.step", angle_of)
+    tables: dict[str, Any] = {
+        "mesh": {
+            "file": "angle.step",
+            "size": 3,
+            "degree": 1,
+            "refine": [{"on": "fillet r 4", "size": 1}],
+        },
+        "surfaces": {"both": ["hole r 1.5", "fillet r 4"]},
+        "materials": {"steel": {"law": "linear-elastic", "E": 2e11, "nu": 0.3}},
+        "support": [{"kind": "fixed", "on": "face 1"}],
+        "load": [{"kind": "bearing", "on": "hole r 1.5", "value": [5, 0, 0]}],
+    }
+    case = Case.from_dict(tables, folder)
+    body = case.read_body()
+    check(case, body)
+    assert area(body, "both") == pytest.approx(
+        area(body, "hole r 1.5") + area(body, "fillet r 4"), rel=1e-12
+    )
+    tables["support"][0]["on"] = "hole r 5"
+    wrong = Case.from_dict(tables, folder)
+    with pytest.raises(InputError, match=r"support\[0\].on: .*'hole r 5'.*r 1.5 mm, hole"):
+        check(wrong, body)
+
+
 def test_faces_between_joined_bodies_have_numbers_only(folder: Path) -> None:
     """A block of 4 x 4 on one of 12 x 4: what faces down is the foot alone, on any ranks."""
     write(folder / "stack.step", stack)
@@ -193,7 +260,9 @@ def test_messages(angle: Body) -> None:
         name_parts(angle, surfaces={"s": Selector(faces=(2, 12))})
     with pytest.raises(MeshError, match=r"radius: no face .* like that; the nearest are \d+ \(cyl"):
         name_parts(angle, surfaces={"s": Selector(cylinder=Cylinder(radius=3.9))}, scale=MM)
-    with pytest.raises(MeshError, match=r"no surface 'hole2' .*faces = .* r 1\.5 mm, hole\)"):
+    with pytest.raises(
+        MeshError, match=r"no surface 'hole2' .*or .hole r 1\.5.: .* 1\.5 mm, hole\)"
+    ):
         angle.surface("hole2")
     with pytest.raises(MeshError, match=r"the nearest CAD face is \d+ \(plane\)"):
         name_parts(angle, surfaces={"s": Selector(plane="z", at=16.5)}, scale=MM)

@@ -204,9 +204,9 @@ def _check_name(where: str, name: str, kinds: Sequence[str], rule: str, body: Bo
         raise MeshError(f"'{name}' is {_a(others[0])}", where=where, expected=rule)
     if not here:
         every = {n: part for kind in kinds for n, part in body.parts[kind].items()}
-        raise MeshError(
-            f"there is no {kinds[0]} '{name}'", where=where, expected=_suggestion(name, every)
-        )
+        near = [_suggestion(name, every)] if every or not body.faces else []
+        near += [body.faces.alike(name)] if body.faces and "surface" in kinds else []
+        raise MeshError(f"there is no {kinds[0]} '{name}'", where=where, expected="; ".join(near))
     if not sum(_count(body, kind, name) for kind in here):
         raise MeshError(
             f"the {here[0]} '{name}' is empty",

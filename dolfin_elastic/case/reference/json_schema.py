@@ -22,7 +22,7 @@ from dolfin_elastic.case.tables import Material
 from dolfin_elastic.core.help.records import descriptions
 from dolfin_elastic.core.schema import Record, field_keys
 from dolfin_elastic.core.units import Quantity, members_of
-from dolfin_elastic.mesh.selectors import Place
+from dolfin_elastic.mesh.selectors import Place, Selector
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.loads import LOADS, Load
 from dolfin_elastic.model.materials.law import Law
@@ -207,7 +207,13 @@ class _Writer:
         inside = [member for one in get_args(kind) for member in members_of(one)]
         schema = self._value(kind)
         selects = inside and isinstance(inside[0], type) and issubclass(inside[0], Place)
-        return {"anyOf": [self._value(inside[0]), schema]} if selects else schema
+        if not selects:
+            return schema
+        one = self._value(inside[0])
+        if inside[0] is Selector:  # or the name of a part
+            one = {"anyOf": [one, _TEXT]}
+            schema = {"type": "array", "items": one}
+        return {"anyOf": [one, schema]}
 
     def _reference(self, kind: type[Record]) -> Schema:
         if kind.__name__ not in self.definitions:

@@ -36,8 +36,11 @@ def show_look(annotated: Look) -> None:
             show_table(screen, parts_table(kind, rows, size, directions=True))
     show_described(screen, annotated.described)
     if annotated.faces and not annotated.case:
-        one = next((f.number for f in annotated.faces if f.form), annotated.faces[0].number)
-        screen.print(f"A case names faces like this:  [surfaces]  name = {{faces = [{one}]}}")
+        one = next((face for face in annotated.faces if face.form), annotated.faces[0])
+        by_size = one.description.split(",")[0].replace(one.kind, one.form or one.kind, 1)
+        names = [f"face {one.number}", *([by_size] if one.radius and not one.major else [])]
+        said = "  or  ".join(f'on = "{name}"' for name in names)
+        screen.print(f"A case names faces like this:  {said}", markup=False)
     for note in annotated.notes:
         screen.tell(f"note: {note}")
     if annotated.picture:
