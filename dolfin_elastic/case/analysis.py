@@ -127,6 +127,12 @@ class AnalysisTables(ModelTables):
         return settings is not None and bool(settings.preload)
 
     @property
+    def file_of_start(self) -> str | None:
+        """Results that a motion starts from."""
+        start = self.dynamics.start if self.dynamics is not None else None
+        return start.file if start is not None else None
+
+    @property
     def explicit(self) -> bool:
         """Motion by an explicit scheme, so that no equations are solved."""
         return self.dynamics is not None and not self.dynamics.implicit

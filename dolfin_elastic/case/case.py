@@ -15,10 +15,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from mpi4py import MPI
 from pydantic import PrivateAttr
@@ -37,6 +37,8 @@ from dolfin_elastic.problem.problem import Problem
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.analysis import Solver
+    from dolfin_elastic.core.types import FloatArray
+    from dolfin_elastic.solvers.dynamics.dynamics import Dynamics
 
 
 class Case(AnalysisTables):
@@ -159,7 +161,18 @@ class Case(AnalysisTables):
             InputError: With the file's name and the dotted key.
         """
         with locate_errors(self.file):
-            return self.solver_for(problem, petsc)
+            solver = self.solver_for(problem, petsc)
+        if (start := self.start_of(problem)) is not None:
+            cast("Dynamics", solver).start = start
+        return solver
+
+    def start_of(self, problem: Problem) -> Callable[[], tuple[FloatArray, FloatArray]] | None:
+        """Reads the state from which a motion starts, see `read_start`; None: it is given none."""
+        if self.dynamics is None or self.dynamics.start is None:
+            return None
+        from dolfin_elastic.case.motion_start import read_start
+
+        return partial(read_start, self.dynamics.start, self.folder, problem)
 
     def listing(self, folder: Path) -> list[str]:
         """Names of the files that a run has written, for the list at its end. Not collective."""

@@ -294,6 +294,8 @@ def portable(case: Case) -> dict[str, Any]:
     tables = case.model_copy(update=inlined).to_dict()
     if case.mesh.file is not None:
         tables["mesh"]["file"] = str((case.folder / case.mesh.file).resolve())
+    if (file := case.file_of_start) is not None:
+        tables["dynamics"]["start"]["file"] = str((case.folder / file).resolve())
     return tables
 
 
@@ -308,6 +310,8 @@ def written_tables(case: Case) -> dict[str, Any]:
     tables = portable(case)
     if case.mesh.file is not None:
         tables["mesh"]["file"] = Path(case.mesh.file).name
+    if (file := case.file_of_start) is not None:
+        tables["dynamics"]["start"]["file"] = Path(file).name
     if case.output.folder is not None and Path(case.output.folder).is_absolute():
         tables["output"]["folder"] = Path(case.output.folder).name
     try:

@@ -92,6 +92,7 @@ SHARED = {
     "case/test_node_loads.py",
     "case/test_restart.py",
     "case/test_several.py",
+    "case/test_motion_start.py",
     "solvers/dynamics/test_preload.py",
     "hostile/test_generated.py",
     "mesh/test_arrays.py",

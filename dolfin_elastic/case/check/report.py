@@ -232,6 +232,8 @@ def _solver_notes(case: Case, problem: Problem) -> tuple[str, ...]:
     check_folder(case, problem.body.comm)
     if case.analysis in ("statics", "buckling") or case.preloaded:
         check_no_rigid_motion(problem)
+    if (start := case.start_of(problem)) is not None:
+        start()
     if case.dynamics is not None:
         if case.dynamics.implicit:
             check_damped(problem, case.dynamics.damping.get("stiffness", 0.0))

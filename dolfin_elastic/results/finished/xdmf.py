@@ -143,11 +143,12 @@ def _stored(parent: ElementTree.Element, centre: str = "node") -> Stored:
     return Stored(file, name, shape, centre)
 
 
-def read_array(folder: Path, stored: Stored) -> AnyArray:
+def read_array(folder: Path, stored: Stored, start: int = 0, stop: int | None = None) -> AnyArray:
     """The numbers of an array.
 
     Args:
         stored: Where they are.
+        stop: The row after the last one; None: all of them.
 
     Raises:
         InputError: The file is missing or damaged.
@@ -157,17 +158,16 @@ def read_array(folder: Path, stored: Stored) -> AnyArray:
     if kind := next(filter(None, map(irregular, (*above, path))), ""):
         raise damaged(f"this is {kind}, which is not followed", str(path))
     try:
-        result = hdf5.read_rows(path, stored.name)
+        result = hdf5.read_rows(path, stored.name, start, stop)
     except OSError as error:
         raise InputError(
             f"cannot be read: {error}",
             where=f"{path}:/{stored.name}",
             expected="keep results.xdmf and the folder results_data together",
         ) from None
-    if result.shape != stored.shape:
-        raise damaged(
-            f"it has the shape {result.shape}, not {stored.shape}", f"{path}:/{stored.name}"
-        )
+    rows = stored.shape[0] if stop is None else stop
+    if result.shape != (shape := (rows - start, *stored.shape[1:])):
+        raise damaged(f"it has the shape {result.shape}, not {shape}", f"{path}:/{stored.name}")
     return result
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from typing import Any
 
 from dolfinx import fem
@@ -13,6 +13,7 @@ from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import UnusedKeys, refuse_unused_keys, settings_from
 from dolfin_elastic.core.together import failing_together, loop_together
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
@@ -36,9 +37,14 @@ class Dynamics(Marching):
         settings: See `DynamicsSettings`; keyword arguments are its fields.
         statics: How the equilibrium is found from which the motion starts, with `preload`.
         linear: How linear systems are solved (implicit scheme).
+
+    Attributes:
+        start: Gives displacement [m] and velocity [m/s] of all local nodes, unrolled, from which
+            the motion starts. Collective.
     """
 
     settings: DynamicsSettings
+    start: Callable[[], tuple[FloatArray, FloatArray]] | None = None
 
     def __init__(
         self,
@@ -88,7 +94,10 @@ class Dynamics(Marching):
             raise InputError(EXPLICIT_TIES, where="tie[0]", expected=IMPLICIT)
         if s.preload and saved is None:
             self._load()
-        shocks = set_initial(self.problem, self.velocity, s.displacement, s.velocity, s.end)
+        given = self.start() if self.start is not None and saved is None else None
+        shocks = set_initial(
+            self.problem, self.velocity, s.displacement, s.velocity, s.end, given=given
+        )
         notes = [s.stability_limit] if s.stability_limit else []
         notes += [*map(str, shocks), *self.problem.check_start()]
         for note in notes if saved is None else ():

@@ -62,6 +62,8 @@ def set_initial(
     displacement: tuple[Component, ...],
     velocity: tuple[Component, ...],
     span: float,
+    *,
+    given: tuple[FloatArray, FloatArray] | None = None,
 ) -> list[SupportJump]:
     """Puts a problem into its initial state. Collective.
 
@@ -72,6 +74,7 @@ def set_initial(
         displacement: Components or formulas in x, y, z; none: at rest where it is.
         velocity: The same for the velocity.
         span: Duration of the motion [s]: a part of it serves to differentiate supports.
+        given: Displacement and velocity of all local nodes, where neither of the above says more.
 
     Returns:
         Supports whose displacement or velocity differs from the initial conditions.
@@ -83,6 +86,10 @@ def set_initial(
     if displacement:
         _set_nodal(problem, u, displacement, "dynamics.initial_displacement")
     v.x.array[:] = 0.0
+    if given is not None:
+        u.x.array[:], v.x.array[:] = given
+        _check_finite(problem, u, "dynamics.start")
+        _check_finite(problem, v, "dynamics.start")
     if velocity:
         _set_nodal(problem, v, velocity, "dynamics.initial_velocity")
     with np.errstate(all="ignore"):  # finite values are checked below
@@ -98,12 +105,12 @@ def set_initial(
     v.x.scatter_forward()
     problem.unknowns.u_to_w()
     _check_finite(problem, v, "dynamics.initial_velocity")
-    if displacement and not problem.linear:
-        _check_upright(problem)
+    if (displacement or given) and not problem.linear:
+        _check_upright(problem, "start" if given else "initial_displacement")
     return result
 
 
-def _check_upright(problem: Problem) -> None:
+def _check_upright(problem: Problem, key: str) -> None:
     J, place = JacobianWatch(problem).refused()
     if J > 0.0:
         return
@@ -111,7 +118,7 @@ def _check_upright(problem: Problem) -> None:
     expected = "det F > 0 everywhere"
     if any(part.law.blind_to_inversion for part in problem.regions):
         what, expected = f"{what}; {MIRRORED}", f"{expected}, or {SEES_INVERSION}"
-    raise InputError(what, where="dynamics.initial_displacement", expected=expected)
+    raise InputError(what, where=f"dynamics.{key}", expected=expected)
 
 
 def _speeds(problem: Problem, moment: float) -> tuple[FloatArray, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, field_serializer, model_validator
 
@@ -88,6 +88,34 @@ LONGEST = 1e10
 """Longest motion [s]: three centuries."""
 
 
+class MotionStart(Record):
+    """A state that a motion starts from, but for what its supports prescribe.
+
+    Attributes:
+        file: Results of a run on the same mesh: their folder, or results.xdmf in it, relative to
+            the case file.
+        step: Number of the step in it, or "last".
+        displacement: Vector field of the mesh's file, in the mesh's unit.
+        velocity: The same, in this unit per second.
+    """
+
+    file: str | None = None
+    step: int | Literal["last"] = "last"
+    displacement: str | None = None
+    velocity: str | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> MotionStart:
+        if self.file is None:
+            refuse_unused_keys(self, [UnusedKeys(["step"], "there is no file with steps")])
+            if self.displacement is None and self.velocity is None:
+                raise InputError("no state is given", expected='for example file = "beam_results"')
+            return self
+        rule = UnusedKeys(["displacement", "velocity"], "both are those of the file")
+        refuse_unused_keys(self, [rule])
+        return self
+
+
 class DynamicsSettings(Record):
     """How a motion is integrated in time.
 
@@ -109,6 +137,8 @@ class DynamicsSettings(Record):
         rayleigh: Damping of the whole body (implicit schemes).
         preload: The motion starts from the equilibrium under what acts at t = 0; without, from the
             undeformed body.
+        start: The state that it starts from, of other results or of the mesh's file; an
+            `initial_velocity` takes the place of its velocity.
         initial_displacement: Components [m] or formulas in x, y, z.
         initial_velocity: Components [m/s] or formulas in x, y, z.
         rtol: Newton's tolerance, relative to the forces of the step.
@@ -132,6 +162,7 @@ class DynamicsSettings(Record):
     gamma: float | None = Field(default=None, ge=0.5)
     rayleigh: Rayleigh | None = None
     preload: bool = False
+    start: MotionStart | None = None
     initial_displacement: list[Any] = Field(default=[])
     initial_velocity: list[Any] = Field(default=[])
     rtol: float = Field(default=1e-8, gt=0, lt=1)
@@ -151,6 +182,10 @@ class DynamicsSettings(Record):
         refuse_unused_keys(self, _unused(self))
         if self.preload:
             what = "the motion starts from the displacement of the preload"
+            rule = UnusedKeys(["initial_displacement", "start"], what, "leave one of them out")
+            refuse_unused_keys(self, [rule])
+        if self.start is not None:
+            what = "the displacement is that of `start`"
             rule = UnusedKeys(["initial_displacement"], what, "leave one of them out")
             refuse_unused_keys(self, [rule])
         if self.dt is None and self.implicit:
