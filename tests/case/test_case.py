@@ -19,6 +19,7 @@ from dolfin_elastic.case.run import run
 from dolfin_elastic.cli.tools.files import Kind, template
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.model.loads import LOADS
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.solvers.diagnostics.rigid_body import free_motions
 
@@ -112,30 +113,24 @@ MISTAKES = {
     "kind": (
         '"traction"',
         '"tracktion"',
-        "load[0].kind: unknown kind 'tracktion'; did you mean 'traction'? known: traction, "
-        "force, pressure, bearing, remote-force, cavity, body-force, gravity, base-acceleration, "
-        "centrifugal, point-force, line-force, thermal, growth",
+        "load[0].kind: unknown kind 'tracktion'; did you mean 'traction'? known: "
+        f"{', '.join(LOADS)}",
     ),
     "kind in words": (
         '"traction"',
         '"Force"',
-        "load[0].kind: unknown kind 'Force'; did you mean 'force'? known: force, traction, "
-        "pressure, bearing, remote-force, cavity, body-force, gravity, base-acceleration, "
-        "centrifugal, point-force, line-force, thermal, growth",
+        "load[0].kind: unknown kind 'Force'; did you mean 'force'? known: force, "
+        f"{', '.join(kind for kind in LOADS if kind != 'force')}",
     ),
     "kind unlike any": (
         '"traction"',
         '"wind"',
-        "load[0].kind: unknown kind 'wind'; known: traction, force, pressure, "
-        "bearing, remote-force, cavity, body-force, gravity, base-acceleration, centrifugal, "
-        "point-force, line-force, thermal, growth",
+        f"load[0].kind: unknown kind 'wind'; known: {', '.join(LOADS)}",
     ),
     "kind missing": (
         'kind = "traction"\n',
         "",
-        "load[0].kind: this key is missing; known: traction, force, pressure, "
-        "bearing, remote-force, cavity, body-force, gravity, base-acceleration, centrifugal, "
-        "point-force, line-force, thermal, growth",
+        f"load[0].kind: this key is missing; known: {', '.join(LOADS)}",
     ),
     "unit of E": (
         '"210 GPa"',

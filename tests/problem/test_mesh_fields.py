@@ -123,7 +123,7 @@ def test_what_does_not_fit_is_refused(row: dict[str, Any], said: str) -> None:
     [
         ({"field": "p", "unit": "mm"}, "unit"),
         ({"field": "p", "column": 1}, "column"),
-        ({"file": "p.vtu"}, "field"),
+        ({"file": "p.vtu"}, "p.vtu: there is no such file"),
     ],
 )
 def test_what_is_no_field_is_refused(value: dict[str, Any], said: str) -> None:
