@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.loads import BaseAcceleration as BaseAcceleration
     from dolfin_elastic.model.loads import Bearing as Bearing
     from dolfin_elastic.model.loads import BodyForce as BodyForce
+    from dolfin_elastic.model.loads import Bolt as Bolt
     from dolfin_elastic.model.loads import Cavity as Cavity
     from dolfin_elastic.model.loads import Centrifugal as Centrifugal
     from dolfin_elastic.model.loads import Force as Force
@@ -143,6 +144,7 @@ _PLACES = {
         "BaseAcceleration",
         "Bearing",
         "BodyForce",
+        "Bolt",
         "Cavity",
         "Centrifugal",
         "Force",

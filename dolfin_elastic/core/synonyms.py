@@ -46,6 +46,7 @@ _WORDS = {
     "remote-force": "rbe3 remote remoteload remotemoment momentload",
     "bearing": "bearingload bearingforce boltload pinload lugload",
     "thermal": "temperature heat heating thermalload",
+    "bolt": "pretension preload boltpreload boltpretension screw",
     "growth": "swelling eigenstrain prestrain initialstrain",
     # tables and keys
     "mesh": "part body cad step stl",

@@ -29,7 +29,7 @@ def eigenstrains(context: FormContext, loads: Sequence[Load]) -> dict[str, Expr]
     for index, load in enumerate(loads):
         if not isinstance(load, Eigenstrain):
             continue
-        share = _share(context, load.parts) if load.parts else None
+        share = indicator(context, load.parts) if load.parts else None
         for region in context.regions:
             if share is not None and not _meets(context, region, share):
                 continue
@@ -53,7 +53,7 @@ def _joined(region: MaterialRegion, growth: Expr, before: Expr | None) -> Expr:
     return deformation_from(both if region.law.linear else both + second * first)
 
 
-def _share(context: FormContext, regions: Sequence[str]) -> fem.Function:
+def indicator(context: FormContext, regions: Sequence[str]) -> fem.Function:
     """1 in the cells of regions, 0 in all others."""
     share = fem.Function(fem.functionspace(context.body.mesh, ("DG", 0)))
     for name in regions:

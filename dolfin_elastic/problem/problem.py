@@ -19,7 +19,7 @@ from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Share
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.kinematics import Geometry, weight
-from dolfin_elastic.model.loads import Cavity, ConcentratedLoad, Eigenstrain, Force, Load
+from dolfin_elastic.model.loads import Bolt, Cavity, ConcentratedLoad, Eigenstrain, Force, Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports.displacement import Restraint, Rotation
@@ -41,6 +41,7 @@ from dolfin_elastic.problem.material_regions import (
 from dolfin_elastic.problem.pressure.groups import pressure_groups
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Resistance, Terms
+from dolfin_elastic.problem.terms.bolts import make_bolts
 from dolfin_elastic.problem.terms.cavities import make_cavities
 from dolfin_elastic.problem.terms.contact import ContactPair, make_contacts, placed_contacts
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
@@ -219,6 +220,8 @@ class Problem:
             self.terms.append(self.nodal_loads)
         if any(issubclass(kind, Cavity) for kind in kinds):
             self.terms += make_cavities(self.loads, self.context, self.constraints)
+        if any(issubclass(kind, Bolt) for kind in kinds):
+            self.terms += make_bolts(self.loads, self.context, lambda: self.weak_form)
         what = self.context, self.constraints
         self.terms += [RigidSurface(motion, *what) for motion in self.constraints.rigid_motions]
         self.terms += [TurnedSurface(s, *what) for s in self.supports if isinstance(s, Rotation)]

@@ -105,6 +105,7 @@ SHARED = {
     "model/loads/test_remote_force.py",
     "model/supports/test_supports.py",
     "problem/terms/test_at_points.py",
+    "problem/terms/test_bolts.py",
     "problem/terms/test_contact.py",
     "problem/terms/test_edges_points.py",
     "problem/test_connected_bodies.py",

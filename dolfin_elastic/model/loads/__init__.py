@@ -7,6 +7,7 @@ from dolfin_elastic.model.loads.base import LoadContext as LoadContext
 from dolfin_elastic.model.loads.base import LoadPoints as LoadPoints
 from dolfin_elastic.model.loads.base import ScalarLoad as ScalarLoad
 from dolfin_elastic.model.loads.bearing import Bearing as Bearing
+from dolfin_elastic.model.loads.bolt import Bolt as Bolt
 from dolfin_elastic.model.loads.cavity import Cavity as Cavity
 from dolfin_elastic.model.loads.eigenstrain import Eigenstrain as Eigenstrain
 from dolfin_elastic.model.loads.eigenstrain import Growth as Growth
@@ -38,6 +39,7 @@ LOADS: dict[str, type[Load]] = {
         Centrifugal,
         PointForce,
         LineForce,
+        Bolt,
         Thermal,
         Growth,
     )

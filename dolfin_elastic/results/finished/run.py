@@ -39,6 +39,8 @@ _BEGINNINGS = {
     "torque_": "N m",
     "penetration_": "m",
     "contact_area_": "m^2",
+    "bolt_force_": "N",
+    "shortening_": "m",
     "pressure_": "Pa",
     "volume_": "m^3",
 }

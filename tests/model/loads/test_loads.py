@@ -43,8 +43,9 @@ from dolfin_elastic.model.loads import LOADS, LoadPoints, ScalarLoad
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 
 E, NU, RHO = 1e6, 0.3, 1000.0
-KINDS = [kind for kind in LOADS if kind not in ("cavity", "bearing")]
-"""A cavity is tried with its scalar unknowns, in test_scalars.py, a bore in test_bearing.py."""
+KINDS = [kind for kind in LOADS if kind not in ("cavity", "bearing", "bolt")]
+"""Others have tests of their own: scalar unknowns in test_scalars.py and test_bolts.py, bores in
+test_bearing.py."""
 
 
 def body(dim: int) -> Any:
