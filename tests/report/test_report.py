@@ -399,7 +399,7 @@ def test_nodes_without_a_value_are_no_zeros() -> None:
 
 
 def test_colours_of_a_run() -> None:
-    """Those of the pictures that `run` draws; a small safety factor is red, a large stress too."""
+    """Those of the pictures that `run` draws; small safety factors and large stresses bright."""
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     frame = Frame("", np.zeros((3, 3)), {"von_mises": points[:, 0]})
     data: Any = packed(Viewed(Scene(points, np.array([[0, 1, 2]]), frames=(frame,))), {})

@@ -180,7 +180,7 @@ function start() {
     $("legend").hidden = !field;
     top.visible = false;
     if (field) {
-      uniforms.turned.value = field.least ? 1 : 0;  // what is dangerous is red
+      uniforms.turned.value = field.least ? 1 : 0;  // what is dangerous is bright
       paint(field.least);
       const shares = numbers("s", state.frame, field.name);
       let most = -1;

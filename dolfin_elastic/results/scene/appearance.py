@@ -107,4 +107,5 @@ def picture_of(
         scale=look.scale,
         outline=outline,
         bare=look.bare,
+        film=look.film,
     )

@@ -19,8 +19,8 @@ INTERVALS = 5
 _APART = 0.06
 EQUAL = 1e-9
 """Relative difference below which values count as equal."""
-_TURBO = (0.12, 0.9)
-"""Part of the colour map: its ends are nearly black."""
+_VIRIDIS = (0.2, 1.0)
+"""Part of the colour map: its beginning is nearly black."""
 _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"))
 _PREFIXED = ("Pa", "J/m^3", "m", "N", "m/s", "m/s^2", "J", "N m", "s")
 
@@ -47,11 +47,16 @@ class ColourBar:
 
 
 def colour_map(*, warm_first: bool = False) -> ListedColormap:
-    """Blue, green, yellow, red, none of them dark, so that edges and shades are seen on all."""
+    """Blue, green, yellow, evenly lighter, so that the colour-blind and a grey print show the same.
+
+    None is dark, so that edges and shades are seen on all.
+
+    Source: N. Smith and S. van der Walt, viridis (2015).
+    """
     with elsewhere():
         from matplotlib import colormaps
         from matplotlib.colors import ListedColormap
-    shades = colormaps["turbo"](np.linspace(*_TURBO, 256))
+    shades = colormaps["viridis"](np.linspace(*_VIRIDIS, 256))
     return ListedColormap(shades[::-1] if warm_first else shades)
 
 

@@ -20,7 +20,7 @@ from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.results.scene.colour_bar import ColourBar, colour_map
 from dolfin_elastic.results.scene.edges import SHARP, silhouette
 from dolfin_elastic.results.scene.labels import INK, curve_colour, labelled, shortened
-from dolfin_elastic.results.scene.scene import GREY, SIZE, Glyphs, Picture, load
+from dolfin_elastic.results.scene.scene import FILM, GREY, SIZE, Glyphs, Picture, load
 
 _GHOST = "#8a939c"
 _MOST_NAMES, _LONGEST_NAME = 16, 16
@@ -36,6 +36,10 @@ _SHIFT = 0.12
 _BESIDE_BAR = 0.7
 # Pixels between a point and the text beside it.
 _ASIDE = 18
+_FLAT = 1e-6
+"""Difference of normals of one plane."""
+_FLOOR, _SHADOW = 216, 120
+"""Greys of a floor, and of the shadow where the body touches it."""
 _FAINT = 0.25
 """Opacity of what is behind the body and has to be known of all the same."""
 
@@ -172,7 +176,7 @@ def _add_legend(plot: pv.Plotter, picture: Picture) -> None:
 
 
 def _add_square(plot: pv.Plotter, corner: tuple[float, float], colour: str) -> None:
-    x, y = corner[0] * SIZE[0], corner[1] * SIZE[1]
+    x, y = (share * size for share, size in zip(corner, plot.window_size, strict=True))
     square = pv.Rectangle([(x, y, 0.0), (x + 22, y, 0.0), (x + 22, y + 22, 0.0)])
     mapper = vtkPolyDataMapper2D()
     mapper.SetInputData(square)
@@ -191,7 +195,7 @@ def _aim(plot: pv.Plotter, picture: Picture) -> None:
     plot.camera.position = centre + 2 * depth * axes[2]
     plot.camera.up = axes[1]
     plot.enable_parallel_projection()
-    aspect = np.array([SIZE[0] / SIZE[1], 1.0])
+    aspect = np.array([plot.window_size[0] / plot.window_size[1], 1.0])
     plot.camera.parallel_scale = float(((high - low)[:2] / 2 / aspect / picture.room).max()) or 1.0
     plot.camera.SetWindowCenter(_SHIFT if picture.beside else 0.0, 0.0)
     plot.reset_camera_clipping_range()
@@ -201,6 +205,9 @@ def _add_obstacles(plot: pv.Plotter, picture: Picture) -> None:
     """Rigid obstacles, in grey that lets the body be seen."""
     for obstacle in picture.scene.obstacles:
         mesh = triangulated(obstacle.points + obstacle.shift, obstacle.triangles)
+        if picture.film and not picture.scene.plane and _flat(mesh):
+            _add_floor(plot, picture, mesh)
+            continue
         rims = mesh.extract_feature_edges(SHARP, boundary_edges=True)
         # Seen from behind, as a plate from above, an obstacle would hide the body: edges only.
         if not picture.scene.plane:
@@ -208,6 +215,37 @@ def _add_obstacles(plot: pv.Plotter, picture: Picture) -> None:
         if rims.n_points:
             width = 4.0 if picture.scene.plane else 2.0
             plot.add_mesh(rims, color=_GHOST, line_width=width, lighting=False)
+
+
+def _flat(mesh: pv.PolyData) -> bool:
+    """Whether all triangles have one normal: a plane, drawn without an end in films."""
+    normals = np.asarray(mesh.face_normals)
+    return bool(np.abs(normals - normals[0]).max() < _FLAT)
+
+
+def _add_floor(plot: pv.Plotter, picture: Picture, mesh: pv.PolyData) -> None:
+    """A floor that fades into the background, with the body's shadow, dark where it touches."""
+    points, size = picture.moved, picture.scene.diagonal
+    normal, on = np.asarray(mesh.face_normals)[0], np.asarray(mesh.points)[0]
+    if normal @ picture.axes[2] <= 0:  # seen from behind it would hide the body
+        return
+    gap = (points - on) @ normal
+    foot = points - gap[:, None] * normal
+    middle = foot.mean(axis=0)
+    radii = size * np.array([1e-3, 1.2, 3.0])
+    floor = pv.Disc(center=middle, inner=0.0, outer=radii[-1], normal=normal, r_res=24, c_res=72)
+    far = np.linalg.norm(np.asarray(floor.points) - middle, axis=1)
+    alpha = 255 * np.interp(far, radii[1:], [1.0, 0.0])
+    grey = np.full((len(far), 3), _FLOOR)
+    plot.add_mesh(
+        floor, scalars=np.column_stack([grey, alpha]).astype(np.uint8), rgb=True, lighting=False
+    )
+    dark = np.interp(gap, [0.0, 0.4 * size], [_SHADOW, _FLOOR])
+    # Of two points above each other the lower one makes the shade: it is lifted a little more.
+    lifted = foot + 1e-3 * size * normal - 1e-4 * np.maximum(gap, 0.0)[:, None] * normal
+    shadow = triangulated(lifted, picture.scene.triangles)
+    shades = np.repeat(dark[:, None], 3, axis=1).astype(np.uint8)
+    plot.add_mesh(shadow, scalars=shades, rgb=True, lighting=False)
 
 
 def _add_mark(plot: pv.Plotter, picture: Picture) -> None:
@@ -230,7 +268,7 @@ def _add_mark(plot: pv.Plotter, picture: Picture) -> None:
             render_points_as_spheres=True,
             lighting=False,
         )
-    pixel = 2 * plot.camera.parallel_scale / SIZE[1]
+    pixel = 2 * plot.camera.parallel_scale / plot.window_size[1]
     beside = place[0] + (-1 if left else 1) * _ASIDE * pixel * right
     label = plot.add_text(f" {text} ", position=(0.0, 0.0), color=INK, font_size=12)
     label.GetPositionCoordinate().SetCoordinateSystemToWorld()
@@ -290,16 +328,24 @@ class Drawing:
     """One window for all pictures: a new one would compile its shaders again."""
 
     def __init__(self) -> None:
-        self._plot = pv.Plotter(off_screen=True, window_size=list(SIZE))
-        self._plot.set_background("#f2f4f6", top="#ffffff")
-        self._plot.enable_anti_aliasing("ssaa")
+        self._plots: dict[bool, pv.Plotter] = {}
         self._codes: pv.Plotter | None = None
+
+    def _plot(self, *, film: bool) -> pv.Plotter:
+        if film not in self._plots:
+            plot = pv.Plotter(off_screen=True, window_size=list(FILM if film else SIZE))
+            plot.set_background("#f2f4f6", top="#ffffff")
+            # Nobody sees four times the pixels of a frame that stands for a thirtieth of a second.
+            plot.enable_anti_aliasing("fxaa" if film else "ssaa")
+            self._plots[film] = plot
+        return self._plots[film]
 
     def draw(self, pictures: list[Picture], target: Path) -> None:
         """Draws pictures side by side into a PNG file."""
-        images = [_panel(self._plot, one) for one in pictures]
+        film = pictures[0].film
+        images = [_panel(self._plot(film=film), one) for one in pictures]
         if pictures[0].legend is None:
-            Image.fromarray(np.hstack(images)).save(target)
+            Image.fromarray(np.hstack(images)).save(target, compress_level=0 if film else 6)
             return
         if self._codes is None:
             self._codes = pv.Plotter(off_screen=True, window_size=list(SIZE))

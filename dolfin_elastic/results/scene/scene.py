@@ -17,8 +17,8 @@ import numpy as np
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IntArray
 from dolfin_elastic.results.scene.colour_bar import ColourBar, make_colour_bar
 
-SIZE = (1500, 1100)
-"""Pixels of a picture."""
+SIZE, FILM = (1500, 1100), (1280, 720)
+"""Pixels of a picture, and of a frame of a film."""
 OBSTACLE, GREY = "#aab4be", "#c3c9d0"
 """Colours of obstacles, and of a body without others."""
 _NO_EDGES = np.zeros((0, 2), dtype=np.int64)
@@ -217,6 +217,7 @@ class Picture:
         scale: Magnification of the displacement.
         outline: The undeformed edges are drawn.
         bare: Nothing stands beside the body.
+        film: It is a frame of a film: of 16 to 9, and drawn fast.
         window: What the camera has to show, see `window`; None: all of the scene.
         bar: The colour bar, of pictures with a field.
         mark: Place of the marked value [m], shape (3,), or None.
@@ -237,6 +238,7 @@ class Picture:
     scale: float = 1.0
     outline: bool = True
     bare: bool = False
+    film: bool = False
     window: FloatArray | None = None
     bar: ColourBar | None = None
     mark: FloatArray | None = None

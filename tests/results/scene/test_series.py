@@ -22,9 +22,9 @@ from dolfin_elastic.core.shapes.shapes import CylinderObstacle, Plane, Shape, Sp
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.results.outputs import Picture, limits_of
 from dolfin_elastic.results.scene import renderer, series
-from dolfin_elastic.results.scene.colour_bar import ColourBar
+from dolfin_elastic.results.scene.colour_bar import ColourBar, colour_map
 from dolfin_elastic.results.scene.obstacles import Reach, obstacles_beside
-from dolfin_elastic.results.scene.scene import Frame, Scene, axes_of, load, up_against
+from dolfin_elastic.results.scene.scene import Frame, Patch, Scene, axes_of, load, up_against
 from dolfin_elastic.results.scene.scene import Picture as Panel
 from dolfin_elastic.results.scene.series import Limits, Series, encode, film_times, frames_at
 
@@ -332,3 +332,35 @@ def test_obstacles_are_drawn_where_the_gap_is_zero(obstacle: Shape) -> None:
     outward: FloatArray = np.broadcast_to(np.transpose(normal), x.shape)[triangles].mean(axis=1)
     assert large.any()
     assert (np.sum(across * outward, axis=1)[large] > 0).all()
+
+
+def test_a_frame_of_a_film_is_wide_and_its_floor_has_no_end(folder: Path) -> None:
+    """16 to 9; the floor fills the lower corners, and the shadow on it is darker with contact."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    triangles = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    reach = Reach()
+    reach.take(points)
+    darkest = []
+    for height in (0.0, 0.5):
+        floor = obstacles_beside([("", Plane(axis="z", at=-height), np.zeros(3))], reach, 3)
+        scene = Scene(points, triangles, frames=(Frame("", 0 * points),), obstacles=floor)
+        red = Patch(("a",), colour="#ff0000")
+        scene = replace(scene, patch=np.zeros(4, dtype=int), patches=(red,))
+        series.draw_pictures(folder, [Panel(scene, bare=True, film=True)], folder / "a.png")
+        with Image.open(folder / "a.png") as image:
+            assert image.size == (1280, 720)
+            colours = np.asarray(image.convert("RGB")).astype(int)
+        grey = np.ptp(colours, axis=2) < 4  # the body is red
+        pixels = colours[..., 0]
+        corners = pixels[-2, [1, -2]]
+        assert np.ptp(corners) <= 3
+        assert corners.max() < 230
+        darkest.append(np.percentile(pixels[grey & (pixels > 100) & (pixels < 210)], 10))
+    renderer.RENDERER.release(folder)
+    assert darkest[0] < darkest[1]
+
+
+def test_colours_grow_lighter() -> None:
+    """Evenly, so that the colour-blind and a grey print show the same order."""
+    light = colour_map()(np.linspace(0, 1, 21))[:, :3] @ np.array([0.2126, 0.7152, 0.0722])
+    assert np.all(np.diff(light) > 0)
