@@ -87,6 +87,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.supports.springs import Spring as Spring
     from dolfin_elastic.model.tie import Tie as Tie
     from dolfin_elastic.problem.problem import Problem as Problem
+    from dolfin_elastic.report.notebook import show_report as show_report
     from dolfin_elastic.results.derived.sections import Section as Section
     from dolfin_elastic.results.derived.sections import SectionForces as SectionForces
     from dolfin_elastic.results.outputs import History as History
@@ -164,6 +165,7 @@ _PLACES = {
     "solvers.dynamics.dynamics": ("Dynamics",),
     "solvers.eigen.modal": ("Modal",),
     "solvers.eigen.buckling": ("Buckling",),
+    "report.notebook": ("show_report",),
     "results.outputs": ("History", "Modes", "Picture", "Summary", "Xdmf"),
     "results.probes": ("Probe",),
     "results.derived.sections": ("Section", "SectionForces"),

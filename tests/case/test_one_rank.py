@@ -103,6 +103,21 @@ def bar(**more):
     return Problem(body, NeoHookean(E=1e6, nu=0.3, density=1e3), supports=[Support(on="left")],
                    loads=[Traction(on="right", value=[-50, 0, -20])], **more)
 """
+CURVE = (
+    PARTS
+    + """
+def now(t):
+    if t > 0.4 and comm.rank == 1:
+        fail()
+    return t
+body = box_body(size=(1, 0.1, 0.1), cells=(4, 1, 1))
+problem = Problem(body, NeoHookean(E=1e6, nu=0.3), supports=[Support(on="left")],
+                  loads=[Traction(on="right", value=[-50, 0, -20], curve=now)])
+solver = Statics(problem)
+solver.advance(0.3)
+solver.advance(0.6)
+"""
+)
 STATES = """
 for state in {states}:
     if state.step == 2 and comm.rank == 1:
@@ -145,7 +160,7 @@ def small(folder: Path) -> None:
 
 
 @pytest.mark.sample(1)
-@pytest.mark.parametrize("body", [LOOP, OTHERS_WAIT, CLOSING, CAUGHT, ENDED, OUTPUT, ENERGY])
+@pytest.mark.parametrize("body", [LOOP, OTHERS_WAIT, CLOSING, CAUGHT, ENDED, OUTPUT, ENERGY, CURVE])
 def test_all_ranks_end(body: str, tmp_path: Path) -> None:
     """Also where the others wait for it in a call of the user's own."""
     assert seconds_to_the_end(body, tmp_path) < LONGEST

@@ -33,6 +33,7 @@ from dolfin_elastic.report.charts import Axis, Line, line_chart
 from dolfin_elastic.report.contents import history_charts, last_values, mesh_badge, residual_chart
 from dolfin_elastic.report.drawn import drawn_frames, scene_of
 from dolfin_elastic.report.laws import _constants
+from dolfin_elastic.report.notebook import show_report
 from dolfin_elastic.report.page import json_text
 from dolfin_elastic.report.report import (
     LARGEST,
@@ -166,6 +167,17 @@ def page_of(folder: Path, output: Path) -> tuple[Page, dict[str, Any]]:
     text = output.read_text(encoding="utf-8")
     assert len(text.encode()) < LARGEST / 4
     return Page(text), json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+
+
+def test_in_a_notebook(folders: Any, tmp_path: Path) -> None:
+    """The same page in a frame, as text: whatever the case has written ends nowhere outside."""
+    shown = show_report(folders("plane"), height=500)._repr_html_()
+    outer = Page(shown)
+    ((tag, attributes),) = outer.tags
+    assert tag == "iframe" and attributes["sandbox"] == "allow-scripts"
+    assert attributes["height"] == "500" and not outer.text.strip()
+    write_report(folders("plane"), tmp_path / "page.html")
+    assert len(attributes["srcdoc"] or "") == len((tmp_path / "page.html").read_text("utf-8"))
 
 
 @pytest.mark.sample(2)
