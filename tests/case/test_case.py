@@ -359,7 +359,8 @@ MISTAKES = {
     "selector str": (
         '{plane = "z", at = "min"}',
         '"z"',
-        'surfaces.foot: "z" is wrong; expected a table',
+        "surfaces.foot: no surface 'z' in box 2 x 1 x 1; known: back, bottom, front, left, right, "
+        "top",
     ),
     "region unit": (
         '"1 mm"',
@@ -458,7 +459,7 @@ MISTAKES = {
         'on = "left"\ndisplacement = [0, 0, 0]',
         'on = "left"\ndisplacement = [0, "free", "free"]',
         "support: the supports leave the body free: as a rigid body it can move along y, "
-        "move along z, turn about x through (0.001, 0.0005, 0.0005) m; equilibrium needs supports "
+        "move along z, turn about x through (1, 0.5, 0.5) mm; equilibrium needs supports "
         "that hold it; [dynamics] does not",
     ),
     "toml": (
@@ -881,7 +882,7 @@ def test_support_without_displacement_in_the_plane(folder: Path) -> None:
             [
                 "move along y",
                 "move along z",
-                "turn about x through (0.001, 0.0005, 0.0005) m",
+                "turn about x through (1, 0.5, 0.5) mm",
             ],
         ),
         (
