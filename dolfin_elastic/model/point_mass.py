@@ -28,6 +28,9 @@ class PointMass(OnSurfaces):
     Attributes:
         mass: The total [kg]; in a plane on the whole thickness, of a body of revolution on the
             whole ring.
+
+    Example:
+        PointMass(on="right", mass="2 kg")
     """
 
     mass: Kilograms = Field(gt=0)

@@ -10,6 +10,7 @@ from dolfinx import fem
 from scipy.optimize import brentq
 
 from dolfin_elastic import (
+    BaseAcceleration,
     Centrifugal,
     Dynamics,
     Fixed,
@@ -71,6 +72,12 @@ def test_weight_of_a_region_is_without_the_mass():
     keys = {"supports": [Fixed(on="left")], "masses": [mass], "degree": 1}
     *_, state = Statics(Problem(body, law, loads=[Gravity(on="all")], **keys)).steps()
     np.testing.assert_allclose(state.reactions["left"], [0, 0, 9.81 * BAR], rtol=1e-12, atol=1e-8)
+
+
+def test_a_base_that_is_accelerated():
+    mass = PointMass(on="right", mass=500)
+    *_, state = Statics(bar([mass], loads=[BaseAcceleration(value=[3, 0, 0])], degree=1)).steps()
+    np.testing.assert_allclose(state.reactions["left"], [7500, 0, 0], rtol=1e-12, atol=1e-8)
 
 
 def test_a_mass_that_is_swung():

@@ -230,7 +230,10 @@ class BaseAcceleration(Load):
                 expected="0 across it",
             )
         a = self.field(context)
-        return sum(-rho * ufl.inner(a, context.v) * dx for rho, dx in context.densities(self.parts))
+        densities = context.densities(self.parts)
+        if not self.parts:
+            densities += [(rho, ds) for rho, ds, _ in context.masses()]
+        return sum(-rho * ufl.inner(a, context.v) * dx for rho, dx in densities)
 
 
 class Centrifugal(Load):
