@@ -20,11 +20,19 @@ from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.results.scene.colour_bar import ColourBar, colour_map
 from dolfin_elastic.results.scene.edges import SHARP, silhouette
 from dolfin_elastic.results.scene.labels import INK, curve_colour, labelled, shortened
-from dolfin_elastic.results.scene.scene import FILM, GREY, SIZE, Glyphs, Picture, load
+from dolfin_elastic.results.scene.scene import (
+    FILM,
+    GREY,
+    SIZE,
+    SMALL_MATTERS,
+    Glyphs,
+    Picture,
+    load,
+)
 
 _GHOST = "#8a939c"
 _MOST_NAMES, _LONGEST_NAME = 16, 16
-_NO_VALUE = "#c8c8c8"
+_NO_VALUE, _LIMIT = "#c8c8c8", "#d1341f"
 _VISIBLE = 2e-3
 # Least length of the lines of a silhouette, deformed and not, over the body's diagonal.
 _SHORT, _SHORT_OUTLINE = 0.6, 0.25
@@ -65,6 +73,10 @@ def _add_body(plot: pv.Plotter, picture: Picture) -> pv.DataSetMapper:
         specular=0.06,
         show_scalar_bar=False,
     )
+    if picture.field in SMALL_MATTERS:  # where the allowable stress is reached
+        limit = mesh.contour([1.0], scalars="value")
+        if limit.n_points:
+            plot.add_mesh(limit, color=_LIMIT, line_width=6.0, lighting=False)
     _add_lines(plot, moved, scene.edges, INK, 3.5)
     skin = scene.triangles if scene.skin is None else scene.triangles[scene.skin]
     back, size = picture.axes[2], scene.diagonal

@@ -364,3 +364,19 @@ def test_colours_grow_lighter() -> None:
     """Evenly, so that the colour-blind and a grey print show the same order."""
     light = colour_map()(np.linspace(0, 1, 21))[:, :3] @ np.array([0.2126, 0.7152, 0.0722])
     assert np.all(np.diff(light) > 0)
+
+
+@pytest.mark.parametrize("least", [0.5, 1.5])
+def test_a_line_where_the_allowable_stress_is_reached(folder: Path, least: float) -> None:
+    """Red on pictures of a safety factor that falls below 1, where it is 1; no other thing is."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    frame = Frame("", 0 * points, {"safety_factor": np.array([least, 3.0, 3.0])})
+    scene = Scene(points, np.array([[0, 1, 2]]), frames=(frame,), plane=True)
+    panel = Panel(scene, "z", field="safety_factor")
+    panel = series.finished(panel, (least, 3.0), Limits(), panel.seen, marks=False)
+    series.draw_pictures(folder, [replace(panel, bare=True)], folder / "a.png")
+    renderer.RENDERER.release(folder)
+    with Image.open(folder / "a.png") as image:
+        colours = np.asarray(image.convert("RGB")).astype(int)
+    red = (colours[..., 0] > 180) & (colours[..., 1] < 90) & (colours[..., 2] < 90)
+    assert (np.count_nonzero(red) > 200) == (least < 1)
