@@ -217,7 +217,10 @@ def verification() -> str:
 def library_table() -> str:
     """The materials of the library with their sources."""
     rows = [f"| {' | '.join(map(escaped, in_words(name)))} |" for name in library()]
-    heads = ["| name | elastic constants | density | yield | source |", "|---|---|---|---|---|"]
+    heads = [
+        "| name | elastic constants | density | expansion | yield | source |",
+        "|---|---|---|---|---|---|",
+    ]
     return "\n".join([*heads, *rows, ""])
 
 

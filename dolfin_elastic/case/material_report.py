@@ -28,6 +28,23 @@ if TYPE_CHECKING:
 
 _PARTS = ("11", "22", "33", "12", "13", "23")
 
+_STRETCH = 2.0
+_STIFF = 1.02
+"""Largest stretch of the curves of a material that is stiffer than `_HARD`."""
+_HARD = 5e8
+"""Young's modulus [Pa] between soft and stiff materials: metals, wood and bone lie above it,
+rubbers and tissues below."""
+
+
+def usual_stretch(law: Law) -> float:
+    """Largest stretch of a law's curves: stiff solids bear little of it."""
+    from dolfin_elastic.problem.material_regions import young
+
+    try:
+        return _STIFF if young(law) > _HARD else _STRETCH
+    except (TypeError, ValueError, AttributeError):
+        return _STRETCH
+
 
 def read_laws(
     what: str, constants: Mapping[str, object], only: str | None = None

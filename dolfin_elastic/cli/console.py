@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _ORIGIN = 1e-12
 """Coordinates below this are round-off [m]."""
 WIDTH = 100
-_TYPED = str.maketrans({"−": "-", "²": "^2", "³": "^3", "µ": "u", "±": "+-", "‘": "'", "’": "'"})
+TYPED = str.maketrans({"−": "-", "²": "^2", "³": "^3", "µ": "u", "±": "+-", "‘": "'", "’": "'"})
 """Signs of pages as they are typed, searched for, and printed by any terminal."""
 _LEAST = 0.05
 """Share of a run that is to be done before the time left can be told."""
@@ -199,7 +199,7 @@ def seconds_text(t: float, digits: int) -> str:
     Args:
         t: The time [s].
     """
-    return number(t, digits).translate(_TYPED)
+    return number(t, digits).translate(TYPED)
 
 
 def time_left(spent: float, done: float, before: float = 0.0) -> str:
@@ -308,7 +308,7 @@ def show_described(screen: Screen, rows: Sequence[Described]) -> None:
     table = Table("key", "on", "what it does", box=SIMPLE_HEAD, pad_edge=False)
     for row in rows:
         on = ", ".join(row.on) or "(whole body)"
-        table.add_row(row.key, on, row.text.translate(_TYPED))
+        table.add_row(row.key, on, row.text.translate(TYPED))
     if rows:
         show_table(screen, table)
 
@@ -347,7 +347,7 @@ def show_end(
 
 def typed(text: str) -> str:
     """A text of pages as it is typed."""
-    return text.translate(_TYPED)
+    return text.translate(TYPED)
 
 
 def extreme_lines(summary: Mapping[str, Any]) -> list[str]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from dolfin_elastic.cli.console import console, show_described, show_table, vector_text
+from dolfin_elastic.cli.console import TYPED, console, show_described, show_table, vector_text
 from dolfin_elastic.cli.look.show import Lengths, parts_table
 from dolfin_elastic.cli.terminal import Screen
 from dolfin_elastic.core.units import LENGTHS
@@ -71,6 +71,7 @@ def _head(report: Report) -> list[tuple[str, str]]:
     if whole.mass is not None:
         middle = f"{size.place(whole.centre_of_mass)} {size.unit}"
         rows.append(("mass", f"{whole.mass:.4g} kg, centre of mass {middle}"))
+    rows += [("material", text.translate(TYPED)) for text in report.constants]
     return [*rows, *(("body", _body(body, len(report.bodies))) for body in report.bodies[:5])]
 
 

@@ -113,7 +113,7 @@ def show_library(screen: Screen, *names: str) -> None:
     rows = [in_words(name) for name in names or library()]
     screen.print('materials by name, as in material = "steel S235"', style="bold")
     table = Table("material", box=SIMPLE_HEAD, pad_edge=False)
-    for head in ("elastic constants", "density", "yield"):
+    for head in ("elastic constants", "density", "expansion", "yield"):
         table.add_column(head)
     for *cells, _ in rows:
         table.add_row(*cells)

@@ -21,9 +21,9 @@ def material(
         typer.Option("--material", metavar="NAME", help="Only this material of the file."),
     ] = None,
     stretch: Annotated[
-        float,
-        typer.Option("--stretch", help="Largest stretch of the curves (2).", show_default=False),
-    ] = 2.0,
+        float | None,
+        typer.Option("--stretch", help="Largest stretch of the curves (2; 1.02 of stiff ones)."),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="Write curves (CSV, PNG) here."),
@@ -77,13 +77,13 @@ def _test_materials(
     what: str,
     only: str | None,
     constants: dict[str, object],
-    stretch: float,
+    stretch: float | None,
     output: Path | None,
     json: bool,
 ) -> None:
     """Tests materials and prints the results. On rank 0."""
     from dolfin_elastic.case.case import locate_errors
-    from dolfin_elastic.case.material_report import read_laws, write
+    from dolfin_elastic.case.material_report import read_laws, usual_stretch, write
     from dolfin_elastic.cli.console import console
     from dolfin_elastic.cli.console_materials import (
         as_json,
@@ -99,7 +99,8 @@ def _test_materials(
         show_library(console(), *laws)
     for name, law in laws.items():
         with locate_errors(f"{what}: materials.{name}" if what.endswith(".toml") else what):
-            report = material_report(law, largest=stretch)
+            largest = usual_stretch(law) if stretch is None else stretch
+            report = material_report(law, largest=largest)
         files = write(name, report, output) if output else []
         tables[name] = report_table(report)
         if not json:

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 _WORDS = {
     # materials
-    "allowable": "yield yieldstrength yieldstress yieldpoint strength tensilestrength sigmay rp02",
+    "allowable": "re rm reh yield yieldstrength yieldstress yieldpoint "
+    "strength tensilestrength sigmay rp02",
     "E": "young youngs youngsmodulus youngmodulus elasticmodulus elasticitymodulus modulus emod",
     "nu": "poisson poissons poissonsratio poissonratio",
     "K": "bulk bulkmodulus compressionmodulus",
@@ -26,7 +27,8 @@ _WORDS = {
     "corotated": "corotational",
     "orthotropic": "anisotropic wood laminate",
     # supports
-    "fixed": "fix clamp clamped encastre encastred builtin pin pinned ground grounded held",
+    "fixed": "fix clamp clamps clamped clamping encastre encastred builtin "
+    "pin pinned ground grounded held",
     "normal": "slide sliding slider frictionless",
     "symmetry": "mirror symmetric symmetryplane",
     "rotation": "turn rotate twist",
@@ -49,16 +51,17 @@ _WORDS = {
     "bolt": "pretension preload boltpreload boltpretension screw",
     "growth": "swelling eigenstrain prestrain initialstrain",
     # tables and keys
-    "mesh": "part body cad step stl",
+    "mesh": "geometry part body cad step stl",
     "support": "bc bcs boundary boundaryconditions boundarycondition constraint fixture restraint",
     "load": "loading force forces",
     "contact": "obstacle floor",
     "mass": "pointmass lumpedmass addedmass remotemass nonstructuralmass",
     "tie": "glue glued bonded mpc",
     "periodic": "rve unitcell homogenisation homogenization",
-    "statics": "equilibrium stationary",
+    "statics": "static analysis study equilibrium stationary",
     "dynamics": "transient motion",
-    "modal": "modes frequencies eigenmodes eigenfrequencies naturalfrequencies vibration",
+    "modal": "frequency eigenfrequency modes frequencies eigenmodes "
+    "eigenfrequencies naturalfrequencies vibration",
     "buckling": "stability eigenbuckling",
     "output": "result results post",
     "size": "elementsize meshsize cellsize h lc",
@@ -79,11 +82,19 @@ _WORDS = {
     "folder": "dir directory path",
     # results
     "von_mises": "mises vm equivalentstress effectivestress stress seqv",
-    "safety_factor": "safety fos factorofsafety reserve utilisation",
+    "safety_factor": "yield allowable safety fos factorofsafety reserve utilisation",
     "cauchy_stress": "sigma truestress",
     "reaction": "reactionforce reactions",
+    # units of length
+    "mm": "mm millimeter millimetre millimeters millimetres",
+    "cm": "cm centimeter centimetre centimeters centimetres",
+    "m": "m meter metre meters metres",
+    "inch": "inches",
 }
 """Name to words that mean it, in small letters, without blanks and signs."""
+
+_STRESS = re.compile(r"(?:stress|sigma|s)([xyz]{2})")
+"""A component of the stress, without signs: "stressxx"."""
 
 
 def meant(word: str, known: Sequence[str]) -> list[str]:
@@ -93,4 +104,7 @@ def meant(word: str, known: Sequence[str]) -> list[str]:
         word: As it was written, such as "Young's modulus" or "yield_strength".
     """
     plain = re.sub(r"[\W_]", "", word).casefold()
+    if stress := _STRESS.fullmatch(plain):  # the component, or else the tensor
+        names = (f"cauchy_stress_{stress[1]}", "cauchy_stress")
+        return [name for name in names if name in known][:1]
     return [name for name in known if plain in _WORDS.get(name, "").casefold().split()]

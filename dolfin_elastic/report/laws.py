@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from dolfin_elastic.case.material_report import law_table
+from dolfin_elastic.case.material_report import law_table, usual_stretch
 from dolfin_elastic.case.model_tables import read_material_tables
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.si_text import given, scaled_unit
-from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.materials.spatial import units_of
 from dolfin_elastic.model.materials.user import SplitFormulaEnergy
@@ -24,12 +23,6 @@ from dolfin_elastic.results.verdict import Table
 
 _DRAWN = 8
 """Materials whose curves are computed: a second each."""
-_STRETCH = 2.0
-_STIFF = 1.02
-"""Largest stretch of the curves of a material that is stiffer than `_HARD`."""
-_HARD = 5e8
-"""Young's modulus [Pa] between soft and stiff materials: metals, wood and bone lie above it,
-rubbers and tissues below."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +112,7 @@ def _tested(
     """Curves and notes of a material, and its relaxation as a constant."""
     try:
         law = read_material_tables({name: dict(table)})[name].law
-        report = material_report(law, largest=_largest(law))
+        report = material_report(law, largest=usual_stretch(law))
     except InputError as error:
         return (), (f"No curves: {error}",), ()
     except (ArithmeticError, ValueError, KeyError, TypeError) as error:
@@ -135,16 +128,6 @@ def _tested(
 
 
 _MODES = ("uniaxial", "equibiaxial", "planar")
-
-
-def _largest(law: Law) -> float:
-    """Largest stretch of its curves."""
-    from dolfin_elastic.problem.material_regions import young
-
-    try:
-        return _STIFF if young(law) > _HARD else _STRETCH
-    except (TypeError, ValueError, AttributeError):
-        return _STRETCH
 
 
 def _chart(curves: list[ResponseCurve]) -> Markup:

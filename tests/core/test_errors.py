@@ -8,6 +8,7 @@ import pytest
 
 from dolfin_elastic.case.reference.json_schema import case_schema
 from dolfin_elastic.core import errors, synonyms
+from dolfin_elastic.core.units import MESH_UNITS
 from dolfin_elastic.model.loads import LOADS
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.model.supports.springs import SUPPORTS
@@ -132,4 +133,22 @@ def test_synonyms_are_of_names_that_exist() -> None:
     """And none is a name itself, but in another table."""
     tables = case_schema()["definitions"].values()
     keys = {*case_schema()["properties"], *(k for t in tables for k in t.get("properties", ()))}
-    assert synonyms._WORDS.keys() <= {*keys, *LOADS, *SUPPORTS, *MATERIALS, *FIELDS}
+    assert synonyms._WORDS.keys() <= {*keys, *LOADS, *SUPPORTS, *MATERIALS, *FIELDS, *MESH_UNITS}
+
+
+@pytest.mark.parametrize(
+    ("word", "known", "name"),
+    [
+        ("yield", FIELDS, "safety_factor"),
+        ("stress_xx", FIELDS, "cauchy_stress"),
+        ("stress_xx", ["cauchy_stress_xx", "pk1_stress_xx"], "cauchy_stress_xx"),
+        ("Re", ["allowable", "E"], "allowable"),
+        ("clamps", SUPPORTS, "fixed"),
+        ("millimeter", MESH_UNITS, "mm"),
+        ("MM", MESH_UNITS, "mm"),
+        ("frequency", ["mesh", "modal"], "modal"),
+        ("geometry", ["mesh", "modal"], "mesh"),
+    ],
+)
+def test_words_of_the_trade_are_understood(word: str, known: list[str], name: str) -> None:
+    assert errors.nearest(word, known) == f"did you mean '{name}'?"

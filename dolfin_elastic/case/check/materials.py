@@ -6,7 +6,9 @@ from collections.abc import Iterator
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.toml import key_text
+from dolfin_elastic.core.si_text import given
 from dolfin_elastic.model.materials.law import Law
+from dolfin_elastic.model.materials.spatial import units_of
 
 
 def stability_notes(case: Case) -> Iterator[str]:
@@ -22,14 +24,20 @@ def stability_notes(case: Case) -> Iterator[str]:
 
 
 def material_information(case: Case) -> tuple[str, ...]:
-    """Sources, up to which stretches laws are stable whatever their constants, digits lost."""
-    return (*_sources(case), *_stable_ranges(case), *_rounded(case))
+    """Up to which stretches laws are stable whatever their constants, digits lost."""
+    return (*_stable_ranges(case), *_rounded(case))
 
 
-def _sources(case: Case) -> Iterator[str]:
+def material_constants(case: Case) -> Iterator[str]:
+    """Name, law and constants of each material in a line, and its source in another. Local."""
     for name, material in case.materials.items():
+        table, units = material.table(), units_of(type(material.law))
+        keys = sorted(units.keys() & table.keys(), key=lambda k: (k in Law.model_fields, k))
+        values = (f"{k} = {given(table[k], units[k])}" for k in keys)
+        law = "energy" if material.law.written else material.law.name()
+        yield f"{name}: {', '.join((law, *values))}"
         if material.source:
-            yield f"materials.{key_text(name)}: {material.source}"
+            yield f"  source: {material.source}"
 
 
 def _stable_ranges(case: Case) -> Iterator[str]:

@@ -50,6 +50,8 @@ _STEPPED_OVER = 1.5
 """Time steps over the time between a record's rows from which peaks are missed."""
 _TIMES = 101
 """Times at which prescribed motions are evaluated."""
+_STRONG = 1e-6
+"""Least strength over Young's modulus: of concrete in tension it is 1e-4."""
 _DENSITIES = 1.0, 30e3
 """Foams are above, osmium is below [kg/m^3]."""
 _FAST = 25e3
@@ -345,6 +347,7 @@ def _material_notes(case: Case, body: Body) -> Iterator[str]:
     for name, material in case.materials.items():
         where = f"materials.{key_text(name)}"
         yield from _density_notes(where, material.law)
+        yield from _allowable_notes(where, material.law)
         if not material.regions and not _unnamed_cells(case, body):
             yield f"{where} fills no cell: the others leave none"
         for i, load in enumerate(case.load):
@@ -354,6 +357,21 @@ def _material_notes(case: Case, body: Body) -> Iterator[str]:
                     f"load[{i}].value: it makes '{name}' {strain:.3g} times as long again: is a "
                     f"unit of it or of {where}.expansion missing?"
                 )
+
+
+def _allowable_notes(where: str, law: Law) -> Iterator[str]:
+    """A strength of less than a millionth of the stiffness, as of a bare number meant in MPa."""
+    allowable = law.allowable
+    if law.spatial_constants() or not isinstance(allowable, int | float):
+        return
+    if allowable < _STRONG * (modulus := young(law)) and modulus > _SOFT:
+        meant = f'did you mean "{allowable:.4g} MPa"?'
+        if 1e6 * allowable > modulus:
+            meant = "is a unit missing or wrong?"
+        yield (
+            f"{where}.allowable: {allowable:.4g} Pa beside a Young's modulus of "
+            f"{quantity(modulus, 'Pa')}: {meant}"
+        )
 
 
 def _density_notes(where: str, law: Law) -> Iterator[str]:

@@ -26,7 +26,11 @@ from dolfin_elastic.case.check.initial_state import (
 )
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.loads import LoadSum, load_sums, stress_notes
-from dolfin_elastic.case.check.materials import material_information, stability_notes
+from dolfin_elastic.case.check.materials import (
+    material_constants,
+    material_information,
+    stability_notes,
+)
 from dolfin_elastic.case.check.memory import Memory, memory
 from dolfin_elastic.case.check.mesh_quality import (
     bending_notes,
@@ -96,6 +100,7 @@ class Report:
         notes: What is allowed but probably not meant.
         fields: Name, place and range of each field that the mesh carries.
         materials: The cells of each material.
+        constants: Law, constants and source of each material in words.
         described: Its supports, loads, contacts and ties in words.
         loads: Resultant of each load, and of all of them.
         contacts: Initial gap of each contact.
@@ -125,6 +130,7 @@ class Report:
     notes: tuple[str, ...]
     fields: tuple[str, ...]
     materials: tuple[PartSize, ...]
+    constants: tuple[str, ...]
     described: tuple[Described, ...]
     loads: tuple[LoadSum, ...]
     contacts: tuple[ContactGap, ...]
@@ -299,6 +305,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
             f"{name}: {body.fields[name].describe(body.comm)}" for name in sorted(body.fields)
         ),
         materials=material_sizes(integrals),
+        constants=tuple(material_constants(case)),
         described=described(case, body),
         loads=sums,
         contacts=contact_gaps(case, problem),

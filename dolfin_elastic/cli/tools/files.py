@@ -23,6 +23,7 @@ class Kind(StrEnum):
     """What a first case is about: the names of the files in `TEMPLATES`."""
 
     STATICS = "statics"
+    STEEL = "steel"
     MODAL = "modal"
     DYNAMICS = "dynamics"
     RUBBER = "rubber"

@@ -69,7 +69,9 @@ def completed(table: Entry, own: Mapping[str, Entry] | None = None) -> dict[str,
         )
     if _ELASTIC & result.keys() == {"nu"} and "note" in entry:
         raise InputError("this key is missing", where="E", expected=str(entry["note"]))
-    return {"source": ": ".join(filter(None, (name, entry.get("source")))), **result}
+    own = ", ".join(key for key in given if key in values)
+    credit = f"{name}, but {own} of the case" if own else name
+    return {"source": ": ".join(filter(None, (credit, entry.get("source")))), **result}
 
 
 def check_library(entries: Mapping[str, object]) -> None:
@@ -107,14 +109,14 @@ def _unknown_keys(table: Entry, beside: Iterable[str]) -> Iterator[InputError]:
 
 
 def in_words(name: str) -> tuple[str, ...]:
-    """Name, elastic constants, density, yield, and sources with a note, of a material.
+    """Name, elastic constants, density, expansion, yield, and sources with a note, of a material.
 
     Raises:
         InputError: There is no such material in the library of the package.
     """
     known, entry = _found(name, library())
     constants = ", ".join(f"{key} = {entry[key]}" for key in sorted(_ELASTIC & entry.keys()))
-    texts = (str(entry.get(key, "")) for key in ("density", "yield"))
+    texts = (str(entry.get(key, "")) for key in ("density", "expansion", "yield"))
     about = "; ".join(str(entry[key]) for key in ("source", "note") if key in entry)
     return (known, constants, *texts, about)
 
@@ -144,7 +146,7 @@ def alike(name: str, entries: Mapping[str, Entry]) -> str:
 def containing(name: str, entries: Mapping[str, Entry]) -> str:
     """The materials in whose names a word stands, as a hint; empty without any."""
     names = [known for known in entries if _plain(name) in _plain(known)]
-    return f"known: {', '.join(names)}" if names else ""
+    return "known: " + ", ".join(f'"{known}"' for known in names) if names else ""
 
 
 def _plain(name: str) -> str:

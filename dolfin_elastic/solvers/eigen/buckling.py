@@ -325,8 +325,8 @@ def _check_laws(problem: Problem) -> None:
     for region in problem.regions:
         if region.law.linear:
             raise InputError(
-                f"'{region.law.name()}' is for small rotations: its stiffness does not change "
-                "under load",
+                f"'{region.law.name()}' is a law of small rotations: its stiffness does not "
+                "change under load",
                 where=f"materials.{region.name}.law",
                 expected="st-venant-kirchhoff, which takes the same constants, or another law for "
                 "large rotations",

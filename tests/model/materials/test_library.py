@@ -97,13 +97,16 @@ def test_more_that_the_case_gives() -> None:
 @pytest.mark.parametrize(
     ("table", "says"),
     [
-        ({"material": "steel"}, "there is no material 'steel' in the library; known: steel S235, "),
+        (
+            {"material": "steel"},
+            "there is no material 'steel' in the library; known: \"steel S235\", ",
+        ),
         ({"material": "steel S234"}, "did you mean 'steel S235'?; dolfin-elastic materials lists"),
-        ({"material": "6061"}, "known: aluminium 6061-T6; "),
+        ({"material": "6061"}, 'known: "aluminium 6061-T6"; '),
         ({"material": 3}, "materials.m.material: 3 is wrong; expected the name of a material"),
         ({"material": "PLA", "yield": 3}, "materials.m: unknown key 'yield'; did you mean 'allow"),
         ({"material": "PLA", "mu": 3}, "3 given (E, mu, nu); 'PLA' has E and nu: give one of"),
-        ({"law": "steel"}, 'a material of the library is material = "..."; known: steel S235, '),
+        ({"law": "steel"}, 'a material of the library is material = "..."; known: "steel S235", '),
         ({"E": 1}, "for one of the library"),
         ({"materal": "PLA", "law": "hencky"}, "unknown key 'materal'; did you mean 'material'?"),
     ],
@@ -125,4 +128,18 @@ def test_a_case_keeps_values_and_source() -> None:
     assert "material" not in made.to_dict()["materials"]["m"]
     assert Case.from_dict(made.to_dict()) == made
     found = report(made)
-    assert any("materials.m: steel S235: E, nu" in line for line in found.information)
+    assert any("E = 210 GPa" in one and "density = 7850" in one for one in found.constants)
+    assert any("source: steel S235: E, nu" in one for one in found.constants)
+
+
+def test_check_shows_constants_and_whose_they_are() -> None:
+    """Bare numbers of a strength are in Pa; what a case gives is no value of the library."""
+    made = case({"material": "steel S235", "allowable": 235, "E": "200 GPa"})
+    found = report(made)
+    (line, source) = found.constants
+    assert line.startswith("m: linear-elastic, E = 200 GPa, nu = 0.3, ")
+    assert source.startswith("  source: steel S235, but allowable, E of the case: ")
+    (note,) = [one for one in found.notes if "allowable" in one]
+    assert note.endswith('Young\'s modulus of 200 GPa: did you mean "235 MPa"?')
+    given = case({"material": "steel S235", "allowable": "235 MPa"})
+    assert not [one for one in report(given).notes if "allowable" in one]

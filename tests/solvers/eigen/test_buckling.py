@@ -270,7 +270,7 @@ def test_refused(comm: MPI.Comm) -> None:
     """What has no load factor."""
     refused(
         comm,
-        r"materials.body.law: 'linear-elastic' is for small rotations: .* st-venant-kirchhoff",
+        r"materials.body.law: 'linear-elastic' is a law of small rotations: .* st-venant-kirchhoff",
         law=LinearElastic(**SOFT),
     )
     refused(
