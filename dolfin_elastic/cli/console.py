@@ -475,12 +475,16 @@ def show_files(folder: Path, names: Iterable[str]) -> None:
     print(f"results in {folder}: {', '.join(names)}")
 
 
-def show_restart(folder: Path) -> None:
-    """Prints how a stopped run can be restarted."""
+def show_restart(folder: Path, around: Path | None) -> None:
+    """Prints how a stopped run can be restarted.
+
+    Args:
+        around: Folder of all analyses of the case, if it has several.
+    """
     from dolfin_elastic.results.checkpoint.checkpoints import last_step
 
     if (step := last_step(folder)) is not None:
-        print(f"to go on after step {step}: dolfin-elastic restart {folder}")
+        print(f"to go on after step {step}: dolfin-elastic restart {around or folder}")
 
 
 def show_versions(versions: Mapping[str, object]) -> None:

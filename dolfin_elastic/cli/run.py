@@ -215,7 +215,7 @@ def _compute(run: CaseRun, shown: _Shown, comm: MPI.Comm) -> None:
         if folder.is_dir():
             show_files(folder, case.listing(folder))
         if code == INTERRUPTED:
-            show_restart(folder)
+            show_restart(folder, run.around)
     if code:
         raise Exit(code)
 
