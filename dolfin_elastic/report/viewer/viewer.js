@@ -335,6 +335,8 @@ function start() {
   refresh();
   look(...(data.plane ? VIEWS.z : VIEWS.iso));
   new ResizeObserver(() => fit()).observe(box);
+  // A mode that stands still looks like a deformed state.
+  if (data.modes && !window.matchMedia("(prefers-reduced-motion: reduce)").matches) play.click();
 }
 
 if ($("scene")) {
