@@ -69,8 +69,8 @@ def completed(table: Entry, own: Mapping[str, Entry] | None = None) -> dict[str,
         )
     if _ELASTIC & result.keys() == {"nu"} and "note" in entry:
         raise InputError("this key is missing", where="E", expected=str(entry["note"]))
-    own = ", ".join(key for key in given if key in values)
-    credit = f"{name}, but {own} of the case" if own else name
+    mine = ", ".join(key for key in given if key in values)
+    credit = f"{name}, but {mine} of the case" if mine else name
     return {"source": ": ".join(filter(None, (credit, entry.get("source")))), **result}
 
 
