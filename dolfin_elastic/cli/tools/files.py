@@ -105,7 +105,7 @@ def convert(
       dolfin-elastic convert wing.msh wing.xdmf     writes wing.xdmf and wing.h5
 
     For large meshes: every other format is read by one rank, with the memory of one. Names of
-    regions, surfaces, edges and points, fields and the unit of length are kept.
+    regions, surfaces, edges and points, fields and the unit of length stay.
 
     \f
     Raises:
