@@ -20,6 +20,7 @@ from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, InputError, SolveError
 from dolfin_elastic.core.si_text import number
 from dolfin_elastic.core.units import stress_unit
+from dolfin_elastic.results.verdict import place_text
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from dolfin_elastic.cli.terminal import Screen
     from dolfin_elastic.problem.state import State
 
-_ORIGIN = 1e-12
-"""Coordinates below this are round-off [m]."""
 WIDTH = 100
 TYPED = str.maketrans({"−": "-", "²": "^2", "³": "^3", "µ": "u", "±": "+-", "‘": "'", "’": "'"})
 """Signs of pages as they are typed, searched for, and printed by any terminal."""
@@ -356,17 +355,17 @@ def extreme_lines(summary: Mapping[str, Any]) -> list[str]:
     if (stress := extremes.get("von_mises")) and stress["value"]:
         factor, unit = stress_unit(stress["value"])
         lines.append(
-            f"largest von Mises stress  {stress['value'] / factor:.3g} {unit} {_at(stress)}"
+            f"largest von Mises stress  {stress['value'] / factor:.3g} {unit} "
+            f"{_at(stress, summary)}"
         )
     if safety := extremes.get("safety_factor"):
-        lines.append(f"smallest safety factor    {safety['value']:.3g} {_at(safety)}")
+        lines.append(f"smallest safety factor    {safety['value']:.3g} {_at(safety, summary)}")
     return lines
 
 
-def _at(extreme: Mapping[str, Any]) -> str:
-    place = ", ".join(f"{0.0 if abs(x) < _ORIGIN else x:.4g}" for x in extreme["place"])
+def _at(extreme: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     part = f" in '{extreme['part']}'" if extreme["part"] else ""
-    return f"at ({place}) m{part}"
+    return f"at {place_text(extreme, summary)}{part}"
 
 
 def count(number: int, thing: str) -> str:

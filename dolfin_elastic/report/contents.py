@@ -112,12 +112,8 @@ _EXTREMES = {
 _ELSEWHERE = {"von_mises": "elsewhere", "safety_factor": "safety_factor_elsewhere"}
 
 
-def extremes_of(summary: Table, size: float) -> list[Extreme]:
-    """The largest values of the last state; none of a run that has reached no step.
-
-    Args:
-        size: Of the body [m], for the unit of places.
-    """
+def extremes_of(summary: Table) -> list[Extreme]:
+    """The largest values of the last state; none of a run that has reached no step."""
     result: list[Extreme] = []
     if not summary.get("steps"):
         return result
@@ -130,12 +126,12 @@ def extremes_of(summary: Table, size: float) -> list[Extreme]:
         peak = _peak(summary, name)
         peak = peak if peak.get("value") == row.get("value") else {}
         here = row if several else {**row, "part": ""}
-        where, singular = _place(here, peak, size), bool(peak.get("singular"))
+        where, singular = _place(here, peak, summary), bool(peak.get("singular"))
         trust = _trust(peak) if peak else ("", "")
         mine = Extreme(name, title, value, where, *trust, singular)
         other = _peak(summary, _ELSEWHERE.get(name, ""))  # away from where it is unbounded
         if (regular := Value.of(other.get("value"), unit)) is not None:
-            where = _place(other if several else {**other, "part": ""}, other, size)
+            where = _place(other if several else {**other, "part": ""}, other, summary)
             result.append(Extreme(name, title, regular, where, *_trust(other)))
             mine = replace(mine, name=f"{title}, where it is singular")
         result.append(mine)
@@ -164,10 +160,10 @@ def _trust(peak: Table) -> tuple[str, str]:
     )
 
 
-def _place(row: Table, peak: Table, size: float) -> str:
+def _place(row: Table, peak: Table, summary: Table) -> str:
     part = f", in ‘{row['part']}’" if row.get("part") else ""
     on = f", on ‘{peak['surface']}’" if peak.get("surface") else ""
-    return place_text(row, size) + part + on
+    return place_text(row, summary) + part + on
 
 
 def mesh_badge(summary: Table) -> tuple[str, str]:

@@ -92,13 +92,13 @@ def report_contents(run: FinishedRun) -> dict[str, object]:
         "reason": str(run.summary.get("reason") or ""),
         "diagnosis": contents.diagnosis_lines(run.summary),
         "sentences": what_was_computed(run, dim=dim),
-        "key_figures": _key_figures(run, max(sides, default=1.0)),
+        "key_figures": _key_figures(run),
         "audit": contents.audit_of(run),
         "audited": _audited(run.summary),
         "mesh_badge": contents.mesh_badge(run.summary),
         "verdict": verdict_of(run.summary),
         "about": {key: str(run.case.get(key) or "") for key in ("part", "author", "conclusion")},
-        "extremes": contents.extremes_of(run.summary, max(sides, default=1.0)),
+        "extremes": contents.extremes_of(run.summary),
         "last_values": contents.last_values(run),
         "supports": supports,
         "loads": loads,
@@ -225,9 +225,9 @@ def _own_pictures(folder: Path, room: int) -> Iterator[OwnPicture]:
 # --- numbers ---
 
 
-def _key_figures(run: FinishedRun, longest: float) -> list[dict[str, object]]:
+def _key_figures(run: FinishedRun) -> list[dict[str, object]]:
     """What a reader looks for first; what is singular stands small below it."""
-    rows = contents.extremes_of(run.summary, longest)
+    rows = contents.extremes_of(run.summary)
     result: list[dict[str, object]] = []
     for key in ("safety_factor", "von_mises", "displacement"):
         mine = sorted((row for row in rows if row.key == key), key=lambda row: row.singular)

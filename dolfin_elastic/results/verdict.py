@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.si_text import number, percent, quantity, scaled_unit
-from dolfin_elastic.core.units import to_si
+from dolfin_elastic.core.si_text import number, percent, quantity
+from dolfin_elastic.core.units import LengthUnit, to_si
 
 ENOUGH = 0.3
 """Estimated error of a stress above which it is not known."""
@@ -238,22 +238,18 @@ def _allowable(peak: Table, summary: Table) -> float:
 
 def _where(peak: Table, summary: Table) -> str:
     """Where, and which singular place does not count."""
-    extent = (summary.get("model") or {}).get("mesh", {}).get("extent") or [1.0]
-    place = place_text(peak, max(map(_number, extent)))
+    place = place_text(peak, summary)
     text = f", on ‘{peak['surface']}’" if peak.get("surface") else f", at {place}" if place else ""
     return f"{text} (not at {peak['apart']}: singular)" if peak.get("apart") else text
 
 
-def place_text(row: Table, size: float) -> str:
-    """Coordinates for people, in a unit that suits the body; empty where there are none.
+def place_text(row: Table, summary: Table) -> str:
+    """Coordinates for people, in the unit of the mesh; empty where there are none.
 
     Args:
         row: With "place" [m].
-        size: Of the body [m].
     """
+    mesh = (summary.get("model") or {}).get("mesh") or {}
+    metres = _number(mesh.get("metres")) if isinstance(mesh, Mapping) else math.nan
     place = [x for x in row.get("place") or [] if isinstance(x, int | float)]
-    if not place:
-        return ""
-    factor, unit = scaled_unit(min(size, 0.999), "m") if size < 1 else (1.0, "m")
-    text = ", ".join(number(0.0 if abs(x) < 1e-9 * size else x / factor) for x in place)
-    return f"({text}) {unit}"
+    return LengthUnit.of(metres if metres > 0 else 1.0).point(place) if place else ""

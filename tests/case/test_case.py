@@ -1035,7 +1035,8 @@ def test_the_words_of_an_engineer(folder: Path) -> None:
     said = [line.removeprefix("case.toml: ") for line in message_of(folder, text).splitlines()]
     assert said[0] == "materials.steel: unknown key 'yield'; did you mean 'allowable'?"
     assert said[1].startswith(
-        "materials.steel.material: there is no material 'steel' in the library; known: steel S235,"
+        "materials.steel.material: there is no material 'steel' in the library; known: "
+        '"steel S235", "steel S275",'
     )
     assert (
         said[2] == "output.fields[0]: unknown field 'safety factor'; did you mean 'safety_factor'?"

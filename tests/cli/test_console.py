@@ -67,10 +67,12 @@ def test_largest_values_of_a_motion():
     """With place and part; nothing is said of a body without stress, or before the end."""
     stress = {"value": 1.84e8, "place": [0.016, -1e-18], "part": "steel"}
     safety = {"value": 1.36, "place": [0.016, 0.0], "part": ""}
-    assert extreme_lines({"extremes": {"von_mises": stress, "safety_factor": safety}}) == [
-        "largest von Mises stress  184 MPa at (0.016, 0) m in 'steel'",
-        "smallest safety factor    1.36 at (0.016, 0) m",
+    found = {"extremes": {"von_mises": stress, "safety_factor": safety}}
+    assert extreme_lines({**found, "model": {"mesh": {"metres": 0.001}}}) == [
+        "largest von Mises stress  184 MPa at (16, 0) mm in 'steel'",
+        "smallest safety factor    1.36 at (16, 0) mm",
     ]
+    assert "at (0.016, 0) m" in extreme_lines(found)[1]
     assert extreme_lines({"extremes": {"von_mises": {**stress, "value": 0.0}}}) == []
     assert extreme_lines({"extremes": {}}) == []
 

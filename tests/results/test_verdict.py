@@ -18,7 +18,7 @@ CASE = {"materials": {"steel": {"allowable": "235 MPa"}}}
 
 
 def summary(**changed: Any) -> dict[str, Any]:
-    model = {"mesh": {"extent": [0.2, 0.01, 0.01]}}
+    model = {"mesh": {"metres": 0.001}}
     base = {"status": "completed", "steps": 1, "t": 1.0, "case": CASE, "model": model}
     return {**base, **changed}
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -11,9 +11,8 @@ from dolfinx import fem
 
 from dolfin_elastic.core.ghosts import marked, with_ghosts
 from dolfin_elastic.core.parallel import largest_row, total
-from dolfin_elastic.core.si_text import quantity
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
-from dolfin_elastic.core.units import stress_unit
+from dolfin_elastic.core.units import METRE, LengthUnit, stress_unit
 from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.results.recovery.error import ErrorEstimate
 from dolfin_elastic.results.recovery.locking import unseen_locking
@@ -52,6 +51,7 @@ class Peak:
         surface: Name of the smallest surface that the node is on; empty if there is none.
         singular: What makes the exact stress unbounded there; empty if nothing does.
         unresolved: Why the cells there do not resolve a peak; empty if they do.
+        unit: In which the place is told.
     """
 
     value: float
@@ -61,17 +61,21 @@ class Peak:
     surface: str = ""
     singular: str = ""
     unresolved: str = ""
+    unit: LengthUnit = METRE
 
     def text(self) -> str:
-        """Value and place for people, such as "184 MPa at (0.016, 0, 0.01) m on 'fillet'"."""
+        """Value and place for people, such as "184 MPa at (16, 0, 10) mm on 'fillet'"."""
         factor, unit = stress_unit(self.value)
         return f"{self.value / factor:.3g} {unit} {self.where()}"
 
     def where(self) -> str:
-        """The place for people, such as "at (0.016, 0, 0.01) m on 'fillet'"."""
-        place = ", ".join(f"{0.0 if abs(x) < 1e-12 else x:.4g}" for x in self.place)
+        """The place for people, such as "at (16, 0, 10) mm on 'fillet'"."""
         on = f" on '{self.surface}'" if self.surface else ""
-        return f"at ({place}) m{on}"
+        return f"at {self.unit.point(self.place)}{on}"
+
+    def as_json(self) -> dict[str, object]:
+        """For `summary.json`, in SI units."""
+        return {key: value for key, value in asdict(self).items() if key != "unit"}
 
 
 @dataclass(frozen=True)
@@ -191,7 +195,7 @@ def _apart(peak: Peak, singular: Peak) -> str:
     """Error of a regular peak, and its distance from the singular one."""
     error = f"+- {percent(peak.error)}" if np.isfinite(peak.error) else "error unknown"
     distance = float(np.linalg.norm(np.subtract(peak.place, singular.place)))
-    return f", {error}, {quantity(distance, 'm').replace('µ', 'u')} away"
+    return f", {error}, {peak.unit.length(distance)} away"
 
 
 def _doubts(peak: Peak, rival: Peak | None) -> list[Remark]:
@@ -402,6 +406,7 @@ class _Finder:
                 surface,
                 self._places.reason(node) if singular else "",
                 self._unresolved(node),
+                problem.body.unit,
             )
         peak: Peak = comm.bcast(own, root=best.rank)
         return best.value, peak

@@ -401,9 +401,9 @@ def _error(problem: Problem, estimate: ErrorEstimate, *, logs: bool) -> dict[str
     table = {
         "energy_norm": estimate.relative,
         "energy": estimate.energy,
-        "von_mises": asdict(peaks.largest),
-        "elsewhere": asdict(peaks.elsewhere) if peaks.elsewhere else None,
-        "may_be_larger": asdict(peaks.rival) if peaks.rival else None,
+        "von_mises": peaks.largest.as_json(),
+        "elsewhere": peaks.elsewhere.as_json() if peaks.elsewhere else None,
+        "may_be_larger": peaks.rival.as_json() if peaks.rival else None,
         "straight_cells": peaks.cut_off,
         "reservations": [
             *peaks.reservations(estimate.relative),
@@ -414,8 +414,8 @@ def _error(problem: Problem, estimate: ErrorEstimate, *, logs: bool) -> dict[str
     }
     if peaks.safety is not None:
         other = peaks.safety_elsewhere
-        table["safety_factor"] = asdict(peaks.safety)
-        table["safety_factor_elsewhere"] = asdict(other) if other else None
+        table["safety_factor"] = peaks.safety.as_json()
+        table["safety_factor_elsewhere"] = other.as_json() if other else None
     return table
 
 

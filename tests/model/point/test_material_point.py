@@ -331,7 +331,7 @@ def test_words_of_the_command_line():
         read_laws("neo-hooke", {})
     ((name, law),) = read_laws("s235", {"E": "200 GPa"}).items()
     assert (name, law.E, law.nu) == ("steel S235", 200e9, 0.3)
-    with pytest.raises(InputError, match="nor a material of the library; known: steel S235, "):
+    with pytest.raises(InputError, match='nor a material of the library; known: "steel S235", '):
         read_laws("steel", {})
 
 
