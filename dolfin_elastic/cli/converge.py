@@ -14,7 +14,6 @@ from click.exceptions import Exit
 from dolfin_elastic.cli.run import AUDIT_FAILED, Petsc, Quiet, Trust, begin
 from dolfin_elastic.core.errors import StoppedError, check_kept
 from dolfin_elastic.core.petsc_options import parse_arguments
-from dolfin_elastic.core.si_text import scaled_unit
 from dolfin_elastic.core.signals import INTERRUPTED, Stop
 from dolfin_elastic.core.startup.libraries import start
 
@@ -115,6 +114,8 @@ def _line(progress: Progress, level: Level) -> str:
 
 
 def _with_unit(value: float, progress: Progress) -> str:
+    from dolfin_elastic.core.si_text import scaled_unit
+
     factor, unit = scaled_unit(value, progress.quantity.unit)
     return f"{value / factor:.5g} {unit}".rstrip()
 

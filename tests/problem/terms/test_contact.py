@@ -698,7 +698,7 @@ def test_in_a_case(comm):
     small = {**TABLES["mesh"], "unit": "mm"}
     above = {"on": "left", "plane": {"axis": "x", "at": -0.0005}}
     notes = report(Case.from_dict(TABLES | {"mesh": small, "contact": [above]}), comm=comm).notes
-    assert any("are they in m? Then it would be 0.0005 m away" in note for note in notes)
+    assert any("are they in m? Then it would be 0.5 mm away" in note for note in notes)
     misspelt = TABLES | {"contact": [TABLES["contact"][0] | {"on": "botom"}]}
     with pytest.raises(InputError, match=r"contact\[0\].on: .*did you mean 'bottom'"):
         report(Case.from_dict(misspelt), comm=comm)
