@@ -229,7 +229,8 @@ def _show_verdict(folder: Path, *, motion: bool) -> None:
     summary = loads(_summary(folder) or "{}")
     for line in extreme_lines(summary) if motion else ():
         print(f" {line}")
-    if verdict := summary.get("verdict"):
+    verdict = summary.get("verdict")
+    if verdict and not (motion and verdict["kind"] == "result"):
         print(typed(verdict["text"]))
 
 
