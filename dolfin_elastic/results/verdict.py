@@ -50,12 +50,12 @@ def verdict_of(summary: Table) -> Verdict | None:
         return _unknown(_ended_early(summary, str(status)))
     if status != "completed":
         return None
-    if (summary.get("stability") or {}).get("verdict") == "unstable":
+    if _table(summary, "stability").get("verdict") == "unstable":
         return _verdict("fails", "the equilibrium is unstable, the part leaves it: it buckles")
-    audit = summary.get("audit") or {}
-    if audit.get("verdict") == "fail":
-        return _unknown("the audit fails: " + "; ".join(map(str, audit.get("reasons") or ["?"])))
-    if rows := [row for row in summary.get("modes") or [] if isinstance(row, Mapping)]:
+    if _table(summary, "audit").get("verdict") == "fail":
+        return _unknown(f"the audit fails: {_reasons(summary)}")
+    modes = summary.get("modes")
+    if rows := [row for row in modes if isinstance(row, Mapping)] if isinstance(modes, list) else []:
         return _of_buckling(rows) if rows[0].get("kind") == "buckling" else _of_modes(rows, summary)
     return _of_stress(summary) if summary.get("steps") else None
 
@@ -66,6 +66,17 @@ def _verdict(kind: Kind, text: str) -> Verdict:
 
 def _unknown(text: str) -> Verdict:
     return _verdict("not known", text)
+
+
+def _table(table: Table, key: str) -> Table:
+    """A table in another; empty where there is none."""
+    value = table.get(key)
+    return value if isinstance(value, Mapping) else {}
+
+
+def _reasons(summary: Table) -> str:
+    reasons = _table(summary, "audit").get("reasons")
+    return "; ".join(map(str, reasons)) if isinstance(reasons, list) and reasons else "?"
 
 
 def _number(value: object) -> float:
@@ -80,7 +91,7 @@ def _ended_early(summary: Table, status: str) -> str:
     t = _number(summary.get("t"))
     if not summary.get("steps") or math.isnan(t):
         return f"{what} in the first step"
-    if (summary.get("case") or {}).get("dynamics"):
+    if _table(summary, "case").get("dynamics"):
         return f"{what} after t = {quantity(t, 's')}"
     load = _number(summary.get("load_factor"))
     return f"{what} beyond {percent(load)} of the load"
@@ -106,7 +117,7 @@ def _of_modes(rows: Sequence[Table], summary: Table) -> Verdict:
         return _verdict("result", "all modes are motions of the rigid part")
     first = min(elastic, key=lambda row: _number(row.get("frequency")))
     text = f"lowest natural frequency {quantity(_number(first.get('frequency')), 'Hz')}"
-    shape = mode_text(first, summary.get("whole") or {})
+    shape = mode_text(first, _table(summary, "whole"))
     return _verdict("result", f"{text}: {shape}" if shape else text)
 
 
@@ -133,13 +144,13 @@ def mode_text(row: Table, whole: Table) -> str:
 
 
 def _of_stress(summary: Table) -> Verdict:
-    error, extremes = (summary.get(key) or {} for key in ("error", "extremes"))
+    error, extremes = (_table(summary, key) for key in ("error", "extremes"))
     safety = reliable(error, "safety_factor", "safety_factor_elsewhere", extremes)
     stress = reliable(error, "von_mises", "elsewhere", extremes)
-    if safety is not None:
+    if safety is not None and _number(safety.get("value")) > 0:
         return _of_safety(safety, summary)
     if stress is None or not _number(stress.get("value")) > 0:
-        u = _number((extremes.get("displacement") or {}).get("value"))
+        u = _number(_table(extremes, "displacement").get("value"))
         return _verdict("result", f"largest displacement {quantity(u, 'm')}, without stress")
     if why := doubt(stress):
         return _unknown(f"the largest von Mises stress{_where(stress, summary)}: {why}")
@@ -203,11 +214,15 @@ def _of_safety(safety: Table, summary: Table) -> Verdict:
 
 def _unjudged(safety: Table, summary: Table) -> str:
     """What speaks against a part whose stress is known to be below the allowable one."""
-    stability = summary.get("stability") or {}
+    stability, most = _table(summary, "stability"), _table(summary, "largest")
     if "error" not in safety:
         return "that is the end of the motion alone, with an unknown error"
-    if stability.get("verdict") == "not judged":
-        return f"its stability is not judged: {stability.get('reason')}"
+    if _table(summary, "audit").get("verdict") == "warn":
+        return f"the audit has doubts: {_reasons(summary)}"
+    if _number(summary.get("max_displacement")) < 0.99 * _number(most.get("max_displacement")):
+        return f"that is the end of the run alone: it was deformed more in step {most.get('step')}"
+    if stability.get("verdict") != "stable":
+        return f"its stability is not judged: {stability.get('reason') or 'nothing is said of it'}"
     if stability.get("may_buckle"):
         return (
             "so slender a part under compression may buckle, which small strains do not show: "
@@ -228,10 +243,9 @@ def _error(peak: Table) -> str:
 
 def _allowable(peak: Table, summary: Table) -> float:
     """The allowable stress [Pa] of the material at a place; 0 where it is no number."""
-    materials = (summary.get("case") or {}).get("materials")
-    row = materials.get(peak.get("part")) if isinstance(materials, Mapping) else None
+    row = _table(_table(_table(summary, "case"), "materials"), str(peak.get("part")))
     try:
-        return max(0.0, float(to_si(row["allowable"], "Pa"))) if isinstance(row, Mapping) else 0.0
+        return max(0.0, float(to_si(row["allowable"], "Pa")))
     except (InputError, KeyError, TypeError, ValueError):  # a field of the mesh, or a formula
         return 0.0
 
@@ -249,7 +263,6 @@ def place_text(row: Table, summary: Table) -> str:
     Args:
         row: With "place" [m].
     """
-    mesh = (summary.get("model") or {}).get("mesh") or {}
-    metres = _number(mesh.get("metres")) if isinstance(mesh, Mapping) else math.nan
-    place = [x for x in row.get("place") or [] if isinstance(x, int | float)]
+    metres, given = _number(_table(_table(summary, "model"), "mesh").get("metres")), row.get("place")
+    place = [x for x in given if isinstance(x, int | float)] if isinstance(given, Sequence) else []
     return LengthUnit.of(metres if metres > 0 else 1.0).point(place) if place else ""

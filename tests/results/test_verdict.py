@@ -20,13 +20,14 @@ CASE = {"materials": {"steel": {"allowable": "235 MPa"}}}
 def summary(**changed: Any) -> dict[str, Any]:
     model = {"mesh": {"metres": 0.001}}
     base = {"status": "completed", "steps": 1, "t": 1.0, "case": CASE, "model": model}
-    return {**base, **changed}
+    return {**base, "stability": {"verdict": "stable"}, **changed}
 
 
 def of_safety(peak: dict[str, Any], **more: Any) -> dict[str, Any]:
     return summary(error={"safety_factor": peak, "von_mises": peak, **more})
 
 
+UNLOADED = {"max_displacement": 2.0, "step": 3}
 STRESS = {**PEAK, "value": 9.27e7}
 LAST = {"extremes": {"safety_factor": {"value": 3.0, "place": [0.0, 0.0, 0.0], "part": "steel"}}}
 MODES = [
@@ -63,9 +64,25 @@ MODES = [
         ),
         ({**of_safety(PEAK), "case": {}}, "holds: 4 times below the allowable stress, ± 10 %"),
         (
-            {**of_safety(PEAK), "stability": {"may_buckle": True}},
+            {**of_safety(PEAK), "stability": {"verdict": "stable", "may_buckle": True}},
             "not known: stress 4 times below 235 MPa, ± 10 %, on ‘fillet’, but so slender a part",
         ),
+        (
+            {**of_safety(PEAK), "stability": None},
+            "not known: stress 4 times below 235 MPa, ± 10 %, on ‘fillet’, "
+            "but its stability is not judged: nothing is said of it",
+        ),
+        (
+            {**of_safety(PEAK), "audit": {"verdict": "warn", "reasons": ["energy: 4 %"]}},
+            "not known: stress 4 times below 235 MPa, ± 10 %, on ‘fillet’, "
+            "but the audit has doubts: energy: 4 %",
+        ),
+        (
+            {**of_safety(PEAK), "max_displacement": 1.0, "largest": UNLOADED},
+            "not known: stress 4 times below 235 MPa, ± 10 %, on ‘fillet’, "
+            "but that is the end of the run alone: it was deformed more in step 3",
+        ),
+        (of_safety({**PEAK, "value": None}), "largest displacement not known, without stress"),
         (
             summary(**LAST),
             "not known: stress 3 times below 235 MPa, at (0, 0, 0) mm, but "
@@ -119,6 +136,17 @@ def test_verdict(content: dict[str, Any], text: str) -> None:
     assert found.text.startswith(text)
     kinds = [kind for kind in ("holds", "fails", "not known") if text.startswith(f"{kind}: ")]
     assert found.kind == (kinds[0] if kinds else "result")
+
+
+@pytest.mark.parametrize(
+    "key", ["stability", "audit", "case", "model", "error", "extremes", "largest", "whole", "modes"]
+)
+@pytest.mark.parametrize("value", ["text", 1, [1], {"mesh": 1, "materials": [], "reasons": 1}])
+def test_of_strangers_summary(key: str, value: object) -> None:
+    """Whatever a file of a stranger has in place of a table, there is a verdict."""
+    peak = {**PEAK, "place": 1, "part": [1]}
+    for content in (of_safety(peak), summary(modes=MODES), summary(status="failed")):
+        assert verdict_of({**content, key: value}) is not None
 
 
 @pytest.mark.parametrize("content", [summary(status="running"), summary(steps=0), {}])
