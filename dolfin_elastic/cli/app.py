@@ -208,11 +208,12 @@ app.command(cls=Verb)(verify)
 @app.command(cls=Verb)
 def info() -> None:
     """Show versions and libraries."""
-    from dolfin_elastic.cli.console import show_versions
     from dolfin_elastic.cli.info import describe
 
     versions, advice = describe()
-    show_versions(versions)
+    width = max(map(len, versions))
+    for name, value in versions.items():
+        print(f"{name:<{width}}  {value}")
     for line in advice if launched_rank() == 0 else ():
         print(f"warning: {line}", file=sys.stderr)
 

@@ -14,11 +14,11 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, InputError, SolveError
-from dolfin_elastic.core.si_text import number
+from dolfin_elastic.core.si_text import counted, number
 from dolfin_elastic.core.units import stress_unit
 from dolfin_elastic.results.verdict import place_text
 
@@ -55,27 +55,14 @@ def console(*, stderr: bool = False) -> Screen:
 # --- progress ---
 
 
-class ProgressDisplay(Protocol):
-    """Shows the progress of a run, state by state."""
+class ProgressDisplay:
+    """Shows the progress of a run, state by state; this one nothing, as others than rank 0 do."""
 
     def show(self, state: State) -> None:
         """Shows one state."""
 
     def search(self, text: str) -> None:
         """Shows a trial on the way to the next state, in place of the one before."""
-
-    def close(self) -> None:
-        """Ends the display."""
-
-
-class NoProgress:
-    """Shows nothing: on ranks other than 0, and with --quiet."""
-
-    def show(self, state: State) -> None:
-        """Shows one state."""
-
-    def search(self, text: str) -> None:
-        """See `ProgressDisplay`."""
 
     def close(self) -> None:
         """Ends the display."""
@@ -113,7 +100,7 @@ class Estimate:
         return time_left(spent - begin, done, before) if 1 / 2 <= faster <= 2 else ""
 
 
-class ProgressLines:
+class ProgressLines(ProgressDisplay):
     """One line a step, for files and pipes."""
 
     def __init__(self, motion: bool) -> None:
@@ -139,11 +126,8 @@ class ProgressLines:
             self._shown, self._count = now, self._count + 1
             print(f"{step_text(state, motion=self.motion)}  {left}", flush=True)
 
-    def close(self) -> None:
-        """Ends the display."""
 
-
-class ProgressBar:
+class ProgressBar(ProgressDisplay):
     """A bar that moves, for terminals."""
 
     def __init__(self, motion: bool, screen: Screen) -> None:
@@ -336,17 +320,12 @@ def show_end(
     table = Table(box=None, show_header=False, pad_edge=True)
     for name, value in _end_rows(state, motion, most):
         table.add_row(name, value)
-    iterations = f", {count(newton, 'Newton iteration')}" if newton else ""
+    iterations = f", {counted(newton, 'Newton iteration')}" if newton else ""
     again = f" since step {since}" if since else ""
-    screen.print(f"done: {count(state.step, 'step')}{iterations}{again}")
+    screen.print(f"done: {counted(state.step, 'step')}{iterations}{again}")
     show_table(screen, table)
     # Not in the table: the line is longer than a column may be.
     screen.tell(f" time: {_times(seconds)}")
-
-
-def typed(text: str) -> str:
-    """A text of pages as it is typed."""
-    return text.translate(TYPED)
 
 
 def extreme_lines(summary: Mapping[str, Any]) -> list[str]:
@@ -366,11 +345,6 @@ def extreme_lines(summary: Mapping[str, Any]) -> list[str]:
 def _at(extreme: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     part = f" in '{extreme['part']}'" if extreme["part"] else ""
     return f"at {place_text(extreme, summary)}{part}"
-
-
-def count(number: int, thing: str) -> str:
-    """A number with its noun in the singular or plural."""
-    return f"{number} {thing}" + ("" if number == 1 else "s")
 
 
 def _end_rows(state: State, motion: bool, most: float = 0.0) -> list[tuple[str, str]]:
@@ -484,10 +458,3 @@ def show_restart(folder: Path, around: Path | None) -> None:
 
     if (step := last_step(folder)) is not None:
         print(f"to go on after step {step}: dolfin-elastic restart {around or folder}")
-
-
-def show_versions(versions: Mapping[str, object]) -> None:
-    """Prints name and value, one a line."""
-    width = max(map(len, versions))
-    for name, value in versions.items():
-        print(f"{name:<{width}}  {value}")

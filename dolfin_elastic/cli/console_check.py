@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
@@ -15,7 +15,6 @@ from dolfin_elastic.core.units import LENGTHS
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.check.initial_state import ContactGap
-    from dolfin_elastic.case.check.loads import LoadSum
     from dolfin_elastic.case.check.report import Report
     from dolfin_elastic.case.check.sizes import PartSize
     from dolfin_elastic.solvers.diagnostics.rigid_body import FreeBody
@@ -26,9 +25,9 @@ def show_check(report: Report) -> None:
     screen = console()
     title = " ".join(report.title.split())  # one line, whatever it holds
     screen.print(f"{report.case}: {title}" if title else report.case, style="bold")
-    for name, text in _head(report):
-        screen.tell(f"  {name:<10} {text}")
     size = _lengths(report)
+    for name, text in _head(report, size):
+        screen.tell(f"  {name:<10} {text}")
     for kind in ("surface", "edge", "point", "region", "material"):
         rows: Sequence[PartSize] = getattr(report, f"{kind}s")
         if rows:
@@ -54,8 +53,7 @@ def _lengths(report: Report) -> Lengths:
     return Lengths(unit, LENGTHS[unit], report.dim, max(report.extent))
 
 
-def _head(report: Report) -> list[tuple[str, str]]:
-    size = _lengths(report)
+def _head(report: Report, size: Lengths) -> list[tuple[str, str]]:
     kind = "" if report.dim == 3 else f" ({report.geometry})"
     whole, elements = report.regions[0], {1: "linear", 2: "quadratic"}[report.degree]
     by = f" by {report.scheme}" if report.scheme else ""
@@ -84,9 +82,8 @@ def _body(body: FreeBody, bodies: int) -> str:
 
 
 def _show_loads(screen: Screen, report: Report) -> None:
-    table = Table("load", box=SIMPLE_HEAD, pad_edge=False)
-    for head in ("force [N]", "moment about the origin [N m]"):
-        table.add_column(head)
+    heads = ("load", "force [N]", "moment about the origin [N m]")
+    table = Table(*heads, box=SIMPLE_HEAD, pad_edge=False)
     moving = report.analysis == "dynamics"
     if moving:
         table.add_column("at t [s]", justify="right")
@@ -96,24 +93,18 @@ def _show_loads(screen: Screen, report: Report) -> None:
     show_table(screen, table)
     at = f"at load parameter {max((load.time for load in report.loads), default=1.0):g}"
     when = "when it is largest in the motion" if moving else at
-    screen.tell(_loads_caption(report.loads, when))
+    text = f"Loads are summed up on the undeformed body, each {when}."
+    if any(load.force is None for load in report.loads):
+        text += " Those without numbers depend on more than that body."
+    screen.tell(text)
 
 
 def _contacts(contacts: Sequence[ContactGap], size: Lengths) -> Table:
-    table = Table("contact", box=SIMPLE_HEAD, pad_edge=False)
-    for head in (f"smallest gap at the start [{size.unit}]", f"at [{size.unit}]"):
-        table.add_column(head)
+    heads = ("contact", f"smallest gap at the start [{size.unit}]", f"at [{size.unit}]")
+    table = Table(*heads, box=SIMPLE_HEAD, pad_edge=False)
     for row in contacts:
         table.add_row(row.contact, f"{row.gap / size.metres:.4g}", size.place(row.place))
     return table
-
-
-def _loads_caption(loads: Iterable[LoadSum], when: str) -> str:
-    """What the numbers in the table of loads are."""
-    text = f"Loads are summed up on the undeformed body, each {when}."
-    if any(load.force is None for load in loads):
-        text += " Those without numbers depend on more than that body."
-    return text
 
 
 def _resultant(vector: Sequence[float] | None) -> str:

@@ -62,9 +62,7 @@ def show_report(screen: Screen, name: str, report: MaterialReport, files: Sequen
         files: What was written, all in one folder.
     """
     screen.print(name, style="bold")
-    table = Table("check", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("")
-    table.add_column("what was found")
+    table = Table("check", "", "what was found", box=SIMPLE_HEAD, pad_edge=False)
     for finding in report.findings:
         table.add_row(finding.check, _MARKS[finding.verdict], finding.text)
     screen.print(table)
@@ -112,9 +110,8 @@ def show_library(screen: Screen, *names: str) -> None:
     """Prints materials of the library with their sources; all without a name."""
     rows = [in_words(name) for name in names or library()]
     screen.print('materials by name, as in material = "steel S235"', style="bold")
-    table = Table("material", box=SIMPLE_HEAD, pad_edge=False)
-    for head in ("elastic constants", "density", "expansion", "yield"):
-        table.add_column(head)
+    heads = ("material", "elastic constants", "density", "expansion", "yield")
+    table = Table(*heads, box=SIMPLE_HEAD, pad_edge=False)
     for *cells, _ in rows:
         table.add_row(*cells)
     screen.print(table)

@@ -33,7 +33,7 @@ def show_modes(modes: Sequence[Mode], seconds: Mapping[str, float]) -> None:
     for head in ["load factor"] if buckling else ["[Hz]", *directions, ""]:
         table.add_column(head, justify="left" if not head else "right")
     for mode in modes[:SHOWN]:
-        table.add_row(str(mode.number), *(_load_factor(mode) if buckling else _cells(mode)))
+        table.add_row(str(mode.number), *_cells(mode))
     screen.print(f"done: {len(modes)} modes, {seconds_text(seconds.get('total', 0.0), 3)} s")
     screen.print(table)
     if len(modes) > SHOWN:
@@ -64,11 +64,9 @@ def _axis_points(modes: Sequence[Mode]) -> list[str]:
     ]
 
 
-def _load_factor(mode: Mode) -> list[str]:
-    return [f"{mode.load_factor:.6g}"]
-
-
 def _cells(mode: Mode) -> list[str]:
+    if mode.kind == "buckling":
+        return [f"{mode.load_factor:.6g}"]
     shares = [
         f"{100 * mode.effective[name] / mass:.2f}"
         for name, mass in mode.whole.items()

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import math
+from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -69,9 +71,6 @@ def converge(
     """
     options, at_start = parse_arguments(petsc or [])
     start(at_start)
-    from contextlib import closing
-    from dataclasses import replace
-
     from dolfin_elastic.case.case import read_case
     from dolfin_elastic.results.writers.summary import mark_stopped
     from dolfin_elastic.study.converge.converge import Goal, default_folder
@@ -137,8 +136,7 @@ def show_table_of(progress: Progress, folder: Path) -> None:
     from dolfin_elastic.study.converge.report import FILES
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    heads = ("mesh", "elements", "unknowns", progress.head, "estimated error", "in energy")
-    for head in heads:
+    for head in ("mesh", "elements", "unknowns", progress.head, "estimated error", "in energy"):
         table.add_column(head, justify="right")
     for level in progress.levels:
         table.add_row(

@@ -36,14 +36,10 @@ def describe() -> tuple[dict[str, str], list[str]]:
         "cores": str(len(os.sched_getaffinity(0))),
         "threads": threads or "not set (OMP_NUM_THREADS)",
         "blas": blas,
-        "mumps": "yes" if _has_mumps() else "no",
+        "mumps": "yes" if PETSc.Sys.hasExternalPackage("mumps") else "no",
         "compiled forms": str(cache_folder()),
     }
     return versions, advice
-
-
-def _has_mumps() -> bool:
-    return bool(PETSc.Sys.hasExternalPackage("mumps"))
 
 
 def _blas() -> tuple[str, list[str]]:

@@ -7,6 +7,7 @@ import gc
 import logging
 import sys
 from collections.abc import Generator
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -160,8 +161,6 @@ def _compute_all(runs: InTurn, shown: _Shown, comm: MPI.Comm) -> None:
 
     Collective.
     """
-    from contextlib import closing
-
     from dolfin_elastic.cli import console
 
     code = 0
@@ -224,14 +223,14 @@ def _show_verdict(folder: Path, *, motion: bool) -> None:
     """Prints the verdict; of a motion its largest stress at the end, which statics logs."""
     from json import loads
 
-    from dolfin_elastic.cli.console import extreme_lines, typed
+    from dolfin_elastic.cli.console import TYPED, extreme_lines
 
     summary = loads(_summary(folder) or "{}")
     for line in extreme_lines(summary) if motion else ():
         print(f" {line}")
     verdict = summary.get("verdict")
     if verdict and not (motion and verdict["kind"] == "result"):
-        print(typed(verdict["text"]))
+        print(verdict["text"].translate(TYPED))
 
 
 def _written(folder: Path) -> tuple[int, int] | None:
@@ -257,8 +256,6 @@ def _follow(
     comm: MPI.Comm,
 ) -> int:
     """Computes a run to its end, or until it is stopped; returns the exit code. Collective."""
-    from contextlib import closing
-
     from dolfin_elastic.cli import console
     from dolfin_elastic.core import timing
     from dolfin_elastic.problem.state import Mode
@@ -306,7 +303,7 @@ def _progress_display(timed: bool, visible: bool, *, verbose: bool) -> ProgressD
     from dolfin_elastic.cli import console
 
     if not visible:
-        return console.NoProgress()
+        return console.ProgressDisplay()
     handlers = logging.getLogger("dolfin_elastic").handlers
     handler = next((one for one in handlers if isinstance(one, console.LogHandler)), None)
     display: ProgressDisplay = console.ProgressLines(timed)

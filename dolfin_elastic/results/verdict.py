@@ -55,7 +55,11 @@ def verdict_of(summary: Table) -> Verdict | None:
     if _table(summary, "audit").get("verdict") == "fail":
         return _unknown(f"the audit fails: {_reasons(summary)}")
     modes = summary.get("modes")
-    if rows := [row for row in modes if isinstance(row, Mapping)] if isinstance(modes, list) else []:
+    if (
+        rows := [row for row in modes if isinstance(row, Mapping)]
+        if isinstance(modes, list)
+        else []
+    ):
         return _of_buckling(rows) if rows[0].get("kind") == "buckling" else _of_modes(rows, summary)
     return _of_stress(summary) if summary.get("steps") else None
 
@@ -263,6 +267,9 @@ def place_text(row: Table, summary: Table) -> str:
     Args:
         row: With "place" [m].
     """
-    metres, given = _number(_table(_table(summary, "model"), "mesh").get("metres")), row.get("place")
+    metres, given = (
+        _number(_table(_table(summary, "model"), "mesh").get("metres")),
+        row.get("place"),
+    )
     place = [x for x in given if isinstance(x, int | float)] if isinstance(given, Sequence) else []
     return LengthUnit.of(metres if metres > 0 else 1.0).point(place) if place else ""

@@ -117,7 +117,6 @@ def convert(
     from mpi4py import MPI
 
     from dolfin_elastic.cli.run import collect_garbage
-    from dolfin_elastic.core.errors import check_kept
     from dolfin_elastic.mesh.formats.convert import convert_mesh
 
     collect_garbage()
