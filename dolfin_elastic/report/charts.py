@@ -32,13 +32,11 @@ class Line:
         name: For the legend; empty: none.
         x: Shape (n,).
         y: Shape (n,); what is not finite interrupts the line.
-        dashed: Drawn so.
     """
 
     name: str
     x: FloatArray
     y: FloatArray
-    dashed: bool = False
 
 
 @dataclass(frozen=True)
@@ -187,8 +185,7 @@ def _curve(which: int, line: Line, across: _Scale, up: _Scale) -> Markup:
             continue
         path.append(f"{pen}{_place(across(a))} {_place(up(b))}")
         pen = "L"
-    kind = f"line line-{which % 8}" + (" dashed" if line.dashed else "")
-    drawn = Markup('<path class="{}" d="{}"/>').format(kind, "".join(path))
+    drawn = Markup('<path class="line line-{}" d="{}"/>').format(which % 8, "".join(path))
     if len(x) > 24:
         return drawn
     dots = (
@@ -233,9 +230,8 @@ def _legend(lines: Sequence[Line]) -> Markup:
         return Markup("")
     parts = []
     for k, (line, (x, row)) in enumerate(zip(lines, _legend_places(lines), strict=True)):
-        y, kind = 14 + 20 * row, " dashed" if line.dashed else ""
-        stroke = Markup('<path class="line line-{}{}" d="M{} {}h18"/>')
-        parts.append(stroke.format(k % 8, kind, _place(x), y - 4))
+        y, stroke = 14 + 20 * row, Markup('<path class="line line-{}" d="M{} {}h18"/>')
+        parts.append(stroke.format(k % 8, _place(x), y - 4))
         parts.append(_label(x + 23, y, _short(line.name), "start"))
     return Markup("").join(parts)
 

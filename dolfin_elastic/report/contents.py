@@ -177,19 +177,9 @@ def mesh_badge(summary: Table) -> tuple[str, str]:
     return f"Mesh: largest stress ± {percent(known)}", "good" if known <= _GOOD else "warn"
 
 
-@dataclass(frozen=True)
-class LastValue:
-    """A result of the last state that the user has asked for, or that has no other place.
-
-    Attributes:
-        name: Of the probe, moment, cavity or rigid surface.
-        values: Component to value, the component empty of a scalar.
-    """
-
-    name: str
-    values: tuple[tuple[str, Value], ...]
-
-
+LastValue = tuple[str, tuple[tuple[str, Value], ...]]
+"""Name of a probe, moment or other column of the history, and its components (empty of a scalar)
+with their values in the last state."""
 _OTHERWISE = ("reaction_", "momentum_", "angular_momentum_", "balance_")
 """Beginnings of columns that other sections show."""
 
@@ -205,7 +195,7 @@ def last_values(run: FinishedRun) -> list[LastValue]:
         if not name.startswith(_OTHERWISE) and not name.endswith("_energy") and name not in _TITLES
     ]
     probes = (run.case.get("output") or {}).get("probes") or {}
-    result = []
+    result: list[LastValue] = []
     for title, columns in _groups(names):
         what = ": displacement" if columns[0].rpartition("_")[0] in probes else ""
         numbers = [float(history[name][-1]) for name in columns]
@@ -217,26 +207,15 @@ def last_values(run: FinishedRun) -> list[LastValue]:
             last = name.rpartition("_")[2]  # with one column the title says all but an axis
             axis = last if last in _AXES or len(columns) > 1 else ""
             rows.append((axis, Value(x, f"{text} {unit}" if unit and math.isfinite(x) else text)))
-        result.append(LastValue(title + what, tuple(rows)))
+        result.append((title + what, tuple(rows)))
     return result
 
 
 # --- history ---
 
 
-@dataclass(frozen=True)
-class Chart:
-    """A picture with a title.
-
-    Attributes:
-        title: Of the picture.
-        svg: The picture.
-    """
-
-    title: str
-    svg: str
-
-
+Chart = tuple[str, str]
+"""Title and SVG of a picture."""
 _TITLES = {
     "max_displacement": "Largest displacement",
     "newton": "Newton iterations",
@@ -262,11 +241,11 @@ def history_charts(run: FinishedRun) -> list[Chart]:
     if len(history.get("t", ())) < 3:
         return []
     across, axis = _time_axis(run)
-    result = []
+    result: list[Chart] = []
     for title, columns in _groups(list(history)):
         drawn = [name for name in columns if _worth(run, name)]
         if drawn:
-            result.append(Chart(title, _chart(run, title, drawn, across, axis)))
+            result.append((title, _chart(run, title, drawn, across, axis)))
     return result
 
 
@@ -338,7 +317,7 @@ def newton_chart(run: FinishedRun) -> Chart | None:
         return None
     line = Line("", steps[1:], counts[1:])
     x, y = Axis("step", whole=True), Axis("iterations", whole=True)
-    return Chart("Newton iterations of each step", line_chart([line], x, y, "Newton iterations"))
+    return "Newton iterations of each step", line_chart([line], x, y, "Newton iterations")
 
 
 def residual_chart(summary: Table) -> Chart | None:
@@ -354,7 +333,7 @@ def residual_chart(summary: Table) -> Chart | None:
     if len(lines) > 1 and np.array_equal(lines[0].y, lines[1].y):
         lines = lines[1:]
     x, y = Axis("Newton iteration", whole=True), Axis("residual [N]", logarithmic=True)
-    return Chart("Residual of Newton's method", line_chart(lines, x, y, "Residuals"))
+    return "Residual of Newton's method", line_chart(lines, x, y, "Residuals")
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from dolfin_elastic.report.scene import Viewed, chosen_frames, node_values, surf
 from dolfin_elastic.report.words import loads_act
 from dolfin_elastic.results.finished.draw import obstacles_of
 from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.finished.xdmf import Frame, read_frames, read_grid
+from dolfin_elastic.results.finished.xdmf import Frame, damaged, read_array, read_frames, read_grid
 from dolfin_elastic.results.scene.edges import sharp_edges
 from dolfin_elastic.results.scene.obstacles import Reach, obstacles_beside
 from dolfin_elastic.results.scene.scene import Frame as State
@@ -155,8 +155,6 @@ def mesh_quality(
     Raises:
         InputError: The mesh's file is missing or damaged.
     """
-    from dolfin_elastic.results.finished.xdmf import damaged, read_array
-
     frame = frames[-1][1]
     cells, x = read_array(run.folder, frame.cells), read_array(run.folder, frame.points)
     corners = np.asarray(x[cells[:, : frame.dim + 1], : frame.dim], dtype=np.float64)

@@ -121,13 +121,11 @@ def _tested(
     relaxation = tuple((f.check, f.text) for f in report.findings if f.check == "relaxation")
     if not report.curves:
         return (), (*failed, *report.notes), relaxation
-    stretched = [c for c in report.curves.values() if c.mode.name in _MODES]
+    modes = ("uniaxial", "equibiaxial", "planar")
+    stretched = [c for c in report.curves.values() if c.mode.name in modes]
     sheared = [c for c in report.curves.values() if c.mode.rest == 0]
     charts = [_chart(part) for part in (stretched, sheared) if part]
     return tuple(charts), (*failed, *([law.warning] if law.warning else [])), relaxation
-
-
-_MODES = ("uniaxial", "equibiaxial", "planar")
 
 
 def _chart(curves: list[ResponseCurve]) -> Markup:

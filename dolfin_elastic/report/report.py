@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import errno
 import hashlib
 import json
 import logging
 import shlex
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -166,24 +166,8 @@ def _pictures(viewed: Viewed | None, palette: Mapping[str, str]) -> dict[str, ob
 def _scale_text(viewed: Viewed) -> str:
     if viewed.modes:
         return "the size of a mode has no meaning"
-    return (
-        "deformation in true scale"
-        if viewed.scale == 1
-        else f"deformation {number(viewed.scale)} times"
-    )
-
-
-@dataclass(frozen=True)
-class OwnPicture:
-    """A picture that the run has made.
-
-    Attributes:
-        name: Of its file.
-        url: Its data.
-    """
-
-    name: str
-    url: str
+    times = f"{number(viewed.scale)} times" if viewed.scale != 1 else "in true scale"
+    return f"deformation {times}"
 
 
 def _room(pictures: Mapping[str, object]) -> int:
@@ -199,10 +183,8 @@ def _room(pictures: Mapping[str, object]) -> int:
     return max(0, min(_PICTURES, (LARGEST - _REST - used) * 3 // 4))
 
 
-def _own_pictures(folder: Path, room: int) -> Iterator[OwnPicture]:
-    """PNG files of the folder that have room; of a series the last one."""
-    import base64
-
+def _own_pictures(folder: Path, room: int) -> Iterator[tuple[str, str]]:
+    """Names and data URLs of PNG files of the folder that have room; of a series the last one."""
     last: dict[str, Path] = {}
     for path in sorted(folder.glob("*.png")):
         stem = path.stem.rstrip("0123456789")
@@ -217,9 +199,7 @@ def _own_pictures(folder: Path, room: int) -> Iterator[OwnPicture]:
         if data[:8] != b"\x89PNG\r\n\x1a\n":
             continue
         room -= len(data)
-        yield OwnPicture(
-            path.name, "data:image/png;base64," + base64.b64encode(data).decode("ascii")
-        )
+        yield path.name, "data:image/png;base64," + base64.b64encode(data).decode("ascii")
 
 
 # --- numbers ---
@@ -277,8 +257,8 @@ def _mesh(
     plane = frames[-1][1].dim == 2
     result["quality"] = {
         "chart": chart,
-        "worst": contents.Value(float(quality.min()), number(float(quality.min()))),
-        "mean": contents.Value(float(quality.mean()), number(float(quality.mean()))),
+        "worst": contents.Value.of(float(quality.min())),
+        "mean": contents.Value.of(float(quality.mean())),
         "poor": counted(int(np.count_nonzero(quality < 0.05)), "element"),
     }
     # Of older runs that of straight cells.

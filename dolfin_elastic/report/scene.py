@@ -17,13 +17,7 @@ from dolfin_elastic.results.derived.spectral import von_mises
 from dolfin_elastic.results.fields import FIELDS, SAFEST
 from dolfin_elastic.results.scene.colour_bar import colour_map
 from dolfin_elastic.results.scene.scene import SAFEST as SAFE
-from dolfin_elastic.results.scene.scene import (
-    SMALL_MATTERS,
-    Frame,
-    Glyphs,
-    Scene,
-    label_of,
-)
+from dolfin_elastic.results.scene.scene import SMALL_MATTERS, Frame, Glyphs, Scene, label_of
 from dolfin_elastic.results.scene.surface import outer_faces
 
 if TYPE_CHECKING:
@@ -132,16 +126,11 @@ class Viewed:
         return float(max(k * power for k in (1, 2, 5) if k * power <= wanted))
 
 
-def _finite(frame: Frame, name: str) -> bool:
-    """Whether a frame has a field, with a number at some node."""
-    return name in frame.values and bool(np.isfinite(frame.values[name]).any())
-
-
 def _offered(frames: Sequence[Frame]) -> list[str]:
     """Names of the fields of all frames, the first ones first; none that is the same everywhere."""
     names = dict.fromkeys([*FIRST, *(name for one in frames for name in one.values)])
     sizes = [n for n in names if n in FIELDS and not _NO_SIZES.fullmatch(n)]
-    known = [n for n in sizes if all(_finite(one, n) for one in frames)]
+    known = [n for n in sizes if all(np.isfinite(f.values.get(n, np.nan)).any() for f in frames)]
     return [n for n in known if n in FIRST or _varies([one.values[n] for one in frames])]
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dolfin_elastic.report.scene import FIRST, Viewed
+from dolfin_elastic.report.scene import FIRST, Shown, Viewed
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.scene.renderer import RENDERER
 from dolfin_elastic.results.scene.scene import Frame, Picture
@@ -43,7 +43,7 @@ def stills(viewed: Viewed, palette: Mapping[str, str]) -> tuple[list[tuple[str, 
         outline=False,
     )
     varied = [one for one in viewed.fields if one.name in FIRST and one.high > one.low][:_MOST]
-    result = [(one.title, _coloured(body, viewed, one.name)) for one in varied]
+    result = [(one.title, _coloured(body, viewed, one)) for one in varied]
     result = result or [("", replace(body, bare=True))]
     still = (Frame("", np.zeros_like(scene.points)),)
     held = replace(
@@ -59,8 +59,8 @@ def stills(viewed: Viewed, palette: Mapping[str, str]) -> tuple[list[tuple[str, 
         RENDERER.release(_url)
 
 
-def _coloured(body: Picture, viewed: Viewed, name: str) -> Picture:
-    (shown,) = (one for one in viewed.fields if one.name == name)
+def _coloured(body: Picture, viewed: Viewed, shown: Shown) -> Picture:
+    name = shown.name
     # A mode has no size of its own.
     factor, unit = (shown.factor, "") if viewed.modes else (1.0, FIELDS[name].unit)
     values = np.asarray(viewed.frame.values[name] / factor, dtype=np.float64)

@@ -324,7 +324,7 @@ def test_no_curves_of_round_off(tmp_path: Path) -> None:
     rows = [f"{k},{k},{k / 4},1,{k}e-3,{k}e-14,{k}00" for k in range(5)]
     (tmp_path / "history.csv").write_text("\n".join([names, *rows, ""]), encoding="utf-8")
     (tmp_path / "summary.json").write_text('{"steps": 4}', encoding="utf-8")
-    charts = {one.title: one.svg for one in history_charts(FinishedRun(tmp_path))}
+    charts = dict(history_charts(FinishedRun(tmp_path)))
     assert list(charts) == ["Largest displacement", "Reaction of base"]
     assert 'class="line line-0"' in charts["Reaction of base"]
     assert "line-1" not in charts["Reaction of base"]
@@ -533,7 +533,7 @@ def test_a_large_body_leaves_less_room_for_pictures_of_the_run(tmp_path: Path) -
     (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(1_000_000))
     small = {"scene": None, "stills": [], "held": ""}
     assert _room(small) == 1_500_000
-    assert [one.name for one in _own_pictures(tmp_path, _room(small))] == ["a.png"]
+    assert [name for name, _ in _own_pictures(tmp_path, _room(small))] == ["a.png"]
     large = {"scene": "x" * 6_900_000, "stills": [("", "y" * 300_000)], "held": "z" * 200_000}
     # 10 MB less 1.5 MB of the rest, 6.9, twice 0.3 and 0.2 MB leave 0.8 MB of text.
     assert _room(large) == pytest.approx(600_000, abs=10)
@@ -554,7 +554,7 @@ def test_values_of_a_single_step(tmp_path: Path) -> None:
     run = FinishedRun(tmp_path)
     assert history_charts(run) == []
     found = {
-        row.name: [(part, value.text) for part, value in row.values] for row in last_values(run)
+        name: [(part, value.text) for part, value in values] for name, values in last_values(run)
     }
     assert found == {
         "Tip: displacement": [("x", "0 mm"), ("y", "0 mm"), ("z", "−2 mm")],
@@ -770,7 +770,7 @@ def test_pictures_that_are_none(tmp_path: Path, caplog: pytest.LogCaptureFixture
     (tmp_path / "secret").write_bytes(b"\x89PNG\r\n\x1a\n" + b"secret")
     (tmp_path / "c.png").symlink_to(tmp_path / "secret")
     (tmp_path / "d.png").write_bytes(b"\x89PNG\r\n\x1a\n")
-    assert [one.name for one in _own_pictures(tmp_path, 1000)] == ["d.png"]
+    assert [name for name, _ in _own_pictures(tmp_path, 1000)] == ["d.png"]
     kinds = {"a": "a pipe", "b": "a link", "c": "a link"}
     for name, kind in kinds.items():
         assert f"{name}.png is left out: this is {kind}, not a file" in caplog.text
