@@ -54,6 +54,7 @@ class Term:
         changes: As a load it changes in motion.
         opens: Its forces begin and end, as those of contact.
         at_rest: What it acts from stands still.
+        follows_path: The equilibrium under a load depends on those before it.
         shift: Displacement of a rigid obstacle that its forces come from [m]; None of other terms,
             whose work is that over the displacement of the body.
         account: Which of the stored energies that of its form is part of.
@@ -64,6 +65,7 @@ class Term:
     linear = symmetric = True
     nodal = restrains = changes = opens = False
     at_rest = True
+    follows_path = False
     shift: fem.Constant | None = None
     account: str = ""
     memory: Mapping[str, fem.Function] = MappingProxyType({})
@@ -310,6 +312,11 @@ class Terms(list[Term]):
     def opens(self) -> bool:
         """Forces of some begin and end."""
         return any(term.opens for term in self)
+
+    @property
+    def follows_path(self) -> bool:
+        """See `Term`: of any."""
+        return any(term.follows_path for term in self)
 
     @property
     def scalars(self) -> list[ScalarTerm]:

@@ -9,7 +9,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.ghosts import assembled
 from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.parallel import largest, total
@@ -45,14 +45,27 @@ class PreloadedBolt(ScalarTerm):
         self.label, self.size = bolt.label, 1
         self.steps, self.signs = np.array([1e-6]), np.ones(1)
         self.prescribing = np.zeros(1, dtype=bool)
+        self.follows_path = bolt.locked_at is not None
         self._locked: float | None = None
         body = context.body
         cells = np.concatenate([body.owned_cells(name) for name in bolt.parts])
         along = body.mesh.geometry.x[body.mesh.geometry.dofmap[cells]] @ bolt.direction
         high, low = (largest(body.comm, float((s * along).max(initial=-np.inf))) for s in (1, -1))
         self.length = high + low
-        modulus = max(young(region.typical) for region in context.regions)
-        self._stiffness = modulus * self.length  # times an area, which begin() knows
+        if context.axisymmetric and abs(bolt.direction[1]) < 1 - 1e-9:
+            raise InputError(
+                "the shank of a body of revolution is along its axis",
+                where="axis",
+                expected='axis = "y"',
+            )
+        if not self.length > 0.0:
+            raise InputError(
+                "the shank has no length along it",
+                where="axis",
+                expected="an axis in the plane of the body",
+            )
+        self._modulus = max(young(region.typical) for region in context.regions)
+        self._stiffness = 0.0  # [N], known once a run begins
 
     def begin(self, *, moving: bool) -> None:
         """See `Term`."""
@@ -70,7 +83,7 @@ class PreloadedBolt(ScalarTerm):
         row = ufl.derivative(force, w, ufl.TestFunction(context.unknowns.W))
         self._force, self._row, size = compile_forms(comm, [force, row, volume], options(comm))
         area = float(total(comm, float(fem.assemble_scalar(size)))) / self.length
-        self._stiffness = self._stiffness / self.length * area
+        self._stiffness = self._modulus * area
 
     def without_motion(self) -> InputError:
         """See `ScalarTerm`."""
@@ -118,8 +131,7 @@ class PreloadedBolt(ScalarTerm):
     def commit(self) -> None:
         """See `Term`: the shortening up to the lock is what it keeps."""
         super().commit()
-        if self._locked is None or not self._is_locked:
-            self._locked = float(self.get()[0])
+        self._locked = float(self.get()[0])  # locked, it has not changed; or a run goes on here
 
     def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
         """See `Term`: force and shortening."""
@@ -149,4 +161,6 @@ def make_bolts(
                     expected="a name of its own",
                 )
             labels.add(load.label)
-            yield PreloadedBolt(load, context, weak_form)
+            with keyed(f"load[{index}]"):
+                bolt = PreloadedBolt(load, context, weak_form)
+            yield bolt

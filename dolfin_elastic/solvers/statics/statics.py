@@ -127,8 +127,8 @@ class Statics(Marching):
                 self.problem.history.forget()
             elif self.problem.history is not None and saved is None:
                 self.problem.history.begin()
-            if self.problem.history is not None:  # what has been on the way counts
-                near = None
+            if self.problem.history is not None or self.problem.terms.follows_path:
+                near = None  # what has been on the way counts
             states = owned.enter_context(closing(self._stepping.run(saved, near)))
             owned.enter_context(failing_together(self.problem.body.comm))
             for state in states:

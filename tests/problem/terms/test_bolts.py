@@ -24,7 +24,9 @@ from dolfin_elastic import (
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.mesh.distribute import make_mesh
 from dolfin_elastic.model.loads import LOADS
+from dolfin_elastic.problem.state import StateCopy
 from dolfin_elastic.results.derived.sections import Section, SectionForces
+from dolfin_elastic.solvers.statics.load_stepping import InitialGuess
 
 STEEL, SLEEVE = 210e9, 70e9
 PRELOAD, LOAD = 1e4, 3e3
@@ -84,6 +86,30 @@ def test_a_bolt_that_is_not_locked_keeps_its_force() -> None:
     assert forces(clamped(curve=[[0, 0], [0.5, 1]]))[1.0][0] == pytest.approx(PRELOAD, rel=1e-8)
 
 
+def test_a_locked_bolt_keeps_its_length_where_another_problem_goes_on() -> None:
+    """As after a restart: the length of the lock is that of the state that is restored."""
+    first, second = (Statics(clamped(locked_at=0.5), steps=4) for _ in range(2))
+    for state in first.steps():
+        if 0.7 < state.t < 0.8:
+            saved = StateCopy(first.restart_state())
+        whole = dict(state.numbers)
+    *_, end = second.steps(saved)
+    for key in ("bolt_force_shank", "shortening_shank"):
+        assert end.numbers[key] == pytest.approx(whole[key], rel=1e-8)
+
+
+def test_a_locked_bolt_is_tightened_whatever_the_guess_of_the_end_is() -> None:
+    """As where modes follow on statics: its length is that at the lock, not that at the start."""
+    problem = clamped(locked_at=0.5)
+    *_, end = (solver := Statics(problem, steps=2)).steps()
+    scalars = tuple(solver.restart_state().numbers["scalars"])
+    guess = InitialGuess(problem.w.x.array.copy(), scalars)
+    *_, again = Statics(clamped(locked_at=0.5), steps=2).steps(near=guess)
+    assert again.numbers["bolt_force_shank"] == pytest.approx(
+        end.numbers["bolt_force_shank"], rel=1e-8
+    )
+
+
 def frame() -> Body:
     """A plane frame of squares: three legs between two beams; the middle one is the shank."""
     comm, n = MPI.COMM_WORLD, 6
@@ -141,3 +167,15 @@ def test_each_section_of_a_shank_has_the_preload() -> None:
 def test_what_is_refused(keys: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
         LOADS["bolt"](**{"on": "shank", "axis": "z", "value": 1.0, **keys})
+
+
+def test_a_plane_body_has_no_bolt_across_it() -> None:
+    with pytest.raises(InputError, match="no length") as caught:
+        Problem(
+            frame(),
+            NeoHookean(E=1e6, nu=0.3),
+            supports=[Support(on="foot")],
+            loads=[LOADS["bolt"](on="shank", axis="z", value=3e4)],
+            degree=1,
+        )
+    assert caught.value.where == "load[0].axis"
