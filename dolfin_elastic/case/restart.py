@@ -26,6 +26,7 @@ from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.si_text import time_or_load
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.amplitude import Amplitude
+from dolfin_elastic.model.records import RecordTable
 from dolfin_elastic.results.checkpoint.checkpoints import (
     CASE,
     FOLDER,
@@ -285,10 +286,10 @@ def describe_run(
 
 
 def portable(case: Case) -> dict[str, Any]:
-    """The tables of a case, with amplitudes in place of their files and an absolute mesh path."""
+    """The tables of a case, with numbers in place of CSV files and an absolute mesh path."""
     given = {key: rows for key in CURVED if (rows := getattr(case, key))}
     inlined = {
-        key: [_inline_curve(row) for row in rows] if isinstance(rows, list) else _inline_curve(rows)
+        key: [_inline(row) for row in rows] if isinstance(rows, list) else _inline(rows)
         for key, rows in given.items()
     }
     tables = case.model_copy(update=inlined).to_dict()
@@ -321,12 +322,25 @@ def written_tables(case: Case) -> dict[str, Any]:
     return tables
 
 
-def _inline_curve(row: Record) -> Record:
-    """A record with its curve as a table in place of a CSV file."""
-    curve = getattr(row, "curve", None)
-    if isinstance(curve, Amplitude) and curve.rows:
-        return row.model_copy(update={"curve": Amplitude(curve.rows)})
-    return row
+def _inline(row: Record) -> Record:
+    """A record with tables in place of the CSV files of its curve and of its values over time."""
+    update: dict[str, object] = {}
+    for key in type(row).model_fields:
+        value = getattr(row, key)
+        if isinstance(value, Amplitude) and value.rows:
+            update[key] = Amplitude(value.rows)
+        elif isinstance(value, list) and any(isinstance(one, RecordTable) for one in value):
+            update[key] = [_inline_value(one) for one in value]
+        elif isinstance(value, RecordTable):
+            update[key] = _inline_value(value)
+    return row.model_copy(update=update) if update else row
+
+
+def _inline_value(value: object) -> object:
+    if not isinstance(value, RecordTable):
+        return value
+    unit = {"unit": value["unit"]} if "unit" in value else {}
+    return {"table": [list(pair) for pair in value.rows], **unit}
 
 
 def _warn_if_changed(written: Case, file: str, comm: MPI.Comm) -> None:

@@ -54,6 +54,7 @@ from dolfin_elastic import (
 from dolfin_elastic.case.restart import portable, written_tables
 from dolfin_elastic.core.errors import RestartError
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.model.records import GRAVITY
 from dolfin_elastic.problem.state import State, StateCopy
 from dolfin_elastic.results.checkpoint.checkpoints import FOLDER, newest_checkpoint
 from dolfin_elastic.results.writers.history import row
@@ -607,12 +608,15 @@ def test_the_copy_of_a_case_stands_alone(folder: Path) -> None:
     tables["load"][0]["curve"] = {"file": "rise.csv"}
     floor = {"axis": "y", "at": -1}
     tables["contact"] = [{"on": "bottom", "plane": floor, "curve": {"file": "rise.csv"}}]
+    record = {"file": "rise.csv", "unit": "g"}
+    tables["load"] += [{"kind": "base-acceleration", "value": [record, 0]}]
     del tables["mesh"]["rectangle"]
     tables["mesh"]["file"] = "sub/../body.msh"
     first = Case.from_dict(tables, folder)
     copy = Case.from_dict(portable(first), "/elsewhere")
     assert copy.mesh.file == str(folder.resolve() / "body.msh")
     assert copy.load[0].curve.at(0.25) == copy.contact[0].curve.at(0.25) == 1.0
+    assert copy.load[-1].values[0].evaluate(t=0.25) == GRAVITY
     assert portable(copy) == portable(first)
     tables["output"] = {**tables.get("output", {}), "folder": "/some/where/out"}
     given_away = written_tables(Case.from_dict(tables, folder))
