@@ -180,11 +180,15 @@ def unfinished(
 
 
 def _stopped_part(folder: Path) -> str:
-    """The first analysis of several with a checkpoint; empty where there is none. On rank 0."""
+    """The first analysis of several that goes on from a checkpoint, or else the first that failed.
+
+    Empty where there is no checkpoint.  On rank 0.
+    """
     if (folder / "summary.json").exists() or not folder.is_dir():
         return ""
     refuse_links(folder)
-    return next((one for one in ANALYSES if last_step(folder / one) is not None), "")
+    parts = [one for one in ANALYSES if last_step(folder / one) is not None]
+    return next((one for one in parts if _status(folder / one) != "failed"), "".join(parts[:1]))
 
 
 def _case_text(folder: Path, content: Mapping[str, Any]) -> str:

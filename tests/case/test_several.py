@@ -131,6 +131,24 @@ def test_one_that_fails(folder: Path, comm: MPI.Comm, caplog: pytest.LogCaptureF
     assert summary(folder / "dynamics", comm)["status"] == "completed"
 
 
+def test_what_failed_is_not_gone_on_with(folder: Path, comm: MPI.Comm) -> None:
+    """The one after it was stopped: its checkpoint would be removed if the first began again."""
+    fails = {"steps": 2, "max_iterations": 1, "min_step": 1.0, "snap": False}
+    curve = [[0, 0], [0.5, 0], [1, 1]]
+    several = case(
+        statics=fails,
+        dynamics=ALL["dynamics"],
+        load=[{"kind": "traction", "on": "right", "value": [0, "90 MPa"], "curve": curve}],
+        output={"checkpoint": {"every": 1}},
+    )
+    states = run(several, output=folder, comm=comm)
+    while (state := next(states)).v is None or state.step < 1:
+        pass
+    states.close()
+    assert on_root(comm, lambda: [*(folder / "statics/checkpoints").glob("step_*.json")])
+    assert [one.step for one in restart(folder, comm=comm)] == [2]
+
+
 def test_stop_and_restart(folder: Path, comm: MPI.Comm) -> None:
     """The common folder goes on with the analysis that was stopped, and then with the rest."""
     several = case(**{key: ALL[key] for key in ("statics", "modal")})
