@@ -167,7 +167,7 @@ def test_converge(folder: Path) -> None:
         "3",
     ]
     assert re.search(
-        r"^reached: strain_energy = \S+ J, estimated error \S+ % \(wanted 20 %\)$", out, re.M
+        r"^reached: strain_energy = \S+ k?J, estimated error \S+ % \(wanted 20 %\)$", out, re.M
     )
     assert out.endswith("converge.csv, converge.json, converge.png, summary.json\n")
     code, out, _ = cli("converge", "case.toml", *what, "1%", "--unknowns", "200", folder=folder)
