@@ -45,7 +45,8 @@ def report(
     from dolfin_elastic.report.report import write_report
     from dolfin_elastic.results.finished.run import folders_of_analyses
 
-    if output is None and (several := folders_of_analyses(folder)):
+    comm = MPI.COMM_WORLD
+    if output is None and (several := on_root(comm, lambda: folders_of_analyses(folder))):
         for one in several:
             report(one, pdf=pdf)
         return
@@ -54,7 +55,7 @@ def report(
         raise CaseError(
             f"'{page}' is no page", where="--output", expected='for example "report.html"'
         )
-    on_root(MPI.COMM_WORLD, lambda: _write(write_report(folder, page), pdf=pdf))
+    on_root(comm, lambda: _write(write_report(folder, page), pdf=pdf))
 
 
 def _write(page: Path, *, pdf: bool) -> None:

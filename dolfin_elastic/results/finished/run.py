@@ -107,9 +107,14 @@ _SUMMARY, _HISTORY, _FIELDS = "summary.json", "history.csv", "results.xdmf"
 
 
 def folders_of_analyses(folder: Path) -> list[Path]:
-    """Folders in that of a case with several analyses; none in that of a single one."""
+    """Folders in that of a case with several analyses; none in that of a single one.
+
+    Raises:
+        InputError: One of them is a link: a page would be written elsewhere.
+    """
     if (folder / _SUMMARY).is_file():
         return []
+    refuse_links(folder)
     return [folder / one for one in ANALYSES if (folder / one / _SUMMARY).is_file()]
 
 
