@@ -196,6 +196,13 @@ def test_the_case_of_the_readme_is_that_of_the_guide() -> None:
     assert blocks("toml", PAGES["README.md"]) == blocks("toml", PAGES["docs/guide/case-file.md"])
 
 
+def test_several_analyses() -> None:
+    """Beside the case of the guide, in the order in which they run."""
+    (text,), (first, *_) = blocks("toml-analyses"), blocks("toml", PAGES["README.md"])
+    case = Case.from_dict(tomllib.loads(first) | tomllib.loads(text))
+    assert [one.analysis for one in case.analyses()] == ["statics", "modal", "buckling"]
+
+
 def test_the_readme_is_short() -> None:
     """What is longer belongs into the guide."""
     assert len(PAGES["README.md"].splitlines()) <= 250

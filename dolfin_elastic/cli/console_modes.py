@@ -9,6 +9,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from dolfin_elastic.cli.console import console, seconds_text
+from dolfin_elastic.core.si_text import counted
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.state import Mode
@@ -34,7 +35,9 @@ def show_modes(modes: Sequence[Mode], seconds: Mapping[str, float]) -> None:
         table.add_column(head, justify="left" if not head else "right")
     for mode in modes[:SHOWN]:
         table.add_row(str(mode.number), *_cells(mode))
-    screen.print(f"done: {len(modes)} modes, {seconds_text(seconds.get('total', 0.0), 3)} s")
+    screen.print(
+        f"done: {counted(len(modes), 'mode')}, {seconds_text(seconds.get('total', 0.0), 3)} s"
+    )
     screen.print(table)
     if len(modes) > SHOWN:
         screen.print(f"{len(modes) - SHOWN} more are in modes.csv")

@@ -110,7 +110,7 @@ def _of_buckling(rows: Sequence[Table]) -> Verdict:
         return _verdict("result", "it buckles under loads of the opposite sign only")
     least = min(factors)
     text = f"it buckles at {number(least, 3)} times the load, without imperfections"
-    return _verdict("holds" if least > 1 else "fails", text)
+    return _verdict("result" if least > 1 else "fails", text)
 
 
 def _of_modes(rows: Sequence[Table], summary: Table) -> Verdict:

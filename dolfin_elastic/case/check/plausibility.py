@@ -24,7 +24,7 @@ from dolfin_elastic.mesh.criteria import BoundingBox, bounding_box
 from dolfin_elastic.mesh.geometry.simplices import facet_nodes, outward_normals, prepare_facets
 from dolfin_elastic.mesh.point_selection import vertices_of
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
-from dolfin_elastic.model.loads import ConcentratedLoad, Load
+from dolfin_elastic.model.loads import ConcentratedLoad, Load, RemoteForce
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.records import RATES, RecordFormula
 from dolfin_elastic.model.supports.displacement import (
@@ -71,6 +71,8 @@ _SOFT = 1e3
 """Young's modulus [Pa] below which a case may be in numbers without dimensions."""
 _NEAR = 0.01
 """Distance over the body's diagonal up to which a point counts as in the body."""
+_REMOTE = 10.0
+"""The same up to which a remote force acts near the body."""
 _SMALL_UNIT = 0.1
 """Longest unit of a mesh [m] for which a place may have been meant in metres."""
 _BESIDE = 0.1
@@ -217,25 +219,28 @@ def _point_notes(case: Case, body: Body) -> Iterator[str]:
         """From the bounding box [m]."""
         return float(np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0.0)))
 
-    for key, values in _points(case):
+    for key, values, near in _points(case):
         if len(values) != body.dim or scale == 1.0:
             continue
         point = np.array([float(value or 0.0) for value in values])  # type: ignore[arg-type]
-        if distance(point) > size and distance(scale * point) <= _NEAR * size:
+        if distance(point) > size and distance(scale * point) <= near * size:
             shown = ", ".join(f"{x:.4g}" for x in point)
             yield (
-                f"{key}: ({shown}) m is far from the body, in {body.unit.name} it would be in it: "
+                f"{key}: ({shown}) m is far from the body, in {body.unit.name} it would be near: "
                 "is a unit missing?"
             )
 
 
-def _points(case: Case) -> Iterator[tuple[str, tuple[Component, ...]]]:
+def _points(case: Case) -> Iterator[tuple[str, tuple[Component, ...], float]]:
+    """Keys of points in metres, and how far off the body they may be, over its size."""
     for i, load in enumerate(case.load):
         if isinstance(load, ConcentratedLoad):
-            yield from ((f"load[{i}].{key}", point) for key, point in load.points.items())
+            yield from ((f"load[{i}].{key}", point, _NEAR) for key, point in load.points.items())
+        elif isinstance(load, RemoteForce) and load.point is not None:
+            yield f"load[{i}].point", load.vectors["point"], _REMOTE
     for i, support in enumerate(case.support):
         if isinstance(support, Rotation | Rigid):
-            yield f"support[{i}].point", support.centre
+            yield f"support[{i}].point", support.centre, _NEAR
 
 
 def _mesh_place_notes(case: Case, body: Body) -> Iterator[str]:

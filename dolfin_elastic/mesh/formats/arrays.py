@@ -39,6 +39,12 @@ def raw_mesh(
     parts = {name: _rows(part, len(rows), f"regions.{name}") for name, part in regions.items()}
     sets = {name: _rows(part, len(places), f"nodes.{name}") for name, part in nodes.items()}
     of_cells, of_points = dict[str, FloatArray](), dict[str, FloatArray]()
+    if fields and len(places) == len(rows):
+        raise MeshError(
+            f"there are {len(rows)} points and as many cells: fields may be of either",
+            where="fields",
+            expected='body.fields[name] = MeshField("cell", values) afterwards',
+        )
     for name, values in fields.items():
         at_points = np.shape(values)[:1] == (len(places),)
         table = as_columns(values, len(places) if at_points else len(rows), name)

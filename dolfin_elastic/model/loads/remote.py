@@ -88,7 +88,7 @@ class RemoteForce(Load):
     def _point(self) -> tuple[Component, ...]:
         if self.point is None:
             return ()
-        return plain(components(self.point, "m", key="point"), "point", "expected numbers")
+        return plain(components(self.point, "m", key="point"), "point", "three numbers")
 
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:

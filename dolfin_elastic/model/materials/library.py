@@ -133,8 +133,8 @@ def _found(name: object, entries: Mapping[str, Entry]) -> tuple[str, Entry]:
     raise InputError(
         f"there is no material '{name}' in the library",
         where="material",
-        expected=f"{alike(name, entries)}; dolfin-elastic materials lists all, and `library` names "
-        "a file of your own",
+        expected=f"{alike(name, entries)} (dolfin-elastic materials lists all, and `library` names "
+        "a file of your own)",
     )
 
 

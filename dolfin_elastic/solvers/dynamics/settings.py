@@ -273,12 +273,12 @@ def refuse_relaxing(settings: DynamicsSettings) -> None:
     """Refuses what takes no steps over which a material could relax.
 
     Raises:
-        InputError: The scheme is explicit, or PETSc's own, or there is a preload.
+        InputError: The scheme is explicit, or PETSc's own, or there is a strain at the start.
     """
-    if settings.preload:
+    if settings.preload or settings.start is not None:
         raise InputError(
             "materials that relax have no equilibrium before the time begins",
-            where="dynamics.preload",
+            where=f"dynamics.{'preload' if settings.preload else 'start'}",
             expected="leave it out: let the load grow slowly in the motion, or no `prony`",
         )
     if not settings.implicit or settings.scheme == "alpha2":

@@ -168,6 +168,12 @@ class Statics(Marching):
                 where="statics.method",
                 expected='"load"; periodic.gradient prescribes how far the cell is deformed',
             )
+        if self.problem.terms.follows_path and self.settings.method == "arc-length":
+            raise InputError(
+                "a bolt is locked at a load, which along a path may fall",
+                where="statics.method",
+                expected='"load", or no `locked_at`',
+            )
         if self.problem.history is not None and not self._preload:
             refuse_relaxing(self.settings)
 

@@ -169,6 +169,12 @@ def test_what_is_refused(keys: dict[str, Any], said: str) -> None:
         LOADS["bolt"](**{"on": "shank", "axis": "z", "value": 1.0, **keys})
 
 
+def test_a_path_along_which_the_load_may_fall_does_not_lock() -> None:
+    """It would unlock the bolt where the load falls below."""
+    with pytest.raises(InputError, match="along a path may fall"):
+        next(iter(Statics(clamped(locked_at=0.5), method="arc-length").steps()))
+
+
 def test_a_plane_body_has_no_bolt_across_it() -> None:
     with pytest.raises(InputError, match="no length") as caught:
         Problem(

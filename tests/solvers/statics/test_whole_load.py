@@ -179,4 +179,4 @@ def test_an_arch_that_snaps_takes_its_steps(caplog):
     """Beyond its limit points there is another stable equilibrium, which is told as one."""
     states = solved(arch(RISE, 0.4, (10, 1)))
     assert len(states) > 3
-    assert any(MPI.COMM_WORLD.allgather("the body has snapped" in caplog.text))
+    assert any(MPI.COMM_WORLD.allgather("the part has snapped" in caplog.text))
