@@ -119,7 +119,7 @@ def test_growing_load_snaps_and_says_so(caplog):
     with caplog.at_level(logging.WARNING, logger="dolfin_elastic"):
         *_, state = Statics(problem).steps()
     assert state.load_factor == 1.0
-    assert any(MPI.COMM_WORLD.allgather("the body has snapped" in caplog.text))
+    assert any(MPI.COMM_WORLD.allgather("the part has snapped" in caplog.text))
     along = arch(RISE, FULL, (24, 1))
     *_, other = Statics(along, method="arc-length", first_step=0.05).steps()
     # Both are the same equilibrium to Newton's tolerance.
