@@ -20,7 +20,6 @@ from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, InputError, SolveError
 from dolfin_elastic.core.si_text import counted, number
 from dolfin_elastic.core.units import stress_unit
-from dolfin_elastic.results.verdict import place_text
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -343,6 +342,8 @@ def extreme_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def _at(extreme: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
+    from dolfin_elastic.results.verdict import place_text  # imports MPI, which errors do not need
+
     part = f" in '{extreme['part']}'" if extreme["part"] else ""
     return f"at {place_text(extreme, summary)}{part}"
 
