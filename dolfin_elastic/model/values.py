@@ -265,6 +265,17 @@ def components(
     return tuple(result)
 
 
+def checked_area(size: float) -> float:
+    """The size of surfaces [m^2], over which something is spread.
+
+    Raises:
+        InputError: They have none.
+    """
+    if not size > 0.0:
+        raise InputError("the surface has no area", where="on", expected="a surface with facets")
+    return size
+
+
 def depends_on_time(vector: tuple[Component, ...]) -> bool:
     """True when a component's formula uses t."""
     return any(isinstance(item, Formula) and "t" in item.names for item in vector)

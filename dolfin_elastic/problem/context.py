@@ -18,7 +18,7 @@ from dolfinx.fem import Constant
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.compat import integration_entities
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.parallel import total
@@ -29,7 +29,7 @@ from dolfin_elastic.mesh.geometry.simplices import prepare_facets
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.kinematics import Geometry, WeightedMeasure, full_gradient
 from dolfin_elastic.model.loads import LoadPoints
-from dolfin_elastic.model.values import Component, Parts, depends_on_time, sized
+from dolfin_elastic.model.values import Component, Parts, checked_area, depends_on_time, sized
 from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.mesh_fields import check_fields, check_finite
@@ -314,6 +314,11 @@ class FormContext:
             for region in self.regions
         ]
 
+    def inertia(self, regions: Sequence[str]) -> list[tuple[Expr, WeightedMeasure]]:
+        """`densities`, and without regions those of mounted masses. Collective."""
+        mounted = () if regions else self.masses()
+        return [*self.densities(regions), *((rho, ds) for rho, ds, _ in mounted)]
+
     def masses(self) -> list[tuple[Expr, WeightedMeasure, Parts]]:
         """Mounted masses: their density, and measure and names of their surfaces. Collective."""
         return self._masses
@@ -322,13 +327,8 @@ class FormContext:
     def _masses(self) -> list[tuple[Expr, WeightedMeasure, Parts]]:
         result: list[tuple[Expr, WeightedMeasure, Parts]] = []
         for index, one in enumerate(self.mounted):
-            area = float(self.area(one.surfaces).value)
-            if not area > 0.0:
-                raise InputError(
-                    "the surface has no area",
-                    where=f"mass[{index}].on",
-                    expected="a surface with facets",
-                )
+            with keyed(f"mass[{index}]"):
+                area = checked_area(float(self.area(one.surfaces).value))
             density = self.constant(one.mass / area)
             result.append((density, self.areas(one.surfaces), Parts("surface", one.surfaces)))
         return result

@@ -103,7 +103,7 @@ def _load_sum(case: Case, index: int, load: Load, integrals: Integrals) -> LoadS
     name, on = f"load[{index}] ({load.kind})", ", ".join(load.parts) or "(whole body)"
     points = _points(load, integrals)
     default = PROPORTIONAL if case.dynamics is None else CONSTANT
-    factors = {t: (load.amplitude or default).at(t) for t in _times(case, load)}
+    factors = {t: default.of(load.amplitude, t) for t in _times(case, load)}
     if depends_on_time(load.values):
         result = {t: _resultant(load, t, points, integrals) for t in factors}
     else:

@@ -74,6 +74,9 @@ class LoadContext(Protocol):
     def masses(self) -> list[tuple[Expr, ufl.Measure, Parts]]:
         """Mounted masses: their density [kg/m^2], and measure and names of their surfaces."""
 
+    def inertia(self, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
+        """`densities`, and without regions those of mounted masses, with their measures."""
+
     def constant(self, value: float | Sequence[float] | FloatArray) -> Expr:
         """A number or vector whose value can change without a form being compiled again."""
 

@@ -13,7 +13,7 @@ from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints
 from dolfin_elastic.model.materials.spatial import Axis, axis_vector
-from dolfin_elastic.model.values import Component, components
+from dolfin_elastic.model.values import Component, checked_area, components
 
 _TILT = 0.03
 """Mean square of the normals' part along the axis above which a surface is no cylinder."""
@@ -142,11 +142,7 @@ class _Bore:
             )
         w = points.weights.reshape(-1, 1)
         N, X = (in_space(x.reshape(-1, x.shape[-1])) for x in (points.N, points.X))
-        area = float(points.total(w.sum()))
-        if not area > 0.0:
-            raise InputError(
-                "the surface has no area", where="on", expected="a surface with facets"
-            )
+        area = checked_area(float(points.total(w.sum())))
         spread = points.total(N.T @ (w * N)) / area
         sizes, directions = np.linalg.eigh(spread)
         flat = sizes[1] < _TURN

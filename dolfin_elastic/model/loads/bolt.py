@@ -109,7 +109,7 @@ class Bolt(ScalarLoad, Eigenstrain):
         """
         (value,) = self.values
         number = float(value.evaluate(t=t)) if isinstance(value, Formula) else float(value or 0.0)
-        return (self.amplitude or default).at(t) * number
+        return default.of(self.amplitude, t) * number
 
     def growth(self, context: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
         """See `Eigenstrain.growth`."""

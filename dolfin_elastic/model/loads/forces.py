@@ -21,6 +21,7 @@ from dolfin_elastic.model.materials.spatial import Axis, axis_vector
 from dolfin_elastic.model.values import (
     PLACE,
     Component,
+    checked_area,
     component,
     components,
     vector_at,
@@ -92,10 +93,7 @@ class Force(Load):
     def virtual_work(self, context: LoadContext) -> ufl.Form:
         """See the class."""
         area = context.area(self.parts)
-        if not area.value > 0.0:
-            raise InputError(
-                "the surface has no area", where="on", expected="a surface with facets"
-            )
+        checked_area(float(area.value))
         traction = self.field(context) / area
         return ufl.inner(traction, context.v) * context.areas(self.parts)
 
@@ -230,10 +228,7 @@ class BaseAcceleration(Load):
                 expected="0 across it",
             )
         a = self.field(context)
-        densities = context.densities(self.parts)
-        if not self.parts:
-            densities += [(rho, ds) for rho, ds, _ in context.masses()]
-        return sum(-rho * ufl.inner(a, context.v) * dx for rho, dx in densities)
+        return sum(-rho * ufl.inner(a, context.v) * dx for rho, dx in context.inertia(self.parts))
 
 
 class Centrifugal(Load):
@@ -302,10 +297,8 @@ class Centrifugal(Load):
         axis = context.constant(a[:dim])
         across = r - ufl.inner(axis, r) * axis
         force = context.factor(self.amplitude) * context.value(self.values[0]) ** 2 * across
-        densities = context.densities(self.parts)
-        if not self.parts:
-            densities += [(rho, ds) for rho, ds, _ in context.masses()]
-        return sum(rho * ufl.inner(force, context.v) * dx for rho, dx in densities)
+        inertia = context.inertia(self.parts)
+        return sum(rho * ufl.inner(force, context.v) * dx for rho, dx in inertia)
 
     def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`; of a body of revolution only the radial part is left."""

@@ -18,7 +18,13 @@ from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints
 from dolfin_elastic.model.loads.bearing import in_space, plain
 from dolfin_elastic.model.supports.rigid_surface import Rigid
-from dolfin_elastic.model.values import Component, component, components, number_at
+from dolfin_elastic.model.values import (
+    Component,
+    checked_area,
+    component,
+    components,
+    number_at,
+)
 
 
 class RemoteForce(Load):
@@ -188,11 +194,7 @@ class _Sharing:
                 expected='kind = "force" along the axis, which is that of the whole ring',
             )
         w, X = points.weights.reshape(-1, 1), in_space(points.X).reshape(-1, 3)
-        self.area = float(points.total(w.sum()))
-        if not self.area > 0.0:
-            raise InputError(
-                "the surface has no area", where="on", expected="a surface with facets"
-            )
+        self.area = checked_area(float(points.total(w.sum())))
         first = points.total((w * X).sum(axis=0))
         self.centre: FloatArray = np.asarray(first / self.area, dtype=np.float64)
         r = X - self.centre

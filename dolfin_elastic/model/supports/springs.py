@@ -11,7 +11,7 @@ import ufl
 from pydantic import model_validator
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.model.amplitude import Amplitude, Curve
@@ -29,6 +29,7 @@ from dolfin_elastic.model.values import (
     Component,
     Parts,
     Vector,
+    checked_area,
     component,
     components,
     sized,
@@ -217,12 +218,8 @@ class ResistingSupport(Restraint):
         if not self.total:
             return values
         size = held.size()
-        if not size.value > 0.0:
-            raise InputError(
-                "the surface has no area",
-                where=f"support '{self.label}'.on",
-                expected="a surface with facets",
-            )
+        with keyed(f"support '{self.label}'"):
+            checked_area(float(size.value))
         return [value / size for value in values]
 
     def _check_kind(self, kind: str) -> None:
