@@ -104,11 +104,13 @@ def test_every_name(names: dict[str, object]) -> None:
 
 
 def test_selectors() -> None:
-    """The example of names by geometry is read as it stands."""
-    (text,) = blocks("toml-part")
-    parts = tomllib.loads(text)
+    """The examples of names by geometry are read as they stand."""
+    texts = blocks("toml-part")
+    assert texts
     read = tables.selectors(Selector)
-    assert all(read(value) for table in parts.values() for value in table.values())
+    for text in texts:
+        parts = tomllib.loads(text)
+        assert all(read(value) for table in parts.values() for value in table.values())
 
 
 def test_faces_and_smaller_elements() -> None:

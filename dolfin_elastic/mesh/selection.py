@@ -28,6 +28,12 @@ from dolfin_elastic.mesh.geometry.simplices import (
     outward_normals,
     prepare_facets,
 )
+from dolfin_elastic.mesh.inner_surfaces import (
+    CellFacets,
+    facets_between,
+    interface,
+    sides_of_plane,
+)
 from dolfin_elastic.mesh.point_selection import pick_points
 from dolfin_elastic.mesh.selectors import EdgeSelector, Place, PointSelector, Selector
 
@@ -49,7 +55,7 @@ def name_parts(
     """The body with further named parts, selected by geometry.
 
     Collective.  Later selectors may refer (`of`, `between`) to the names of earlier ones, in the
-    order surfaces, regions, edges, points.
+    order regions, surfaces, edges, points.
 
     Args:
         surfaces: Name to a selector, or to several whose facets are joined.
@@ -63,8 +69,8 @@ def name_parts(
     """
     space = BoundingBox.of(body, scale)
     choices: dict[str, Mapping[str, Place | Sequence[Place]]] = {
-        "surface": surfaces or {},
         "region": regions or {},
+        "surface": surfaces or {},
         "edge": edges or {},
         "point": points or {},
     }
@@ -120,7 +126,7 @@ def _pick(body: Body, space: BoundingBox, kind: str, selector: Selector) -> Inde
     mesh = body.mesh
     if kind == "surface":
         prepare_facets(mesh)
-        parts = _searched_facets(body, selector.of) if selector.of else boundary_facets(mesh)
+        parts, selector = _searched(body, space, selector)
         if selector.by_face:
             on = chosen_faces(body.faces, selector, space.scale)
             assert body.faces is not None  # see `chosen_faces`
@@ -137,7 +143,9 @@ def _pick(body: Body, space: BoundingBox, kind: str, selector: Selector) -> Inde
     inside = fulfilled(tests, len(parts))
     if total(body.comm, int(np.count_nonzero(inside))) == 0:
         things = "facets of the boundary" if kind == "surface" else "cells"
-        if selector.of:
+        if kind == "surface" and selector.between:
+            things = "facets between " + " and ".join(f"'{name}'" for name in selector.between)
+        elif selector.of:
             things = f"{things.split(maxsplit=1)[0]} of '{selector.of}'"
         raise _with_nearest_face(
             body, parts, tests, not_found(body.comm, space, tests, parts < size, things)
@@ -158,6 +166,23 @@ def _with_nearest_face(
         return error
     near = f"; the nearest CAD face is {body.faces.text(best[1])}"
     return MeshError(error.what, where=error.where, expected=error.expected + near)
+
+
+def _searched(body: Body, space: BoundingBox, selector: Selector) -> tuple[IndexArray, Selector]:
+    """Facets among which a selector picks, and what is left of its keys. Collective."""
+    if selector.between is not None:
+        try:
+            return interface(body, *selector.between), selector
+        except MeshError as error:
+            raise error if error.where else error.at("between") from None
+    if selector.cut:
+        assert selector.plane is not None
+        assert selector.at is not None
+        sides = sides_of_plane(body, space, selector.plane, selector.at, selector.of)
+        left = selector.model_copy(update={"plane": None, "at": None})
+        return facets_between(CellFacets(body), sides), left
+    facets = _searched_facets(body, selector.of) if selector.of else boundary_facets(body.mesh)
+    return facets, selector
 
 
 def _searched_facets(body: Body, name: str) -> IndexArray:
@@ -181,7 +206,7 @@ def _surface_criteria(
 def _region_criteria(
     mesh: Mesh, cells: IndexArray, selector: Selector, space: BoundingBox
 ) -> list[Criterion]:
-    wrong = [key for key in ("plane", "normal") if getattr(selector, key) is not None]
+    wrong = [key for key in ("plane", "normal", "between") if getattr(selector, key) is not None]
     wrong += [key for key in selector.by_face if key not in selector.shapes]
     if wrong:
         raise MeshError(

@@ -4,6 +4,8 @@
     foot  = {plane = "z", at = "min"}
     bore  = {cylinder = {axis = "z", point = [0, 0, 0], radius = 5}}
     rim   = [{plane = "x", at = 10}, {normal = [0, 1, 0], box = [[0, 0, 0], [10, 10, 2]]}]
+    glue  = {between = ["steel", "rubber"]}
+    neck  = {cut = true, plane = "z", at = 20, of = "bolt"}
     holes = {faces = [7, 8]}
     round = {cylinder = {radius = "6 mm"}}
     [regions]
@@ -147,6 +149,9 @@ class Selector(Place):
         torus: Toroidal ones.
         normal: Facets whose outward normal is within `angle` degrees of this direction.
         angle: Degrees, 20 by default.
+        between: Inner facets between the cells of these two regions.
+        cut: Inner facets that stand for the plane: those between the cells with their middle
+            beyond it and the others, of the body or of the region `of`.
         all: The whole boundary, or all cells.
 
     Example:
@@ -159,12 +164,13 @@ class Selector(Place):
     kind: FaceKind | None = None
     cone: Cone | None = None
     torus: Torus | None = None
+    between: Annotated[list[str], Field(min_length=2, max_length=2)] | None = None
+    cut: bool = False
     all: bool = False
 
     picks_faces: ClassVar[bool] = True
 
     key_hints: ClassVar[Mapping[str, str]] = {
-        "between": "edges between surfaces stand in the table [edges], points in [points]",
         "line": "edges on a line stand in the table [edges]",
         "nearest": "a point stands in the table [points]",
     }
@@ -173,10 +179,18 @@ class Selector(Place):
     def _whole(self) -> Selector:
         if self.angle is not None and self.normal is None:
             raise ValueError("angle goes with normal")
-        if not (self.all or self.of or self.given()):
+        if self.cut and self.plane is None:
+            raise ValueError('cut goes with plane and at, as in {cut = true, plane = "z", at = 2}')
+        if self.cut or self.between:
+            of_boundary = [*self.by_face, *(["normal"] if self.normal is not None else [])]
+            if of_boundary:
+                raise ValueError(f"inner facets are wanted: {of_boundary[0]} is of the boundary")
+        if self.between and (self.cut or self.of):
+            raise ValueError("between stands alone, without cut or of")
+        if not (self.all or self.of or self.between or self.given()):
             raise ValueError(
-                "say where: plane and at, box, sphere, cylinder, normal, of, or all; of a CAD file "
-                "also faces, kind, cone, or torus"
+                "say where: plane and at, box, sphere, cylinder, normal, between, of, or all; of a "
+                "CAD file also faces, kind, cone, or torus"
             )
         return self
 

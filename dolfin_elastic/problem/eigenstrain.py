@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.errors import InputError, keyed
+from dolfin_elastic.core.ghosts import marked
+from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.mesh.body import cell_size
+from dolfin_elastic.mesh.inner_surfaces import CellFacets, outward_areas, sides_of_surface
 from dolfin_elastic.model.kinematics import deformation_from, displacement_gradient
 from dolfin_elastic.model.loads import Eigenstrain, Load
+from dolfin_elastic.model.loads.bolt import Bolt
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion
+
+_THROUGH = 0.1
+"""Least cosine of the angle between the axis of a bolt and the normal of its section."""
 
 
 def eigenstrains(context: FormContext, loads: Sequence[Load]) -> dict[str, Expr]:
@@ -29,9 +38,16 @@ def eigenstrains(context: FormContext, loads: Sequence[Load]) -> dict[str, Expr]
     for index, load in enumerate(loads):
         if not isinstance(load, Eigenstrain):
             continue
-        share = indicator(context, load.parts) if load.parts else None
+        cells: fem.Function | None = None
+        share: Expr | None = None
+        if isinstance(load, Bolt):
+            with keyed(f"load[{index}]"):
+                shank = shank_of(context, load)
+            cells, share = shank.cells, shank.g
+        elif load.parts:
+            cells = share = indicator(context, load.parts)
         for region in context.regions:
-            if share is not None and not _meets(context, region, share):
+            if cells is not None and not _meets(context, region, cells):
                 continue
             if load.kind == "thermal" and region.law.expansion is None:
                 raise InputError(
@@ -42,6 +58,83 @@ def eigenstrains(context: FormContext, loads: Sequence[Load]) -> dict[str, Expr]
             growth = load.growth(context, region.law.expansion, share)
             result[region.name] = _joined(region, growth, result.get(region.name))
     return result
+
+
+@dataclass(frozen=True)
+class Shank:
+    """Where a bolt is shortened.
+
+    Attributes:
+        cells: 1 in the cells that are strained, else 0.
+        g: The field of `Bolt`, shape (3,).
+        length: L [m].
+    """
+
+    cells: fem.Function
+    g: Expr
+    length: float
+
+
+def shank_of(context: FormContext, bolt: Bolt) -> Shank:
+    """The shank of a bolt: a region, or one side of an inner surface. Collective.
+
+    Raises:
+        InputError: The shank has no length along the axis, or the surface does not cut it.
+    """
+    body, a = context.body, bolt.direction
+    if all(name in body.regions for name in bolt.parts):
+        cells = np.concatenate([body.owned_cells(name) for name in bolt.parts])
+        along = body.mesh.geometry.x[body.mesh.geometry.dofmap[cells]] @ a
+        high, low = (largest(body.comm, float((s * along).max(initial=-np.inf))) for s in (1, -1))
+        if not high + low > 0.0:
+            raise InputError(
+                "the shank has no length along it",
+                where="axis",
+                expected="an axis in the plane of the body",
+            )
+        share = indicator(context, bolt.parts)
+        return Shank(share, share * ufl.as_vector([*map(float, a)]), high + low)
+    with keyed("on"):
+        body.surface(bolt.parts[0])
+        if len(bolt.parts) > 1:
+            raise InputError("a bolt is cut once", expected="one inner surface for each bolt")
+    return _pretension_section(context, bolt)
+
+
+def _pretension_section(context: FormContext, bolt: Bolt) -> Shank:
+    """The elements on one side of an inner surface. Collective."""
+    body, (name,) = context.body, bolt.parts
+    try:
+        sides = sides_of_surface(body, name)
+    except InputError as error:
+        raise InputError(
+            error.what,
+            where="on",
+            expected='a surface that cuts the shank through, as {cut = true, plane = "z", at = 20, '
+            'of = "shank"} in [surfaces]',
+        ) from None
+    local, beside = np.nonzero(np.isin(CellFacets(body).of_cells, body.surface(name)))
+    ahead = sides[local] == 1
+    N, _ = outward_areas(body, local[ahead], beside[ahead])
+    through, area = total(
+        body.comm,
+        np.array([(N @ bolt.direction[: body.dim]).sum(), np.linalg.norm(N, axis=1).sum()]),
+    )
+    if abs(through) < _THROUGH * area:
+        raise InputError(
+            f"the axis lies in the surface '{name}'", where="axis", expected="one that crosses it"
+        )
+    one, cells = (
+        fem.Function(fem.functionspace(body.mesh, element)) for element in (("P", 1), ("DG", 0))
+    )
+    cells.x.array[: len(sides)] = sides == 1
+    cells.x.scatter_forward()
+    S, facets = one.function_space, body.surface(name)
+    nodes = fem.locate_dofs_topological(S, body.dim - 1, facets)
+    one.x.array[:] = marked(S.dofmap.index_map, nodes)
+    length = cell_size(body)
+    gradient = float(np.sign(through)) * length * cells * ufl.grad(one)
+    return Shank(cells, ufl.as_vector([*gradient, 0.0][:3]), length)
 
 
 def _joined(region: MaterialRegion, growth: Expr, before: Expr | None) -> Expr:

@@ -20,6 +20,7 @@ from dolfin_elastic.mesh import (
     name_parts,
     rectangle_body,
 )
+from dolfin_elastic.mesh.geometry.simplices import facet_corners
 
 COMM = MPI.COMM_WORLD
 
@@ -38,7 +39,6 @@ def picked(body: Body, scale: float = 1e-3, **keys: Any) -> Body:
 @pytest.mark.parametrize(
     ("kind", "keys", "says"),
     [
-        (Selector, {"between": ["tip", "root"]}, r"\[edges\], points in \[points\]"),
         (Selector, {"line": {}}, r"\[edges\]"),
         (Selector, {"nearest": [0, 0, 0]}, r"\[points\]"),
         (EdgeSelector, {"nearest": [0, 0, 0]}, r"\[points\]"),
@@ -216,4 +216,68 @@ def test_names_are_taken_once_and_planes_pick_no_regions(box: Body) -> None:
 )
 def test_selectors_that_make_no_sense(keys: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
+        Selector(**keys)
+
+
+def halves(box: Body, **surfaces: Any) -> Body:
+    """The box with the regions 'half' and 'rest', which meet at x = 1, and surfaces."""
+    regions = {
+        "half": Selector(box=[[0, 0, 0], [1, 1, 1]]),
+        "rest": Selector(box=[[1, 0, 0], [2, 1, 1]]),
+    }
+    return name_parts(box, regions=regions, surfaces=surfaces, scale=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("keys", "area"),
+    [
+        ({"between": ["half", "rest"]}, 1.0),
+        ({"between": ["rest", "half"], "box": [[0, 0, 0], [2, 1, 0.5]]}, 0.5),
+        ({"cut": True, "plane": "z", "at": 0.5}, 2.0),
+        ({"cut": True, "plane": "z", "at": 0.5, "of": "half"}, 1.0),
+        ({"cut": True, "plane": "z", "at": 0.5, "box": [[0, 0, 0], [0.5, 1, 1]]}, 0.5),
+    ],
+)
+def test_inner_surfaces_have_the_area_of_the_interface_or_cut(
+    box: Body, keys: dict[str, Any], area: float
+) -> None:
+    body = halves(box, part=Selector(**keys))
+    assert mesh_statistics(body).surfaces["part"] * 1e6 == pytest.approx(area)
+
+
+def test_a_cut_between_the_nodes_lies_within_a_cell_of_its_plane(box: Body) -> None:
+    """It parts the body: what lies beyond has the volume beyond the plane, give or take a cell."""
+    body = halves(box, part=Selector(cut=True, plane="x", at=1.1))
+    corners = facet_corners(body.mesh, body.owned_facets("part"))
+    assert np.all(np.abs(corners[..., 0] - 1.1e-3) < 0.25e-3)
+    assert mesh_statistics(body).surfaces["part"] * 1e6 >= 1.0
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"between": ["half", "rset"]}, "no region 'rset'.*'rest'"),
+        ({"between": ["half", "half"]}, "'half' and 'half' have .* cells in common"),
+        ({"between": ["half", "rest"], "plane": "x", "at": 0.5}, "facets between 'half' and"),
+        ({"cut": True, "plane": "x", "at": 3}, "no elements lie on both sides of x = 3"),
+        ({"cut": True, "plane": "x", "at": 0.5, "of": "rest"}, "between 1.062 and 1.938"),
+    ],
+)
+def test_inner_surfaces_that_are_not_there(box: Body, keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(MeshError, match=said) as caught:
+        halves(box, part=Selector(**keys))
+    assert caught.value.where.startswith("surfaces.part")
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"cut": True}, "cut goes with plane and at"),
+        ({"cut": True, "plane": "z", "at": 1, "normal": [0, 0, 1]}, "normal is of the boundary"),
+        ({"between": ["a", "b"], "of": "c"}, "between stands alone"),
+        ({"between": ["a"]}, "expected a list of 2"),
+    ],
+)
+def test_keys_that_inner_surfaces_do_not_have(keys: dict[str, Any], said: str) -> None:
+    with pytest.raises((InputError, ValueError), match=said):
         Selector(**keys)

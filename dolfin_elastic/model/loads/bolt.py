@@ -24,14 +24,19 @@ from dolfin_elastic.model.values import Component, Parts, component
 class Bolt(ScalarLoad, Eigenstrain):
     """Preload of a bolt [N]: the force in its shank, positive in tension.
 
-    The shank gets a free strain along its unit axis a, Fg = I - e a x a; its size e is an unknown.
-    Its equation: the mean force in the sections over the length L, (1/L) times the integral of
-    a . P a over the shank, is the preload.  Where the shank ends in planes across its axis,
-    a z/L is a virtual displacement, so that this is the resultant in each section of a shank that
-    is free at its sides, to the tolerance of the solver.
+    With a vector field g, the shank along its unit axis a gets a free strain, Fg = I - e a x g; its
+    size e is an unknown.  Its equation: (1/L) times the integral of a . P g is the preload.
+
+    In a region g = a, and L is its length: a z/L is a virtual displacement where the shank ends in
+    planes across its axis, so that the force is the resultant in each section of a shank that is
+    free at its sides, to the tolerance of the solver.
+
+    On an inner surface (a pretension section) g/L is the gradient of a function that is 1 on the
+    surface and 0 at all other nodes, in the elements of one side: the force is the resultant of the
+    nodal forces across the section on any mesh, and the two sides overlap by e L.
 
     Attributes:
-        on: The region of the shank.
+        on: The region of the shank, or an inner surface that cuts it.
         value: A number, a text with a unit, or a formula in t.
         axis: x, y, z or a direction along the shank.
         locked_at: Load parameter at which the preload is reached; from there on the shank keeps its
@@ -51,7 +56,7 @@ class Bolt(ScalarLoad, Eigenstrain):
     name: str = ""
     unit: ClassVar[str] = "N"
     sentence: ClassVar[str] = "preload of {} in a bolt"
-    part_kinds: ClassVar[tuple[str, ...]] = ("region",)
+    part_kinds: ClassVar[tuple[str, ...]] = ("region", "surface")
 
     @model_validator(mode="after")
     def _read_lock(self) -> Bolt:
@@ -112,7 +117,6 @@ class Bolt(ScalarLoad, Eigenstrain):
         return default.of(self.amplitude, t) * number
 
     def growth(self, context: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
-        """See `Eigenstrain.growth`."""
+        """See `Eigenstrain.growth`; the share is the field g."""
         a = ufl.as_vector([*map(float, self.direction)])
-        strain = -context.unknown(self.label) * ufl.outer(a, a)
-        return deformation_from(strain if share is None else share * strain)
+        return deformation_from(-context.unknown(self.label) * ufl.outer(a, share))

@@ -12,12 +12,12 @@ from dolfinx import fem
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.ghosts import assembled
 from dolfin_elastic.core.jit import compile_forms, options
-from dolfin_elastic.core.parallel import largest, total
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.loads.bolt import Bolt
 from dolfin_elastic.problem.context import FormContext
-from dolfin_elastic.problem.eigenstrain import indicator
+from dolfin_elastic.problem.eigenstrain import shank_of
 from dolfin_elastic.problem.material_regions import young
 from dolfin_elastic.problem.term import OutOfBalance, ScalarTerm
 
@@ -37,7 +37,7 @@ class PreloadedBolt(ScalarTerm):
         weak_form: Gives the stress, once the problem is made.
 
     Attributes:
-        length: Of the shank along its axis [m].
+        length: L of `Bolt` [m].
     """
 
     def __init__(self, bolt: Bolt, context: FormContext, weak_form: Callable[[], WeakForm]) -> None:
@@ -47,22 +47,13 @@ class PreloadedBolt(ScalarTerm):
         self.prescribing = np.zeros(1, dtype=bool)
         self.follows_path = bolt.locked_at is not None
         self._locked: float | None = None
-        body = context.body
-        cells = np.concatenate([body.owned_cells(name) for name in bolt.parts])
-        along = body.mesh.geometry.x[body.mesh.geometry.dofmap[cells]] @ bolt.direction
-        high, low = (largest(body.comm, float((s * along).max(initial=-np.inf))) for s in (1, -1))
-        self.length = high + low
+        self._shank = shank_of(context, bolt)
+        self.length = self._shank.length
         if context.axisymmetric and abs(bolt.direction[1]) < 1 - 1e-9:
             raise InputError(
                 "the shank of a body of revolution is along its axis",
                 where="axis",
                 expected='axis = "y"',
-            )
-        if not self.length > 0.0:
-            raise InputError(
-                "the shank has no length along it",
-                where="axis",
-                expected="an axis in the plane of the body",
             )
         self._modulus = max(young(region.typical) for region in context.regions)
         self._stiffness = 0.0  # [N], known once a run begins
@@ -71,18 +62,17 @@ class PreloadedBolt(ScalarTerm):
         """See `Term`."""
         context, weak, bolt = self._context, self._weak_form(), self._bolt
         w, comm = context.unknowns.w, context.body.comm
-        share, axes = indicator(context, bolt.parts), np.outer(bolt.direction, bolt.direction)
-        along, F = context.constant([[float(x) for x in row] for row in axes]), weak.F(w)
+        a, g = ufl.as_vector([*map(float, bolt.direction)]), self._shank.g / self.length
+        F = weak.F(w)
         force = sum(
-            ufl.inner(weak.response(region, w).stress(F), along)
-            * (share / self.length)
+            ufl.inner(weak.response(region, w).stress(F), ufl.outer(a, g))
             * weak.volume(region, weak.rule(region))
             for region in context.regions
         )
-        volume = sum(share * weak.volume(region, 0) for region in context.regions)
+        section = sum(ufl.dot(a, g) * weak.volume(region, 0) for region in context.regions)
         row = ufl.derivative(force, w, ufl.TestFunction(context.unknowns.W))
-        self._force, self._row, size = compile_forms(comm, [force, row, volume], options(comm))
-        area = float(total(comm, float(fem.assemble_scalar(size)))) / self.length
+        self._force, self._row, size = compile_forms(comm, [force, row, section], options(comm))
+        area = float(total(comm, float(fem.assemble_scalar(size))))
         self._stiffness = self._modulus * area
 
     def without_motion(self) -> InputError:

@@ -23,7 +23,7 @@ import ufl
 from dolfinx import fem, la
 from pydantic import field_validator, model_validator
 
-from dolfin_elastic.core.errors import InputError, MeshError
+from dolfin_elastic.core.errors import InputError, MeshError, keyed
 from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.parallel import largest, total
@@ -31,8 +31,16 @@ from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.shapes.shapes import Axis, Point
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 from dolfin_elastic.core.units import MeshLength, metres
-from dolfin_elastic.mesh.body import centre_of, span
+from dolfin_elastic.mesh.body import centre_of
 from dolfin_elastic.mesh.criteria import BoundingBox
+from dolfin_elastic.mesh.inner_surfaces import (
+    CellFacets,
+    facets_between,
+    on_both,
+    outward_areas,
+    sides_of_plane,
+    sides_of_surface,
+)
 from dolfin_elastic.model.kinematics import moment_of
 from dolfin_elastic.problem.problem import configuration_of_moments
 from dolfin_elastic.problem.state import Moment, State
@@ -43,9 +51,6 @@ from dolfin_elastic.results.moments import MIDDLE, check_reference, place_of
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body
     from dolfin_elastic.problem.problem import Problem
-
-_FLAT = 0.05
-"""Cosine below which a facet does not tell its two sides along an axis."""
 
 
 class Section(Record):
@@ -138,7 +143,11 @@ class SectionForces:
                 sides = _sides_of_plane(body, section)
                 middle = _centre(body, section, sides)
             else:
-                sides = _sides(body, section)
+                check_surface(body, section.on, "on")
+                if section.side is not None:
+                    with keyed("side"):
+                        body.region(section.side)
+                sides = sides_of_surface(body, section.on, section.side)
                 _refuse_loaded(self.problem, section.on)
                 middle = centre_of(body, [section.on])
         except (InputError, MeshError) as error:
@@ -151,7 +160,7 @@ class SectionForces:
 
     def _shared(self, sides: AnyArray) -> IndexArray:
         dofmap = self.problem.V.dofmap
-        rows = summed(dofmap.index_map, dofmap.list[: len(sides)], _both(sides)[:, None])
+        rows = summed(dofmap.index_map, dofmap.list[: len(sides)], on_both(sides)[:, None])
         return np.flatnonzero((rows[: self._own] > 0).all(axis=1)).astype(np.int32)
 
     def _form(self, moving: bool) -> fem.Form:
@@ -228,89 +237,18 @@ def distance_from_plane(body: Body, section: Section) -> float:
     return largest(body.comm, float(np.abs(x - at).max(initial=0.0)))
 
 
-def _corners(body: Body) -> FloatArray:
-    """Corners of the owned cells [m], shape (cells, dim + 1, dim)."""
-    geometry, dim = body.mesh.geometry, body.dim
-    nodes = geometry.dofmap[: len(body.owned_cells()), : dim + 1]
-    return np.asarray(geometry.x[nodes][..., :dim])
-
-
-def _outward(body: Body, cells: AnyArray, local: AnyArray) -> tuple[FloatArray, FloatArray]:
-    """Area vectors out of cells [m^2], and middles of the facets, by the chord of curved ones."""
-    corners, dim = _corners(body)[cells], body.dim
-    off = (local[:, None] + 1 + np.arange(dim)) % (dim + 1)  # facet i is opposite to corner i
-    facet = np.take_along_axis(corners, off[..., None], axis=1)
-    edges = facet[:, 1:] - facet[:, :1]
-    if dim == 2:
-        N = np.stack([edges[:, 0, 1], -edges[:, 0, 0]], axis=1)
-    else:
-        N = np.cross(edges[:, 0], edges[:, 1]) / 2
-    inward = corners[np.arange(len(cells)), local] - facet[:, 0]
-    return -np.sign((N * inward).sum(axis=1))[:, None] * N, facet.mean(axis=1)
-
-
-class _Facets:
-    """Facets of owned cells, and sums over the cells beside them on all ranks. Collective."""
-
-    def __init__(self, body: Body) -> None:
-        topology, dim = body.mesh.topology, body.dim
-        topology.create_connectivity(dim, dim - 1)
-        topology.create_connectivity(dim, 0)
-        count = len(body.owned_cells())
-        self.of_cells, self.corners = (
-            topology.connectivity(dim, d).array.reshape(-1, dim + 1)[:count] for d in (dim - 1, 0)
-        )
-        self._maps = {d: topology.index_map(d) for d in (dim - 1, 0)}
-        self._dim = dim
-
-    def beside(self, rows: FloatArray) -> FloatArray:
-        """Sums of rows (cells, columns) at the facets of the cells, shape (facets, columns)."""
-        repeated = np.repeat(rows, self._dim + 1, axis=0)
-        return self._sum(self._dim - 1, self.of_cells.ravel(), repeated)
-
-    def touching(self, cells: AnyArray, local: AnyArray) -> AnyArray:
-        """Whether owned cells have a corner in facets, given as cells and numbers in them."""
-        off = (local[:, None] + 1 + np.arange(self._dim)) % (self._dim + 1)
-        corners = np.take_along_axis(self.corners[cells], off, axis=1).ravel()
-        marks = self._sum(0, corners, np.ones((len(corners), 1)))
-        return np.asarray((marks[self.corners, 0] > 0).any(axis=1))
-
-    def _sum(self, d: int, entities: AnyArray, rows: FloatArray) -> FloatArray:
-        return summed(self._maps[d], entities, rows)
-
-
-def _both(sides: AnyArray) -> FloatArray:
-    return np.stack([sides == 1, sides == -1], axis=1).astype(np.float64)
-
-
 def _sides_of_plane(body: Body, section: Section) -> AnyArray:
-    """1 of owned cells whose barycentre lies beyond the plane, else -1. Collective."""
+    """See `sides_of_plane`."""
     assert section.plane is not None
     assert section.at is not None
-    space = BoundingBox.of(body, body.unit.metres)
-    axis, at = space.plane(section.plane, section.at)
-    low, high = float(space.low[axis]), float(space.high[axis])
-    middles = _corners(body).mean(axis=1)[:, axis]
-    ahead = middles > at + 1e-9 * span(body)
-    counts = total(body.comm, np.array([ahead.sum(), (~ahead).sum()]))
-    if not low < at < high or not counts.all():
-        scale, name = body.unit.metres, body.unit.name
-        if low < at < high:  # too near to an end: a section leaves a cell on each side
-            low = -largest(body.comm, float(-middles.min(initial=np.inf)))
-            high = largest(body.comm, float(middles.max(initial=-np.inf)))
-        raise InputError(
-            f"no cells lie on both sides of {section.plane} = {at / scale:.4g} {name}",
-            where="at",
-            expected=f"between {low / scale:.4g} and {high / scale:.4g} {name}",
-        )
-    return np.where(ahead, 1, -1)
+    return sides_of_plane(body, BoundingBox.of(body, body.unit.metres), section.plane, section.at)
 
 
 def _beside(body: Body, sides: AnyArray) -> tuple[AnyArray, AnyArray]:
     """Owned cells of the positive side at facets between the sides, and the numbers of these."""
-    facets = _Facets(body)
-    between = np.asarray((facets.beside(_both(sides)) > 0).all(axis=1))
-    cells, local = np.nonzero(between[facets.of_cells] & (sides == 1)[:, None])
+    facets = CellFacets(body)
+    between = np.isin(facets.of_cells, facets_between(facets, sides))
+    cells, local = np.nonzero(between & (sides == 1)[:, None])
     return cells, local
 
 
@@ -320,7 +258,7 @@ def _centre(body: Body, section: Section, sides: AnyArray) -> FloatArray:
     assert section.at is not None
     axis = "xyz".index(section.plane)
     cells, local = _beside(body, sides)
-    N, middle = _outward(body, cells, local)
+    N, middle = outward_areas(body, cells, local)
     area = -N[:, axis]
     sums = total(body.comm, np.array([*(area @ middle), area.sum(), len(area)]))
     if not sums[-1]:
@@ -332,52 +270,6 @@ def _centre(body: Body, section: Section, sides: AnyArray) -> FloatArray:
     about = np.asarray(sums[:-2] / sums[-2])
     about[axis] = metres(section.at, body.unit.metres)
     return about
-
-
-def _sides(body: Body, section: Section) -> AnyArray:
-    """Sides of owned cells that touch an inner surface: 1, -1; 0 of the others. Collective."""
-    assert section.on is not None
-    check_surface(body, section.on, "on")
-    facets = _Facets(body)
-    ones = facets.beside(np.ones((len(facets.of_cells), 1)))[:, 0]
-    on = np.zeros(len(ones), dtype=bool)
-    on[body.surface(section.on)] = True
-    cells, local = np.nonzero(on[facets.of_cells])
-    if total(body.comm, int((on & (ones < 2)).sum())):
-        raise InputError(
-            f"'{section.on}' is on the boundary of the body",
-            where="on",
-            expected="an inner surface: across the boundary goes what is applied, and the reaction",
-        )
-    sides = np.zeros(len(facets.of_cells), dtype=np.int8)
-    if section.side is None:
-        seeds = _by_axis(body, cells, local)
-    else:
-        try:
-            region = body.region(section.side)
-        except MeshError as error:
-            raise error.at("side") from None
-        seeds = np.where(np.isin(cells, region), 1, -1).astype(np.int8)
-    sides[cells] = seeds
-    # A cell between two facets, and facets between two cells, must not be of both sides.
-    wrong = int((sides[cells] != seeds).sum() + (seeds == 0).sum())
-    wrong += int((facets.beside(_both(sides))[on] != 1).sum())
-    near = facets.touching(cells, local)
-    while not total(body.comm, wrong):
-        reached = facets.beside(_both(sides))
-        reached[on] = 0.0
-        wrong = int((reached > 0).all(axis=1).sum())
-        beside = reached[facets.of_cells].sum(axis=1)
-        new = near & (sides == 0) & (beside > 0).any(axis=1)
-        if not total(body.comm, np.array([wrong, new.sum()])).any():
-            return sides
-        sides[new] = np.where(beside[new, 0] >= beside[new, 1], 1, -1)
-    raise InputError(
-        f"'{section.on}' has no two sides that can be told apart",
-        where="on" if section.side is None else "side",
-        expected="an inner surface that ends at the boundary of the body or is closed; where it "
-        "bends round, side = the name of the region on one side of it",
-    )
 
 
 def _refuse_loaded(problem: Problem, surface: str) -> None:
@@ -392,11 +284,3 @@ def _refuse_loaded(problem: Problem, surface: str) -> None:
                 where="on",
                 expected="a plane or surface beside it",
             )
-
-
-def _by_axis(body: Body, cells: AnyArray, local: AnyArray) -> AnyArray:
-    """Sides of cells beside facets along the axis most normal to them; 0: along the facet."""
-    N, _ = _outward(body, cells, local)
-    axis = int(np.argmax(total(body.comm, np.abs(N).sum(axis=0))))
-    cosine = -N[:, axis] / np.linalg.norm(N, axis=1)
-    return np.asarray(np.where(np.abs(cosine) > _FLAT, np.sign(cosine), 0), dtype=np.int8)

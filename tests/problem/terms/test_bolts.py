@@ -155,6 +155,79 @@ def test_each_section_of_a_shank_has_the_preload() -> None:
     assert state.numbers["shortening_shank"] > 0.05
 
 
+@pytest.mark.parametrize("at", [0.04, 0.05])
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_cut_bar_is_shortened_by_what_its_force_needs(at: float, degree: int) -> None:
+    """F L/(E A), exactly: the two sides overlap by as much, and the stress is uniform.
+
+    The cut is one of nodes, or of the facets nearest to it, which are no plane.
+    """
+    bar = box_body(size=(0.01, 0.01, 0.1), cells=(2, 1, 5))
+    problem = Problem(
+        name_parts(bar, surfaces={"neck": Selector(cut=True, plane="z", at=at)}),
+        LinearElastic(E=STEEL, nu=0.0),
+        supports=[Support(on="bottom"), Support(on="top")],
+        loads=[LOADS["bolt"](on="neck", axis=[0, 0, -1], value=PRELOAD)],
+        degree=degree,
+    )
+    *_, state = Statics(problem).steps()
+    assert state.numbers["bolt_force_neck"] == pytest.approx(PRELOAD, rel=1e-9)
+    assert state.numbers["shortening_neck"] == pytest.approx(
+        PRELOAD * 0.1 / (STEEL * 1e-4), rel=1e-7
+    )
+    section = SectionForces(problem, {"other": Section(plane="z", at=0.071)})(state)["other"]
+    assert abs(section.force[2]) == pytest.approx(PRELOAD, rel=1e-9)
+
+
+def test_a_cut_equals_a_shank_at_large_strains() -> None:
+    """Of slender legs: what a section is shortened by, the whole leg is, to the strain squared."""
+    found = {}
+    for on in ("shank", "cut"):
+        problem = Problem(
+            frame(),
+            NeoHookean(E=1e6, nu=0.3),
+            supports=[Support(on="foot")],
+            loads=[LOADS["bolt"](on=on, axis="y", value=3e3, name="bolt")],
+            degree=2,
+        )
+        *_, state = Statics(problem).steps()
+        assert state.numbers["bolt_force_bolt"] == pytest.approx(3e3, rel=1e-8)
+        found[on] = float(state.numbers["shortening_bolt"])
+        section = SectionForces(problem, {"up": Section(plane="y", at=4.1)})
+        assert section(state)["up"].force[1] == pytest.approx(0.0, abs=1.0)
+    assert found["cut"] == pytest.approx(found["shank"], rel=2e-2)
+
+
+@pytest.mark.parametrize(
+    ("keys", "where", "said"),
+    [
+        ({"on": "neck"}, "load[0].on", "no two sides"),
+        ({"on": "bottom"}, "load[0].on", "on the boundary"),
+        ({"on": ["cut", "neck"]}, "load[0].on", "cut once"),
+        ({"on": "cut", "axis": "x"}, "load[0].axis", "lies in the surface"),
+        ({"on": "nck"}, "load[0].on", "no surface 'nck'"),
+    ],
+)
+def test_surfaces_that_cut_no_shank(keys: dict[str, Any], where: str, said: str) -> None:
+    """The neck ends in the sleeve, which is one body with the shank."""
+    body = name_parts(
+        box_body(size=(0.03, 0.01, 0.1), cells=(3, 1, 2)),
+        regions={"shank": Selector(box=([0, 0, 0], [0.01, 0.01, 0.1]))},
+        surfaces={
+            "neck": Selector(cut=True, plane="z", at=0.05, of="shank"),
+            "cut": Selector(cut=True, plane="z", at=0.05),
+        },
+    )
+    with pytest.raises(InputError, match=said) as caught:
+        Problem(
+            body,
+            LinearElastic(E=STEEL, nu=0.0),
+            supports=[Support(on="bottom"), Support(on="top")],
+            loads=[LOADS["bolt"](**{"axis": "z", "value": PRELOAD, **keys})],
+        )
+    assert caught.value.where == where
+
+
 @pytest.mark.parametrize(
     ("keys", "said"),
     [

@@ -251,7 +251,11 @@ def test_how_far_the_facets_lie_from_a_plane(at, off):
         ({"on": "crack"}, "output.sections.s.on", "no two sides"),
         ({"on": "cut", "side": "rightt"}, "output.sections.s.side", "no region 'rightt'"),
         ({"on": "cut", "side": "all"}, "output.sections.s.side", "no two sides"),
-        ({"plane": "x", "at": 11}, "output.sections.s.at", "no cells lie on both sides of x = 11"),
+        (
+            {"plane": "x", "at": 11},
+            "output.sections.s.at",
+            "no elements lie on both sides of x = 11",
+        ),
         (
             {"plane": "x", "at": 0.1},
             "output.sections.s.at",
