@@ -107,7 +107,6 @@ def sides_of_plane(
     """1 of owned cells whose barycentre lies beyond a plane, else -1. Collective.
 
     Args:
-        axis: That across the plane.
         at: Its coordinate, a bare number in the unit of `space`.
         region: Cells of other regions get 0.
 
