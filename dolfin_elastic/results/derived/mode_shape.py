@@ -1,7 +1,8 @@
-"""A mode in a word, such as "bending in y": which rigid motion of its cross-sections moves most."""
+"""A mode in a few words, such as "bending in y"; where no name is sure, its direction alone."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,15 +24,22 @@ _MOST = 0.5
 """Share of the mean square of the motion that is enough to name it."""
 _CLEAR = 0.9
 """Share of a motion across the body along one axis that is enough to name the axis."""
+_SLENDER = 1 / 8
+"""Radius of gyration about the middle line, over the length, up to which a body is a straight bar:
+that of a square bar three times as long as high."""
+_FLAT = 1 / 5
+"""Thickness over width up to which a body in one plane is a plate."""
 _AXES = "xyz"
 
 
 def shape_in_words(problem: Problem, u: fem.Function) -> str:
-    """What the slices across the longest side do most. Collective.
+    """What a mode does, as far as it is sure. Collective.
 
-    Each slice moves along that side (stretching), across it (bending), or turns about it (torsion).
-    Where none of these has half of the mean square of the motion, parts of the slices move against
-    each other, as the prongs of a tuning fork do, or the section changes its shape.
+    In a straight bar the slices across it move along it (stretching), across it (bending), or turn
+    about it (torsion); where none of these has half of the mean square of the motion, the section
+    changes its shape or its parts move against each other, as the prongs of a tuning fork do.  What
+    a plate does across its plane is bending.  Of other bodies, such as brackets, slices are no
+    sections: only the direction of the motion is told.
 
     Args:
         u: The mode, on `problem.V`.
@@ -55,8 +63,16 @@ def shape_in_words(problem: Problem, u: fem.Function) -> str:
         return np.asarray(total(body.comm, rows))
 
     mass = np.maximum(sums(np.ones((len(x), 1))), 1e-300)
-    mean, centre = sums(moved) / mass, sums(x) / mass
-    square = float(sums((moved**2).sum(axis=1, keepdims=True)).sum()) or 1.0
+    centre, each = sums(x) / mass, sums(moved**2).sum(axis=0)
+    square = float(each.sum()) or 1.0
+    each = each / square
+    middle = (mass * centre).sum(axis=0) / mass.sum()
+    gyration = np.sqrt(sums((x - middle)[:, across] ** 2).sum() / mass.sum())
+    if gyration > _SLENDER * sides[along]:
+        thin, wide = sorted(range(dim), key=lambda k: sides[k])[:2]
+        plate = dim == 3 and sides[thin] <= _FLAT * sides[wide] and each[thin] >= _CLEAR
+        return f"bending in {_AXES[thin]}" if plate else f"motion in {_directions(each)}"
+    mean = sums(moved) / mass
     shares = (mass * mean**2).sum(axis=0) / square
     turning = 0.0
     if dim == 3:
@@ -65,23 +81,26 @@ def shape_in_words(problem: Problem, u: fem.Function) -> str:
         moment = r[:, [a]] * moved[:, [b]] - r[:, [b]] * moved[:, [a]]
         inertia = sums(r[:, [a]] ** 2 + r[:, [b]] ** 2)
         turning = float((sums(moment) ** 2 / np.maximum(inertia, 1e-300)).sum()) / square
-    bending = float(shares[across].sum())
     names = {
         "stretching along " + _AXES[along]: float(shares[along]),
         "torsion about " + _AXES[along]: turning,
-        _bending(shares, across): bending,
+        "bending in " + _directions(shares, across): float(shares[across].sum()),
     }
     name, most = max(names.items(), key=lambda one: one[1])
     if most >= _MOST:
         return name
-    each = sums(moved**2).sum(axis=0) / square
     axis = int(np.argmax(each))
-    if each[axis] >= _CLEAR:
+    against = np.abs(mass * mean).sum(axis=0) < _MOST * sums(np.abs(moved)).sum(axis=0)
+    if each[axis] >= _CLEAR and against[axis]:
         return f"parts against each other in {_AXES[axis]}"
-    return "change of the cross-section" if dim == 3 else "mixed"
+    clear = dim == 3 and each[axis] < _CLEAR
+    return "change of the cross-section" if clear else f"motion in {_directions(each)}"
 
 
-def _bending(shares: FloatArray, across: list[int]) -> str:
-    axis = max(across, key=lambda k: shares[k])
-    clear = shares[axis] >= _CLEAR * sum(shares[k] for k in across)
-    return f"bending in {_AXES[axis] if clear else ' and '.join(_AXES[k] for k in across)}"
+def _directions(shares: FloatArray, axes: Sequence[int] = (0, 1, 2)) -> str:
+    """The fewest of the axes along which nearly all of the motion goes, as "x and y"."""
+    ordered = sorted(axes[: len(shares)], key=lambda k: -shares[k])
+    enough = _CLEAR * sum(shares[k] for k in ordered)
+    count = next(n for n in range(1, 4) if sum(shares[k] for k in ordered[:n]) >= enough)
+    named = [_AXES[k] for k in sorted(ordered[:count])]
+    return " and ".join(filter(None, [", ".join(named[:-1]), named[-1]]))
