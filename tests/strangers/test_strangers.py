@@ -77,5 +77,5 @@ def test_from_the_file_to_the_picture(stranger: Path, tmp_path: Path) -> None:
         assert not re.search(r"warning|error:|not known", done.stdout + done.stderr), told
     picture = imread(folder / "picture.png")[..., :3]
     assert np.ptp(picture, axis=(0, 1)).max() > 0.5, "it is blank"
-    # Blue, green, yellow and red of the stress or displacement, not grey lines alone.
+    # The colours of the stress or displacement, not grey lines alone.
     assert (np.ptp(picture, axis=2) > 0.3).mean() > 0.02, "the body is not on it"
