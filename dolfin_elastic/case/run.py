@@ -157,11 +157,8 @@ def _all(runs: InTurn, asked: Callable[[], bool] | None) -> States:
     """States and modes of several analyses, one after the other; see `run`."""
     with closing(runs):
         for one in runs:
-            try:
+            with runs.trying(one):
                 yield from one.states(asked=asked)
-            except SolveError as error:
-                runs.failed(one, error)
-                log.error("[%s]: %s", one.case.analysis, error)
     if runs.errors:
         raise next(iter(runs.errors.values()))
 
@@ -223,15 +220,21 @@ class InTurn:
             if self.several:
                 on_root(self._comm, lambda: _remove_results(self._folder))
 
-    def failed(self, one: CaseRun, error: SolveError) -> None:
-        """Notes that an analysis has failed.
+    @contextmanager
+    def trying(self, one: CaseRun) -> Iterator[None]:
+        """Logs and keeps the error of an analysis that fails, so that others run.  Collective.
 
         Raises:
             SolveError: The error itself, where there is no other analysis.
         """
-        if not self.several:
-            raise error
-        self.errors[one.case.analysis] = error
+        try:
+            yield
+        except SolveError as error:
+            if not self.several:
+                raise
+            self.errors[one.case.analysis] = error
+            text = "\n  ".join([str(error), *getattr(error, "__notes__", ())])
+            log.error("[%s]: %s", one.case.analysis, text)
 
     def close(self) -> None:
         """Lets others write into the folder. Not collective."""
@@ -349,7 +352,12 @@ class CaseRun:
         lock.acquire(create=True)
         checkpoints.remove_foreign(new=before is None)
         saved = None if before is None else before.found.content["outputs"]
+        known = self.shared.known
         with open_outputs(files, problem, self.folder, saved) as writers:
+            if known and first and first[0].load_factor == known[0]:  # statics has told its stress
+                for writer in writers:
+                    if isinstance(writer, SummaryWriter):
+                        writer.silence()
             try:
                 for result in chain(first, probed):
                     if not (isinstance(result, State) and result.between):

@@ -239,10 +239,10 @@ class LogHandler(logging.Handler):
         if self._display is not None and getattr(record, "search", False):
             self._display.search(record.getMessage())
             return
-        mark = "warning: " if record.levelno >= logging.WARNING else ""
+        marks = {logging.WARNING: "warning: ", logging.ERROR: "error: "}
         apart = getattr(record, "result", False) and not self._above_bar
         screen = console() if apart else self.screen
-        screen.tell(f"{mark}{record.getMessage()}")
+        screen.tell(f"{marks.get(record.levelno, '')}{record.getMessage()}")
 
 
 # --- errors ---

@@ -10,6 +10,7 @@ from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
+from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,7 +25,6 @@ from dolfin_elastic.core.startup.libraries import start
 if TYPE_CHECKING:
     from mpi4py import MPI
 
-    from dolfin_elastic.case.case import Case
     from dolfin_elastic.case.run import CaseRun, InTurn
     from dolfin_elastic.cli.console import ProgressDisplay
     from dolfin_elastic.problem.state import Mode, State
@@ -163,30 +163,34 @@ def _compute_all(runs: InTurn, shown: _Shown, comm: MPI.Comm) -> None:
     """
     from dolfin_elastic.cli import console
 
-    code = 0
-    with closing(runs):
-        for number, one in enumerate(runs, start=1):
-            if runs.several and comm.rank == 0 and not shown.quiet:
-                of = f"({number} of {len(runs.runs)})"
-                console.console().print(f"{one.case.analysis} {of}", style="bold")
-            try:
-                _compute(one, shown, comm)
-            except SolveError as error:
-                runs.failed(one, error)
-                if comm.rank == 0:
-                    print(console.error_text(error), file=sys.stderr, flush=True)
-                code = code or error.exit_code
-            except Exit as ended:
-                code = code or ended.exit_code
-                if ended.exit_code == INTERRUPTED:
-                    raise
-            shown.since = 0
-    if code:
-        raise Exit(code)
+    codes, summaries = dict[str, int](), dict[str, str]()
+    try:
+        with closing(runs):
+            for number, one in enumerate(runs, start=1):
+                if runs.several and comm.rank == 0 and not shown.quiet:
+                    of = f"({number} of {len(runs.runs)})"
+                    console.console().print(f"{one.case.analysis} {of}", style="bold")
+                codes[one.case.analysis] = 0
+                with runs.trying(one):
+                    codes[one.case.analysis] = _compute(one, shown, comm, summaries)
+                if INTERRUPTED in codes.values():
+                    break
+                shown.since = 0
+    finally:
+        if summaries:
+            each = ",\n".join(f'"{name}": {text.strip()}' for name, text in summaries.items())
+            print(f"{{{each}}}" if runs.runs[0].around else each.partition(": ")[2], flush=True)
+    codes |= {name: error.exit_code for name, error in runs.errors.items()}
+    if ends := [code for code in codes.values() if code]:
+        raise Exit(INTERRUPTED if INTERRUPTED in ends else ends[0])
 
 
-def _compute(run: CaseRun, shown: _Shown, comm: MPI.Comm) -> None:
-    """Computes and shows a run; leaves with its exit code if that is not 0. Collective."""
+def _compute(run: CaseRun, shown: _Shown, comm: MPI.Comm, summaries: dict[str, str]) -> int:
+    """Computes and shows a run; returns its exit code. Collective.
+
+    Args:
+        summaries: Gets its summary, where --json is to print it.
+    """
     from dolfin_elastic.results.writers.summary import mark_stopped
 
     case, folder, visible = run.case, run.folder, comm.rank == 0 and not shown.quiet
@@ -194,7 +198,7 @@ def _compute(run: CaseRun, shown: _Shown, comm: MPI.Comm) -> None:
     before = _written(folder)
     code = INTERRUPTED
     try:
-        code = _follow(case, run.states(asked=stop.wants_checkpoint), stop, shown, comm)
+        code = _follow(run, run.states(asked=stop.wants_checkpoint), stop, shown, comm)
     except StoppedError:
         stop.acknowledge()
     except SolveError as error:
@@ -203,7 +207,7 @@ def _compute(run: CaseRun, shown: _Shown, comm: MPI.Comm) -> None:
     finally:
         # A run that was refused leaves the summary of an earlier one as it is.
         if shown.json and comm.rank == 0 and _written(folder) != before:
-            print(_summary(folder), end="", flush=True)
+            summaries[case.analysis] = _summary(folder)
     if shown.profile:
         _show_profile(comm)
     if visible:
@@ -215,14 +219,11 @@ def _compute(run: CaseRun, shown: _Shown, comm: MPI.Comm) -> None:
             show_files(folder, case.listing(folder))
         if code == INTERRUPTED:
             show_restart(folder, run.around)
-    if code:
-        raise Exit(code)
+    return code
 
 
 def _show_verdict(folder: Path, *, motion: bool) -> None:
     """Prints the verdict; of a motion its largest stress at the end, which statics logs."""
-    from json import loads
-
     from dolfin_elastic.cli.console import TYPED, extreme_lines
 
     summary = loads(_summary(folder) or "{}")
@@ -249,7 +250,7 @@ def _summary(folder: Path) -> str:
 
 
 def _follow(
-    case: Case,
+    run: CaseRun,
     states: Generator[State | Mode, None, None],
     stop: Stop,
     shown: _Shown,
@@ -260,7 +261,7 @@ def _follow(
     from dolfin_elastic.core import timing
     from dolfin_elastic.problem.state import Mode
 
-    motion, visible = case.dynamics is not None, comm.rank == 0 and not shown.quiet
+    case, visible = run.case, comm.rank == 0 and not shown.quiet
     progress = _progress_display(case.timed, visible, verbose=shown.verbose)
     state, newton, most, modes = None, 0, 0.0, []
     with closing(progress), closing(states) as results:
@@ -277,11 +278,11 @@ def _follow(
     if visible and modes:
         from dolfin_elastic.cli.console_modes import show_modes
 
-        show_modes(modes, timing.totals())
+        show_modes(modes, loads(_summary(run.folder))["modes"], timing.totals())
     elif visible and state is not None:
         console.show_end(
             state,
-            motion=motion,
+            motion=case.dynamics is not None,
             seconds=timing.totals(),
             newton=newton,
             since=shown.since,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -42,9 +43,15 @@ def summary(folder: Path, comm: MPI.Comm) -> dict[str, Any]:
     return dict(on_root(comm, lambda: json.loads((folder / "summary.json").read_text())))
 
 
-def test_all_in_turn(folder: Path, comm: MPI.Comm, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_in_turn(
+    folder: Path,
+    comm: MPI.Comm,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     """The results of each are those of a case of its own; the mesh is read once, and the preload
-    is not sought again."""
+    is not sought again, nor is its stress told again."""
+    caplog.set_level("INFO", "dolfin_elastic")
     read = []
     body = Case.read_body
     monkeypatch.setattr(Case, "read_body", lambda *given: read.append(1) or body(*given))
@@ -55,6 +62,7 @@ def test_all_in_turn(folder: Path, comm: MPI.Comm, monkeypatch: pytest.MonkeyPat
     kinds = [type(one) for one in results]
     assert kinds == 4 * [State] + [State, Mode] + [Mode] + 3 * [State]
     assert results[4].newton == 0
+    assert comm.bcast(caplog.text.count("estimated error")) == 1
     assert on_root(comm, lambda: {one.name for one in folder.iterdir()}) == set(ALL)
     for analysis in ALL:
         assert summary(folder / analysis, comm)["status"] == "completed"
@@ -188,6 +196,14 @@ def test_commands(
         f"results in {folder / 'buckling'}",
     ]
     assert {one.name for one in folder.iterdir()} == {"bar.toml", "modal", "buckling"}
+    assert [line for line in lines if "bending in y" in line]
+    monkeypatch.setattr("sys.argv", [*sys.argv, "--json"])
+    assert guarded() == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {name: one["verdict"]["kind"] for name, one in found.items()} == {
+        "modal": "result",
+        "buckling": "result",
+    }
     monkeypatch.setattr("sys.argv", ["dolfin-elastic", "report", str(folder)])
     assert guarded() == 0
     assert (folder / "buckling/report.html").exists()

@@ -22,9 +22,9 @@ from dolfin_elastic.model.point.report import MaterialReport
 from dolfin_elastic.problem.state import State
 
 
-def test_only_warnings_have_the_word_in_front(capfd):
+def test_warnings_and_errors_have_the_word_in_front(capfd):
     """On rank 0; on another one only what it alone can say is shown, with the word, too."""
-    for rank, shown in ((0, "a\nwarning: b\nwarning: c\n"), (1, "warning: c\n")):
+    for rank, shown in ((0, "a\nwarning: b\nerror: c\n"), (1, "error: c\n")):
         handler = LogHandler(rank, lambda: console(stderr=True))
         for level, text in ((logging.INFO, "a"), (logging.WARNING, "b"), (logging.ERROR, "c")):
             record = logging.LogRecord("dolfin_elastic", level, __file__, 1, text, (), None)
