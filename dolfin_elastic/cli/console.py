@@ -239,10 +239,9 @@ class LogHandler(logging.Handler):
         if self._display is not None and getattr(record, "search", False):
             self._display.search(record.getMessage())
             return
-        marks = {logging.WARNING: "warning: ", logging.ERROR: "error: "}
+        mark = {logging.WARNING: "warning: ", logging.ERROR: "error: "}.get(record.levelno, "")
         apart = getattr(record, "result", False) and not self._above_bar
-        screen = console() if apart else self.screen
-        screen.tell(f"{marks.get(record.levelno, '')}{record.getMessage()}")
+        (console() if apart else self.screen).tell(mark + record.getMessage())
 
 
 # --- errors ---
@@ -328,16 +327,19 @@ def show_end(
 
 
 def extreme_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Largest von Mises stress and smallest safety factor at the end of a motion, with places."""
+    """Largest von Mises stress and smallest safety factor of a motion's last state, with places."""
+    from dolfin_elastic.results.verdict import factor_text
+
     extremes, lines = summary.get("extremes", {}), []
     if (stress := extremes.get("von_mises")) and stress["value"]:
         factor, unit = stress_unit(stress["value"])
         lines.append(
-            f"largest von Mises stress  {stress['value'] / factor:.3g} {unit} "
+            f"largest von Mises stress at the end  {stress['value'] / factor:.3g} {unit} "
             f"{_at(stress, summary)}"
         )
     if safety := extremes.get("safety_factor"):
-        lines.append(f"smallest safety factor    {safety['value']:.3g} {_at(safety, summary)}")
+        value = f"{factor_text(safety['value'])} {_at(safety, summary)}"
+        lines.append(f"smallest safety factor at the end    {value}")
     return lines
 
 

@@ -154,7 +154,8 @@ class State:
         momenta: In motion "linear" [kg m/s] and "angular" [kg m^2/s] about the origin.
         max_displacement: Largest norm of u over the body's nodes [m].
         stability: In statics whether the equilibrium is stable; None of the initial state.
-        limit_points: Load factors of the limit points that the path has passed so far.
+        limit_points: Load factors of the limit points that the path has passed so far, and at which
+            it was left for another equilibrium, as where the body buckles.
         limit_errors: Estimated errors of these load factors.
         numbers: Further results by name in SI units, for example of probes or the volume of a
             cavity.

@@ -14,11 +14,12 @@ from dolfin_elastic.core.si_text import scaled_unit
 from dolfin_elastic.core.startup.elsewhere import elsewhere
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.results.derived.spectral import von_mises
-from dolfin_elastic.results.fields import FIELDS, SAFEST
+from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.scene.colour_bar import colour_map
 from dolfin_elastic.results.scene.scene import SAFEST as SAFE
 from dolfin_elastic.results.scene.scene import SMALL_MATTERS, Frame, Glyphs, Scene, label_of
 from dolfin_elastic.results.scene.surface import outer_faces
+from dolfin_elastic.results.verdict import SAFEST
 
 if TYPE_CHECKING:
     import pyvista

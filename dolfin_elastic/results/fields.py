@@ -23,6 +23,7 @@ from dolfin_elastic.model import kinematics
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, once
 from dolfin_elastic.model.materials.spatial import direction
 from dolfin_elastic.results.derived import spectral
+from dolfin_elastic.results.verdict import SAFEST
 
 SHAPES = {"scalar": 1, "vector": 3, "tensor": 9}
 
@@ -148,10 +149,6 @@ def cauchy_stress(law: Law, F: Expr) -> Expr:
 
 def _pressure(law: Law, F: Expr) -> Expr:
     return -ufl.tr(cauchy_stress(law, F)) / 3
-
-
-SAFEST = 1000.0
-"""Upper bound of the safety factor, which would be infinite without stress."""
 
 
 def _safety_factor(law: Law, F: Expr) -> Expr | None:

@@ -18,6 +18,9 @@ from dolfin_elastic.core.units import LengthUnit, to_si
 ENOUGH = 0.3
 """Estimated error of a stress above which it is not known."""
 
+SAFEST = 1000.0
+"""Upper bound of the safety factor, which would be infinite without stress."""
+_LEAVES = "it buckles, tips over or snaps through"
 Kind = Literal["holds", "fails", "not known", "result"]
 Table = Mapping[str, Any]
 
@@ -47,7 +50,7 @@ def verdict_of(summary: Table) -> Verdict | None:
     """
     status = summary.get("status")
     if status in ("failed", "stopped"):
-        return _unknown(_ended_early(summary, str(status)))
+        return _ended_early(summary, str(status))
     if status != "completed":
         return None
     if _table(summary, "stability").get("verdict") == "unstable":
@@ -61,7 +64,7 @@ def verdict_of(summary: Table) -> Verdict | None:
         else []
     ):
         return _of_buckling(rows) if rows[0].get("kind") == "buckling" else _of_modes(rows, summary)
-    return _of_stress(summary) if summary.get("steps") else None
+    return _of_load(_of_stress(summary), summary) if summary.get("steps") else None
 
 
 def _verdict(kind: Kind, text: str) -> Verdict:
@@ -90,15 +93,17 @@ def _number(value: object) -> float:
     return float(value)
 
 
-def _ended_early(summary: Table, status: str) -> str:
+def _ended_early(summary: Table, status: str) -> Verdict:
     what = "no solution was found" if status == "failed" else "the run was stopped"
     t = _number(summary.get("t"))
     if not summary.get("steps") or math.isnan(t):
-        return f"{what} in the first step"
+        return _unknown(f"{what} in the first step")
     if _table(summary, "case").get("dynamics"):
-        return f"{what} after t = {quantity(t, 's')}"
-    load = _number(summary.get("load_factor"))
-    return f"{what} beyond {percent(load)} of the load"
+        return _unknown(f"{what} after t = {quantity(t, 's')}")
+    beyond = f"beyond {percent(_number(summary.get('load_factor')))} of the load"
+    if status == "failed" and _table(summary, "diagnosis").get("cause") == "unstable":
+        return _verdict("fails", f"no stable equilibrium {beyond}: {_LEAVES}")
+    return _unknown(f"{what} {beyond}")
 
 
 # --- modes ---
@@ -162,6 +167,21 @@ def _of_stress(summary: Table) -> Verdict:
     return _verdict("result", f"{text}{_error(stress)}{_where(stress, summary)}")
 
 
+def _of_load(found: Verdict, summary: Table) -> Verdict:
+    """A verdict on stresses, with the load at which the path was left and which it belongs to."""
+    if _table(summary, "case").get("dynamics") or "relaxing" in _table(summary, "energies"):
+        return found  # what grows is time
+    kind, text = found.kind, found.text.removeprefix(f"{found.kind}: ")
+    limits, load = summary.get("limit_points"), _number(summary.get("load_factor"))
+    if isinstance(limits, Sequence) and (at := [x for x in map(_number, limits) if x > 0]):
+        kind = "not known" if kind == "holds" else kind
+        text = f"{text}, but {_LEAVES} at {percent(at[0])} of the load"
+    end = _number(_table(_table(summary, "case"), "statics").get("end", 1.0))
+    if load < 0.999 * end and kind == "holds":
+        kind, text = "not known", f"{text}, but the run has ended early"
+    return _verdict(kind, f"{text}; with {percent(load)} of the load" if load < 0.999 else text)
+
+
 def reliable(error: Table, name: str, elsewhere: str, extremes: Table) -> Table | None:
     """The extreme value to judge by: where it is singular, that away from there.
 
@@ -205,7 +225,7 @@ def _of_safety(safety: Table, summary: Table) -> Verdict:
         named = f"the allowable {limit}" if allowable else limit
         times = f"{stress}{_times(1 / value)} times {named}"
         return _verdict("fails", f"{times}{_error(safety)}{where}")
-    times = f"{_times(value)} times below {limit}"
+    times = f"{_times(value) if value < SAFEST else factor_text(value)} times below {limit}"
     if why := doubt(safety):
         return _unknown(f"stress {times}{where}, but {why}")
     times += _error(safety)
@@ -214,6 +234,11 @@ def _of_safety(safety: Table, summary: Table) -> Verdict:
     if why := _unjudged(safety, summary):
         return _unknown(f"stress {times}{where}, but {why}")
     return _verdict("holds", f"{times}{where}")
+
+
+def factor_text(value: float) -> str:
+    """A safety factor; at its bound only that it is more."""
+    return f"{value:.3g}" if value < SAFEST else f"more than {SAFEST:.0f}"
 
 
 def _unjudged(safety: Table, summary: Table) -> str:

@@ -69,9 +69,11 @@ def test_largest_values_of_a_motion():
     safety = {"value": 1.36, "place": [0.016, 0.0], "part": ""}
     found = {"extremes": {"von_mises": stress, "safety_factor": safety}}
     assert extreme_lines({**found, "model": {"mesh": {"metres": 0.001}}}) == [
-        "largest von Mises stress  184 MPa at (16, 0) mm in 'steel'",
-        "smallest safety factor    1.36 at (16, 0) mm",
+        "largest von Mises stress at the end  184 MPa at (16, 0) mm in 'steel'",
+        "smallest safety factor at the end    1.36 at (16, 0) mm",
     ]
+    (line,) = extreme_lines({"extremes": {"safety_factor": {**safety, "value": 1000.0}}})
+    assert "more than 1000 at" in line
     assert "at (0.016, 0) m" in extreme_lines(found)[1]
     assert extreme_lines({"extremes": {"von_mises": {**stress, "value": 0.0}}}) == []
     assert extreme_lines({"extremes": {}}) == []

@@ -19,6 +19,7 @@ from dolfin_elastic.results.recovery.locking import unseen_locking
 from dolfin_elastic.results.recovery.resolution import RESOLVED, largest_at_nodes, resolution
 from dolfin_elastic.results.recovery.singular import SingularPlaces, singular_places
 from dolfin_elastic.results.recovery.stress import von_mises
+from dolfin_elastic.results.verdict import factor_text
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
@@ -159,7 +160,7 @@ class Peaks:
         if self.regular is not None:
             result += _doubts(self.regular, self.rival)
         if self.safety is not None:
-            least = f"{self.safety.value:.3g} {self.safety.where()}"
+            least = f"{factor_text(self.safety.value)} {self.safety.where()}"
             result.append(Remark("smallest safety factor", least, indented=False))
             if self.safety.singular:
                 result.append(_unbounded(self.safety, "falls"))
@@ -169,7 +170,7 @@ class Peaks:
                 )
         if self.safety is not None and self.safety_elsewhere is not None:
             beside = self.safety_elsewhere
-            text = f"{beside.value:.3g} {beside.where()}{_apart(beside, self.safety)}"
+            text = f"{factor_text(beside.value)} {beside.where()}{_apart(beside, self.safety)}"
             result.append(Remark("smallest elsewhere", text))
         share = f"{percent(norm)} of the stresses on average (energy norm)"
         if not np.isfinite(norm):

@@ -35,8 +35,9 @@ from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.locate import LocatedPoint
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import unknowns_of_outputs
-from dolfin_elastic.results.fields import FIELDS, SAFEST, cauchy_stress
+from dolfin_elastic.results.fields import FIELDS, cauchy_stress
 from dolfin_elastic.results.recovery.patches import Patches, RawValues, sampling_points
+from dolfin_elastic.results.verdict import SAFEST
 
 if TYPE_CHECKING:
     from dolfin_elastic.model.materials.law import Law

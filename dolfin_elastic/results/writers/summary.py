@@ -227,8 +227,8 @@ class SummaryWriter:
             if estimate:
                 extra["error"] = _error(self.problem, estimate, logs=self._logs)
                 stress = estimate.stress.stress
-                if isinstance(self._last["stability"], dict) and may_buckle(self.problem, stress):
-                    self._last["stability"]["may_buckle"] = True
+                if isinstance(self._last["stability"], dict):
+                    self._last["stability"]["may_buckle"] = may_buckle(self.problem, stress)
             if isinstance(error, SolveError) and error.diagnosis is not None:
                 extra["diagnosis"] = asdict(error.diagnosis)
             if self.problem.mixed and content:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Generator, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -101,7 +101,7 @@ class LoadStepping:
         self._previous: tuple[float, FloatArray] | None = None
         # Load factor and unknowns of an equilibrium on another path that a step has jumped to.
         self._jumped_to: tuple[float, FloatArray] | None = None
-        self._limits: tuple[float, ...] = ()
+        self._limits: tuple[tuple[float, float], ...] = ()
         self._jumps = 0
         # On the last equilibrium that was found, accepted or not.
         self._verdict: Verdict | None = None
@@ -197,7 +197,8 @@ class LoadStepping:
         if history is not None:
             history.restore(past, numbers["history"])
         self._sizes.restore(numbers["sizes"])
-        self._jumps, self._limits = numbers["jumps"], tuple(numbers["limits"])
+        self._jumps = numbers["jumps"]
+        self._limits = tuple((t, error) for t, error in numbers["limits"])
         self._speed.restore(numbers["speed"])
         self._previous, self._jumped_to = (
             (numbers[name]["t"], self._join(others[name], numbers[name]["scalars"]))
@@ -388,6 +389,7 @@ class LoadStepping:
                 raise self._failure(step.t, goal, result.refused(refusal), step.start, failed)
             result = reached
         self._jumps += refusal == ANOTHER
+        self._limits += (((step.t + step.goal) / 2, (step.goal - step.t) / 2),)
         what = "buckles or tips over" if refusal == UNSTABLE else "has snapped through"
         log.warning(
             "the part %s between %.4g and %.4g %% of the load: the result is where it comes to "
@@ -460,9 +462,9 @@ class LoadStepping:
             if not result.converged:
                 good = self._newton.unknowns() if point.good is None else point.good
                 raise self._failure(point.t, point.t, result, good, point.failed)
-            self._t, self._limits = point.t, tuple(limit.t for limit in arc.limits)
+            self._t = point.t
+            self._limits = tuple((limit.t, limit.error) for limit in arc.limits)
             state = self._states.state(point.t, result, verdict=point.verdict, limits=self._limits)
-            errors = tuple(limit.error for limit in arc.limits)
-            yield self._committed(replace(state, limit_errors=errors))
+            yield self._committed(state)
             if self._ends_early():
                 return

@@ -65,14 +65,14 @@ class StaticStates:
         result: NewtonResult,
         *,
         verdict: Verdict | None = None,
-        limits: tuple[float, ...] = (),
+        limits: tuple[tuple[float, float], ...] = (),
         stored: dict[str, float] | None = None,
     ) -> State:
         """The present state, audited if it is an equilibrium. Collective.
 
         Args:
             verdict: Whether it is stable; None of the initial state and of what is no equilibrium.
-            limits: Load factors of limit points passed so far.
+            limits: Load factors, and their errors, at which the path had limit points or was left.
             stored: Its energies by account [J], if they are known.
 
         Raises:
@@ -105,7 +105,8 @@ class StaticStates:
             moments=moments,
             max_displacement=assembler.max_displacement(),
             stability=stability,
-            limit_points=limits,
+            limit_points=tuple(t for t, _ in limits),
+            limit_errors=tuple(error for _, error in limits),
             numbers=self._numbers(),
             audit=audit,
             done=t / self._end,

@@ -178,6 +178,9 @@ def test_a_slender_column_buckles_once_and_for_all():
     assert {state.negative for state in states[1:]} == {0}
     straight = [state for state in states if state.max_displacement < 1e-3 * length]
     assert straight[-1].load_factor < 1.01 / 1.5
+    (limit,), (error,) = states[-1].limit_points, states[-1].limit_errors
+    assert limit == pytest.approx(1 / 1.5, rel=0.01, abs=error)
+    assert straight[-1].limit_points == ()
     assert states[-1].max_displacement > 0.7 * length
 
 
