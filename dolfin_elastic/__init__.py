@@ -76,6 +76,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.materials.user import Energy as Energy
     from dolfin_elastic.model.materials.user import SplitEnergy as SplitEnergy
     from dolfin_elastic.model.periodic import Periodic as Periodic
+    from dolfin_elastic.model.point.report import material_report as material_report
     from dolfin_elastic.model.point_mass import PointMass as PointMass
     from dolfin_elastic.model.supports.displacement import Fixed as Fixed
     from dolfin_elastic.model.supports.displacement import Normal as Normal
@@ -86,10 +87,11 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.supports.springs import Dashpot as Dashpot
     from dolfin_elastic.model.supports.springs import Spring as Spring
     from dolfin_elastic.model.tie import Tie as Tie
+    from dolfin_elastic.notebook.report_view import show_report as show_report
     from dolfin_elastic.problem.problem import Problem as Problem
-    from dolfin_elastic.report.notebook import show_report as show_report
     from dolfin_elastic.results.derived.sections import Section as Section
     from dolfin_elastic.results.derived.sections import SectionForces as SectionForces
+    from dolfin_elastic.results.finished.run import FinishedRun as FinishedRun
     from dolfin_elastic.results.outputs import History as History
     from dolfin_elastic.results.outputs import Modes as Modes
     from dolfin_elastic.results.outputs import Picture as Picture
@@ -135,6 +137,7 @@ _PLACES = {
     "model.materials.laws.yeoh": ("Yeoh",),
     "model.materials.user": ("Energy", "SplitEnergy"),
     "model.periodic": ("Periodic",),
+    "model.point.report": ("material_report",),
     "model.point_mass": ("PointMass",),
     "model.tie": ("Tie",),
     "model.contact": ("Contact",),
@@ -165,7 +168,8 @@ _PLACES = {
     "solvers.dynamics.dynamics": ("Dynamics",),
     "solvers.eigen.modal": ("Modal",),
     "solvers.eigen.buckling": ("Buckling",),
-    "report.notebook": ("show_report",),
+    "notebook.report_view": ("show_report",),
+    "results.finished.run": ("FinishedRun",),
     "results.outputs": ("History", "Modes", "Picture", "Summary", "Xdmf"),
     "results.probes": ("Probe",),
     "results.derived.sections": ("Section", "SectionForces"),

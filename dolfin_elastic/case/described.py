@@ -15,6 +15,7 @@ from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.point_mass import PointMass
 from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.tie import Tie
+from dolfin_elastic.problem.problem import Problem
 
 _UNREADABLE = (InputError, ArithmeticError, KeyError, TypeError, ValueError)
 """What the tables of strangers may raise."""
@@ -49,6 +50,19 @@ def described(case: Case, body: Body) -> tuple[Described, ...]:
     linear = all(material.law.linear for material in case.materials.values())
     setting = Setting(body.unit.metres, linear, kinds)
     return tuple(_rows({key: getattr(case, key) for key in READERS}, setting))
+
+
+def described_problem(problem: Problem) -> tuple[Described, ...]:
+    """All of a problem. Local."""
+    ties = problem.constraints.ties
+    lists: dict[str, Sequence[object]] = {
+        "support": problem.supports,
+        "load": problem.loads,
+        "contact": [pair.contact for pair in problem.contact_pairs],
+        "tie": [] if ties is None else ties.given,
+        "mass": problem.context.mounted,
+    }
+    return tuple(_rows(lists, Setting(problem.body.unit.metres, problem.context.linear)))
 
 
 def described_tables(tables: Mapping[str, object], setting: Setting) -> tuple[Described, ...]:

@@ -13,6 +13,7 @@ from dolfinx.mesh import Mesh, entities_to_geometry
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError, nearest
+from dolfin_elastic.core.help.notebook import Shown
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.core.units import METRE, LengthUnit
@@ -140,7 +141,7 @@ class MeshFields(dict[str, MeshField]):
 
 
 @dataclass(frozen=True)
-class Body:
+class Body(Shown):
     """A distributed mesh in the reference configuration, in metres, with named parts.
 
     Parts may overlap: each is a set of cells, facets, edges or nodes, not a tag.  A name may stand

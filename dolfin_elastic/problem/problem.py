@@ -15,6 +15,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core import jit
 from dolfin_elastic.core.errors import InputError, keyed, nearest
+from dolfin_elastic.core.help.notebook import Shown
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Share
 from dolfin_elastic.model.contact import Contact
@@ -64,7 +65,7 @@ class _Parameters(dict[str, Constant]):
         raise InputError(f"there is no parameter '{key}'", expected=nearest(key, self))
 
 
-class Problem:
+class Problem(Shown):
     """An elastic body with materials, supports and loads.
 
     All of it is collective: make it on every rank with the same arguments.

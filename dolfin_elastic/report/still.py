@@ -53,10 +53,10 @@ def stills(viewed: Viewed, palette: Mapping[str, str]) -> tuple[list[tuple[str, 
         obstacles=tuple(replace(one, shift=np.zeros(3)) for one in scene.obstacles),
     )
     try:
-        drawn = [(title, _url(one)) for title, one in result]
-        return drawn, _url(replace(body, scene=held, bare=True)) if glyphs else ""
+        drawn = [(title, data_url(one)) for title, one in result]
+        return drawn, data_url(replace(body, scene=held, bare=True)) if glyphs else ""
     finally:
-        RENDERER.release(_url)
+        RENDERER.release(data_url)
 
 
 def _coloured(body: Picture, viewed: Viewed, shown: Shown) -> Picture:
@@ -76,9 +76,9 @@ def _coloured(body: Picture, viewed: Viewed, shown: Shown) -> Picture:
     return finished(picture, ends, Limits(), picture.seen, marks=True)
 
 
-def _url(picture: Picture) -> str:
+def data_url(picture: Picture) -> str:
     """A picture as data."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "still.png"
-        draw_pictures(_url, [picture], file)
+        draw_pictures(data_url, [picture], file)
         return "data:image/png;base64," + base64.b64encode(file.read_bytes()).decode("ascii")

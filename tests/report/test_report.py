@@ -27,13 +27,13 @@ from dolfin_elastic.cli.tools.report import _write
 from dolfin_elastic.core.errors import DrawingError, InputError, OutputError, SolveError
 from dolfin_elastic.core.si_text import quantity
 from dolfin_elastic.model.describe import Setting
+from dolfin_elastic.notebook.report_view import show_report
 from dolfin_elastic.report import pdf, still
 from dolfin_elastic.report.balance import balance_of, loads_of, supports_of
 from dolfin_elastic.report.charts import Axis, Line, line_chart
 from dolfin_elastic.report.contents import history_charts, last_values, mesh_badge, residual_chart
 from dolfin_elastic.report.drawn import drawn_frames, scene_of
 from dolfin_elastic.report.laws import _constants
-from dolfin_elastic.report.notebook import show_report
 from dolfin_elastic.report.page import json_text
 from dolfin_elastic.report.report import (
     LARGEST,

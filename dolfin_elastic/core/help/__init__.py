@@ -1,1 +1,1 @@
-"""What editors and `help` show."""
+"""What editors, `help` and notebooks show."""

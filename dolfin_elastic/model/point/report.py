@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError, keyed
+from dolfin_elastic.core.help.notebook import Shown
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.point.checks import Finding, LawUnderTest, checks
 from dolfin_elastic.model.point.ellipticity import ellipticity, energy_growth
@@ -21,7 +22,7 @@ _POINTS = 30
 
 
 @dataclass(frozen=True)
-class MaterialReport:
+class MaterialReport(Shown):
     """Results of all checks and homogeneous tests of a material.
 
     Attributes:

@@ -15,6 +15,7 @@ import numpy as np
 
 from dolfin_elastic.core.errors import InputError, nearest_file
 from dolfin_elastic.core.files.links import refuse_links
+from dolfin_elastic.core.help.notebook import Shown
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.finished.xdmf import Frame, damaged, read_frames, read_grid
 
@@ -118,7 +119,7 @@ def folders_of_analyses(folder: Path) -> list[Path]:
     return [folder / one for one in ANALYSES if (folder / one / _SUMMARY).is_file()]
 
 
-class FinishedRun:
+class FinishedRun(Shown):
     """A folder of results.  One process reads it, and nothing is written; no MPI, no DOLFINx.
 
     The run may also be going on or have failed: `summary["status"]` says so.
