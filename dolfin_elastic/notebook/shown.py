@@ -160,7 +160,7 @@ def _(report: MaterialReport) -> str:
 def _page(title: str, lines: Iterable[str], *parts: Markup) -> str:
     """A title, lines of text, and what stands below."""
     texts = Markup("<br>").join(lines)
-    return Markup("<div><b>{}</b><br>{}{}</div>").format(title, texts, Markup().join(parts))
+    return str(Markup("<div><b>{}</b><br>{}{}</div>").format(title, texts, Markup().join(parts)))
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> Markup:

@@ -24,6 +24,7 @@ from dolfin_elastic import (
     material_report,
     rectangle_body,
 )
+from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.help.notebook import Shown
 
 alone = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="notebooks show things on one rank")
@@ -137,3 +138,21 @@ def test_other_ranks_are_not_waited_for():
     if body.comm.rank == 0:
         assert body._repr_html_() is None
         assert problem._repr_html_() is None
+
+
+def test_a_failed_cell_leaves_the_session_usable():
+    """After an error of input, and a solution broken off at a step, the problem is as it was new.
+
+    To round-off of Newton's method: the solution starts from where the first one ended.
+    """
+    body = make_body()
+    problem = make_problem(body)
+    with pytest.raises(MeshError, match="lft"):
+        Problem(body, NeoHookean(E="1 MPa", nu=0.3), supports=[Support(on="lft")])
+    with pytest.raises(ZeroDivisionError):
+        for state in Statics(problem, steps=4).steps():
+            _ = 1 / (state.step - 2)
+    *_, again = Statics(problem, steps=2).steps()
+    *_, fresh = Statics(make_problem(body), steps=2).steps()
+    assert again.load_factor == fresh.load_factor == 1.0
+    assert again.max_displacement == pytest.approx(fresh.max_displacement, rel=1e-7)
