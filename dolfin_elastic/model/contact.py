@@ -2,7 +2,7 @@
 
 The gap g of a point is its signed distance to the obstacle, positive outside, and n the obstacle's
 outward normal there: see `Shape.gap`.  An obstacle's motion is a displacement as that of a support,
-in metres.
+in metres; or a force drives it along a direction, and how far it moves is an unknown.
 """
 
 from __future__ import annotations
@@ -10,22 +10,25 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.shapes.shapes import (
     CylinderObstacle,
+    Direction,
     Plane,
     Shape,
     SphereObstacle,
     check_components,
 )
 from dolfin_elastic.core.si_text import given
+from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import ForceDensity, Length, members_of
 from dolfin_elastic.model.amplitude import Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
-from dolfin_elastic.model.values import OnSurfaces, amplitude_of, components
+from dolfin_elastic.model.values import OnSurfaces, amplitude_of, component, components
 
 
 class Contact(OnSurfaces):
@@ -39,7 +42,10 @@ class Contact(OnSurfaces):
         sphere: A ball, or the spherical cavity in which the body lies.
         cylinder: A cylinder, or the bore in which the body lies.
         motion: Displacement of the obstacle [m]: numbers, texts with units, or formulas in t.
-        curve: Amplitude of the motion over time, as that of a support.
+        force: In place of a motion the force on the obstacle [N], positive along `direction`: a
+            number, a text with a unit, or a formula in t.
+        direction: Along which a force may move it, of any length but zero.
+        curve: Amplitude of the motion or force over time, as that of a support or load.
         gap_tolerance: Penetration that statics leaves [m]; 1e-3 of the cells' size there.
         stiffness: Pressure per depth [Pa/m]; about 10 (K + 4 mu/3)/h of the cells there.
 
@@ -51,6 +57,8 @@ class Contact(OnSurfaces):
     sphere: SphereObstacle | None = None
     cylinder: CylinderObstacle | None = None
     motion: list[Any] = Field(default=[])
+    force: Any = None
+    direction: Direction | None = None
     curve: Curve | None = None
     gap_tolerance: Length | None = Field(default=None, gt=0)
     stiffness: ForceDensity | None = Field(default=None, gt=0)
@@ -62,6 +70,7 @@ class Contact(OnSurfaces):
         if len(given) != 1:
             what = f"{' and '.join(given)} are given" if given else "the obstacle has no shape"
             raise InputError(what, expected=f"exactly one of {', '.join(known)}")
+        self._check_force()
         for index, value in enumerate(self.values):
             if isinstance(value, Formula) and value.names - {"t"}:
                 raise InputError(
@@ -70,6 +79,60 @@ class Contact(OnSurfaces):
                     expected='for example "0.01*sin(pi*t)"',
                 )
         return self
+
+    def _check_force(self) -> None:
+        """Raises where force, direction and motion do not fit together."""
+        if (self.force is None) != (self.direction is None):
+            missing = "direction" if self.direction is None else "force"
+            raise InputError(
+                "an obstacle that a force moves needs the force and its direction",
+                where=missing,
+                expected='for example force = "200 N", direction = [0, 0, -1]',
+            )
+        if self.push is None:
+            return
+        if self.motion:
+            raise InputError(
+                "motion and force are given together",
+                where="force",
+                expected="one of them: the other is a result",
+            )
+        if self.direction is not None and not any(self.direction):
+            raise InputError(
+                "a direction cannot be zero", where="direction", expected="for example [0, 0, -1]"
+            )
+        if isinstance(self.push, Formula) and self.push.names - {"t"}:
+            raise InputError(
+                "the obstacle is rigid: its force depends on t only",
+                where="force",
+                expected='for example "200*t"',
+            )
+
+    @cached_property
+    def push(self) -> float | Formula | None:
+        """The force that moves the obstacle along `direction` [N]; None: there is none."""
+        if self.force is None:
+            return None
+        with keyed("force"):
+            return component(self.force, "N")
+
+    def force_at(self, t: float, default: Amplitude) -> float:
+        """That force at time t [N].
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude where the contact has no curve.
+        """
+        push = self.push
+        number = float(push.evaluate(t=t)) if isinstance(push, Formula) else float(push or 0.0)
+        return default.of(amplitude_of(push, self.curve), t) * number
+
+    @property
+    def way(self) -> FloatArray:
+        """Unit vector along which a force moves the obstacle, as many components as given."""
+        assert self.direction is not None
+        way = np.array(self.direction, dtype=np.float64)
+        return np.asarray(way / np.linalg.norm(way))
 
     @cached_property
     def values(self) -> tuple[float | Formula, ...]:
@@ -131,6 +194,13 @@ class Contact(OnSurfaces):
             raise InputError(
                 "an obstacle about the axis moves along it only",
                 where="motion[0]",
+                expected="0",
+            )
+        check_components(self.direction, dim, "direction")
+        if axisymmetric and self.direction is not None and self.direction[0] != 0.0:
+            raise InputError(
+                "an obstacle about the axis moves along it only",
+                where="direction[0]",
                 expected="0",
             )
 

@@ -12,6 +12,7 @@ from dolfin_elastic.core.units import Quantity
 from dolfin_elastic.model.materials.spatial import units_of
 
 _UNITS = dict.fromkeys(("point", "at", "start", "end", "motion", "displacement", "origin"), "m")
+_UNITS["force"] = "N"
 """Of keys whose lists stay as they are written, formulas and all."""
 
 

@@ -45,6 +45,7 @@ from dolfin_elastic.problem.term import Resistance, Terms
 from dolfin_elastic.problem.terms.bolts import make_bolts
 from dolfin_elastic.problem.terms.cavities import make_cavities
 from dolfin_elastic.problem.terms.contact import ContactPair, make_contacts, placed_contacts
+from dolfin_elastic.problem.terms.loaded_obstacle import make_loaded_obstacles
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
 from dolfin_elastic.problem.terms.pressure_symmetry import follower_pressure_has_potential
 from dolfin_elastic.problem.terms.rigid_surfaces import RigidSurface, TurnedSurface
@@ -212,6 +213,7 @@ class Problem(Shown):
         if contacts:
             self.contact_pairs = make_contacts(contacts, self.context)
             self.terms += self.contact_pairs
+            self.terms += make_loaded_obstacles(self.contact_pairs, self.context)
         self.eigenstrains: dict[str, Expr] = {}
         if any(issubclass(kind, Eigenstrain) for kind in kinds):
             self.eigenstrains = eigenstrains(self.context, self.loads)

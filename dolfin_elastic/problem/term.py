@@ -228,6 +228,18 @@ class ScalarUnknowns:
         """dg/du at the owned entries, one array a scalar. Collective."""
         raise NotImplementedError
 
+    def exact(self, rows: Sequence[FloatArray]) -> dict[int, tuple[FloatArray, float]]:
+        """Derivatives that are known, where differences would step over a kink. Collective.
+
+        Args:
+            rows: Of `rows`, at the present state.
+
+        Returns:
+            Index of a scalar to the derivative of the nodal forces out of balance by it, at the
+            owned entries and without constraints, and that of its own equation.
+        """
+        return {}
+
     def settled(self, residual: FloatArray, target: float) -> bool:
         """Whether the equations hold well enough.
 

@@ -129,6 +129,7 @@ def _check_in_time(case: Case, times: Sequence[float]) -> None:
                 given += [(f"support[{i}]", value) for value in moved]
             if isinstance(row, Contact):
                 given += [(f"contact[{i}].motion", value) for value in row.values]
+                given.append((f"contact[{i}].force", row.push))
     for where, value in given:
         if not isinstance(value, Formula) or value.names != {"t"}:
             continue

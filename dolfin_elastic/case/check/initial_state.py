@@ -88,7 +88,14 @@ def _initial_gaps(
     """Each contact with its smallest gap at the start [m], and where [m]. Collective."""
     if problem.contact_pairs:  # in motion, what names no amplitude acts in full from the start
         problem.set_time(0.0, default=CONSTANT if case.dynamics is not None else PROPORTIONAL)
-    return [(pair, *nearest_node(pair)) for pair in problem.contact_pairs]
+    result = []
+    for pair in problem.contact_pairs:
+        moved = pair.shift.value.copy()
+        if pair.contact.push is not None:  # it may have been moved to where it touches
+            pair.shift.value[:] = 0.0
+        result.append((pair, *nearest_node(pair)))
+        pair.shift.value[:] = moved
+    return result
 
 
 def tie_information(problem: Problem) -> tuple[str, ...]:
@@ -160,6 +167,9 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     diagonal, reach, unit = span(problem.body), _reach(case, problem), problem.body.unit
     pressed = False
     for i, (pair, gap, _) in enumerate(_initial_gaps(case, problem)):
+        if pair.contact.push is not None:  # it goes to where it touches, or the run refuses it
+            pressed = True
+            continue
         nearest = min(gap, *_gaps_over_time(case, pair))
         pressed |= nearest < -_ROUND_OFF * pair.size
         if nearest > max(reach, _ROUND_OFF * pair.size):
@@ -192,7 +202,9 @@ def _reach(case: Case, problem: Problem) -> float:
     started = case.dynamics is not None and (
         any(value != 0.0 for value in (*case.dynamics.displacement, *case.dynamics.velocity))
     )
-    pushed = len(problem.contact_pairs) > 1 and any(c.values for c in case.contact)
+    pushed = len(problem.contact_pairs) > 1 and any(
+        c.values or c.push is not None for c in case.contact
+    )
     if not (moving or loaded or started or pushed or problem.cell is not None):
         return 0.0
     if case.dynamics is not None and (loaded or started):  # it may fall, or fly
@@ -286,6 +298,7 @@ def check_curves(case: Case, dim: int) -> None:
             values[f"{key}.curve"] = curve.at
     for i, contact in enumerate(case.contact):
         values[f"contact[{i}].motion"] = partial(_moved, contact, default, dim)
+        values[f"contact[{i}].force"] = partial(contact.force_at, default=default)
     if (cell := case.periodic) is not None:
         values["periodic"] = partial(cell.gradient_at, default=default)
     for where, value in values.items():

@@ -114,7 +114,7 @@ class ContactPair(Term):
         facets = np.unique(np.concatenate([body.surface(name) for name in contact.surfaces]))
         self.lam, self.nodes, self.nodes_of_displacement = _nodal(context, facets)
         self.memory, self._index = {f"contact_{index}": self.lam}, index
-        self.at_rest = not contact.values
+        self.at_rest = not contact.values and contact.push is None
         heights = _heights(body, facets)
         self.penalty = _penalty(context, contact.stiffness, *heights)
         self.size = _mean(body, facets, heights)
@@ -201,6 +201,14 @@ class ContactPair(Term):
         """Virtual work of the obstacle's force on the body."""
         return self.pressure * ufl.inner(self._gap[1], self._context.v) * self._measure
 
+    def along(self, way: FloatArray) -> tuple[ufl.Form, ufl.Form]:
+        """The obstacle's force on the body along a unit vector [N], and its penalty as a whole.
+
+        The latter is the force per depth where all of the surface is in contact [N/m].
+        """
+        n = ufl.dot(self._gap[1], self._context.constant([float(x) for x in way]))
+        return self.pressure * n * self._measure, self.penalty * self._measure
+
     # --- numbers at the nodes ---
 
     def places(self) -> FloatArray:
@@ -248,9 +256,14 @@ class ContactPair(Term):
         self._reach.value = self._slack if closed is None else FAR if closed else -FAR
 
     def held(self, *, near: bool = False) -> Iterator[tuple[IndexArray, FloatArray]]:
-        """See `Term`: as if the obstacle could pull, too."""
+        """See `Term`: as if the obstacle could pull, too; but not along its way under a force."""
         gaps, normals = self.gaps()
         within = gaps <= (self.size if near else self.reach)
+        if self.contact.push is not None:
+            normals -= np.outer(normals @ self.contact.way, self.contact.way)
+            lengths = np.linalg.norm(normals, axis=1)
+            within &= lengths > _ALONG
+            normals /= np.where(within, lengths, 1.0)[:, None]
         yield self.nodes_of_displacement[within], normals[within]
 
     def distance(self) -> float:
@@ -301,8 +314,9 @@ class ContactPair(Term):
     # --- time ---
 
     def set_time(self, t: float, default: Amplitude) -> None:
-        """See `Term`: moves the obstacle."""
-        self.shift.value[:] = self.contact.displacement_at(t, default, self._dim)
+        """See `Term`: moves the obstacle, unless a force does."""
+        if self.contact.push is None:
+            self.shift.value[:] = self.contact.displacement_at(t, default, self._dim)
 
     def within_stride(self, t: float, goal: float) -> float:
         """See `Term`: the obstacle moves no farther than it is thick."""

@@ -231,7 +231,11 @@ def obstacles_of(run: FinishedRun, t: float) -> list[tuple[str, Shape, FloatArra
     """
     default = CONSTANT if run.moving else PROPORTIONAL
     contacts = [Contact(**row).in_metres(run.metres) for row in run.case.get("contact", [])]
-    return [
-        (one.label, one.obstacle, np.array(one.displacement_at(t, default, run.dim)))
-        for one in contacts
-    ]
+
+    def shift(one: Contact) -> FloatArray:
+        moved = run.history.get(f"obstacle_displacement_{one.label}")
+        if moved is None:
+            return np.array(one.displacement_at(t, default, run.dim))
+        return np.asarray(np.interp(t, run.history["t"], moved) * one.way)
+
+    return [(one.label, one.obstacle, shift(one)) for one in contacts]

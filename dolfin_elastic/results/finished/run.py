@@ -41,6 +41,8 @@ _BEGINNINGS = {
     "penetration_": "m",
     "contact_area_": "m^2",
     "bolt_force_": "N",
+    "obstacle_force_": "N",
+    "obstacle_displacement_": "m",
     "shortening_": "m",
     "pressure_": "Pa",
     "volume_": "m^3",

@@ -64,6 +64,16 @@ class JoinedScalars(ScalarUnknowns):
         """All their derivatives. Collective."""
         return [row for part in self._parts for row in part.rows(forces)]
 
+    def exact(self, rows: Sequence[FloatArray]) -> dict[int, tuple[FloatArray, float]]:
+        """All derivatives that are known."""
+        result: dict[int, tuple[FloatArray, float]] = {}
+        begin = 0
+        for part in self._parts:
+            known = part.exact(rows[begin : begin + part.size])
+            result |= {begin + j: one for j, one in known.items()}
+            begin += part.size
+        return result
+
     def settled(self, residual: FloatArray, target: float) -> bool:
         """Whether all equations hold well enough.
 
@@ -160,20 +170,47 @@ class Bordered:
         values = self.scalar_part(x)
         self._x.array_w[:] = x.array_r[: self._size]
         self.scalars.put(values)
-        self.columns, self.corner = self._differences(values)
+        self.assembler.residual.evaluate(self._x, self._b)
         self._rows = self.scalars.rows(self.assembler.residual)
+        known = {
+            j: self._with_response(j, column, own)
+            for j, (column, own) in self.scalars.exact(self._rows).items()
+        }
+        self.columns, self.corner = self._differences(values, known)
         self.assembler.tangent.assemble(self._x)
         self._elimination.solved = None
 
-    def _differences(self, values: FloatArray) -> tuple[list[FloatArray], FloatArray]:
+    def _with_response(self, j: int, column: FloatArray, own: float) -> tuple[FloatArray, ...]:
+        """A known derivative as `_difference` would give it. Collective.
+
+        The other scalars' residuals are linear in the nodal forces, where they depend on them.
+        """
+        forces, a = self.assembler.residual, self.assembler
+        before, corner = forces.owned.copy(), -self.scalars.residual(forces)
+        column = np.asarray(a.collect(column))
+        forces.owned[:] += column
+        corner += self.scalars.residual(forces)
+        forces.owned[:] = before
+        corner[j] = own
+        return a.free_part(column), corner
+
+    def _differences(
+        self, values: FloatArray, known: dict[int, tuple[FloatArray, ...]]
+    ) -> tuple[list[FloatArray], FloatArray]:
         """Derivatives of the fields' and the scalars' residuals with respect to the scalars.
 
         Scalars that only prescribe displacements change no force where the fields are: for them
         the nodal forces stand, and nothing is assembled.
+
+        Args:
+            values: All scalars.
+            known: Index of those whose derivatives are known, to these.
         """
         steps, only_prescribing = self.scalars.steps, self.scalars.prescribing
-        result = {
-            j: self._difference(values, j, steps[j]) for j in np.flatnonzero(~only_prescribing)
+        result = known | {
+            j: self._difference(values, j, steps[j])
+            for j in np.flatnonzero(~only_prescribing)
+            if j not in known
         }
         self.scalars.put(values)
         self.assembler.residual.evaluate(self._x, self._b)  # back to where we are

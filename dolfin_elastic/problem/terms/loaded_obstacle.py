@@ -1,0 +1,227 @@
+"""Rigid obstacles that a force moves along a direction: how far is a scalar unknown.
+
+With the displacement s of the obstacle along its unit direction d, the force F on it and the
+contact pressure p on the body, p = max(0, lam - eps g), the energy of body, contact and force has
+the derivative
+
+    g(u, s) = integral of p n . d - F
+
+with respect to s: the equation of s is the balance of forces on the obstacle.  See `contact` for
+the potential of p, of whose gap -n . d is the derivative by s.
+
+Away from the body nothing determines s.  At the start the obstacle is moved to where it first
+touches; from where an iterate leaves the body, it is led back, see `_guided`.  That acts while
+nothing is in contact, so that no state in which a force is carried contains any of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import ufl
+from dolfinx import fem
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.ghosts import assembled
+from dolfin_elastic.core.jit import compile_forms, options
+from dolfin_elastic.core.parallel import largest, smallest, total
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.mesh.body import span
+from dolfin_elastic.model.amplitude import PROPORTIONAL
+from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.term import OutOfBalance, ScalarTerm
+from dolfin_elastic.problem.terms.contact import ContactPair
+
+SAME = 1e-10
+"""Force out of balance, as a share of the force: the next Newton step would find round-off."""
+
+_ROUND_OFF = 10 * np.finfo(float).eps
+"""Of places, over the size of the body."""
+
+_STEP = 1e-5
+"""Step of the differences over the size of a cell: its square and round-off over it are alike."""
+
+_STRIDES = 1000
+"""Of the search for the first touch, in each of which the gap can not be closed twice."""
+
+_PAST = 10.0
+"""Gap over that of the start and the size of the body from which on the obstacle has gone past."""
+
+_TIMES = 101
+"""Load factors at which the force must not pull."""
+
+
+class LoadedObstacle(ScalarTerm):
+    """A rigid obstacle under a force.
+
+    Args:
+        pair: Its contact, the obstacle of which it moves.
+        index: Of the contact in the case, from 0.
+    """
+
+    restrains = True
+
+    def __init__(self, pair: ContactPair, context: FormContext, index: int) -> None:
+        self._pair, self._context, self._where = pair, context, f"contact[{index}]"
+        self._comm, self.label, self.size = context.body.comm, pair.label, 1
+        self._way = pair.contact.way
+        self.steps, self.signs = np.array([_STEP * pair.size]), np.ones(1)
+        self.prescribing = np.zeros(1, dtype=bool)
+        self._s = self._stiffness = 0.0
+
+    def without_motion(self) -> InputError:
+        """See `ScalarTerm`."""
+        return InputError(
+            f"a force moves the obstacle of '{self.label}' in statics only",
+            where=f"{self._where}.force",
+            expected="[statics]; or its motion over time; or a part with a mass in its place",
+        )
+
+    # --- the start ---
+
+    def check_start(self) -> str:
+        """See `Term`: the obstacle is moved to where it first touches the body.
+
+        Raises:
+            InputError: It meets nothing, or its force pulls.
+        """
+        for t in np.linspace(0.0, 1.0, _TIMES):
+            if (force := self._pair.contact.force_at(float(t), PROPORTIONAL)) < 0.0:
+                raise InputError(
+                    f"the force on the obstacle of '{self.label}' is {force:.4g} N at load factor "
+                    f"{t:.4g}: it pulls the obstacle off the body, where nothing stops it",
+                    where=f"{self._where}.force",
+                    expected="a force not below 0, along a direction towards the body",
+                )
+        if not self._touch():
+            raise InputError(
+                f"in its direction the obstacle of '{self.label}' meets nothing: its force would "
+                "move it on and on",
+                where=f"{self._where}.direction",
+                expected="a direction from the obstacle towards the surfaces of `on`",
+            )
+        return ""
+
+    def _touch(self) -> bool:
+        """Moves the obstacle up to the first touch; whether there is one. Collective.
+
+        The gap is a distance: it closes no faster than the obstacle moves.
+        """
+        far = _PAST * (self._nearest() + span(self._context.body))
+        for _ in range(_STRIDES):
+            gap = self._nearest()
+            if gap <= self._pair.reach / 2:
+                return True
+            if gap > far:
+                return False
+            self.put(self.get() + gap)
+        return gap <= self._pair.tolerance
+
+    def _nearest(self) -> float:
+        """The smallest gap [m]. Collective."""
+        return smallest(self._comm, float(np.min(self._pair.gaps()[0], initial=np.inf)))
+
+    def begin(self, *, moving: bool) -> None:
+        """See `Term`."""
+        (force, penalty), space = self._pair.along(self._way), self._context.unknowns.W
+        row = ufl.derivative(force, self._context.unknowns.w, ufl.TestFunction(space))
+        forms = compile_forms(self._comm, [force, row, penalty], options(self._comm))
+        self._force, self._row, whole = forms
+        self._stiffness = total(self._comm, float(fem.assemble_scalar(whole)))
+
+    def unsettled(self) -> bool:
+        """See `Term`: it rests above the body, on a multiplier that has no pressure left."""
+        return self._nearest() > self._pair.tolerance
+
+    # --- the unknown and its equation ---
+
+    def get(self) -> FloatArray:
+        """The displacement of the obstacle along its direction [m]."""
+        return np.array([self._s])
+
+    def put(self, values: FloatArray) -> None:
+        """Moves the obstacle."""
+        self._s = float(values[0])
+        self._pair.shift.value[:] = self._s * self._way
+
+    def _carried(self) -> float:
+        """Force of the obstacle on the body along its direction [N]. Collective."""
+        return total(self._comm, float(fem.assemble_scalar(self._force)))
+
+    def _given(self) -> float:
+        return self._pair.contact.force_at(self.t, self.default)
+
+    def residual(self, forces: OutOfBalance) -> FloatArray:
+        """The force on the body beyond the given one [N]. Collective."""
+        carried, given = self._carried(), self._given()
+        return np.array([carried - given if carried != 0.0 else self._guided(given)])
+
+    def _guided(self, given: float, farther: float = 0.0) -> float:
+        """What leads an obstacle that touches nothing back to the body [N]. Collective.
+
+        -(F + k g) at the gap g, with the penalty k of the whole surface.  Where nodes are inside,
+        but no point of the quadrature is, -F^2/(F - k g): it goes on as steeply, and never to 0.
+
+        Args:
+            given: The force F [N].
+            farther: Added to the gap [m].
+        """
+        push = self._stiffness * (self._nearest() + farther)
+        if push >= 0.0:
+            return -(given + push)
+        given = max(given, self._stiffness * self._pair.reach)
+        return -(given**2) / (given - push)
+
+    def rows(self, forces: OutOfBalance) -> list[FloatArray]:
+        """Its derivative [N/m]. Collective."""
+        return [assembled(self._row, self._context.unknowns.W)]
+
+    def exact(self, rows: Sequence[FloatArray]) -> dict[int, tuple[FloatArray, float]]:
+        """See `ScalarUnknowns`: the tangent is symmetric, and gaps depend on u - s d.
+
+        At the first touch differences would see one half of the penalty.
+        """
+        dim = len(self._way)
+        moved = rows[0][self._context.unknowns.displacement_dofs].reshape(-1, dim) @ self._way
+        own = -total(self._comm, float(moved.sum()))
+        if own == 0.0:  # nothing is in contact
+            given, h = self._given(), float(self.steps[0])
+            own = (self._guided(given, -h) - self._guided(given, h)) / (2 * h)
+        return {0: (rows[0], own)}
+
+    def settled(self, residual: FloatArray, target: float) -> bool:
+        """The force that is carried is the one that is given."""
+        floor = self._stiffness * _ROUND_OFF * self._size()
+        return bool(abs(residual[0]) <= max(SAME * abs(self._given()), floor))
+
+    def _size(self) -> float:
+        """Of the coordinates, whose round-off gaps have [m]. Collective."""
+        return largest(self._comm, float(np.max(np.abs(self._pair.places()), initial=0.0)))
+
+    def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
+        """See `Term`: displacement, and the force that is carried."""
+        result[f"obstacle_displacement_{self.label}"] = self._s
+        result[f"obstacle_force_{self.label}"] = self._carried()
+
+
+def make_loaded_obstacles(
+    pairs: Sequence[ContactPair], context: FormContext
+) -> Iterator[LoadedObstacle]:
+    """Those of the contacts whose obstacle a force moves.
+
+    Raises:
+        InputError: Two have the same name.
+    """
+    labels: set[str] = set()
+    for index, pair in enumerate(pairs):
+        if pair.contact.push is None:
+            continue
+        if pair.label in labels:
+            raise InputError(
+                f"a force moves another obstacle '{pair.label}'",
+                where=f"contact[{index}].name",
+                expected="a name of its own",
+            )
+        labels.add(pair.label)
+        yield LoadedObstacle(pair, context, index)

@@ -1,0 +1,210 @@
+"""Obstacles that a force moves: the force they carry, how far they go, and what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dolfin_elastic import (
+    Contact,
+    Dynamics,
+    LinearElastic,
+    NeoHookean,
+    Problem,
+    Rigid,
+    Statics,
+    Support,
+    box_body,
+    rectangle_body,
+)
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.problem.state import StateCopy
+
+FREE = "free"
+E, NU, FORCE, GAP = 1e6, 0.3, 3e4, 0.25
+PLATE = {"plane": {"axis": "-y", "at": 1 + GAP}}
+BALL = {"sphere": {"center": [0.5, 1.5 + GAP], "radius": 0.5}}
+DOWN = {"force": FORCE, "direction": [0, -2]}
+TIGHT = {"gap_tolerance": 1e-10}
+"""The pressure of a depth of 1e-10 is 1e-8 of those here."""
+
+
+def pressed(law: Any = None, degree: int = 1, **contact: Any) -> Problem:
+    """A block of unit sides on a foot, under an obstacle at the distance GAP."""
+    return Problem(
+        rectangle_body(size=(1, 1), cells=(4, 4)),
+        law or NeoHookean(E=E, nu=NU),
+        supports=[Support(on="bottom")],
+        contacts=[Contact(**{"on": "top", "name": "stamp", **TIGHT, **contact})],
+        degree=degree,
+    )
+
+
+def last(problem: Problem, **settings: Any) -> Any:
+    *_, state = Statics(problem, **settings).steps()
+    return state
+
+
+def way(state: Any) -> float:
+    return float(state.numbers["obstacle_displacement_stamp"])
+
+
+@pytest.mark.parametrize(
+    ("shape", "degree", "direction"),
+    [(PLATE, 1, [0, -2]), (PLATE, 1, [1, -1]), (BALL, 1, [0, -1]), (BALL, 2, [0, -1])],
+)
+def test_a_stamp_carries_its_force_and_goes_as_far_as_one_that_is_moved(shape, degree, direction):
+    """Moved by the displacement that the force gives, an obstacle carries that force."""
+    state = last(pressed(degree=degree, force=FORCE, direction=direction, **shape))
+    unit = np.array(direction) / np.hypot(*direction)
+    np.testing.assert_allclose(state.reactions["stamp"] @ unit, FORCE, rtol=1e-10)
+    assert state.numbers["obstacle_force_stamp"] == pytest.approx(FORCE, rel=1e-10)
+    assert state.audit.verdict == "pass"
+    moved = last(pressed(degree=degree, motion=(way(state) * unit).tolist(), **shape))
+    np.testing.assert_allclose(moved.reactions["stamp"] @ unit, FORCE, rtol=1e-6)
+    assert moved.max_displacement == pytest.approx(state.max_displacement, rel=1e-6)
+
+
+def test_a_bar_is_shortened_by_the_force_over_its_stiffness():
+    """Without Poisson's ratio the block is a bar of the stiffness E: F/E after the gap."""
+    state = last(pressed(LinearElastic(E=E, nu=0.0), **PLATE, **DOWN))
+    assert way(state) == pytest.approx(GAP + FORCE / E, rel=1e-7)
+
+
+def test_a_ring_is_pressed_by_the_force_on_all_of_it():
+    """The force is that on the whole ring, as the forces of loads are."""
+    problem = Problem(
+        rectangle_body(size=(1, 1), cells=(2, 2)),
+        LinearElastic(E=E, nu=0.0),
+        supports=[Support(on="bottom", displacement=[FREE, 0])],
+        contacts=[Contact(on="top", name="stamp", **PLATE, **DOWN, **TIGHT)],
+        geometry="axisymmetric",
+        degree=1,
+    )
+    assert way(last(problem)) == pytest.approx(GAP + FORCE / (np.pi * E), rel=1e-9)
+
+
+def test_a_stamp_comes_to_rest_where_it_touches_when_the_force_is_gone():
+    states = list(Statics(pressed(**PLATE, **DOWN, curve="load-unload"), steps=4).steps())
+    assert [round(s.numbers["obstacle_force_stamp"] / FORCE, 9) for s in states] == [
+        0.0,
+        0.5,
+        1.0,
+        0.5,
+        0.0,
+    ]
+    assert way(states[0]) == pytest.approx(GAP, rel=1e-9)
+    assert way(states[-1]) == pytest.approx(GAP, rel=1e-9)
+    assert states[-1].max_displacement < 1e-9
+
+
+def test_a_block_between_a_floor_and_a_stamp():
+    """What only obstacles hold lies still where one of them does."""
+    sides = [Support(on="left", displacement=[0, FREE])]
+    stamp = Contact(on="top", name="stamp", **PLATE, **DOWN, **TIGHT)
+    floor: dict[str, Any] = {"on": "bottom", "plane": {"axis": "y", "at": 0}, **TIGHT}
+
+    def block(low: Contact) -> Problem:
+        return Problem(
+            rectangle_body(size=(1, 1), cells=(2, 2)),
+            LinearElastic(E=E, nu=0.0),
+            supports=sides,
+            contacts=[stamp, low],
+            degree=1,
+        )
+
+    assert way(last(block(Contact(**floor)))) == pytest.approx(GAP + FORCE / E, rel=1e-9)
+    with pytest.raises(InputError, match="can move along y"):
+        last(block(Contact(**floor, force=FORCE, direction=[0, 1])))
+
+
+def test_a_rigid_plate_under_a_stamp():
+    """Two scalar unknowns, each of which is in the equation of the other."""
+    problem = Problem(
+        box_body(size=(1, 1, 1), cells=(2, 2, 2)),
+        NeoHookean(E=E, nu=NU),
+        supports=[Support(on="bottom"), Rigid(on="top", displacement=[0, 0, FREE])],
+        contacts=[
+            Contact(
+                on="top",
+                name="stamp",
+                plane={"axis": "-z", "at": 1 + GAP},
+                force="30 kN",
+                direction=[0, 0, -1],
+                **TIGHT,
+            )
+        ],
+        degree=1,
+    )
+    state = last(problem)
+    assert state.numbers["obstacle_force_stamp"] == pytest.approx(FORCE, rel=1e-10)
+    assert way(state) == pytest.approx(GAP - state.numbers["top_uz"], rel=1e-9)
+    assert state.reactions["bottom"][2] == pytest.approx(FORCE, rel=1e-7)
+
+
+def test_a_run_goes_on_with_the_obstacle_where_it_was():
+    first, second = (Statics(pressed(**BALL, **DOWN), steps=4) for _ in range(2))
+    for state in first.steps():
+        if 0.4 < state.t < 0.6:
+            saved = StateCopy(first.restart_state())
+        whole = dict(state.numbers)
+    *_, end = second.steps(saved)
+    # To the last digit on one rank; on several the factorisation sums in any order.
+    assert dict(end.numbers) == pytest.approx(whole, rel=1e-12, abs=1e-13)
+
+
+def test_arc_length_follows_the_same_path():
+    by_load, by_length = (
+        last(pressed(**PLATE, **DOWN), **s) for s in ({}, {"method": "arc-length"})
+    )
+    assert way(by_length) == pytest.approx(way(by_load), rel=1e-7)
+
+
+@pytest.mark.parametrize("direction", [[0, 1], [1, 0]])
+def test_an_obstacle_that_meets_nothing(direction):
+    with pytest.raises(InputError, match="'stamp' meets nothing") as caught:
+        last(pressed(**PLATE, force=1.0, direction=direction))
+    assert caught.value.where == "contact[0].direction"
+
+
+def test_a_force_that_pulls_at_some_time():
+    with pytest.raises(InputError, match=r"is -\S+ N at load factor 0.51: it pulls") as caught:
+        last(pressed(**PLATE, **DOWN, curve=[[0, 0], [0.5, 0], [1, -1]]))
+    assert caught.value.where == "contact[0].force"
+
+
+@pytest.mark.parametrize(
+    ("keys", "where", "said"),
+    [
+        ({"force": 1.0}, "direction", "needs the force and its direction"),
+        ({"direction": [0, 1]}, "force", "needs the force and its direction"),
+        ({**DOWN, "motion": [0, 1]}, "force", "motion and force are given together"),
+        ({"force": 1.0, "direction": [0, 0]}, "direction", "cannot be zero"),
+        ({"force": "x", "direction": [0, 1]}, "force", "depends on t only"),
+        ({"force": "1 m", "direction": [0, 1]}, "force", "N"),
+    ],
+)
+def test_what_is_refused(keys, where, said):
+    with pytest.raises(InputError, match=said) as caught:
+        Contact(on="top", **PLATE, **keys)
+    assert caught.value.where == where
+
+
+def test_motion_and_modes_know_no_such_obstacle():
+    problem = pressed(NeoHookean(E=E, nu=NU, density=1000), **PLATE, **DOWN)
+    with pytest.raises(InputError, match="in statics only") as caught:
+        Dynamics(problem, end=1.0)
+    assert caught.value.where == "contact[0].force"
+
+
+def test_directions_and_names_that_do_not_fit():
+    with pytest.raises(InputError) as caught:
+        pressed(**PLATE, force=1.0, direction=[0, 0, 1])
+    assert caught.value.where == "contact[0].direction"
+    stamp = Contact(on="top", name="stamp", **PLATE, **DOWN)
+    body, law = rectangle_body(size=(1, 1), cells=(1, 1)), NeoHookean(E=E, nu=NU)
+    with pytest.raises(InputError, match="another obstacle 'stamp'") as caught:
+        Problem(body, law, contacts=[stamp, stamp], degree=1)
+    assert caught.value.where == "contact[1].name"
