@@ -124,12 +124,13 @@ class ContactPair(Term):
         self._eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
         self._first = self.penalty.x.array.copy(), self._eps.copy()
         self.shift: fem.Constant = context.constant([0.0] * body.dim)
-        self._slack = SLACK * cell_size(body)
+        self._slack, self._augments = SLACK * cell_size(body), True
         self._reach = context.constant(self._slack)
 
     def begin(self, *, moving: bool) -> None:
         """See `Term`: motion has penalties alone, and softer ones where the user gave none."""
         factor = SOFT if moving else 1.0
+        self._augments = not moving
         if self.contact.stiffness is None:
             self.penalty.x.array[:] = factor * self._first[0]
             self._eps = factor * self._first[1]
@@ -236,8 +237,11 @@ class ContactPair(Term):
         return largest(self.comm, float(np.max(off, initial=0)))
 
     def unsettled(self) -> bool:
-        """See `Term`: a node that presses is off its obstacle, beyond the tolerance."""
-        return self.gap_error() > self.tolerance
+        """See `Term`: a node that presses is off its obstacle, beyond the tolerance.
+
+        Under the law of motion it may be.
+        """
+        return self._augments and self.gap_error() > self.tolerance
 
     def augment(self) -> None:
         """Uzawa's update lam <- max(0, lam - eps g). Collective."""

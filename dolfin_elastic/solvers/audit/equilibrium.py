@@ -367,7 +367,8 @@ class EquilibriumAuditor:
         """No node that presses is farther off its obstacle than the tolerance. Collective."""
         unit = self._problem.body.unit
         for pair in self._problem.contact_pairs:
-            if (off := pair.gap_error()) > pair.tolerance:
+            if pair.unsettled():
+                off = pair.gap_error()
                 held = pair.conflict(self._problem.constraints)
                 reasons[f"contact {pair.label}"] = Violation(
                     held[0]

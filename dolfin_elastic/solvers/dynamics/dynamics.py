@@ -99,7 +99,11 @@ class Dynamics(Marching):
             self.problem, self.velocity, s.displacement, s.velocity, s.end, given=given
         )
         notes = [s.stability_limit] if s.stability_limit else []
-        notes += [*map(str, shocks), *self.problem.check_start()]
+        penetrations = self.problem.check_start()
+        notes += [
+            *map(str, shocks),
+            *(() if s.preload else penetrations),
+        ]  # an equilibrium has some
         for note in notes if saved is None else ():
             log.warning("%s", note)
         self.problem.terms.begin(moving=True)

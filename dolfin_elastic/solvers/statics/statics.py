@@ -104,7 +104,7 @@ class Statics(Marching):
             owned.callback(assembler.destroy)
             if self.problem.mixed:
                 HydrostaticConstant(self.problem).report()
-            self.problem.terms.begin(moving=False)
+            self.problem.terms.begin(moving=self._preload)  # contact has the law of what follows
             watch = JacobianWatch(self.problem)
             newton = Newton(
                 assembler,

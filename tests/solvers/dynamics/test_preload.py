@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import (
     Case,
+    Contact,
     Dynamics,
     Gravity,
     LinearElastic,
@@ -120,3 +121,30 @@ def test_what_does_not_go_with_it() -> None:
     relaxing["materials"]["rubber"] |= {"law": "linear-elastic", "prony": [{"g": 0.2, "tau": 1.0}]}
     with pytest.raises(InputError, match="dynamics.preload: materials that relax have no equil"):
         report(Case.from_dict(relaxing, file="case.toml"))
+
+
+@pytest.mark.parametrize("scheme", SCHEMES, ids=lambda keys: str(keys["scheme"]))
+def test_a_block_that_lies_on_an_obstacle_stays_at_rest(
+    comm: MPI.Comm, scheme: dict[str, Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """The equilibrium has the contact law of motion: the penalty alone, a tenth of that of statics.
+
+    A column of the height h and the weight q on the area has the depth q/eps.
+    """
+    problem = Problem(
+        rectangle_body(size=[0.2, 0.2], cells=[2, 2], comm=comm),
+        NeoHookean(E=1e5, nu=0.3, density=1000),
+        supports=[Support(on="left", displacement=[0, "free"])],
+        loads=[Gravity(value=[0, -10.0])],
+        contacts=[Contact(on="bottom", name="floor", plane={"axis": "y", "at": 0}, stiffness=1e6)],
+        degree=1,
+    )
+    states = Dynamics(problem, end=20 * STEP, preload=True, every=5, **scheme).steps()
+    first = next(states)
+    start = problem.u.x.array.copy()
+    assert first.numbers["penetration_floor"] == pytest.approx(2000 / 1e6, rel=0.2)
+    for state in states:
+        assert largest(comm, float(np.max(np.abs(problem.u.x.array - start)))) < 1e-10
+        assert state.v is not None
+        assert largest(comm, float(np.max(np.abs(state.v.x.array)))) < 1e-9
+    assert not [record for record in caplog.records if "throws it off" in record.message]
