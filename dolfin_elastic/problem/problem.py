@@ -17,7 +17,7 @@ from dolfin_elastic.core import jit
 from dolfin_elastic.core.errors import InputError, keyed, nearest
 from dolfin_elastic.core.help.notebook import Shown
 from dolfin_elastic.mesh.body import Body, cell_size
-from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Share
+from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude, Share
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.kinematics import Geometry, weight
 from dolfin_elastic.model.loads import Bolt, Cavity, ConcentratedLoad, Eigenstrain, Force, Load
@@ -369,8 +369,7 @@ class Problem(Shown):
             t: Time [s], or load parameter from 0 to 1.
             default: Amplitude of loads, supports and obstacles without `curve`.
         """
-        if self._growing:
-            t, default = 0.0, Share("constant", share=t)
+        t, default = self.acting(t, default)
         self.context.set_time(t, default)
         self.constraints.set_time(t, default)
         if self.cell is not None:
@@ -380,6 +379,10 @@ class Problem(Shown):
             term.set_time(t, default)
         if self.history is not None:
             self.history.set_time(t)
+
+    def acting(self, t: float, default: Amplitude = PROPORTIONAL) -> tuple[float, Amplitude]:
+        """Time and default amplitude of what acts at t, see `growing_to_start`."""
+        return (0.0, Share("constant", share=t)) if self._growing else (t, default)
 
     @contextmanager
     def growing_to_start(self) -> Iterator[None]:

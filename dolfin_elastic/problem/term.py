@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -39,6 +39,7 @@ class Blocks:
     values: FloatArray
 
 
+Acting = Callable[[float], tuple[float, Amplitude]]
 Kind = Literal["work", "energy", "bound", "drag"]
 
 
@@ -121,10 +122,13 @@ class Term:
         """How far away it is from acting [m]; 0 where it acts. Collective."""
         return 0.0
 
-    def within_stride(self, t: float, goal: float) -> float:
+    def within_stride(self, t: float, goal: float, acting: Acting) -> float:
         """The end of a step from t, at most `goal`, up to which it jumps over no part of the body.
 
-        Both are load factors.
+        Args:
+            t: Load factor at which the step begins.
+            goal: Load factor at which it may end at most.
+            acting: Gives time and default amplitude at a load factor, see `Problem.acting`.
         """
         return goal
 
@@ -363,13 +367,13 @@ class Terms(list[Term]):
             for term in self:
                 term.assume(None)
 
-    def within_stride(self, t: float, goal: float) -> float:
+    def within_stride(self, t: float, goal: float, acting: Acting) -> float:
         """See `Term`: of all terms, each at the end that the others allow."""
         before = np.inf
         while goal < before:
             before = goal
             for term in self:
-                goal = term.within_stride(t, goal)
+                goal = term.within_stride(t, goal, acting)
         return goal
 
     def begin(self, *, moving: bool) -> None:

@@ -35,14 +35,14 @@ from dolfin_elastic.mesh.geometry.simplices import (
     prepare_facets,
     signed_volumes,
 )
-from dolfin_elastic.model.amplitude import PROPORTIONAL, Amplitude
+from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.kinematics import WeightedMeasure
 from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion, shear_modulus, volume_modulus
 from dolfin_elastic.problem.spaces import Unknowns
-from dolfin_elastic.problem.term import Kind, Term
+from dolfin_elastic.problem.term import Acting, Kind, Term
 
 FACTOR = 10.0
 """Penalty over the stiffness of the cell beside: enough for a few augmentations."""
@@ -322,15 +322,15 @@ class ContactPair(Term):
         if self.contact.push is None:
             self.shift.value[:] = self.contact.displacement_at(t, default, self._dim)
 
-    def within_stride(self, t: float, goal: float) -> float:
+    def within_stride(self, t: float, goal: float, acting: Acting) -> float:
         """See `Term`: the obstacle moves no farther than it is thick."""
         stride = STRIDE * self.contact.obstacle.thickness
         if self.at_rest or not np.isfinite(stride):
             return goal
 
-        start = np.array(self.contact.displacement_at(t, PROPORTIONAL, self._dim))
+        start = np.array(self.contact.displacement_at(*acting(t), self._dim))
         for _ in range(HALVINGS):
-            end = np.array(self.contact.displacement_at(goal, PROPORTIONAL, self._dim))
+            end = np.array(self.contact.displacement_at(*acting(goal), self._dim))
             if np.linalg.norm(end - start) <= stride:
                 break
             goal = t + (goal - t) / 2

@@ -269,7 +269,8 @@ class LoadStepping:
             state = self._states.state(end, result, verdict=self._verdict, stored=stored)
             yield self._committed(state)
         while not sizes.done(self._t) and not self._ends_early():
-            goal = self._problem.terms.within_stride(self._t, sizes.goal(self._t))
+            goal = sizes.goal(self._t)
+            goal = self._problem.terms.within_stride(self._t, goal, self._problem.acting)
             step = _Step(self._t, goal, self._newton.unknowns())
             result = self._solve(step)
             last = goal >= self._settings.end

@@ -215,7 +215,23 @@ def test_no_step_of_an_obstacle_is_longer_than_half_its_radius(begin):
         degree=1,
     )
     for asked, taken in ((0.12, 0.12), (0.13, 0.065), (0.24, 0.12), (0.4, 0.1)):
-        assert problem.terms.within_stride(begin, begin + asked) == pytest.approx(begin + taken)
+        found = problem.terms.within_stride(begin, begin + asked, problem.acting)
+        assert found == pytest.approx(begin + taken)
+
+
+def test_a_way_to_the_start_of_a_motion_is_measured_by_what_acts_there():
+    """At t = 0 the rod is 40 cm down and goes there as its share grows; later it stands still."""
+    rod = {"axis": "z", "point": [0.5, 1.3], "radius": 0.1}
+    problem = Problem(
+        rectangle_body(size=(1, 1), cells=(1, 1)),
+        NeoHookean(E=E, nu=NU),
+        supports=[Support(on="bottom")],
+        contacts=[Contact(on="top", cylinder=rod, motion=[0, -0.4], curve="constant")],
+        degree=1,
+    )
+    assert problem.terms.within_stride(0.0, 0.4, problem.acting) == 0.4
+    with problem.growing_to_start():
+        assert problem.terms.within_stride(0.0, 0.4, problem.acting) == pytest.approx(0.1)
 
 
 def test_a_step_that_one_obstacle_shortens_is_looked_at_by_the_others():
@@ -232,7 +248,7 @@ def test_a_step_that_one_obstacle_shortens_is_looked_at_by_the_others():
             degree=1,
         )
         # By itself one may move for 1/8, and the other one for 1/4, where it is back.
-        assert problem.terms.within_stride(0.0, 0.25) == pytest.approx(1 / 32)
+        assert problem.terms.within_stride(0.0, 0.25, problem.acting) == pytest.approx(1 / 32)
 
 
 def test_weight_on_the_floor():
