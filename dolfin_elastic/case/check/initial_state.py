@@ -185,14 +185,29 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
             )
         if text := _in_another_unit(unit, case.contact[i], pair, diagonal):
             yield f"contact '{pair.label}': {text}"
-        end, default = _end(case)
-        for t in (end, 0.0):
-            problem.constraints.set_time(t, default)
-            pair.set_time(t, default)
-            if t and (held := pair.conflict(problem.constraints)) is not None:
-                yield f"in the end {held[0]}, which cannot give way: {RELEASE}"
+        if (found := _held_along_its_way(case, problem, pair)) is not None:
+            when, held = found
+            yield f"{when} {held}, which cannot give way: {RELEASE}"
     if not (reach or pressed) and case.dynamics is None and (case.modal is None or case.preloaded):
         yield NOTHING_MOVES
+
+
+def _held_along_its_way(case: Case, problem: Problem, pair: ContactPair) -> tuple[str, str] | None:
+    """When an obstacle pushes into nodes that are held, and that in words. Collective."""
+    end, default = _end(case)
+    moves = not (pair.at_rest and all(support.at_rest for support in problem.supports))
+    earlier = np.linspace(0.0, end, TIMES)[:-1] if moves else ()
+    found: tuple[str, str] | None = None
+    for t in map(float, (end, *earlier)):
+        problem.constraints.set_time(t, default)
+        pair.set_time(t, default)
+        if (held := pair.conflict(problem.constraints)) is not None:
+            at = f"at t = {t:.4g} s" if case.dynamics is not None else f"at load factor {t:.4g}"
+            found = "in the end" if t == end else at, held[0]
+            break
+    problem.constraints.set_time(0.0, default)
+    pair.set_time(0.0, default)
+    return found
 
 
 def _reach(case: Case, problem: Problem) -> float:

@@ -823,18 +823,20 @@ def test_a_contact_that_can_never_touch(tables, said):
     ("tables", "deep"),
     [
         ({}, "0.1"),
-        ({"motion": [0, 0, "0.1*sin(pi*t)"]}, ""),
+        ({"motion": [0, 0, "0.1*sin(pi*t)"]}, "0.00785"),  # 0.1 sin(pi/40)
         ({"support": [{"on": "bottom", "displacement": [0, 0, 0.1]}]}, ""),
         ({"support": [{"on": "bottom", "displacement": [0, 0, 0.05]}]}, "0.05"),
         ({"support": [{"on": "top"}]}, ""),
     ],
 )
-def test_a_contact_that_ends_in_held_nodes(tables, deep):
+def test_a_contact_that_goes_into_held_nodes(tables, deep):
+    """In the end, or on its way, where the first of 41 times that finds it is said."""
     given = dict(tables)
     plane = {"axis": "z", "at": 0}
     row = {"on": "bottom", "plane": plane, "motion": given.pop("motion", [0, 0, 0.1])}
     notes = report(case(contact=[row], **given)).notes
-    start = f"in the end the obstacle of contact[0] 'bottom' pushes {deep} m deep into nodes that "
+    when = "in the end" if deep != "0.00785" else "at load factor 0.025"
+    start = f"{when} the obstacle of contact[0] 'bottom' pushes {deep} m deep into nodes that "
     found = [note for note in notes if "which cannot give way" in note]
     assert len(found) == bool(deep)
     assert all(
