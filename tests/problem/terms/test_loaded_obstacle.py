@@ -19,8 +19,13 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.check.report import report
+from dolfin_elastic.case.run import run
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.state import StateCopy
+from dolfin_elastic.results.finished.draw import obstacles_of
+from dolfin_elastic.results.finished.run import FinishedRun
 
 FREE = "free"
 E, NU, FORCE, GAP = 1e6, 0.3, 3e4, 0.25
@@ -208,3 +213,28 @@ def test_directions_and_names_that_do_not_fit():
     with pytest.raises(InputError, match="another obstacle 'stamp'") as caught:
         Problem(body, law, contacts=[stamp, stamp], degree=1)
     assert caught.value.where == "contact[1].name"
+
+
+def test_in_a_case(comm, folder):
+    """`check` has the gap that is given; pictures draw the obstacle where it has gone."""
+    tables = {
+        "mesh": {"rectangle": {"size": [1, 1], "cells": [4, 4]}, "degree": 1},
+        "materials": {"rubber": {"law": "neo-hookean", "E": E, "nu": NU}},
+        "support": [{"on": "bottom"}],
+        "contact": [{"on": "top", "name": "stamp", **PLATE, **DOWN, "force": "30 kN"}],
+        "statics": {"steps": 2},
+    }
+    case = Case.from_dict(tables)
+    assert Case.from_dict(case.to_dict()) == case
+    found = report(case, comm=comm)
+    assert found.notes == ()
+    (start,) = found.contacts
+    assert start.gap == pytest.approx(GAP)
+    *_, state = run(case, output=folder / "out", comm=comm)
+    finished = FinishedRun(folder / "out")
+    for t, moved in ((0.0, GAP), (1.0, way(state))):
+        ((name, _, shift),) = obstacles_of(finished, t)
+        assert name == "stamp"
+        np.testing.assert_allclose(shift, [0, -moved], rtol=1e-12)
+    assert finished.units["obstacle_displacement_stamp"] == "m"
+    assert finished.units["obstacle_force_stamp"] == "N"
