@@ -26,6 +26,7 @@ from pydantic import PrivateAttr
 from dolfin_elastic.case.analysis import ANALYSES, AnalysisTables
 from dolfin_elastic.case.check.memory import check_elements
 from dolfin_elastic.case.curve_files import has_curve_files, with_curves
+from dolfin_elastic.case.field_files import add_fields
 from dolfin_elastic.case.model_tables import read_material_tables, with_library
 from dolfin_elastic.case.tables import Material, table_of
 from dolfin_elastic.case.toml import position, read_toml, toml_text
@@ -137,6 +138,7 @@ class Case(AnalysisTables):
                 scale=body.unit.metres,
             )
             finer = self.mesh.refined(named)
+            add_fields(finer, self.model_tables(), self.folder)
         with locate_errors(self.file, f"mesh.{key}"):
             check_elements(comm, finer.num_cells, finer.dim, self.degree, made=True)
         return finer

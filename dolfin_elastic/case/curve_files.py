@@ -78,7 +78,9 @@ def _unread_records(row: object) -> Iterator[str]:
 
 
 def _is_unread(value: object) -> bool:
-    return isinstance(value, Mapping) and "file" in value and not isinstance(value, RecordTable)
+    if not isinstance(value, Mapping) or "field" in value:  # one of a mesh: see `field_files`
+        return False
+    return "file" in value and not isinstance(value, RecordTable)
 
 
 def _with_files(row: R, where: str, folder: Path) -> R:

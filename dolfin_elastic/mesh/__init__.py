@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.core.shapes.shapes import Cylinder as Cylinder
     from dolfin_elastic.core.shapes.shapes import Sphere as Sphere
     from dolfin_elastic.mesh.body import Body as Body
+    from dolfin_elastic.mesh.field_files import FieldFile as FieldFile
     from dolfin_elastic.mesh.generate import box_body as box_body
     from dolfin_elastic.mesh.generate import mesh_body as mesh_body
     from dolfin_elastic.mesh.generate import rectangle_body as rectangle_body
@@ -30,6 +31,7 @@ _WHERE = {
     "Body": "body",
     "Cylinder": "selectors",
     "EdgeSelector": "selectors",
+    "FieldFile": "field_files",
     "MeshStatistics": "geometry.quality",
     "PointSelector": "selectors",
     "Selector": "selectors",

@@ -39,6 +39,7 @@ def read_body(
     trust: bool = False,
     time_limit: float = 600.0,
     local: CadSizes = NO_SIZES,
+    time: float | None = None,
 ) -> Body:
     """Reads a mesh, or meshes a CAD file, with the names of the file's parts.
 
@@ -60,6 +61,7 @@ def read_body(
         trust: A .geo file may do all that its user may: run commands, write files and read others.
         time_limit: Time that Gmsh may take [s].
         local: Smaller elements in places, for CAD files; see `refine.local` for finished meshes.
+        time: Of fields at several time steps, in .xdmf and .msh files, which one; None: the last.
 
     Raises:
         MeshError: The file cannot be read, or the mesh is not fit for use.
@@ -72,8 +74,14 @@ def read_body(
     if suffix in XDMF:
         from dolfin_elastic.mesh.formats.xdmf import read_xdmf
 
-        body = read_xdmf(path, comm=comm, unit=unit, dim=dim, straight_cells=curved is False)
+        body = read_xdmf(
+            path, comm=comm, unit=unit, dim=dim, straight_cells=curved is False, time=time
+        )
         return check_cells(_with_unit(body, stated))
+    if time is not None and suffix != ".msh":
+        raise MeshError(
+            f"a {suffix} file has one time step", where=path.name, expected="leave time out"
+        )
     edge = to_si(size, "m") / unit.metres if isinstance(size, str) else size
     if edge is not None and not edge > 0:
         raise MeshError(
@@ -99,7 +107,7 @@ def read_body(
             permission=permission,
         )
 
-    read, permutation = reader(path, cad, permission)
+    read, permutation = reader(path, cad, permission, time)
 
     def raw() -> RawMesh:
         result = assemble(read(), source=path.name, dim=dim)
@@ -213,26 +221,27 @@ def check_file(
 
 
 def reader(
-    path: Path, cad: Callable[[], MeshFile], permission: Permission
+    path: Path, cad: Callable[[], MeshFile], permission: Permission, time: float | None = None
 ) -> tuple[Callable[[], MeshFile], Permutation]:
     """How one rank reads a file, and the node order of its quadratic cells.
 
     Args:
         cad: Meshes it, if it is a CAD file.
+        time: See `read_body`.
     """
     suffix = path.suffix.lower()
     if suffix == ".msh":
-        return lambda: _msh(path, permission), cpp.io.perm_gmsh
+        return lambda: _msh(path, permission, time), cpp.io.perm_gmsh
     if suffix in CAD:
         return cad, cpp.io.perm_gmsh
     return lambda: _other_reader(suffix)(path), cpp.io.perm_vtk
 
 
-def _msh(path: Path, permission: Permission) -> MeshFile:
+def _msh(path: Path, permission: Permission, time: float | None) -> MeshFile:
     from dolfin_elastic.mesh.formats.msh import OtherVersionError, read_msh
 
     try:
-        return read_msh(path)
+        return read_msh(path, time)
     except OtherVersionError:
         from dolfin_elastic.mesh.formats.cad.read import convert_msh
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import GetCoreSchemaHandler, model_validator
 from pydantic_core import core_schema
 
-from dolfin_elastic.core.errors import InputError, keyed
+from dolfin_elastic.core.errors import InputError, dotted, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
@@ -62,18 +62,70 @@ FieldsAt = Callable[[str], FloatArray]
 """Gives a field of the mesh by its name: its values at known points, shape (..., columns)."""
 
 
+class FieldTable(Record):
+    """``{field = "E_cell", unit = "MPa"}``, a field of the mesh or of another file.
+
+    Attributes:
+        field: Its name there.
+        unit: Of its values; empty: SI.
+        reference: Value that is subtracted from each, in the same unit.
+        file: Another file with a mesh, whose field is taken to the mesh of the case.
+        time: Of several time steps in the file, which one; None: the last.
+        mesh_unit: Unit of length of the file; empty: the one that it states, else that of the mesh.
+        outside: What becomes of nodes outside of the file's mesh.
+    """
+
+    field: str
+    unit: str = ""
+    reference: float = 0.0
+    file: str = ""
+    time: float | None = None
+    mesh_unit: str = ""
+    outside: Literal["error", "nearest"] = "error"
+
+    @model_validator(mode="after")
+    def _of_a_file(self) -> Self:
+        for key in ("time", "mesh_unit", "outside"):
+            if key in self.model_fields_set and not self.file:
+                raise InputError(
+                    "this is for a field of another file",
+                    where=key,
+                    expected='file = "thermal.vtu"; or leave it out',
+                )
+        with keyed("mesh_unit"):
+            _ = self.metres
+        return self
+
+    @property
+    def key(self) -> str:
+        """The name that it has among the fields of the mesh."""
+        if not self.file:
+            return self.field
+        nearest = " (nearest)" if self.outside == "nearest" else ""
+        unit = f" in {self.mesh_unit}" if self.mesh_unit else ""
+        at = "" if self.time is None else f" at {self.time:.9g}"
+        return f"{self.field} of {self.file}{unit}{at}{nearest}"
+
+    @property
+    def metres(self) -> float | None:
+        """Metres per unit of length of the file; None: as it states."""
+        return to_si(f"1 {self.mesh_unit}", "m") if self.mesh_unit else None
+
+
 @dataclass(frozen=True)
 class FieldFormula(Formula):
     """A field of the mesh, or a component of it: a formula that has values on its mesh only.
 
     Attributes:
-        field: The field's name.
+        field: The field's name, see `FieldTable.key`.
         factor: SI units per unit of its values.
+        reference: Value that is subtracted, in their unit.
         column: Which component of a vector; None: the field must be a scalar.
     """
 
     field: str
     factor: float
+    reference: float
     column: int | None
 
     @classmethod
@@ -89,7 +141,19 @@ class FieldFormula(Formula):
             InputError: Another key, or a unit that does not fit.
         """
         table, factor = field_table(written, unit)
-        return cls(f"field '{table.field}'", PLACE, 0.0, table.field, factor, column)
+        name = f"field '{table.key}'"
+        return cls(name, PLACE, 0.0, table.key, factor, table.reference, column)
+
+    def of(self, values: FloatArray) -> FloatArray:
+        """Its values in SI units.
+
+        Args:
+            values: Of the field, shape (..., columns).
+
+        Returns:
+            Shape (...).
+        """
+        return np.asarray((values[..., self.column or 0] - self.reference) * self.factor)
 
     def evaluate(self, **values: float | FloatArray) -> float | FloatArray:
         """Not a number anywhere: coordinates are not enough, see `number_at`."""
@@ -97,14 +161,7 @@ class FieldFormula(Formula):
         return np.full(shape, np.nan) if shape else np.nan
 
 
-class _FieldTable(Record):
-    """``{field = "E_cell", unit = "MPa"}``."""
-
-    field: str
-    unit: str = ""
-
-
-def field_table(written: Mapping[str, object], unit: str | None) -> tuple[_FieldTable, float]:
+def field_table(written: Mapping[str, object], unit: str | None) -> tuple[FieldTable, float]:
     """Name and unit of a field as a user wrote them, and SI units per unit.
 
     Args:
@@ -113,12 +170,30 @@ def field_table(written: Mapping[str, object], unit: str | None) -> tuple[_Field
     Raises:
         InputError: Another key, or a unit that does not fit.
     """
-    table = _FieldTable(**written)
+    table = FieldTable(**written)
     one, factor = f"1 {table.unit}", 1.0
     with keyed("unit"):
         if table.unit:
             factor = to_base(one) if unit is None else to_si(one, unit)
     return table, factor
+
+
+def field_tables(written: object, where: str = "") -> Iterator[tuple[str, FieldTable]]:
+    """All fields of other files in nested tables and lists, with their keys.
+
+    Args:
+        written: Tables and lists as they stand in a case file.
+        where: Dotted key under which they stand there.
+    """
+    if isinstance(written, Mapping) and "field" in written and written.get("file"):
+        with keyed(where):
+            yield where, FieldTable(**written)
+    elif isinstance(written, Mapping):
+        for key, value in written.items():
+            yield from field_tables(value, dotted(where, str(key)))
+    elif isinstance(written, list | tuple):
+        for index, value in enumerate(written):
+            yield from field_tables(value, f"{where}[{index}]")
 
 
 def fields_of(values: Iterable[Component]) -> list[FieldFormula]:
@@ -325,7 +400,7 @@ def number_at(
         Shape (...).
     """
     if isinstance(item, FieldFormula) and fields is not None:
-        return np.asarray(fields(item.field)[..., item.column or 0] * item.factor)
+        return item.of(fields(item.field))
     place = dict(zip(COORDINATES, np.moveaxis(X, -1, 0), strict=False))
     place.setdefault("z", np.zeros(X.shape[:-1]))
     if isinstance(item, Formula):

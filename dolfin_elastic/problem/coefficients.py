@@ -88,7 +88,7 @@ class CoefficientBinder:
                 return self._vector(item, cells)
             case SpatialField():
                 with keyed("field"):
-                    return self._scalar(item.field, cells) * item.factor
+                    return item.factor * (self._scalar(item.field, cells) - item.table.reference)
             case SpatialFunction():
                 return self._function(item, cells)
             case SpatialCells():

@@ -114,6 +114,7 @@ SHARED = {
     "problem/test_connected_bodies.py",
     "problem/test_dealt_out.py",
     "problem/test_mesh_fields.py",
+    "case/test_field_files.py",
     "problem/test_mixed.py",
     "problem/test_parameters.py",
     "problem/constraints/periodic/test_periodic.py",

@@ -49,10 +49,14 @@ _BESIDE: Mapping[str, Schema] = {
 """Keys of a material beside those of its law."""
 FIELD: Schema = {
     "type": "object",
-    "properties": {"field": {"type": "string"}, "unit": {"type": "string"}},
+    "properties": {
+        **{key: {"type": "string"} for key in ("field", "unit", "file", "mesh_unit")},
+        **{key: {"type": "number"} for key in ("reference", "time")},
+        "outside": {"enum": ["error", "nearest"]},
+    },
     "required": ["field"],
     "additionalProperties": False,
-    "description": "A field of the mesh, in a unit of its own.",
+    "description": "A field of the mesh or of another file, in a unit of its own.",
 }
 _ROWS: Schema = {
     "type": "array",

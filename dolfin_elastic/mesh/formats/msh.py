@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IntArray
-from dolfin_elastic.mesh.formats.raw import Block, MeshFile
+from dolfin_elastic.mesh.formats.raw import Block, MeshFile, check_step, is_step
 
 
 @dataclass(frozen=True)
@@ -52,43 +52,63 @@ def data_rows(views: Mapping[str, View], tags: IntArray) -> dict[str, FloatArray
     return {name: rows for name, rows in result.items() if rows is not None}
 
 
-def views(sections: Sequence[bytes], kind: str, *, binary: bool, swap: bool) -> dict[str, View]:
+def views(
+    heads: Sequence[_Head], *, binary: bool, swap: bool, time: float | None
+) -> dict[str, View]:
     """Reads all sections of a kind; of several time steps of one name the last.
 
     Args:
-        kind: "ElementData" or "NodeData".
         binary: The file is binary.
+        time: Which time step; None: the last.
 
     Raises:
         MeshError: A section is damaged.
     """
-    result = {}
-    for data in sections:
-        name, view = _view(data, kind, binary=binary, swap=swap)
-        result[name] = view
-    return result
+    chosen = [head for head in heads if is_step(head.time, time)]
+    return {head.name: _view(head, binary=binary, swap=swap) for head in chosen}
 
 
-def _view(data: bytes, kind: str, *, binary: bool, swap: bool) -> tuple[str, View]:
-    name, columns, count, body = _head(data, kind)
+def _view(head: _Head, *, binary: bool, swap: bool) -> View:
+    body, count, columns = head.body, head.rows, head.columns
     if binary:
         order = ">" if swap else "<"
         record = np.dtype([("tag", order + "i4"), ("values", order + "f8", (columns,))])
         if len(body) < count * record.itemsize:
-            raise MeshError(f"section ${kind} of '{name}' ends too early or is damaged")
+            raise MeshError(f"section ${head.kind} of '{head.name}' ends too early or is damaged")
         rows = np.frombuffer(body, record, count)
-        return name, View(rows["tag"].astype(np.int64), rows["values"].astype(np.float64))
+        return View(rows["tag"].astype(np.int64), rows["values"].astype(np.float64))
     try:
         table = np.array(body.split(), dtype=np.float64).reshape(count, 1 + columns)
     except ValueError:
         raise MeshError(
-            f"section ${kind} of '{name}' does not hold {count} rows of {columns} numbers"
+            f"section ${head.kind} of '{head.name}' does not hold {count} rows of {columns} numbers"
         ) from None
-    return name, View(np.nan_to_num(table[:, 0], nan=-1).astype(np.int64), table[:, 1:])
+    return View(np.nan_to_num(table[:, 0], nan=-1).astype(np.int64), table[:, 1:])
 
 
-def _head(data: bytes, kind: str) -> tuple[str, int, int, bytes]:
-    """Name, columns and rows of a view, and its data; the tags are text in binary files too."""
+@dataclass(frozen=True)
+class _Head:
+    """What a section of data says of itself, and its data.
+
+    Attributes:
+        kind: "ElementData" or "NodeData".
+        time: Of its time step.
+        name: Of the view.
+        columns: Numbers of a row.
+        rows: Number of them.
+        body: The data.
+    """
+
+    kind: str
+    time: float
+    name: str
+    columns: int
+    rows: int
+    body: bytes
+
+
+def _head(data: bytes, kind: str) -> _Head:
+    """The tags of a section of data, which are text in binary files too."""
     tags: list[list[bytes]] = []
     try:
         for _ in range(3):  # texts, real numbers, whole numbers
@@ -96,13 +116,15 @@ def _head(data: bytes, kind: str) -> tuple[str, int, int, bytes]:
             count = int(line)
             *lines, data = data.split(b"\n", count)
             tags.append(lines)
-        (name, *_), _, (_, columns, rows, *_) = tags
-        sizes = int(columns), int(rows)
-        if sizes[0] < 1 or sizes[1] < 0:
+        (name, *_), times, (_, columns, rows, *_) = tags
+        text = name.strip().strip(b'"').decode("utf-8", "replace")
+        time = float(times[0]) if times else 0.0
+        head = _Head(kind, time, text, int(columns), int(rows), data)
+        if head.columns < 1 or head.rows < 0:
             raise ValueError
     except ValueError:
         raise MeshError(f"section ${kind} is damaged (in its tags)") from None
-    return name.strip().strip(b'"').decode("utf-8", "replace"), *sizes, data
+    return head
 
 
 _TYPES = {
@@ -250,8 +272,11 @@ def _numbers(data: bytes, name: str) -> FloatArray:
             raise MeshError(f"section ${name} holds something that is not a number") from None
 
 
-def read_msh(path: Path) -> MeshFile:
+def read_msh(path: Path, time: float | None = None) -> MeshFile:
     """Reads a .msh file. Local: one rank reads.
+
+    Args:
+        time: Of the data at several time steps, which one; None: the last.
 
     Raises:
         MeshError: The file is damaged.
@@ -282,10 +307,11 @@ def read_msh(path: Path) -> MeshFile:
         groups = _entities4(numbers("Entities")) if sections.get("Entities", b"").strip() else {}
         tags, points = _nodes4(numbers("Nodes"))
         elements = list(_elements4(numbers("Elements"), groups))
-    of_cells, of_points = (
-        views(every.get(kind, []), kind, binary=binary, swap=swap)
-        for kind in ("ElementData", "NodeData")
-    )
+    heads = [
+        [_head(data, kind) for data in every.get(kind, [])] for kind in ("ElementData", "NodeData")
+    ]
+    check_step(time, [head.time for rows in heads for head in rows])
+    of_cells, of_points = (views(rows, binary=binary, swap=swap, time=time) for rows in heads)
     mesh = _named(points, tags, elements, names, of_cells)
     return replace(mesh, point_data=data_rows(of_points, tags))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,10 +15,45 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.mesh.formats.cad.faces import CadFace
 
+_SHOWN = 5
+"""Times of steps that a message names."""
+
 
 def joined(parts: Sequence[IntArray]) -> IntArray:
     """The numbers of several arrays, of none too, one after the other."""
     return np.concatenate([np.empty(0, dtype=np.int64), *parts])
+
+
+def is_step(at: float | None, time: float | None) -> bool:
+    """Whether data are those of a time step.
+
+    Args:
+        at: Their time; None: the same at all steps.
+        time: The one that is wanted; None: any.
+    """
+    return at is None or time is None or math.isclose(at, time, rel_tol=1e-9, abs_tol=1e-12)
+
+
+def check_step(time: float | None, known: Iterable[float | None]) -> None:
+    """Refuses a time at which a file has no step.
+
+    Args:
+        time: The one that is wanted; None: any.
+        known: Times of the data in the file.
+
+    Raises:
+        MeshError: With the times that it has.
+    """
+    times = sorted({at for at in known if at is not None})
+    if time is None or any(is_step(at, time) for at in times):
+        return
+    near = sorted(sorted(times, key=lambda at: abs(at - time))[:_SHOWN])
+    raise MeshError(
+        f"it has no time step at {time:g}",
+        expected=f"one of {len(times)}, such as {', '.join(f'{at:.9g}' for at in near)}"
+        if times
+        else "leave time out: its fields are of one step without a time",
+    )
 
 
 def find(labels: IntArray, wanted: IntArray) -> IntArray:

@@ -12,7 +12,6 @@ Read here rather than by DOLFINx 0.9, which takes the arrays from the file that 
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,7 +24,7 @@ from dolfinx.io import distribute_entity_data
 from dolfinx.mesh import CellType, Mesh, meshtags_from_entities
 from mpi4py import MPI
 
-from dolfin_elastic.core.errors import MeshError, not_shown, why_no_file
+from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.files.xml import read_xml
 from dolfin_elastic.core.parallel import agree, on_root, total
 from dolfin_elastic.core.types import AnyArray, BoolArray, IndexArray, IntArray
@@ -39,16 +38,18 @@ from dolfin_elastic.mesh.formats.cleaning import (
     unused_text,
     without,
 )
-from dolfin_elastic.mesh.formats.raw import RawMesh, assemble
+from dolfin_elastic.mesh.formats.raw import RawMesh, assemble, check_step, is_step
 from dolfin_elastic.mesh.formats.xdmf_arrays import (
     Array,
     check_arrays,
+    data_files,
     dimensions,
     distributed,
     hdf_rows,
-    place_of,
+    is_flat,
     refers_to,
     same_points,
+    time_of,
 )
 from dolfin_elastic.mesh.geometry.simplices import prepare_edges
 
@@ -124,6 +125,7 @@ class _Contents:
         notes: How it was read, and what is doubtful.
         uncovered: See `Body`.
         incomplete: See `Body`.
+        flat: Points of plane cells have a third coordinate, which is 0.
     """
 
     kind: str = ""
@@ -134,6 +136,7 @@ class _Contents:
     notes: tuple[str, ...] = ()
     uncovered: Mapping[str, int] = field(default_factory=dict)
     incomplete: Mapping[str, str] = field(default_factory=dict)
+    flat: bool = False
 
     @property
     def dim(self) -> int:
@@ -151,7 +154,9 @@ class _Contents:
         Args:
             dim: See `read_xdmf`.
         """
-        return bool(self.kind) and self.points.columns == self.dim == (dim or self.dim)
+        if not self.kind or self.dim != (dim or self.dim):
+            return False
+        return self.flat or self.points.columns == self.dim
 
     def arrays(self) -> list[Array]:
         """All arrays that are read."""
@@ -170,6 +175,7 @@ def read_xdmf(
     unit: LengthUnit,
     dim: int | None,
     straight_cells: bool = False,
+    time: float | None = None,
 ) -> Body:
     """Reads a mesh and its tags. Collective.
 
@@ -178,14 +184,21 @@ def read_xdmf(
         unit: Unit of length of the file.
         dim: 2 or 3 to choose the elements; by default the highest dimension.
         straight_cells: Quadratic cells are read as straight ones, on one rank.
+        time: Of fields at several time steps, which one; None: the last.
 
     Raises:
         MeshError: The file cannot be read.
     """
-    contents = on_root(comm, lambda: _contents(path))
+    contents = on_root(comm, lambda: _contents(path, time))
     if straight_cells and contents.order != 1:
         return build_body(lambda: _straight(path, dim), comm=comm, unit=unit, source=path.name)
     if not contents.shared(dim):
+        if time is not None:
+            raise MeshError(
+                "its fields are not read at a time",
+                where=path.name,
+                expected="time left out; or arrays in HDF5, and plane points with two coordinates",
+            )
         return build_body(lambda: _by_meshio(path, dim), comm=comm, unit=unit, source=path.name)
     try:
         mesh, unused = _mesh(comm, path, contents, unit.metres)
@@ -214,7 +227,8 @@ def _mesh(comm: MPI.Comm, path: Path, contents: _Contents, scale: float) -> tupl
     """The mesh, and the points of the file that it is without. Collective."""
     width = _KINDS[contents.kind][1]
     cells = _cells(comm, path, contents.kind, contents.cells)
-    x = np.ascontiguousarray(_share(comm, path, contents.points), dtype=np.float64)
+    share = _share(comm, path, contents.points)[:, : contents.dim]
+    x = np.ascontiguousarray(share, dtype=np.float64)
     order = 1 if width == contents.dim + 1 else 2
     check_distributed(comm, cells, len(x), contents.dim)
     unused = unused_points(comm, cells, len(x))
@@ -254,11 +268,13 @@ def _share(comm: MPI.Comm, path: Path, array: Array) -> AnyArray:
     return rows
 
 
-def _contents(path: Path) -> _Contents:
+def _contents(path: Path, time: float | None = None) -> _Contents:
     try:
-        result = _in(read_xml(path), path)
+        result = _in(read_xml(path), path, time)
         if result.kind:
             check_arrays(path, result.arrays())
+            plane = result.dim == 2 and result.points.columns == 3
+            return replace(result, flat=plane and is_flat(path, result.points))
         return result
     except ElementTree.ParseError as error:
         raise MeshError(f"this is no XML file: {error}", where=path.name) from None
@@ -268,7 +284,7 @@ def _contents(path: Path) -> _Contents:
         raise error if error.where else error.at(path.name) from None
 
 
-def _in(root: ElementTree.Element, path: Path) -> _Contents:
+def _in(root: ElementTree.Element, path: Path, time: float | None) -> _Contents:
     grids = [
         g
         for g in root.iter("Grid")
@@ -276,7 +292,7 @@ def _in(root: ElementTree.Element, path: Path) -> _Contents:
     ]
     if not grids:
         raise MeshError("there is no mesh (no Grid with a Topology)", where=path.name)
-    _data_files(path, root)
+    data_files(path, root)
     main = grids[0]
     kind = _kind(main)
     notes = _others(root, main, grids[1:])
@@ -293,8 +309,9 @@ def _in(root: ElementTree.Element, path: Path) -> _Contents:
         return _Contents()
     small = [g for g in grids[1:] if _DIMS.get(_kind(g), 4) <= _DIMS[kind]]
     tags = [*_tags(main), *(t for g in small for t in _tags_on(path, main, g))]
-    functions = [g for g in root.iter("Grid") if g.find("Topology") is None]
-    data = _data(main, [g for g in functions if refers_to(main, g)])
+    steps = [g for g in root.iter("Grid") if _is_step(main, g)]
+    check_step(time, map(time_of, [main, *steps]))
+    data = _data(main, [g for g in [main, *steps] if is_step(time_of(g), time)])
     contents = _topology(kind, cells)
     said = [*_information(main)]
     return _Contents(
@@ -307,6 +324,14 @@ def _in(root: ElementTree.Element, path: Path) -> _Contents:
         {value: _count(value, text) for name, value, text in said if name == "uncovered"},
         {value: text for name, value, text in said if name == "incomplete"},
     )
+
+
+def _is_step(main: ElementTree.Element, grid: ElementTree.Element) -> bool:
+    """Whether a grid has functions on the main one, at a time of its own."""
+    if grid.find("Topology") is None:
+        return refers_to(main, grid)
+    same = all(_texts(grid, part) == _texts(main, part) for part in ("Topology", "Geometry"))
+    return grid is not main and same and grid.find("Time") is not None
 
 
 def _information(element: ElementTree.Element) -> Iterator[tuple[str, str, str]]:
@@ -434,11 +459,11 @@ def _tags_on(path: Path, main: ElementTree.Element, grid: ElementTree.Element) -
     )
 
 
-def _data(main: ElementTree.Element, functions: list[ElementTree.Element]) -> list[_Data]:
-    """Fields of the mesh's grid and of DOLFINx's functions; of several time steps the last."""
+def _data(main: ElementTree.Element, grids: list[ElementTree.Element]) -> list[_Data]:
+    """Fields of the mesh's grid and of functions on it; of several time steps the last."""
     result: dict[str, _Data] = {}
     counts = {"cell": _rows(main, "Topology"), "point": _rows(main, "Geometry")}
-    for grid in [main, *functions]:
+    for grid in grids:
         for attribute in grid.findall("Attribute"):
             # Without a type it is a float in XDMF; but of a mesh's own grid, DOLFINx's tags.
             data = _one(attribute, "Int" if grid is main else "Float")
@@ -475,36 +500,6 @@ def _width(grid: ElementTree.Element) -> int:
     return {"XY": 2, "XYZ": 3}.get(str(kind).upper(), 0)
 
 
-def _data_files(path: Path, root: ElementTree.Element) -> list[str]:
-    """The HDF5 files that the text names, which are beside it."""
-    result = {}
-    for item in root.iter("DataItem"):
-        if item.get("Format") == "Binary":
-            _check_binary(path, Path((item.text or "").strip()))
-        if item.get("Format") == "HDF" and item.text:
-            name, _ = place_of(item)
-            if not (path.parent / name).is_file():
-                raise MeshError(
-                    f"its data file '{name}' is not beside it",
-                    where=path.name,
-                    expected=not_shown(path.parent / name) or "keep the .xdmf and the .h5 together",
-                )
-            result[name] = True
-    return list(result)
-
-
-def _check_binary(path: Path, named: Path) -> None:
-    """Refuses a raw file, which meshio looks for in the current folder, but beside the `.xdmf`."""
-    beside = path.parent / named.name
-    if why_no_file(beside, sys.maxsize) or not beside.is_file():
-        fault = f"its data file '{named}' is not beside it"
-    elif not named.exists() or not named.samefile(beside):
-        fault = f"its data file '{named}' is looked for in the current folder, not beside it"
-    else:
-        return
-    raise MeshError(fault, where=path.name, expected="save it with its arrays in HDF5")
-
-
 def _straight(path: Path, dim: int | None) -> RawMesh:
     """Read by meshio, which knows files of a single grid. On one rank."""
     try:
@@ -520,7 +515,7 @@ def _straight(path: Path, dim: int | None) -> RawMesh:
 def _by_meshio(path: Path, dim: int | None) -> RawMesh:
     from dolfin_elastic.mesh.formats.meshio import check_hdf5, read_meshio
 
-    for name in _data_files(path, read_xml(path)):
+    for name in data_files(path, read_xml(path)):
         check_hdf5(path.parent / name, path.name)
     return assemble(read_meshio(path), source=path.name, dim=dim)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from dolfin_elastic.core.errors import MeshError, not_shown
+from dolfin_elastic.core.errors import MeshError, not_shown, why_no_file
 from dolfin_elastic.core.files import hdf5
 from dolfin_elastic.core.files.xml import read_xml
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
@@ -157,8 +158,21 @@ def same_points(file: Path, main: ElementTree.Element, item: ElementTree.Element
     if a == b or a.shape != b.shape:
         return a == b
     check_arrays(file, [a, b])
-    ends = [(i, min(i + _ROWS, a.rows)) for i in range(0, a.rows, _ROWS)]
-    return all(np.array_equal(hdf_rows(file, a, *e), hdf_rows(file, b, *e)) for e in ends)
+    return all(np.array_equal(hdf_rows(file, a, *e), hdf_rows(file, b, *e)) for e in _pieces(a))
+
+
+def is_flat(file: Path, points: Array) -> bool:
+    """Whether the third coordinate of points is 0. Local.
+
+    Raises:
+        OSError: They cannot be read.
+    """
+    return not any(hdf_rows(file, points, *ends)[:, 2].any() for ends in _pieces(points))
+
+
+def _pieces(array: Array) -> list[tuple[int, int]]:
+    """First row and end of pieces that are looked at one after the other."""
+    return [(i, min(i + _ROWS, array.rows)) for i in range(0, array.rows, _ROWS)]
 
 
 def distributed(
@@ -223,3 +237,43 @@ def _unit(text: str, path: Path) -> LengthUnit:
             expected="a positive number, for example 0.001",
         )
     return LengthUnit.of(metres, stated=True)
+
+
+def time_of(grid: ElementTree.Element) -> float | None:
+    """The time of the functions of a grid, if it states one."""
+    element = grid.find("Time")
+    text = None if element is None else element.get("Value")
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        raise MeshError(f"a grid has the time '{text}'", expected="a number") from None
+
+
+def data_files(path: Path, root: ElementTree.Element) -> list[str]:
+    """The HDF5 files that the text names, which are beside it."""
+    result = {}
+    for item in root.iter("DataItem"):
+        if item.get("Format") == "Binary":
+            _check_binary(path, Path((item.text or "").strip()))
+        if item.get("Format") == "HDF" and item.text:
+            name, _ = place_of(item)
+            if not (path.parent / name).is_file():
+                raise MeshError(
+                    f"its data file '{name}' is not beside it",
+                    where=path.name,
+                    expected=not_shown(path.parent / name) or "keep the .xdmf and the .h5 together",
+                )
+            result[name] = True
+    return list(result)
+
+
+def _check_binary(path: Path, named: Path) -> None:
+    """Refuses a raw file, which meshio looks for in the current folder, but beside the `.xdmf`."""
+    beside = path.parent / named.name
+    if why_no_file(beside, sys.maxsize) or not beside.is_file():
+        fault = f"its data file '{named}' is not beside it"
+    elif not named.exists() or not named.samefile(beside):
+        fault = f"its data file '{named}' is looked for in the current folder, not beside it"
+    else:
+        return
+    raise MeshError(fault, where=path.name, expected="save it with its arrays in HDF5")

@@ -36,7 +36,7 @@ from dolfin_elastic.core.units import (
     is_quantity,
     to_si,
 )
-from dolfin_elastic.model.values import field_table, misspelt_unit
+from dolfin_elastic.model.values import FieldTable, field_table, misspelt_unit
 
 PLACE = ("x", "y", "z")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z_0-9]*", re.ASCII)
@@ -82,19 +82,22 @@ class SpatialField(SpatialValue):
     """The values of a field of the mesh.
 
     Attributes:
-        field: Its name.
-        unit: Unit of its values, as written; empty: SI.
+        table: As it was written.
         factor: SI units per unit.
     """
 
-    field: str
-    unit: str = ""
+    table: FieldTable
     factor: float = 1.0
 
     @property
-    def written(self) -> dict[str, str]:
+    def field(self) -> str:
+        """Its name, see `FieldTable.key`."""
+        return self.table.key
+
+    @property
+    def written(self) -> dict[str, object]:
         """As it stands in a case file."""
-        return {"field": self.field, **({"unit": self.unit} if self.unit else {})}
+        return self.table.model_dump(exclude_defaults=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +187,7 @@ def _cells(values: FloatArray) -> SpatialCells:
 
 def _field(value: Mapping[str, object], unit: str | None) -> SpatialField:
     table, factor = field_table(value, unit)
-    return SpatialField(table.field, table.unit, factor)
+    return SpatialField(table, factor)
 
 
 def constants(kind: type[BaseModel], table: Mapping[str, object]) -> dict[str, object]:

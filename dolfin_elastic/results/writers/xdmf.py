@@ -31,6 +31,7 @@ import numpy as np
 from mpi4py import MPI
 
 from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.mesh.formats.xdmf_arrays import UNIT
 from dolfin_elastic.problem.state import State, plain
 from dolfin_elastic.results import hdf5
 from dolfin_elastic.results.fields import FIELDS
@@ -135,6 +136,7 @@ class XdmfWriter(Hdf5Series):
 def _document(frames: Sequence[str]) -> str:
     return (
         '<?xml version="1.0" encoding="utf-8"?>\n<Xdmf Version="3.0">\n<Domain>\n'
+        f'<Information Name="{UNIT}" Value="1"/>\n'
         '<Grid Name="results" GridType="Collection" CollectionType="Temporal">\n'
         f"{''.join(frames)}{_END}\n</Xdmf>\n"
     )
