@@ -10,8 +10,8 @@ import numpy as np
 from dolfin_elastic.case.described import Described
 from dolfin_elastic.core.si_text import size as size_text
 from dolfin_elastic.core.si_text import vector
-from dolfin_elastic.report.contents import Value
 from dolfin_elastic.report.words import loads_act, names, rows_of
+from dolfin_elastic.results.finished.findings import Value
 from dolfin_elastic.results.finished.run import FinishedRun
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,11 +12,10 @@ from dolfin_elastic.core.si_text import number, percent, quantity, scaled_unit
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.report.charts import Axis, Line, line_chart
 from dolfin_elastic.report.words import analysis_of
+from dolfin_elastic.results.finished.findings import Value
 from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.verdict import Table, doubt, mode_text, place_text, reliable
+from dolfin_elastic.results.verdict import Table
 
-_GOOD = 0.1
-"""Estimated error of the largest stress up to which a mesh is good."""
 _ROUND_OFF = 1e-8
 """Values over the largest of their unit that are not worth a curve."""
 _FEW = 3
@@ -26,155 +25,11 @@ _ROWS = 60
 _AXES = ("x", "y", "z")
 
 
-@dataclass(frozen=True)
-class Value:
-    """A number of `summary.json` as it is shown.
-
-    Attributes:
-        value: In SI units, as it is there.
-        text: For people.
-    """
-
-    value: float
-    text: str
-
-    @staticmethod
-    def of(value: object, unit: str = "") -> Value | None:
-        """None of what is no number.
-
-        Args:
-            unit: Its SI unit.
-        """
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            return None
-        return Value(float(value), quantity(float(value), unit))
-
-
-@dataclass(frozen=True)
-class Extreme:
-    """A largest or smallest value with its place.
-
-    Attributes:
-        key: Its name in `summary.json`.
-        name: Of what.
-        value: The value.
-        place: Where, for people.
-        trust: How well it is known; empty: that is not known.
-        remark: What limits it.
-        singular: It has no finite value there, and another row has the one to judge by.
-    """
-
-    key: str
-    name: str
-    value: Value
-    place: str
-    trust: str = ""
-    remark: str = ""
-    singular: bool = False
-
-
-# --- how it ended ---
-
-STATUS = {
-    "completed": ("Completed", "good"),
-    "stopped": ("Stopped before its end", "warn"),
-    "failed": ("Failed: no solution was found", "bad"),
-    "running": ("Still running, or killed", "warn"),
-}
-
-
-def status_of(summary: Table) -> tuple[str, str]:
-    """Words and kind ("good", "warn", "bad") of how a run has ended."""
-    return STATUS.get(str(summary.get("status")), ("Its end is not known", "warn"))
-
-
 def diagnosis_lines(summary: Table) -> list[str]:
     """What is known of why a run has failed: each finding in a line."""
     diagnosis, reason = summary.get("diagnosis") or {}, str(summary.get("reason") or "")
     texts = [str(diagnosis.get(key) or "") for key in ("text", "advice")]
     return [text for text in texts if text and text not in reason]
-
-
-# --- largest values ---
-
-_EXTREMES = {
-    "displacement": ("largest displacement", "m"),
-    "von_mises": ("largest von Mises stress", "Pa"),
-    "safety_factor": ("smallest safety factor", ""),
-    "speed": ("largest speed", "m/s"),
-    "velocity": ("largest velocity", "m/s"),
-    "min_jacobian": ("most compressed element", "of its volume"),
-    "max_jacobian": ("most expanded element", "of its volume"),
-    "contact_pressure": ("largest contact pressure", "Pa"),
-}
-
-
-_ELSEWHERE = {"von_mises": "elsewhere", "safety_factor": "safety_factor_elsewhere"}
-
-
-def extremes_of(summary: Table) -> list[Extreme]:
-    """The largest values of the last state; none of a run that has reached no step."""
-    result: list[Extreme] = []
-    if not summary.get("steps"):
-        return result
-    several = len((summary.get("case") or {}).get("materials") or ()) != 1
-    for name, row in (summary.get("extremes") or {}).items():
-        title, unit = _EXTREMES.get(name, (str(name).replace("_", " "), ""))
-        value = Value.of(row.get("value"), unit)
-        if value is None:
-            continue
-        peak = _peak(summary, name)
-        peak = peak if peak.get("value") == row.get("value") else {}
-        here = row if several else {**row, "part": ""}
-        where, singular = _place(here, peak, summary), bool(peak.get("singular"))
-        trust = _trust(peak) if peak else ("", "")
-        mine = Extreme(name, title, value, where, *trust, singular)
-        other = _peak(summary, _ELSEWHERE.get(name, ""))  # away from where it is unbounded
-        if (regular := Value.of(other.get("value"), unit)) is not None:
-            where = _place(other if several else {**other, "part": ""}, other, summary)
-            result.append(Extreme(name, title, regular, where, *_trust(other)))
-            mine = replace(mine, name=f"{title}, where it is singular")
-        result.append(mine)
-    return result
-
-
-def _peak(summary: Table, name: str) -> Table:
-    estimate = (summary.get("error") or {}).get(name)
-    return estimate if isinstance(estimate, Mapping) else {}
-
-
-def _trust(peak: Table) -> tuple[str, str]:
-    """Estimated error and remark of a peak."""
-    if peak.get("singular"):
-        return "no finite value", (
-            f"Singular at {peak['singular']}: it depends on the size of the elements alone."
-        )
-    error = peak.get("error")
-    if isinstance(error, int | float):
-        return f"± {percent(error)}", ""
-    if "unresolved" not in peak:  # of a run before this was recorded
-        return "", ""
-    return "peak not known", (
-        "This mesh does not show how large it is, for its elements lock, or are too large for a "
-        "curved face where the stress is largest, or may be: see the reservations under the checks."
-    )
-
-
-def _place(row: Table, peak: Table, summary: Table) -> str:
-    part = f", in ‘{row['part']}’" if row.get("part") else ""
-    on = f", on ‘{peak['surface']}’" if peak.get("surface") else ""
-    return place_text(row, summary) + part + on
-
-
-def mesh_badge(summary: Table) -> tuple[str, str]:
-    """How well the mesh gives the largest stress, and its kind; see `status_of`."""
-    error = summary.get("error")
-    peak = reliable(error, "von_mises", "elsewhere", {}) if isinstance(error, Mapping) else None
-    if peak is None:
-        return "Mesh: error not estimated", "warn"
-    if doubt(peak) or not isinstance(known := peak.get("error"), int | float):
-        return "Mesh: largest stress not known", "bad"
-    return f"Mesh: largest stress ± {percent(known)}", "good" if known <= _GOOD else "warn"
 
 
 LastValue = tuple[str, tuple[tuple[str, Value], ...]]
@@ -376,44 +231,6 @@ def steps_of(run: FinishedRun) -> Steps | None:
         tuple(quantity(float(values[k]), unit) for _, unit, values in columns) for k in kept
     )
     return Steps(tuple(title for title, _, _ in columns), rows, count - len(kept))
-
-
-# --- modes ---
-
-
-@dataclass(frozen=True)
-class ModeRow:
-    """A mode.
-
-    Attributes:
-        number: 1, 2, ...
-        kind: Of the mode.
-        words: Its shape, and how much of the mass it moves.
-        value: Frequency, or load factor.
-        shares: Direction to share of the effective mass, for people.
-    """
-
-    number: int
-    kind: str
-    words: str
-    value: Value | None
-    shares: tuple[tuple[str, str], ...]
-
-
-def modes_of(run: FinishedRun) -> list[ModeRow]:
-    """The modes of a run."""
-    result, whole = [], run.summary.get("whole") or {}
-    for row in run.summary.get("modes") or []:
-        key, unit = ("load_factor", "") if row.get("kind") == "buckling" else ("frequency", "Hz")
-        shares = [
-            (axis, percent(float(row.get(f"effective_{axis}") or 0.0) / mass))
-            for axis, mass in whole.items()
-            if mass and math.isfinite(mass)
-        ]
-        kind, value = str(row.get("kind", "")), Value.of(row.get(key), unit)
-        words = mode_text(row, whole) or kind
-        result.append(ModeRow(int(row.get("mode", 0)), kind, words, value, tuple(shares)))
-    return result
 
 
 # --- audit ---

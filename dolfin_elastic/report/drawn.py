@@ -18,6 +18,7 @@ from dolfin_elastic.mesh.geometry.simplices import qualities, signed_volumes
 from dolfin_elastic.report.scene import Viewed, chosen_frames, node_values, surface_of
 from dolfin_elastic.report.words import loads_act
 from dolfin_elastic.results.finished.draw import obstacles_of
+from dolfin_elastic.results.finished.findings import ModeRow, modes_of
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.finished.xdmf import Frame, damaged, read_array, read_frames, read_grid
 from dolfin_elastic.results.scene.edges import sharp_edges
@@ -38,9 +39,9 @@ def drawn_frames(run: FinishedRun) -> list[tuple[str, Frame]]:
 
     Of a failed run the state that failed comes last.
     """
-    modes = run.summary.get("modes") or []
+    modes = modes_of(run)[:_MOST_MODES]
     if modes:
-        return list(_modes(run, modes[:_MOST_MODES]))
+        return list(_modes(run, modes))
     result = [(_label(run, frame.t), frame) for frame in run.frames]
     if run.summary.get("status") == "failed":
         for frame in read_frames(run.folder / _FAILED)[-1:]:
@@ -48,16 +49,11 @@ def drawn_frames(run: FinishedRun) -> list[tuple[str, Frame]]:
     return result
 
 
-def _modes(run: FinishedRun, modes: Sequence[Table]) -> Iterator[tuple[str, Frame]]:
+def _modes(run: FinishedRun, modes: Sequence[ModeRow]) -> Iterator[tuple[str, Frame]]:
     for row in modes:
-        count = int(row.get("mode", 0))
-        frames = read_frames(run.folder / f"mode_{count:02d}.xdmf")
-        if not frames:
-            continue
-        value = row.get("load_factor") if row.get("kind") == "buckling" else row.get("frequency")
-        unit = "" if row.get("kind") == "buckling" else "Hz"
-        text = f", {quantity(float(value), unit)}" if isinstance(value, int | float) else ""
-        yield f"mode {count}{text}", frames[0]
+        text = f", {row.value.text}" if row.value is not None else ""
+        for frame in read_frames(run.folder / f"mode_{row.number:02d}.xdmf")[:1]:
+            yield f"mode {row.number}{text}", frame
 
 
 def _label(run: FinishedRun, t: float) -> str:

@@ -20,11 +20,12 @@ _MEANT = "<>&"
 """Letters that mean something to HTML; JSON escapes those that end a line of a script."""
 
 
-def render(contents: Mapping[str, object]) -> str:
+def render(contents: Mapping[str, object], template: str = "report.html") -> str:
     """The page as text.
 
     Args:
         contents: See `report_contents`.
+        template: Its file.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -36,12 +37,12 @@ def render(contents: Mapping[str, object]) -> str:
         undefined=StrictUndefined,
     )
     style = _read("template/report.css")
-    script = _read("viewer/viewer.min.js") if contents["scene"] is not None else ""
-    return environment.get_template("report.html").render(
+    script = _read("viewer/viewer.min.js") if contents.get("scene") is not None else ""
+    return environment.get_template(template).render(
         **contents,
         style=Markup(style),
         script=Markup(script),
-        scene_text=json_text(contents["scene"]),
+        scene_text=json_text(contents.get("scene")),
         policy=_policy(style, script),
     )
 

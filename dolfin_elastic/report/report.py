@@ -27,6 +27,7 @@ from dolfin_elastic.report.scene import Viewed, packed
 from dolfin_elastic.report.still import stills
 from dolfin_elastic.report.words import analysis_of, what_was_computed
 from dolfin_elastic.results.files import replace_text
+from dolfin_elastic.results.finished import findings
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.finished.xdmf import Frame
 from dolfin_elastic.results.verdict import Table, verdict_of
@@ -73,53 +74,70 @@ def report_contents(run: FinishedRun) -> dict[str, object]:
     Raises:
         InputError: A file of the results cannot be read.
     """
-    frames = drawn_frames(run)
-    scene = scene_of(run, frames)
-    supports, loads = balance.supports_of(run), balance.loads_of(run)
-    palette = _palette(scene)
-    sides = _extent(run, scene)
-    status, kind = contents.status_of(run.summary)
-    pictures = _pictures(scene, palette)
-    dim = frames[-1][1].dim if frames else (run.model.get("mesh") or {}).get("dim")
+    frames, viewed, told = told_of(run)
+    pictures = pictures_of(viewed)
     return {
-        "title": str(run.case.get("title") or run.folder.resolve().name),
-        "folder": run.folder.resolve().name,
-        "analysis": analysis_of(run.case),
-        "summary": run.summary,
+        **told,
+        **pictures,
         "effort": _effort(run.summary),
-        "status": status,
-        "status_kind": kind,
-        "reason": str(run.summary.get("reason") or ""),
-        "diagnosis": contents.diagnosis_lines(run.summary),
-        "sentences": what_was_computed(run, dim=dim),
-        "key_figures": _key_figures(run),
-        "audit": contents.audit_of(run),
-        "audited": _audited(run.summary),
-        "mesh_badge": contents.mesh_badge(run.summary),
-        "verdict": verdict_of(run.summary),
-        "about": {key: str(run.case.get(key) or "") for key in ("part", "author", "conclusion")},
-        "extremes": contents.extremes_of(run.summary),
-        "last_values": contents.last_values(run),
-        "supports": supports,
-        "loads": loads,
-        "balance": balance.balance_of(run),
-        "modes": contents.modes_of(run),
         "charts": contents.history_charts(run),
         "newton": contents.newton_chart(run),
         "residuals": contents.residual_chart(run.summary),
         "steps": contents.steps_of(run),
         "materials": materials_of(run.case),
-        "mesh": _mesh(run, frames, sides),
-        "warnings": [str(text) for text in run.model.get("warnings") or []],
-        **pictures,
+        "mesh": _mesh(run, frames, _extent(run, viewed)),
         "own_pictures": list(_own_pictures(run.folder, _room(pictures))),
         "case_text": _case_text(run.case),
         "checksums": list(_checksums(run.folder)),
         "timings": _timings(run.summary),
-        "memory": quantity(float((run.summary.get("peak_memory") or {}).get("sum") or 0), "byte"),
+        "memory": memory_of(run.summary),
         "command": _command(run),
+    }
+
+
+def told_of(
+    run: FinishedRun,
+) -> tuple[list[tuple[str, Frame]], Viewed | None, dict[str, object]]:
+    """What any page tells of a run: its frames, its scene, and what the templates show of it.
+
+    Raises:
+        InputError: A file of the results cannot be read.
+    """
+    frames = drawn_frames(run)
+    viewed = scene_of(run, frames)
+    status, kind = findings.status_of(run.summary)
+    dim = frames[-1][1].dim if frames else (run.model.get("mesh") or {}).get("dim")
+    told = {
+        "title": str(run.case.get("title") or run.folder.resolve().name),
+        "folder": run.folder.resolve().name,
+        "analysis": analysis_of(run.case),
+        "summary": run.summary,
+        "status": status,
+        "status_kind": kind,
+        "reason": str(run.summary.get("reason") or ""),
+        "diagnosis": contents.diagnosis_lines(run.summary),
+        "sentences": what_was_computed(run, dim=dim),
+        "key_figures": list(findings.key_figures(run).values()),
+        "audit": contents.audit_of(run),
+        "audited": _audited(run.summary),
+        "mesh_badge": findings.mesh_badge(run.summary),
+        "verdict": verdict_of(run.summary),
+        "about": {key: str(run.case.get(key) or "") for key in ("part", "author", "conclusion")},
+        "extremes": findings.extremes_of(run.summary),
+        "last_values": contents.last_values(run),
+        "supports": balance.supports_of(run),
+        "loads": balance.loads_of(run),
+        "balance": balance.balance_of(run),
+        "modes": findings.modes_of(run),
+        "warnings": [str(text) for text in run.model.get("warnings") or []],
         "version": __version__,
     }
+    return frames, viewed, told
+
+
+def memory_of(summary: Table) -> str:
+    """Peak memory of all ranks together."""
+    return quantity(float((summary.get("peak_memory") or {}).get("sum") or 0), "byte")
 
 
 def _audited(summary: Table) -> str:
@@ -143,7 +161,9 @@ def _palette(viewed: Viewed | None) -> dict[str, str]:
     return result
 
 
-def _pictures(viewed: Viewed | None, palette: Mapping[str, str]) -> dict[str, object]:
+def pictures_of(viewed: Viewed | None) -> dict[str, object]:
+    """The data of the viewer, and fixed pictures."""
+    palette = _palette(viewed)
     result: dict[str, object] = {"stills": [], "held": "", "palette": palette, "not_drawn": ""}
     if viewed is None:
         return {**result, "scene": None, "drawn": "", "left_out": ()}
@@ -174,7 +194,7 @@ def _room(pictures: Mapping[str, object]) -> int:
     """Bytes for the run's own pictures, which a page holds as text of 4 letters for 3 bytes.
 
     Args:
-        pictures: From `_pictures`.
+        pictures: From `pictures_of`.
     """
     stills = pictures["stills"]
     assert isinstance(stills, list)
@@ -203,26 +223,6 @@ def _own_pictures(folder: Path, room: int) -> Iterator[tuple[str, str]]:
 
 
 # --- numbers ---
-
-
-def _key_figures(run: FinishedRun) -> list[dict[str, object]]:
-    """What a reader looks for first; what is singular stands small below it."""
-    rows = contents.extremes_of(run.summary)
-    result: list[dict[str, object]] = []
-    for key in ("safety_factor", "von_mises", "displacement"):
-        mine = sorted((row for row in rows if row.key == key), key=lambda row: row.singular)
-        for row in mine[:1]:
-            other = "".join(f"{o.value.text} at {o.place}: singular" for o in mine[1:])
-            bad = key == "safety_factor" and row.value.value < 1
-            remark = ", ".join(filter(None, (row.trust, row.place)))
-            figure = {"name": row.name, "value": row.value, "remark": remark, "other": other}
-            result.append({**figure, "kind": "bad" if bad else ""})
-    for mode in contents.modes_of(run)[:3]:
-        if mode.value is not None:
-            what = "load factor of buckling" if mode.kind == "buckling" else "frequency"
-            figure = {"name": f"{what} {mode.number}", "value": mode.value, "remark": mode.words}
-            result.append({**figure, "other": "", "kind": ""})
-    return result
 
 
 def _extent(run: FinishedRun, viewed: Viewed | None) -> list[float]:
@@ -257,8 +257,8 @@ def _mesh(
     plane = frames[-1][1].dim == 2
     result["quality"] = {
         "chart": chart,
-        "worst": contents.Value.of(float(quality.min())),
-        "mean": contents.Value.of(float(quality.mean())),
+        "worst": findings.Value.of(float(quality.min())),
+        "mean": findings.Value.of(float(quality.mean())),
         "poor": counted(int(np.count_nonzero(quality < 0.05)), "element"),
     }
     # Of older runs that of straight cells.

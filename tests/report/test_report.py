@@ -31,7 +31,7 @@ from dolfin_elastic.notebook.report_view import show_report
 from dolfin_elastic.report import pdf, still
 from dolfin_elastic.report.balance import balance_of, loads_of, supports_of
 from dolfin_elastic.report.charts import Axis, Line, line_chart
-from dolfin_elastic.report.contents import history_charts, last_values, mesh_badge, residual_chart
+from dolfin_elastic.report.contents import history_charts, last_values, residual_chart
 from dolfin_elastic.report.drawn import drawn_frames, scene_of
 from dolfin_elastic.report.laws import _constants
 from dolfin_elastic.report.page import json_text
@@ -50,7 +50,9 @@ from dolfin_elastic.report.scene import (
     node_values,
     packed,
 )
+from dolfin_elastic.report.several import rows_of_cases, write_pages
 from dolfin_elastic.report.words import small_strains
+from dolfin_elastic.results.finished.findings import mesh_badge
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.scene.colour_bar import colour_map
 from dolfin_elastic.results.scene.scene import Frame, Glyphs, Picture, Scene
@@ -224,6 +226,43 @@ def check_words(page: Page, summary: dict[str, Any], kind: str) -> None:
         assert "factors on all loads at which it buckles" in page.text
 
 
+def test_several_runs_on_one_page(
+    folders: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """First a table, a column a run, with the numbers of each summary; then a section each."""
+    monkeypatch.setattr(still, "draw_pictures", lambda _user, _pictures, file: file.touch())
+    kinds = ["statics", "modal", "buckling", "plane"]
+    page = Page(write_pages([folders(k) for k in kinds], tmp_path / "a.html").read_text("utf-8"))
+    assert not page.all("script")
+    check_policy(page)
+    table = page.text[page.text.index("verdict") : page.text.index("“±” is")]
+    for kind in kinds:
+        found = json.loads((folders(kind) / "summary.json").read_text(encoding="utf-8"))
+        assert found["verdict"]["text"][1:] in table
+        expected = [row["frequency"] for row in found.get("modes", []) if "frequency" in row]
+        expected += [row["load_factor"] for row in found.get("modes", []) if "load_factor" in row]
+        expected += [(found.get("error") or {}).get("elsewhere", {}).get("value")]
+        assert {x for x in expected if x is not None} <= {*page.values}
+    for text in ("frequency, first modes", "What differs in the cases", "modal.count", "memory"):
+        assert text in table
+    assert len(page.heads) == len(kinds)
+    assert {f"#run-{k}" for k in range(1, 5)} == {str(row["href"]) for row in page.all("a")}
+
+
+def test_what_differs_in_cases() -> None:
+    """Values that not all cases have, after their keys; titles and outputs change no number."""
+    one = {"title": "a", "load": [{"on": "x", "value": [1, 0]}], "statics": {}, "output": {"a": 1}}
+    two = {"title": "b", "load": [{"on": "x", "value": [2, 0]}, {"on": "y"}]}
+    rows = rows_of_cases([one, one, two])
+    text = {key: [[line.value for line in cell] for cell in row] for key, row in rows.items()}
+    assert text == {
+        "load[0].value": [["(1, 0)"], ["(1, 0)"], ["(2, 0)"]],
+        "statics": [["yes"], ["yes"], []],
+        "load[1].on": [[], [], ["y"]],
+    }
+    assert rows_of_cases([one, {**one, "title": "c"}]) == {}
+
+
 def check_policy(page: Page) -> None:
     """The hashes are those of the content, and there is nothing else to run or load."""
     (policy,) = [
@@ -233,12 +272,13 @@ def check_policy(page: Page) -> None:
     ]
     assert "default-src 'none'" in policy
     assert "unsafe" not in policy
-    data, script = page.inside["script"]
+    data, *scripts = page.inside["script"] or ["{}"]
     json.loads(data)
-    for text in (script, *page.inside["style"]):
+    for text in (*scripts, *page.inside["style"]):
         digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
         assert f"'sha256-{digest}'" in policy
-    assert [row.get("type") for row in page.all("script")] == ["application/json", None]
+    types = [row.get("type") for row in page.all("script")]
+    assert types == ["application/json", None][: len(types)]
     for tag, row in page.tags:
         assert not [key for key in row if key.startswith("on") or key in ("style", "srcdoc")], tag
         assert tag not in ("iframe", "object", "embed", "link", "base", "form")

@@ -13,7 +13,7 @@ from dolfin_elastic.core.startup.libraries import start
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", hidden=True)],
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", hidden=True)],
     *,
     output: Annotated[
         Path | None,
@@ -21,15 +21,17 @@ def report(
     ] = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Also print a PDF; needs Chromium.")] = False,
 ) -> None:
-    """Make a page of a finished run that can be mailed.
+    """Make a page of finished runs that can be mailed.
 
     \b
       dolfin-elastic report bracket_results
       dolfin-elastic report bracket_results --output bracket.html --pdf
+      dolfin-elastic report stress_results modes_results    both on one page
 
     One HTML file that every browser opens, without network: what was computed, pictures that can be
-    turned, largest values, curves, audit, materials, and how to repeat it.  Of several analyses of
-    one case, each gets a page in its folder.
+    turned, largest values, curves, audit, materials, and how to repeat it.  The page of several
+    runs stands beside the first folder: a table of them, and a section each.  Of several analyses
+    of one case, each gets a page in its folder, too.
 
     \f
     Raises:
@@ -42,20 +44,20 @@ def report(
 
     from dolfin_elastic.core.errors import CaseError
     from dolfin_elastic.core.parallel import on_root
-    from dolfin_elastic.report.report import write_report
+    from dolfin_elastic.report.several import write_pages
     from dolfin_elastic.results.finished.run import folders_of_analyses
 
     comm = MPI.COMM_WORLD
-    if output is None and (several := on_root(comm, lambda: folders_of_analyses(folder))):
-        for one in several:
-            report(one, pdf=pdf)
-        return
-    page = output or folder / "report.html"
+    runs = on_root(comm, lambda: [r for one in folders for r in folders_of_analyses(one) or [one]])
+    if len(runs) > len(folders) == 1 and output is None:
+        for run in runs:
+            report([run], pdf=pdf)
+    page = output or (folders[0].parent if len(folders) > 1 else folders[0]) / "report.html"
     if page.suffix.lower() not in (".html", ".htm"):
         raise CaseError(
             f"'{page}' is no page", where="--output", expected='for example "report.html"'
         )
-    on_root(comm, lambda: _write(write_report(folder, page), pdf=pdf))
+    on_root(comm, lambda: _write(write_pages(runs, page), pdf=pdf))
 
 
 def _write(page: Path, *, pdf: bool) -> None:
