@@ -75,7 +75,7 @@ def _head(report: Report, size: Lengths) -> list[tuple[str, str]]:
 
 def _body(body: FreeBody, bodies: int) -> str:
     name = f"`{body.name}` " if bodies > 1 else ""
-    free = "is held against every rigid motion"
+    free = "is constrained against every rigid motion"
     if body.motions:
         free = f"can {', '.join(body.motions)}"
     return f"{name}{free}" + (f" (one of {bodies} that share no nodes)" if bodies > 1 else "")

@@ -3,7 +3,7 @@
     [surfaces]
     foot  = {plane = "z", at = "min"}
     bore  = {cylinder = {axis = "z", point = [0, 0, 0], radius = 5}}
-    rim   = [{plane = "x", at = 10}, {normal = [0, 1, 0], box = [[0, 0, 0], [10, 10, 2]]}]
+    step  = [{plane = "x", at = 10}, {normal = [0, 1, 0], box = [[0, 0, 0], [10, 10, 2]]}]
     glue  = {between = ["steel", "rubber"]}
     neck  = {cut = true, plane = "z", at = 20, of = "bolt"}
     holes = {faces = [7, 8]}

@@ -101,13 +101,13 @@ def _acting_sentences(case: Table, rows: Sequence[Described]) -> list[str]:
         [row for row in rows if row.key.startswith(f"{key}[")]
         for key in ("support", "load", "contact")
     )
-    result = ["It is held nowhere."]
+    result = ["It is supported nowhere."]
     if case.get("periodic"):
-        result = ["It is a periodic cell: its faces are held by those opposite."]
+        result = ["It is a periodic cell: its faces are tied to those opposite."]
     if supports:
         held = [f"{names(row.on)} ({row.text.partition(';')[0]})" for row in supports]
         at = f"at {listed(held)}" if len(held) <= 6 else f"by {len(held)} supports"
-        result = [f"It is held {at}."]
+        result = [f"It is supported {at}."]
     if not loads_act(case):
         return result
     if len(loads) > 6:

@@ -99,11 +99,11 @@ _KSP = {
     ),
     "DIVERGED_NANORINF": (
         "it met a number that is not finite: the tangent may be singular",
-        'solver.method = "direct"; is every piece of the body held?',
+        'solver.method = "direct"; is every piece of the body supported?',
     ),
     "DIVERGED_PCSETUP_FAILED": (
         "the preconditioner or factorisation failed: the tangent is singular, or memory ran out",
-        "is every piece of the body held? Otherwise more load steps",
+        "is every piece of the body supported? Otherwise more load steps",
     ),
 }
 

@@ -13,7 +13,7 @@ from dolfin_elastic.results.verdict import Verdict, verdict_of
 
 PEAK = {"value": 4.0, "place": [0.1, 0.0, 0.005], "part": "steel", "error": 0.1}
 PEAK |= {"surface": "fillet", "singular": "", "unresolved": ""}
-RIM = {**PEAK, "value": 0.8, "singular": "the rim of the support 'left'"}
+RIM = {**PEAK, "value": 0.8, "singular": "the edge of the support 'left'"}
 CASE = {"materials": {"steel": {"allowable": "235 MPa"}}}
 
 
@@ -44,7 +44,7 @@ MODES = [
         (
             of_safety(RIM, safety_factor_elsewhere={**PEAK, "surface": ""}),
             "holds: 4 times below 235 MPa, ± 10 %, at (100, 0, 5) mm "
-            "(not at the rim of the support 'left': singular)",
+            "(not at the edge of the support 'left': singular)",
         ),
         (of_safety(RIM), "not known: stress 0.8 times below 235 MPa, on ‘fillet’, but it is"),
         (

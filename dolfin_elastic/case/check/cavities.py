@@ -37,7 +37,8 @@ def cavity_notes(case: Case, problem: Problem) -> Iterator[str]:
         if not isinstance(load, Cavity) or not _open(load, problem):
             continue
         reason = (
-            f"the cavity '{load.label}' is open: a part of its rim is not held in a plane through "
+            f"the cavity '{load.label}' is open: a part of its edge is not constrained to a plane "
+            "through "
             "its origin"
         )
         if load.volume_controlled:

@@ -479,7 +479,8 @@ def _singular_supports(case: Case, body: Body) -> Iterator[str]:
     if result:
         plural = len(result) > 1 or next(iter(result.values())).startswith("the nodes")
         yield (
-            f"{', '.join(result.values())} {'are' if plural else 'is'} held: the reaction there is "
+            f"{', '.join(result.values())} {'are' if plural else 'is'} fixed: the reaction there "
+            "is "
             "exact, but the stress beside is singular, growing with every refinement, unless it "
             "is zero"
         )

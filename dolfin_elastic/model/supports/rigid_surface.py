@@ -89,7 +89,7 @@ class Rigid(Restraint):
         units = {"displacement": "m", "rotation": ANGLE, "force": "N", "moment": "N m"}
         keys = {key: value for key in units if (value := getattr(self, key)) is not None}
         told = ", ".join(f"{key} {given(value, units[key])}" for key, value in keys.items())
-        return f"moves as a rigid plate{f': {told}' if told else ', which is held'}" + other_keys(
+        return f"moves as a rigid plate{f': {told}' if told else ', which is fixed'}" + other_keys(
             self, *units
         )
 

@@ -99,7 +99,7 @@ class BodyCavity(ScalarTerm):
     def _report_open(self) -> None:
         """A volume that is prescribed must be one; a pressure acts all the same."""
         text = (
-            f"the cavity '{self.label}' is open: a part of its rim is not held in a plane "
+            f"the cavity '{self.label}' is open: a part of its edge is not constrained to a plane "
             "through its origin"
         )
         if self.size:

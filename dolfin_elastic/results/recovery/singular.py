@@ -100,7 +100,7 @@ def singular_places(problem: Problem) -> SingularPlaces:
         FORCE,
         INTERFACE,
         RE_ENTRANT,
-        *(f"the rim of the support '{label}'" for label in labels),
+        *(f"the edge of the support '{label}'" for label in labels),
         *(f"the edge of the contact '{pair.label}'" for pair in pairs),
     ]
     cells, numbers, values = zip(

@@ -167,7 +167,7 @@ def _legend(picture: Picture) -> list[tuple[str, str, str]]:
     for name, use, colour in picture.legend:
         rows.append(("\u25a0", colour, f"{name}: {use}" if use else name))
     supports = [one.colour for one in scene.glyphs if not one.load]
-    rows += [("\u25b2", colour, "held by a support") for colour in supports[:1]]
+    rows += [("\u25b2", colour, "fixed by a support") for colour in supports[:1]]
     rows += [("\u279c", one.colour, one.label) for one in scene.glyphs if one.load]
     return rows + [("\u25cf", _CONTACT, one.name) for one in scene.obstacles]
 

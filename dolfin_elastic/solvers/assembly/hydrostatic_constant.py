@@ -278,7 +278,8 @@ class HydrostaticConstant:
             result.append(
                 f"rollers on curved surfaces ({', '.join(names)}) let nodes slide along straight "
                 "tangents, which changes the volume by half the square of the sliding times the "
-                "curvature; the body is incompressible and held all around, so that it slides by "
+                "curvature; the body is incompressible and constrained on its whole surface, so "
+                "that it slides by "
                 "small steps only and needs many of them; a contact with a sphere or cylinder "
                 "keeps to the surface"
             )
@@ -303,7 +304,8 @@ class HydrostaticConstant:
             change = total(self._comm, float(rows[body.dofs].sum())) / scale
             if abs(change) > max(IMPOSSIBLE * swept, ROUND_OFF * body.volume):
                 raise InputError(
-                    f"{body.label} is incompressible and held all around, and its supports, or "
+                    f"{body.label} is incompressible and constrained on its whole surface, and its "
+                    "supports, or "
                     f"heat or growth, change its volume by {abs(change) / body.volume:.3g} of it",
                     where="support",
                     expected="a surface that is free to move along its normal, or nu below 0.5",
@@ -311,7 +313,8 @@ class HydrostaticConstant:
             if abs(change) > max(REPORTED * swept, ROUND_OFF * body.volume) and not self._reported:
                 self._reported = True
                 log.info(
-                    "%s is held all around by displacements that change its volume by %.2g of what "
+                    "%s is constrained on its whole surface by displacements that change its "
+                    "volume by %.2g of what "
                     "they sweep: it is spread evenly over the body",
                     body.label,
                     abs(change) / swept,

@@ -60,10 +60,10 @@ def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
     if loaded and not problem.symmetric:
         index = next(i for i, load in enumerate(problem.loads) if load.follower)
         raise InputError(
-            "the pressure follows a surface whose rim is free: it has no potential, and the body "
+            "the pressure follows a surface whose edge is free: it has no potential, and the body "
             "may flutter",
             where=f"load[{index}]",
-            expected="a rim that is held, a closed surface, a traction, or [dynamics]",
+            expected="a fixed edge, a closed surface, a traction, or [dynamics]",
         )
 
 

@@ -63,7 +63,7 @@ def test_supports_on_edges_and_points_are_singular_and_said_to_be() -> None:
     supports = [{"on": "bottom"}, {"on": ["ridge", "tip"], "displacement": [FREE, 0, FREE]}]
     notes = report(case(support=supports)).notes
     said = (
-        "the edge 'ridge' (support[1]), the point 'tip' (support[1]) are held: the reaction there "
+        "the edge 'ridge' (support[1]), the point 'tip' (support[1]) are fixed: the reaction there "
     )
     assert any(note.startswith(said) for note in notes)
     spring = [{"on": "bottom"}, {"on": "tip", "kind": "spring", "stiffness": [1, 1, 1]}]
@@ -84,7 +84,7 @@ def test_a_set_of_nodes_that_is_no_surface(folder: Path) -> None:
         return Case.from_dict({**tables, **support}, folder)
 
     notes = report(held()).notes
-    assert any(note.startswith("the nodes 'Foot' (support[0]) are held: the") for note in notes)
+    assert any(note.startswith("the nodes 'Foot' (support[0]) are fixed: the") for note in notes)
     with pytest.raises(InputError, match=r"support\[0\]\.on: the set of nodes 'Foot' is no surf"):
         report(held(kind="spring", normal=1e9))
 

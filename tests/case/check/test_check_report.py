@@ -858,7 +858,7 @@ def test_shown_and_as_json():
     assert "mass       6000 kg, centre of mass (1, 0.5, 1.5) m" in text
     assert "all loads" in text
     assert "Loads are summed up on the undeformed body, each at load parameter 1." in text
-    assert "is held against every rigid motion" in text
+    assert "is constrained against every rigid motion" in text
     read = json.loads(json.dumps(asdict(found), allow_nan=False))
     assert read["loads"][2]["force"] == pytest.approx([200, 0, -58860])
     assert read["memory"]["solver"] == "direct"

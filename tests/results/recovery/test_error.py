@@ -437,7 +437,7 @@ def test_the_fillet_of_a_bracket(folder: Path) -> None:
     estimate = ErrorEstimator(problem)(solved(problem))
     peaks = find_peaks(problem, estimate)
     print(*peaks.lines(estimate.relative), sep="\n")
-    assert peaks.largest.singular == "the rim of the support 'bolts'"
+    assert peaks.largest.singular == "the edge of the support 'bolts'"
     found = peaks.elsewhere
     assert found is not None
     assert found.surface == "fillet"
@@ -471,9 +471,9 @@ def test_the_rim_of_a_clamped_end() -> None:
     )
     assert field == "estimated error           5.4 % of the stresses on average (energy norm)"
     _, singular = cantilever(0.3)
-    assert singular.largest.singular == "the rim of the support 'wall'"
+    assert singular.largest.singular == "the edge of the support 'wall'"
     lines = singular.lines(0.054)
-    assert lines[1].endswith("at the rim of the support 'wall' it grows with every refinement")
+    assert lines[1].endswith("at the edge of the support 'wall' it grows with every refinement")
     assert [line[:26].strip() for line in lines] == [
         "largest von Mises stress",
         "not to be relied on",
@@ -494,7 +494,7 @@ def test_a_plane_of_symmetry_has_no_rim() -> None:
         rectangle_body(size=(4.0, 1.0), cells=(16, 4)),
         surfaces={"half": Selector(plane="x", at=0, box=((0, 0), (0, 0.5)))},
     )
-    ends = {"left": "", "half": "the rim of the support 'half'"}
+    ends = {"left": "", "half": "the edge of the support 'half'"}
     for name, reason in ends.items():
         problem = Problem(
             body,
@@ -572,7 +572,7 @@ def test_summary_and_log(folder: Path, caplog: Any) -> None:
     summary = json.loads((folder / "out" / "summary.json").read_text())
     error = summary["error"]
     assert 0 < error["energy_norm"] < 0.2
-    assert error["von_mises"]["singular"] == "the rim of the support 'wall'"
+    assert error["von_mises"]["singular"] == "the edge of the support 'wall'"
     assert error["von_mises"]["value"] == summary["extremes"]["von_mises"]["value"]
     assert error["elsewhere"]["error"] > 0
     if MPI.COMM_WORLD.rank == 0:

@@ -188,7 +188,7 @@ def stack_on(comm: MPI.Comm) -> Any:
     places = singular_places(problem)
     x = problem.places[: len(places.near)]
     found = []
-    for reason in ("an edge where materials meet", "the rim of the support 'bottom'"):
+    for reason in ("an edge where materials meet", "the edge of the support 'bottom'"):
         near = np.concatenate(comm.allgather(x[places.near[:, places.reasons.index(reason)]]))
         found += [len(near), *near.min(axis=0), *near.max(axis=0), *np.abs(near - 0.5).sum(axis=0)]
     return found
@@ -226,7 +226,7 @@ def test_the_end_of_a_bed_of_springs(stiffness: float, singular: bool) -> None:
     """As stiff as a support on this mesh, or a bed that gives way with a traction that jumps."""
     bed = Spring(on="half", normal=stiffness, tangential=stiffness)
     places = singular_places(block(supports=[bed]))
-    near = places.near[:, places.reasons.index("the rim of the support 'half'")]
+    near = places.near[:, places.reasons.index("the edge of the support 'half'")]
     assert bool(MPI.COMM_WORLD.allreduce(int(near.sum()))) is singular
 
 
@@ -235,7 +235,9 @@ def test_springs_of_a_whole_surface_and_at_a_point() -> None:
     bed = Spring(on="half", normal=1e6, tangential=1e6, total=True)
     pin = Spring(on="corner", stiffness=[1.0, 1.0])
     places = singular_places(block(supports=[bed, pin]))
-    rims = [places.reasons.index(f"the rim of the support '{name}'") for name in ("half", "corner")]
+    rims = [
+        places.reasons.index(f"the edge of the support '{name}'") for name in ("half", "corner")
+    ]
     found = MPI.COMM_WORLD.allreduce(places.near[:, rims].sum(axis=0))
     assert found.min() > 0
 

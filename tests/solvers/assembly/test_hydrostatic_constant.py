@@ -138,7 +138,7 @@ def test_a_body_force_that_has_a_potential_moves_nothing():
 @pytest.mark.parametrize("height", [-0.01, 0.2])
 def test_supports_that_change_the_volume_are_refused(height):
     problem = block(sheared([0, 0, height]))
-    with pytest.raises(InputError, match=r"support: the body is incompressible and held all"):
+    with pytest.raises(InputError, match=r"support: the body is incompressible and constrained"):
         [*_] = Statics(problem).steps()
 
 

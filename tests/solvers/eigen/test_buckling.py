@@ -295,7 +295,7 @@ def test_refused(comm: MPI.Comm) -> None:
     )
     refused(
         comm,
-        r"load\[0\]: the pressure follows a surface whose rim is free",
+        r"load\[0\]: the pressure follows a surface whose edge is free",
         loads=[Pressure(on="right", value=1)],
     )
 

@@ -257,7 +257,7 @@ REFUSED: Mapping[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "follower": (
         {"law": NeoHookean(**SOFT), "loads": [Pressure(on="right", value=1)]},
         {"preload": True},
-        r"load\[0\]: the pressure follows a surface whose rim is free",
+        r"load\[0\]: the pressure follows a surface whose edge is free",
     ),
     "warm": (
         {
