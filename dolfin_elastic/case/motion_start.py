@@ -67,7 +67,7 @@ def _of_mesh(problem: Problem, name: str | None, where: str) -> FloatArray:
 
 
 def _of_results(start: MotionStart, path: Path, problem: Problem) -> tuple[FloatArray, FloatArray]:
-    """The state of a step; nodes and points of the results are matched by their places.
+    """The state of a step; nodes and points of the results are matched by their coordinates.
 
     Every rank looks through all points, some at a time.
     """
@@ -89,7 +89,7 @@ def _of_results(start: MotionStart, path: Path, problem: Problem) -> tuple[Float
             f"{frame.points.shape[0]} points of '{path}'",
             where=_FILE,
             expected="results on this mesh, with quadratic elements where it has them; of nodes "
-            "at one place, as those of parts that are not joined, each needs its own",
+            "with the same coordinates, as those of parts that are not joined, each needs its own",
         )
     u, v = (one.reshape(-1) for one in values)
     return u, v

@@ -105,7 +105,7 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
   dolfin-elastic plot beam_results          pictures, films and curves of what it has left
   dolfin-elastic converge beam.toml --until "displacement of tip" 1%
                                             refine the mesh until it is known so well
-  dolfin-elastic convert wing.msh wing.xdmf a large mesh, for many cores to read in shares
+  dolfin-elastic convert wing.msh wing.xdmf a large mesh, for many cores to read in parallel
   dolfin-elastic verify                     known results, computed on this installation
 
 \b

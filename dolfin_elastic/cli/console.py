@@ -433,7 +433,7 @@ def show_profile(rows: Sequence[tuple[str, float, float]], memory: Mapping[str, 
     from rich.table import Table
 
     table = Table("stage", box=SIMPLE_HEAD, pad_edge=False)
-    for head in ("fastest rank [s]", "slowest rank [s]", "share"):
+    for head in ("fastest rank [s]", "slowest rank [s]", "fraction"):
         table.add_column(head, justify="right")
     total = max((most for name, _, most in rows if name == "total"), default=0.0) or 1.0
     for name, least, most in rows:

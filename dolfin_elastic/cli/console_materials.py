@@ -62,7 +62,7 @@ def show_report(screen: Screen, name: str, report: MaterialReport, files: Sequen
         files: What was written, all in one folder.
     """
     screen.print(name, style="bold")
-    table = Table("check", "", "what was found", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table("check", "", "result", box=SIMPLE_HEAD, pad_edge=False)
     for finding in report.findings:
         table.add_row(finding.check, _MARKS[finding.verdict], finding.text)
     screen.print(table)

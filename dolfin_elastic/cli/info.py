@@ -37,7 +37,7 @@ def describe() -> tuple[dict[str, str], list[str]]:
         "threads": threads or "not set (OMP_NUM_THREADS)",
         "blas": blas,
         "mumps": "yes" if PETSc.Sys.hasExternalPackage("mumps") else "no",
-        "compiled forms": str(cache_folder()),
+        "compiled code": str(cache_folder()),
     }
     return versions, advice
 

@@ -239,7 +239,7 @@ class Body(Shown):
         """
         if name in self.incomplete:
             raise MeshError(
-                f"'{name}' of {self.source or 'the mesh'} is not whole: {self.incomplete[name]}",
+                f"'{name}' of {self.source or 'the mesh'} is incomplete: {self.incomplete[name]}",
                 expected="correct the mesh file, or name the part by where it lies",
             )
         alike = _alike(self, name)

@@ -138,7 +138,7 @@ def local_parts(
 def left_out(incomplete: Mapping[str, str]) -> list[str]:
     """A note on the parts that are not whole, if there are any."""
     reasons = "; ".join(f"'{name}' ({reason})" for name, reason in incomplete.items())
-    return [f"named parts that are not whole (left out): {reasons}"] if reasons else []
+    return [f"incomplete named parts (left out): {reasons}"] if reasons else []
 
 
 def _with_advice(error: InputError) -> InputError:

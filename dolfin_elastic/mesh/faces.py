@@ -137,7 +137,7 @@ def chosen_faces(faces: CadFaces | None, selector: Selector, scale: float) -> se
         raise MeshError(
             "this picks faces of a CAD file, but the mesh was not made of one",
             where=selector.by_face[0],
-            expected="pick by plane and at, normal, box, or a sphere or cylinder with its place",
+            expected="pick by plane and at, normal, box, or a sphere or cylinder with its position",
         )
     chosen = set(faces.faces)
     if selector.faces is not None:

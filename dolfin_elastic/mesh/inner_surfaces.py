@@ -164,7 +164,7 @@ def sides_of_surface(body: Body, name: str, region: str | None = None) -> AnyArr
     wrong = int((count[~on] > 0).all(axis=1).sum() + (count[on] != 1).sum())
     if total(body.comm, wrong) or not told:
         raise InputError(
-            f"'{name}' has no two sides that can be told apart",
+            f"'{name}' has two sides that cannot be distinguished",
             where="on" if region is None else "side",
             expected="an inner surface that ends at the boundary of the body or is closed; where "
             "it bends round, side = the name of the region on one side of it",

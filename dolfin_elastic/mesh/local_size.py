@@ -62,7 +62,7 @@ class LocalSize(Record):
         given = [key for key in ("on", "sphere", "box") if getattr(self, key)]
         if len(given) != 1:
             raise InputError(
-                f"{' and '.join(given)} given together" if given else "no place is given",
+                f"{' and '.join(given)} given together" if given else "no position is given",
                 expected="expected exactly one of on, sphere, box",
             )
         if self.sphere is not None:
@@ -199,7 +199,8 @@ class CadSizes:
         chosen = {n for n in chosen if _fits(faces.faces[n], selector, space)}
         if not chosen:
             raise MeshError(
-                f"the surface '{name}' is no whole face of the CAD file, of which the size must be "
+                f"the surface '{name}' is not a complete face of the CAD file, of which the size "
+                "must be "
                 "known before it is meshed",
                 where="on",
                 expected="give its faces in [surfaces], or a sphere or box here",

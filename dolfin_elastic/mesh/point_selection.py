@@ -65,7 +65,7 @@ def _nearest(
             f"the nearest vertex ({shown}) is {distance / space.scale:.3g} away, allowed is "
             f"{limit / space.scale:.3g}",
             where="nearest",
-            expected=f"a place at the body, or a tolerance above that; {space}",
+            expected=f"a point at the body, or a tolerance above that; {space}",
         )
     return nodes[numbers == number]
 

@@ -60,7 +60,7 @@ def read_body(
         join: Bodies of a STEP, IGES or BREP file that touch share the nodes there; True by default.
         trust: A .geo file may do all that its user may: run commands, write files and read others.
         time_limit: Time that Gmsh may take [s].
-        local: Smaller elements in places, for CAD files; see `refine.local` for finished meshes.
+        local: Local element sizes, for CAD files; see `refine.local` for finished meshes.
         time: Of fields at several time steps, in .xdmf and .msh files, which one; None: the last.
 
     Raises:

@@ -17,7 +17,7 @@
 
 The keys of one selector must all hold; of a list of selectors one is enough.  A bare length is in
 the mesh's unit, one with a unit ("2 mm") is what it says.  Numbers and kinds of faces, and
-cylinders and spheres without a place, are those of the CAD file that the mesh is made of.
+cylinders and spheres without a position, are those of the CAD file that the mesh is made of.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class Selector(Place):
     """Facets of the boundary, or cells, picked by geometry; all keys given must hold.
 
     A box takes facets with all vertices, cells with their midpoint, inside.  Facets may also be
-    picked by the face of a CAD file on which they lie, as may a cylinder or sphere without a place.
+    picked by the face of a CAD file on which they lie, also cylinders and spheres without position.
 
     Attributes:
         faces: Numbers of faces of a CAD file (of curves, if the body is plane).
@@ -247,7 +247,7 @@ class PointSelector(Place):
     """Vertices of cells; all keys given must hold.
 
     Attributes:
-        nearest: The one vertex nearest to this place, at most `tolerance` away; by default the mean
+        nearest: The one vertex nearest to this point, at most `tolerance` away; by default the mean
             length of a cell.
         between: Vertices that belong to each of these surfaces, edges or points.
 

@@ -33,7 +33,7 @@ class Periodic(Record):
         stress: Macroscopic first Piola-Kirchhoff stress [Pa] where the gradient is free; 0 by
             default.
         curve: Amplitude of F - I and of the stress over time.  Without one, numbers grow with the
-            load steps, and formulas in t are taken as they are.
+            load steps, and formulas in t are used as they are.
 
     Example:
         Periodic(pairs=[["left", "right"], ["bottom", "top"]], gradient=[[1.1, 0], [0, 1]])
@@ -179,7 +179,7 @@ def _component(written: object, unit: str, where: str) -> Component:
         value = component(written, unit, may_be_free=True)
     if isinstance(value, Formula) and (extra := set(value.names) - {"t"}):
         raise InputError(
-            f"a macroscopic quantity is the same at all places, not a formula in "
+            f"a macroscopic quantity is the same at all points, not a formula in "
             f"{', '.join(sorted(extra))}",
             where=where,
             expected="a formula in t",

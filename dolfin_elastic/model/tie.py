@@ -26,7 +26,7 @@ class Tie(OnSurfaces):
         on: Name of a surface whose nodes are tied, or several; best the finer or the smaller side.
         to: Name of the surface that they follow, or several.
         tolerance: Largest distance between the two that is tied [m]; a tenth of the facets' size
-            there by default.  The gap that there is at first is kept.
+            there by default.  The initial gap remains.
 
     Example:
         Tie(on="top of the foot", to="bottom of the bar")

@@ -106,7 +106,7 @@ class Problem(Shown):
         terms: Springs, dashpots, contacts, loads at points, cavities, rigid surfaces, and what else
             acts on the body.
         history: What materials that relax remember; None without any.
-        nodal_loads: Forces at points and along lines, which are in no form; None without any.
+        nodal_loads: Forces at points and along lines, which have no UFL form; None without any.
         constant: Makes a UFL constant: a new value of it needs no new compilation.
         t: UFL constant with the time, used by formulas.
         X: Reference coordinates (UFL).

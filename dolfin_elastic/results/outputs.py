@@ -109,7 +109,9 @@ def _number_of(value: float | str) -> float:
 def _check_suffix(file: str, suffix: str, *others: str) -> str:
     if not file.endswith((suffix, *others)) or file in (suffix, *others):
         endings = " or ".join(filter(None, [", ".join((suffix, *others[:-1])), *others[-1:]]))
-        raise InputError(f"'{file}' does not end in {endings}", expected=f'for example "a{suffix}"')
+        raise InputError(
+            f"'{file}' does not end with {endings}", expected=f'for example "a{suffix}"'
+        )
     if not file.isprintable():
         raise InputError(f"{file!r} is no name of a file", expected=f'for example "a{suffix}"')
     if Path(file).is_absolute() or ".." in Path(file).parts:

@@ -89,7 +89,9 @@ class ProbePoint(Record):
     def _one(self) -> Self:
         given = [key for key in ("at", "on", "surface") if getattr(self, key) is not None]
         if len(given) != 1:
-            what = f"{given[0]} and {given[1]} are given together" if given else "no place is given"
+            what = (
+                f"{given[0]} and {given[1]} are given together" if given else "no position is given"
+            )
             raise InputError(what, expected="at = [x, y, z], or on with the name of a part")
         if self.values and self.at is not None:
             raise InputError(

@@ -203,7 +203,7 @@ def reliable(error: Table, name: str, elsewhere: str, extremes: Table) -> Table 
 
 
 def doubt(peak: Table) -> str:
-    """Why a value is not known; empty where it is, or where nothing is said of its error."""
+    """Why a value is not known; empty where it is, or where no reason is givens error."""
     if peak.get("singular"):
         return f"it is singular at {peak['singular']}, and elements are too large to look beside"
     if peak.get("unresolved"):
@@ -251,7 +251,7 @@ def _unjudged(safety: Table, summary: Table) -> str:
     if _number(summary.get("max_displacement")) < 0.99 * _number(most.get("max_displacement")):
         return f"that is the end of the run alone: it was deformed more in step {most.get('step')}"
     if stability.get("verdict") != "stable":
-        return f"its stability is not judged: {stability.get('reason') or 'nothing is said of it'}"
+        return f"its stability is not judged: {stability.get('reason') or 'no reason is given'}"
     if stability.get("may_buckle"):
         return (
             "so slender a part under compression may buckle, which small strains do not show: "

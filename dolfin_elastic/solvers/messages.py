@@ -46,7 +46,7 @@ MATERIAL = (
     "smaller load; a finer mesh does not help"
 )
 STALLED = "more load steps or a smaller load; beyond a limit point no static equilibrium exists"
-JUMP = "a curve or a formula of the support that takes some time from one place to the other"
+JUMP = "a curve or a formula of the support that takes some time from one position to the other"
 WITHOUT_SLIVERS = (
     "mesh anew without such slivers (dolfin-elastic check lists the worst cells), or "
     "law = 'fixed-corotated', which goes on with inverted cells"

@@ -157,7 +157,7 @@ def test_services_without_a_home(home: str, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     lines = done.stderr.splitlines()
     assert len(lines) == (0 if cached else 1), done.stderr
-    assert cached or lines[0].startswith("warning: compiled forms cannot be kept (")
+    assert cached or lines[0].startswith("warning: compiled code cannot be stored (")
 
 
 def test_a_user_without_a_name(tmp_path: Path) -> None:

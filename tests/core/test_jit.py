@@ -110,7 +110,7 @@ def test_where_the_cache_cannot_be_written(comm: MPI.Comm, monkeypatch, caplog):
     monkeypatch.setattr(cache, "_told", set())
     assert compiled(comm) == pytest.approx(3.0)
     assert compiled(comm) == pytest.approx(3.0)
-    told = [r.message for r in caplog.records if "cannot be kept" in r.message]
+    told = [r.message for r in caplog.records if "cannot be stored" in r.message]
     assert len(comm.allreduce(told)) == 1
 
 
@@ -147,7 +147,7 @@ def test_compiling_that_lasts_is_announced(slow: bool, comm: MPI.Comm, folder, m
     finally:
         log.removeHandler(handler)
         log.setLevel(level)
-    first = ["compiling ... (the first run of this form)"]
+    first = ["compiling ... (only in the first run)"]
     assert said == (first if slow and comm.rank == 0 else [])
 
 
@@ -226,7 +226,7 @@ def test_waiting_says_for_whom(tmp_path: Path, monkeypatch, caplog):
         find_or_compile([tmp_path], "f", refuse)
         other.join()
     assert [r.message for r in caplog.records] == [
-        "waiting for process 4711 on node7, which compiles the same form"
+        "waiting for process 4711 on node7, which compiles the same code"
     ]
 
 
@@ -338,7 +338,7 @@ def test_a_full_disk(tmp_path: Path, monkeypatch, caplog):
     found = find_or_compile([tmp_path, spare], "f", write("1"))
     assert found == spare / "f"
     assert spare.stat().st_mode & 0o077 == 0
-    assert f"compiled forms cannot be kept ({tmp_path}: no space left on device)" in caplog.text
+    assert f"compiled code cannot be stored ({tmp_path}: no space left on device)" in caplog.text
     free.folders[spare] = 0
     with pytest.raises(OutputError, match=r"no space left on device; .*no space left on device"):
         find_or_compile([tmp_path, spare], "g", refuse)

@@ -54,7 +54,7 @@ FAULTS = {
     "word": (cube("").replace("3, 0,", "3, zero,", 1), r"deck\.inp:4: \*NODE: '3, zero, 1, 0'"),
     "label": (cube("").replace("\n3, ", "\n3.5, ", 1), r"inp:4: \*NODE: 3\.5 is no number"),
     "no label": (cube("").replace("\n3, ", "\n, ", 1), r"inp:4: .* is not a row of numbers"),
-    "twice": (cube("*NODE\n3, 0.5, 0.5, 0.5\n"), "1 nodes stand twice, at different places"),
+    "twice": (cube("*NODE\n3, 0.5, 0.5, 0.5\n"), "1 nodes stand twice, at different positions"),
     "spherical": (cube("").replace("*NODE", "*NODE, SYSTEM=S"), "inp:1: .*SYSTEM=S is not underst"),
     "other file": (cube("*NODE, INPUT=a.txt\n"), r"inp:17: \*NODE: INPUT= is not read"),
     "type": (cube("*ELEMENT, TYPE=GAPUNI\n9, 1, 2\n"), "inp:17: .*element type GAPUNI is unknown"),
@@ -172,7 +172,7 @@ def test_sets_that_are_not_whole_are_refused_where_they_are_used(folder: Path, m
     assert not body.kinds("part")
     assert any(INCOMPLETE[more] in note for note in body.notes)
     for use in (body.surface, body.region, body.point):
-        with pytest.raises(MeshError, match=r"'part' of deck\.inp is not whole") as caught:
+        with pytest.raises(MeshError, match=r"'part' of deck\.inp is incomplete") as caught:
             use("part")
         assert INCOMPLETE[more] in str(caught.value)
 
@@ -318,6 +318,6 @@ def test_an_incomplete_set_is_an_error_of_its_key(folder: Path) -> None:
     with pytest.raises(InputError) as caught:
         check(bad, body)
     assert str(caught.value) == (
-        "case.toml: support[1].on: 'Part' of deck.inp is not whole: 1 of its 3 nodes do not exist "
+        "case.toml: support[1].on: 'Part' of deck.inp is incomplete: 1 of its 3 nodes do not exist "
         "in the file, for example 999; correct the mesh file, or name the part by where it lies"
     )

@@ -178,7 +178,7 @@ def test_what_is_refused(folder: Path) -> None:
     for source, target, said in (
         (two, new, "two.xdmf: this file exists already; .*--force"),
         (two, folder / "two.vtu", "'.*two.vtu' is no .xdmf file; for example 'two.xdmf'"),
-        (new, folder / "new.xdmf", "two.xdmf: all ranks read this file in shares as it is"),
+        (new, folder / "new.xdmf", "two.xdmf: all ranks already read this file in parallel"),
         (folder / "tow.msh", new, "no mesh file .*tow.msh'; did you mean 'two.msh'"),
         (two, folder / "nowhere" / "two.xdmf", "there is no folder '.*nowhere'"),
     ):
@@ -244,4 +244,6 @@ def test_facets_of_no_cell_are_missed(folder: Path) -> None:
     body = read_body(folder / "two.xdmf")
     (lost,) = set(surfaces) - set(body.surfaces)
     assert body.incomplete == {lost: f"1 of its {count} facets are no facets of a cell"}
-    assert any(f"not whole (left out): '{lost}' (1 of its" in note for note in body.notes)
+    assert any(
+        f"incomplete named parts (left out): '{lost}' (1 of its" in note for note in body.notes
+    )

@@ -159,7 +159,10 @@ def test_places_much_smaller_than_a_cell(folder: Path, center) -> None:
         ),
         ([{"on": "top", "size": "1 nm"}], r"mesh\.refine\[0\]\.size: .* would have about .* cells"),
         (9, r"mesh\.refine: refined like this .* at most 5e\+07"),
-        ([{"size": 1}], r"mesh\.refine\[0\]: no place is given; expected exactly one of on, sph"),
+        (
+            [{"size": 1}],
+            r"mesh\.refine\[0\]: no position is given; expected exactly one of",
+        ),
         ([{"on": "top", "siz": 1}], r"mesh\.refine\[0\]: unknown key 'siz'; did you mean 'size'"),
         ([{"sphere": {"radius": 1}, "size": 1}], r"refine\[0\]\.sphere\.center: this key is mis"),
     ],
@@ -187,7 +190,7 @@ def test_messages_of_cad_files(folder: Path) -> None:
     with pytest.raises(InputError, match=many + r"5e\+07; lengths without a unit are in mm"):
         body_of(folder, {**small, "time_limit": "1 h"}, surfaces=fillet)
     half = {"fillet": {"box": [[0, 0, 0], [9, 3, 9]]}}
-    with pytest.raises(InputError, match=r"refine\[0\]\.on: .* is no whole face of the CAD file"):
+    with pytest.raises(InputError, match=r"refine\[0\]\.on: .* is not a complete face"):
         body_of(folder, mesh, surfaces=half)
     for name in ("fillet", "later"):
         own = {"fillet": {"of": name, "plane": "z", "at": "min"}, "later": {"kind": "plane"}}
@@ -204,7 +207,7 @@ def test_faces_without_samples_are_those_of_their_numbers() -> None:
         if found:
             assert sizes_.for_gmsh(faces, {}, 1.0) == [{"faces": [1], "size": 0.1}]
         else:
-            with pytest.raises(MeshError, match="no whole face of the CAD file"):
+            with pytest.raises(MeshError, match="not a complete face of the CAD file"):
                 sizes_.for_gmsh(faces, {}, 1.0)
     ball = LocalSize(sphere=Sphere(center=(0, 0, 0), radius=1), size=0.1)
     assert len(CadSizes([ball]).for_gmsh(faces, {}, 1.0)) == 1

@@ -445,7 +445,7 @@ def test_pieces_that_touch_are_noted_with_the_place(folder: Path) -> None:
     made(lambda: write_cube(folder / "two.vtu", points, np.vstack([CUBE, CUBE + len(POINTS)])))
     pieces, same = read_body(folder / "two.vtu", scale=1e-3).notes
     assert "2 unconnected pieces of 6, 6 cells" in pieces
-    assert "4 nodes of different pieces are at the same places, near (1, " in same
+    assert "4 nodes of different pieces have the same coordinates, near (1, " in same
     assert ") mm: the pieces touch there and are not joined" in same
     points[8:] += [0.5, 0, 0]
     made(lambda: write_cube(folder / "two.vtu", points, np.vstack([CUBE, CUBE + len(POINTS)])))
@@ -572,7 +572,7 @@ def test_a_surface_with_a_facet_outside_the_body_is_no_surface(folder: Path) -> 
     body = read_body(folder / "cube.vtu")
     reason = "1 of its 2 facets are no facets of a cell"
     assert any(f"left out): 'part_5' ({reason})" in note for note in body.notes)
-    with pytest.raises(MeshError, match=f"'part_5' of cube.vtu is not whole: {reason}"):
+    with pytest.raises(MeshError, match=f"'part_5' of cube.vtu is incomplete: {reason}"):
         body.surface("part_5")
     assert list(body.regions) == ["part_0"]
 

@@ -461,7 +461,7 @@ def test_a_summary_that_its_writer_does_not_close(there: str, before: str, tmp_p
 def test_unknown_fields_and_files_are_refused() -> None:
     with pytest.raises(InputError, match="did you mean 'von_mises'"):
         Xdmf(fields=["von_mise"])  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"does not end in \.xdmf"):
+    with pytest.raises(InputError, match=r"does not end with \.xdmf"):
         Xdmf(file="results.vtu")
     with pytest.raises(InputError, match="cannot show 'rank'; one of displacement, .*, material$"):
         Picture(field="rank")

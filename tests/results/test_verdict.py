@@ -71,7 +71,7 @@ MODES = [
         (
             {**of_safety(PEAK), "stability": None},
             "not known: stress 4 times below 235 MPa, ± 10 %, on ‘fillet’, "
-            "but its stability is not judged: nothing is said of it",
+            "but its stability is not judged: no reason is given",
         ),
         (
             {**of_safety(PEAK), "audit": {"verdict": "warn", "reasons": ["energy: 4 %"]}},

@@ -104,7 +104,7 @@ def tie_information(problem: Problem) -> tuple[str, ...]:
     power, noise = problem.body.dim - 1, _ROUND_OFF
     return tuple(
         f"tie '{tied.label}': {unit.length(tied.covered, 4, power=power)}, gap at most "
-        f"{unit.length(tied.gap if tied.gap > noise * tied.size else 0.0)}, which is kept"
+        f"{unit.length(tied.gap if tied.gap > noise * tied.size else 0.0)}, which remains"
         for tied in (() if ties is None else ties.surfaces)
     )
 

@@ -284,7 +284,7 @@ def _check_finite(
         raise CaseError(
             f"the load is not finite somewhere at t = {t:g}",
             where=f"load[{index}].value",
-            expected="a formula that gives a number at every place it acts on",
+            expected="a formula that gives a number at every point it acts on",
         )
 
 

@@ -290,7 +290,8 @@ def _distance_notes(case: Case, body: Body) -> Iterator[str]:
             shown = ", ".join(f"{x / unit.metres:.4g}" for x in exact)
             yield (
                 f"points.{key_text(name)}: the nearest vertex is ({shown}) {unit.name}, "
-                f"{distance / unit.metres:.3g} {unit.name} from the place: a finer mesh has a "
+                f"{distance / unit.metres:.3g} {unit.name} from these coordinates: a finer mesh "
+                "has a "
                 "nearer one"
             )
 

@@ -99,7 +99,7 @@ def convert(
     *,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
 ) -> None:
-    """Write a mesh as XDMF, which all ranks read in shares.
+    """Write a mesh as XDMF, which all ranks read in parallel.
 
     \b
       dolfin-elastic convert wing.msh wing.xdmf     writes wing.xdmf and wing.h5

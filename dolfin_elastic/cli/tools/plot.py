@@ -270,7 +270,7 @@ def _numbers(run: FinishedRun, text: str, where: str, expected: str) -> list[flo
         result = []
     if len(result) not in (run.dim, 3) or not all(isfinite(x) for x in result):
         raise InputError(
-            f"'{text}' is no place in {run.dim} dimensions", where=where, expected=expected
+            f"'{text}' is no point in {run.dim} dimensions", where=where, expected=expected
         )
     return [*result, 0.0][:3]
 

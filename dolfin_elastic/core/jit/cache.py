@@ -185,11 +185,13 @@ def find_or_compile(roots: Sequence[Path], key: str, compile_into: Compile) -> P
         except (OSError, VerificationError) as error:
             faults.append(f"{root}: {_cause(error)}")
             if number == len(roots) - 1:
-                raise OutputError("forms cannot be compiled: " + "; ".join(faults)) from error
+                raise OutputError(
+                    f"finite-element code cannot be compiled: {'; '.join(faults)}"
+                ) from error
         else:
             if faults:
                 _warn_once(
-                    f"compiled forms cannot be kept ({'; '.join(faults)}): they are compiled anew "
+                    f"compiled code cannot be stored ({'; '.join(faults)}): they are compiled anew "
                     f"in each run, in {root}"
                 )
             return folder
@@ -217,7 +219,7 @@ def _compile(root: Path, key: str, compile_into: Compile, *, private: bool) -> P
                 shutil.rmtree(left, ignore_errors=True)
             if target.exists():
                 _warn_once(
-                    f"a compiled form in {root} is damaged, or others may write to it: "
+                    f"compiled code in {root} is damaged, or others may write to it: "
                     "it is compiled again"
                 )
                 _remove_damaged(target)
@@ -245,7 +247,7 @@ def _acquired(lease: Lease, target: Path) -> bool:
 
 def _say_for_whom(owner: dict[str, str]) -> None:
     who = f"process {owner.get('pid', '?')} on {owner.get('host', '?')}"
-    log.warning("waiting for %s, which compiles the same form", who, extra=EVERY_RANK)
+    log.warning("waiting for %s, which compiles the same code", who, extra=EVERY_RANK)
 
 
 def _make_root(root: Path, *, private: bool) -> None:

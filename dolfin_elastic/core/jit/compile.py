@@ -304,7 +304,7 @@ class _Silence:
         self._seconds, self._since = 0.0, 0.0
 
     def _break(self) -> None:
-        log.info("compiling ... (the first run of this form)")
+        log.info("compiling ... (only in the first run)")
         self._since = monotonic()
 
     @contextmanager

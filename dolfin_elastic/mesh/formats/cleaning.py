@@ -246,7 +246,7 @@ def _pieces(raw: RawMesh) -> RawMesh:
         return raw
     return _noted(
         raw,
-        f"{len(same)} nodes of different pieces are at the same places, "
+        f"{len(same)} nodes of different pieces have the same coordinates, "
         f"{format_points(raw.points[same], len(same), raw.unit)}: the pieces touch there and are "
         "not joined; where they are to be, merge the nodes (in Gmsh: Coherence Mesh;), or "
         "[[tie]] their surfaces",

@@ -1,4 +1,4 @@
-"""From a format that one rank reads to XDMF, which all ranks read in shares."""
+"""From a format that one rank reads to XDMF, which all ranks read in parallel."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def _check_target(path: Path, target: Path, *, force: bool) -> None:
             f"'{target}' is no .xdmf file",
             where="TARGET",
             expected=f"for example '{target.with_suffix('.xdmf').name}': the format that all ranks "
-            "read in shares",
+            "read in parallel",
         )
     if not target.parent.is_dir():
         raise MeshError(
@@ -135,7 +135,7 @@ def _check_target(path: Path, target: Path, *, force: bool) -> None:
         raise MeshError("this is the mesh itself", where=str(target), expected="another name")
     if path.suffix.lower() in XDMF and is_shared(path, None):
         raise MeshError(
-            "all ranks read this file in shares as it is", where=str(path), expected="use it"
+            "all ranks already read this file in parallel", where=str(path), expected="use it"
         )
     there = [str(one) for one in files if one.exists()]
     if there and not force:

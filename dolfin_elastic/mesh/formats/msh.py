@@ -292,7 +292,8 @@ def read_msh(path: Path, time: float | None = None) -> MeshFile:
             raise MeshError(f"there are {len(every[name])} sections ${name}", expected="one")
     if "PartitionedEntities" in sections:
         raise MeshError(
-            "the mesh is partitioned", expected="save it whole (in Gmsh: Mesh > Unpartition)"
+            "the mesh is partitioned",
+            expected="save one file of all partitions (in Gmsh: Mesh > Unpartition)",
         )
 
     def numbers(name: str) -> _Numbers:

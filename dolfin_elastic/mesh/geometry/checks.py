@@ -102,7 +102,7 @@ def _orientation(
     if count:
         information.append(
             f"{count} of {body.num_cells} cells list their points the other way round "
-            f"(harmless, taken as they should be), {near}"
+            f"(harmless: they are reordered), {near}"
         )
     count, near = _places(body, inside_out, middle)
     if count:

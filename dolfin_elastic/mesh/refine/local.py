@@ -64,7 +64,7 @@ def refined_locally(body: Body, sizes: Sequence[LocalSize]) -> Body:
                 raise MeshError(
                     f"there is no cell in {one.place()}",
                     where=where,
-                    expected=f"a place in the body; lengths without a unit are in {body.unit.name}",
+                    expected=f"a point in the body; lengths without a unit are in {body.unit.name}",
                 )
             marked = np.flatnonzero(inside & (_lengths(body).mean(axis=1) > size))
             count = total(body.comm, len(marked))

@@ -160,7 +160,7 @@ class Load(Record):
         value: Components in SI units, texts with units, formulas in x, y, z [m] and t; of some
             kinds also fields of the mesh, see `takes_fields`.
         curve: Amplitude over time.  Without one, loads grow with the load steps in statics and
-            act in full from the start in motion, and formulas in t are taken as they are,
+            act in full from the start in motion, and formulas in t are used as they are,
             component by component.
         on: Its surface or region, or a list of them; without one the whole body.
     """

@@ -25,7 +25,7 @@ class ConcentratedLoad(Load):
 
     Attributes:
         on: Names of points or edges of the mesh, in place of coordinates.
-        tolerance: How far off the body a place may lie [m]; None: 1e-3 of the body's diagonal.
+        tolerance: How far off the body the point may lie [m]; None: 1e-3 of the body's diagonal.
     """
 
     on: str | list[str] | None = None
@@ -57,11 +57,11 @@ class ConcentratedLoad(Load):
                 raise InputError(
                     "this key is missing",
                     where=missing[0],
-                    expected=f"a place [m], or on with the name of {self.named}",
+                    expected=f"coordinates [m], or on with the name of {self.named}",
                 )
         elif self.tolerance is not None:
             raise InputError(
-                "tolerance needs a place, and `on` is given",
+                "tolerance needs coordinates, and `on` is given",
                 where="tolerance",
                 expected="leave it out",
             )

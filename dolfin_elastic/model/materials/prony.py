@@ -66,8 +66,8 @@ class Relaxing(SplitLaw):
         relaxing = sum(term.g for term in terms)
         if relaxing >= 1:
             raise InputError(
-                f"the shares g sum up to {relaxing:.6g}: nothing would hold the shape for long",
-                expected="shares whose sum is below 1",
+                f"the fractions g sum up to {relaxing:.6g}: nothing would hold the shape for long",
+                expected="fractions whose sum is below 1",
             )
         return terms
 

@@ -224,7 +224,7 @@ def _check_parameter(name: str, taken: frozenset[str]) -> None:
             f"{quoted(name)} cannot be a name", where=where, expected="letters, digits and _"
         )
     if name in taken or name in FUNCTIONS or name in user_names.TENSORS:
-        raise InputError(f"the name '{name}' is taken", where=where, expected="choose another")
+        raise InputError(f"the name '{name}' is in use", where=where, expected="choose another")
     if name in CONSTANTS and name == "pi":
         raise InputError("pi is a number already", where=where, expected="choose another name")
 
@@ -263,7 +263,7 @@ class Energy(UserEnergy):
     wants a value, a number or a text with a unit, or has a default.  A parameter may vary in space:
     a formula in x, y, z [m] and fields of the mesh, ``{"field": "mu", "unit": "MPa"}``, a scalar
     DOLFINx function on the mesh, or an array with a value for each cell of the rank.  Functions
-    that the energy uses beside its arguments are treated alike.  All values are taken where the
+    that the energy uses beside its arguments are treated alike.  All values are those where the
     problem is made.
 
     Attributes:

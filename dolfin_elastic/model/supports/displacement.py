@@ -405,7 +405,7 @@ class Rotation(PrescribingSupport):
             if isinstance(item, Formula) and not set(item.names) <= set(allowed):
                 wanted = "numbers or formulas in t" if allowed else "numbers"
                 raise InputError(
-                    "a rigid motion is the same at all places", where=key, expected=wanted
+                    "a rigid motion is the same at all points", where=key, expected=wanted
                 )
         return parts
 

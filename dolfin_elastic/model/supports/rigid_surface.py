@@ -132,7 +132,7 @@ class Rigid(Restraint):
             raise error.at(key) from None
         if any(isinstance(item, Formula) and not item.names <= {"t"} for item in result):
             raise InputError(
-                "a rigid motion is the same at all places",
+                "a rigid motion is the same at all points",
                 where=key,
                 expected="numbers or formulas in t",
             )

@@ -428,7 +428,7 @@ class Constraints(Rows):
         raise InputError(
             f"the prescribed displacement is not finite at {at} at t = {self._t:g}",
             where=where,
-            expected="a formula that gives a number at every place and time",
+            expected="a formula that gives a number at every point and time",
         )
 
     def _bad(self) -> list[tuple[str, tuple[float, ...]]]:

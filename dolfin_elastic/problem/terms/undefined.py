@@ -105,7 +105,7 @@ def no_value(
         if pole
         else f"{text} at {' at '.join(at)}",
         where=where,
-        expected="a formula that gives a number at every place and time it acts on",
+        expected="a formula that gives a number at every point and time it acts on",
     )
 
 

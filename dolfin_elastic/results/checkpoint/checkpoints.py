@@ -77,7 +77,7 @@ class CheckpointSettings(Record):
         time: Wall time from one checkpoint to the next [s]; None: as short as costs at most 5 % of
             the time, with the first one after ten seconds.
         every: If given, there is also one of the first state at or after each n-th step.
-        keep: Number of checkpoints that are kept, the newest.
+        keep: Number of checkpoints on disk, the newest.
         off: No checkpoints are written.
     """
 

@@ -140,7 +140,7 @@ def along(
         raise InputError(
             "all its points lie outside the body",
             where=f"{run.folder}: --{'line' if over.unit == 'm' else 'circle'}",
-            expected=f"places [m] of the undeformed body, which fills {_box(grid.bounds)}",
+            expected=f"coordinates [m] of the undeformed body, which fills {_box(grid.bounds)}",
         )
     curves = []
     for name in names:

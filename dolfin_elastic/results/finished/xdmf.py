@@ -138,7 +138,7 @@ def _stored(parent: ElementTree.Element, centre: str = "node") -> Stored:
     item = _child(parent, "DataItem")
     file, _, name = (item.text or "").rpartition(":/")
     if not file or Path(file).is_absolute() or ".." in Path(file).parts:
-        raise ValueError(f"'{item.text}' is no place in a file beside it")
+        raise ValueError(f"'{item.text}' is no data set of a file beside it")
     shape = tuple(int(size) for size in item.attrib["Dimensions"].split())
     return Stored(file, name, shape, centre)
 

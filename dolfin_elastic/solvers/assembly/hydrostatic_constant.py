@@ -166,8 +166,8 @@ class HydrostaticConstant:
             law = part.law
             if part.incompressible and not (law.linear or getattr(law, "strain_of_volume", False)):
                 raise InputError(
-                    f"the law '{law.name()}' does not keep J = 1 at nu = 0.5, and the body is held "
-                    "all around, which prescribes its volume",
+                    f"the law '{law.name()}' does not keep J = 1 at nu = 0.5, and the body is "
+                    "constrained on its whole surface, which prescribes its volume",
                     where=f"materials.{part.name}.nu",
                     expected="a law with U(J), such as 'neo-hookean', or nu below 0.5",
                 )
@@ -270,7 +270,7 @@ class HydrostaticConstant:
         """What a user should know of the enclosed bodies. Collective."""
         result = self._error_notes() + [
             f"{body.label} is incompressible and has no free surface: its pressure is known up to "
-            "a constant, and the one whose mean is zero is taken"
+            "a constant, and is set so that its mean is zero"
             for body in self.bodies
             if not body.coupled
         ]

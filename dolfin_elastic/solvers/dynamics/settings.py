@@ -138,7 +138,7 @@ class DynamicsSettings(Record):
         preload: The motion starts from the equilibrium under what acts at t = 0; without, from the
             undeformed body.
         start: The state that it starts from, of other results or of the mesh's file; an
-            `initial_velocity` takes the place of its velocity.
+            `initial_velocity` replaces its velocity.
         initial_displacement: Components [m] or formulas in x, y, z.
         initial_velocity: Components [m/s] or formulas in x, y, z.
         rtol: Newton's tolerance, relative to the forces of the step.
@@ -339,7 +339,7 @@ def _unused_by_implicit(s: DynamicsSettings, scheme: str) -> Iterator[UnusedKeys
     explicit = " and ".join(f'"{name}"' for name in names)
     yield UnusedKeys(
         ["safety"],
-        f"{scheme} takes no share of a stable step",
+        f"{scheme} does not use the stable step",
         f"leave it out; it is for {explicit}",
     )
     if not s.adaptive:
@@ -365,6 +365,6 @@ def _unused_by_explicit(s: DynamicsSettings, scheme: str, leave: str) -> Iterato
     if s.dt is not None:
         yield UnusedKeys(
             ["safety"],
-            f"dt = {s.dt:g} s is given, so no share of the stable step is taken",
+            f"dt = {s.dt:g} s is given, so the stable step is not used",
             "leave one of them out",
         )

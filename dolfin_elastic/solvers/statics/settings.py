@@ -35,7 +35,7 @@ class StaticsSettings(Record):
         first_step: Share of the load in the first step; by default a quarter, and all of it in a
             linear problem.
         max_step: Share of the load that no step exceeds.
-        min_step: Smallest step that is tried, as a share of the first one.
+        min_step: Smallest step that is tried, as a fraction of the first one.
         end: Load parameter at which the run ends; 1 is the full load.
         times: Load parameters that are met exactly.
         rtol: Free residual over the larger of applied forces and reactions.
@@ -123,7 +123,7 @@ def _unused_keys(s: StaticsSettings) -> Iterator[UnusedKeys]:
         yield UnusedKeys(
             ["steps", "max_step"],
             "steps along a path are measured by its length, not by the load",
-            "leave it out; first_step is the share of the load in the first one",
+            "leave it out; first_step is the fraction of the load in the first one",
         )
         yield UnusedKeys(
             ["snap"], "a path that is followed by its length goes on beyond limit points", by_load

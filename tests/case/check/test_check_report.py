@@ -152,7 +152,7 @@ def test_density_that_varies():
 
 
 def test_without_density():
-    """There is no mass, and nothing is said of it."""
+    """There is no mass, and no reason is given."""
     law = {key: value for key, value in RUBBER.items() if key != "density"}
     found = report(case(materials={"rubber": law}))
     assert found.regions[0].mass is None

@@ -56,7 +56,7 @@ def test_bodies_that_touch_are_named_by_their_surfaces(folder: Path) -> None:
     assert '[[tie]] with on = "foot" and to = "table" ties them' in notes
     tied = report(case(folder, tie=[{"on": "foot", "to": "table"}]))
     assert not any("of two bodies touch" in note for note in tied.notes)
-    assert "tie 'tie_foot': 9 mm^2, gap at most 0 mm, which is kept" in tied.information
+    assert "tie 'tie_foot': 9 mm^2, gap at most 0 mm, which remains" in tied.information
     assert len(tied.bodies) == 1
 
 

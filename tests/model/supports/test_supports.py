@@ -581,7 +581,7 @@ ROWS = [
     ),
     (
         {"kind": "rotation", "on": "left", "point": ["x", 0, 0], "angle": 1},
-        r"support\[0\]\.point: a rigid motion is the same at all places",
+        r"support\[0\]\.point: a rigid motion is the same at all points",
     ),
     (
         {"kind": "rotation", "on": "left", "point": [0, 0, 0], "axis": [0, 0, 0], "angle": 1},
@@ -728,7 +728,7 @@ def test_a_value_that_is_none_is_told_with_its_support_and_place(comm: MPI.Comm)
         _ = [*Statics(problem, steps=1).steps()]
     assert str(caught.value) == (
         "support 'right': the prescribed displacement is not finite at (1, 0.666667) m at t = 1; "
-        "a formula that gives a number at every place and time"
+        "a formula that gives a number at every point and time"
     )
 
 

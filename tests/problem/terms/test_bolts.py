@@ -201,7 +201,7 @@ def test_a_cut_equals_a_shank_at_large_strains() -> None:
 @pytest.mark.parametrize(
     ("keys", "where", "said"),
     [
-        ({"on": "neck"}, "load[0].on", "no two sides"),
+        ({"on": "neck"}, "load[0].on", "two sides that cannot"),
         ({"on": "bottom"}, "load[0].on", "on the boundary"),
         ({"on": ["cut", "neck"]}, "load[0].on", "cut once"),
         ({"on": "cut", "axis": "x"}, "load[0].axis", "lies in the surface"),

@@ -162,7 +162,7 @@ def test_a_closed_curved_surface():
     cells = body.mesh.comm.allreduce(int(owned["core"].sum()))
     expected = [0, -3.0 * cells * (2 / 16) ** 2 / 2]
     np.testing.assert_allclose(found.force, expected, atol=ROUND_OFF * 10)
-    with pytest.raises(InputError, match="no two sides that can be told apart"):
+    with pytest.raises(InputError, match="two sides that cannot be distinguished"):
         SectionForces(problem, {"round": Section(on="round")})
 
 

@@ -97,7 +97,7 @@ def check_damaged(beam: Path) -> None:
         FinishedRun(beam).grid()
     xdmf = (beam / "results.xdmf").read_text()
     (beam / "results.xdmf").write_text(xdmf.replace("results_data/", "../results_data/"))
-    with pytest.raises(InputError, match="is no place in a file beside it"):
+    with pytest.raises(InputError, match="is no data set of a file beside it"):
         FinishedRun(beam)
     (beam / "results.xdmf").write_text(xdmf[:-30])
     with pytest.raises(InputError, match=r"results.xdmf: cannot be read"):

@@ -234,7 +234,7 @@ def area(one: Picture) -> float:
         (["--view", "top"], "--view: there is no view 'top'"),
         (["--clip", "x=1 kg"], "--clip: 'x=1 kg' is no plane: '1 kg' has the wrong unit"),
         (["--clip", "x=900 cm"], "--clip: the plane x = 9 m misses the body"),
-        (["--line", "0,0,0:0.1,0"], "--line: '0.1,0' is no place in 3 dimensions; for example"),
+        (["--line", "0,0,0:0.1,0"], "--line: '0.1,0' is no point in 3 dimensions; for example"),
         (["--circle", "0,0:1:z"], "--circle: '0,0:1:z' is no circle; for example 0,0,0:0.005:z"),
         (["--range", "2:1"], "--range: the first end of a range of colours must be below"),
         (["--range", "a:1"], "--range: this is no range of colours; for example 0:2e8"),

@@ -142,7 +142,7 @@ def test_films_are_told_from_pictures() -> None:
         Picture(file="a.png", fps=60)
     with pytest.raises(InputError, match=r"at most 50 frames a second of a .gif"):
         Picture(file="a.gif", fps=60)
-    with pytest.raises(InputError, match=r"'a.avi' does not end in .png, .mp4 or .gif; for"):
+    with pytest.raises(InputError, match=r"'a.avi' does not end with .png, .mp4 or .gif; for"):
         Picture(file="a.avi")
 
 

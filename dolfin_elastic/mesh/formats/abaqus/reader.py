@@ -320,7 +320,8 @@ def _points(deck: _Deck, path: Path) -> tuple[IntArray, FloatArray]:
     other = (points != points[first[row.reshape(-1)]]).any(axis=1) & ~np.isnan(points).any(axis=1)
     if other.any():
         raise MeshError(
-            f"{len(np.unique(every[other]))} nodes stand twice, at different places, for example "
+            f"{len(np.unique(every[other]))} nodes stand twice, at different positions, for "
+            "example "
             f"{every[other][0]}",
             where=path.name,
         )

@@ -97,7 +97,7 @@ class SymmetricBlocks:
         result = np.searchsorted(key, wanted)
         here = key[np.minimum(result, len(key) - 1)] == wanted if len(key) else result < 0
         if not (here | (local < rows)).all():
-            raise RuntimeError("the matrix has no place for a block")
+            raise RuntimeError("the matrix has no entries for a block")
         return np.where(here, result, -1).astype(np.int64)
 
     def assembled(self, prescribed: IndexArray) -> None:

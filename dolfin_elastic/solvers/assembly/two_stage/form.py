@@ -245,7 +245,7 @@ class TwoStageForm(BilinearForm):
             where = (len(cells), cells, len(nodes), nodes, *pattern, self._places)
             missing = term.moduli.loops.call(loop, *where)
             if missing >= 0:
-                raise RuntimeError(f"the matrix has no place for the tangent of cell {missing}")
+                raise RuntimeError(f"the matrix has no entries for the tangent of cell {missing}")
 
 
 class _Term:

@@ -53,7 +53,7 @@ def check_explicit(problem: Problem, scheme: str) -> None:
     for term in problem.terms:
         if term.nodal and term.restrains:
             raise InputError(
-                f"'{scheme}' knows no forces that answer to the motion and are in no form, as "
+                f"'{scheme}' knows no forces that answer to the motion and have no UFL form, as "
                 f"those of '{term.label}'",
                 where="dynamics.scheme",
                 expected='"generalized-alpha"',

@@ -173,7 +173,7 @@ class StepSize:
             step = min(self.dt, end)
             count = float(f"{end / step:.2g}") if step > 0 else 0.0
             values = self.stable, step, count, self._safety, self._where()
-            log.info("stable step %.4g s, taken %.4g s, about %.0f in all (safety %g%s)", *values)
+            log.info("stable step %.4g s, used %.4g s, about %.0f in all (safety %g%s)", *values)
         elif self._chosen > self.stable:
             raise InputError(
                 f"{self._chosen:.4g} s is above the stable step, {self.stable:.4g} s",

@@ -435,5 +435,5 @@ def test_a_load_of_ones_own_that_is_in_no_form(changes, scheme):
 def test_forces_of_ones_own_that_answer_to_the_motion_are_refused(scheme):
     problem = pushed("own", changes=False)
     problem.terms[-1].restrains = True
-    with pytest.raises(InputError, match="in no form, as those of 'push'"):
+    with pytest.raises(InputError, match="have no UFL form, as those of 'push'"):
         next(Dynamics(problem, end=0.02, scheme=scheme).steps())
