@@ -248,9 +248,9 @@ def test_how_far_the_facets_lie_from_a_plane(at, off):
     [
         ({"on": "cutt"}, "output.sections.s.on", "no surface 'cutt'"),
         ({"on": "right"}, "output.sections.s.on", "on the boundary"),
-        ({"on": "crack"}, "output.sections.s.on", "no two sides"),
+        ({"on": "crack"}, "output.sections.s.on", "two sides that cannot"),
         ({"on": "cut", "side": "rightt"}, "output.sections.s.side", "no region 'rightt'"),
-        ({"on": "cut", "side": "all"}, "output.sections.s.side", "no two sides"),
+        ({"on": "cut", "side": "all"}, "output.sections.s.side", "two sides that cannot"),
         (
             {"plane": "x", "at": 11},
             "output.sections.s.at",
