@@ -148,7 +148,7 @@ def _(report: MaterialReport) -> str:
         f"Tests of the law {report.law.name()} at a point",
         [f"note: {note}" for note in report.notes],
         _table(
-            ("check", "", "what was found"), [(f.check, f.verdict, f.text) for f in report.findings]
+            ("check", "", "result"), [(f.check, f.verdict, f.text) for f in report.findings]
         ),
         *pictures,
     )

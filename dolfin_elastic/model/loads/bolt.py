@@ -27,9 +27,9 @@ class Bolt(ScalarLoad, Eigenstrain):
     With a vector field g, the shank along its unit axis a gets a free strain, Fg = I - e a x g; its
     size e is an unknown.  Its equation: (1/L) times the integral of a . P g is the preload.
 
-    In a region g = a, and L is its length: a z/L is a virtual displacement where the shank ends in
-    planes across its axis, so that the force is the resultant in each section of a shank that is
-    free at its sides, to the tolerance of the solver.
+    In a region g = a, and L is its length: a z/L is a virtual displacement where the ends of the
+    shank are planes across its axis, so that the force is the resultant in each section of a shank
+    that is free at its sides, to the tolerance of the solver.
 
     On an inner surface (a pretension section) g/L is the gradient of a function that is 1 on the
     surface and 0 at all other nodes, in the elements of one side: the force is the resultant of the
