@@ -99,13 +99,10 @@ class FieldFile:
         if key not in self._found:
             self._found[key] = self._find(*key)
         found = self._found[key]
+        index = mesh.topology.index_map(mesh.topology.dim)
         if field.centre == "point":
             index = mesh.geometry.index_map()
-            nodes = field.values[self._other.mesh.geometry.dofmap[found.cells]]
-            shapes = shape_functions(self._other.mesh, found.local)
-            values = np.asarray(np.einsum("pn,pnj->pj", shapes, nodes))
-        else:
-            index, values = mesh.topology.index_map(mesh.topology.dim), field.values[found.cells]
+        values = field.at_each(self._other.mesh, found.cells, found.local)
         vector = la.vector(index, field.columns)
         own = found.answer(values)
         vector.array[: own.size] = own.ravel()

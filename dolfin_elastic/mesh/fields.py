@@ -68,6 +68,21 @@ class MeshField:
         nodes = self.values[mesh.geometry.dofmap[cells]]
         return np.asarray(np.einsum("kn,cnj->ckj", shape_functions(mesh, points), nodes))
 
+    def at_each(self, mesh: Mesh, cells: IndexArray, points: FloatArray) -> FloatArray:
+        """Values at one point in each of some cells. Local.
+
+        Args:
+            cells: Local cells, shape (n,); one may be there several times.
+            points: A point of the reference cell for each, shape (n, dim).
+
+        Returns:
+            Shape (n, columns).
+        """
+        if self.centre == "cell":
+            return self.values[cells]
+        nodes = self.values[mesh.geometry.dofmap[cells]]
+        return np.asarray(np.einsum("pn,pnj->pj", shape_functions(mesh, points), nodes))
+
     def over(self, points: QuadraturePoints) -> FloatArray:
         """Values at quadrature points of cells or facets, shape (entities, points, columns).
 

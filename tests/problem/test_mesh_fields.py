@@ -46,6 +46,9 @@ def moved(on: Body, fields: bool, degree: int) -> np.ndarray:
         LOADS["traction"](on="right", value=v, curve="t^2"),
         LOADS["pressure"](on="top", value=thousand),
         LOADS["body-force"](value=mixed),
+        LOADS["gravity"](value=v),
+        LOADS["point-force"](at=[0.8] * on.dim, value=v, curve="t"),
+        LOADS["line-force"](start=[0.1] * on.dim, end=[0.9, *[0.2] * (on.dim - 1)], value=v),
         LOADS["thermal"](value=p),
         LOADS["growth"](value=[p, 1.0, 1.0], curve="1e-3*t"),
     ]
@@ -99,9 +102,24 @@ def test_a_case_sums_up_fields_and_writes_them_back(tmp_path: Any) -> None:
     assert total.force == pytest.approx((0.5, 1.1))
 
 
+def test_a_field_at_a_point_is_summed_up() -> None:
+    """The force of a point and of a line: the field there, times the length."""
+    from dolfin_elastic.case.check.integrals import Integrals
+    from dolfin_elastic.case.check.loads import load_sums
+
+    value, ends = {"field": "v"}, {"start": [0.0, 0.5], "end": [1.0, 0.5]}
+    for row, force in (({"at": [0.75, 0.5]}, (0.25, 1.075)), (ends, (0.0, 1.05))):
+        made = case(kind="point-force" if "at" in row else "line-force", value=value, **row)
+        problem = Problem(body(2), LAW, loads=made.load, supports=made.support, degree=1)
+        (total,) = load_sums(made, Integrals(problem))
+        assert total.force == pytest.approx(force, abs=1e-14)
+
+
 @pytest.mark.parametrize(
     ("row", "said"),
     [
+        ({"kind": "point-force", "at": [0.5, 0.5], "value": {"field": "p"}}, "a vector, with 2"),
+        ({"kind": "gravity", "value": {"field": "pp"}}, "no field 'pp'"),
         ({"kind": "pressure", "on": "right", "value": {"field": "pp"}}, "no field 'pp'"),
         ({"kind": "pressure", "on": "right", "value": {"field": "v"}}, "has 3 components"),
         ({"kind": "traction", "on": "right", "value": {"field": "p"}}, "a vector, with 2"),
@@ -129,6 +147,19 @@ def test_what_does_not_fit_is_refused(row: dict[str, Any], said: str) -> None:
 def test_what_is_no_field_is_refused(value: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
         case(kind="pressure", on="right", value=value)
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ({"kind": "force", "on": "right", "value": {"field": "v"}}, "a total force is no field"),
+        ({"kind": "force", "on": "right", "value": [{"field": "p"}, 0]}, "a total force is no"),
+        ({"kind": "base-acceleration", "value": [{"field": "p"}, 0]}, "cannot stand here"),
+    ],
+)
+def test_a_load_that_can_have_no_field_says_so(row: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        case(**row)
 
 
 @pytest.mark.parametrize(

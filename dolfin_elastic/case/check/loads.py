@@ -21,7 +21,7 @@ from dolfin_elastic.mesh.geometry.curved import QuadraturePoints
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL
 from dolfin_elastic.model.loads import ConcentratedLoad, Load, LoadPoints
 from dolfin_elastic.model.supports.rigid_surface import Rigid
-from dolfin_elastic.model.values import depends_on_time, vector_at
+from dolfin_elastic.model.values import depends_on_time, fields_of, vector_at
 from dolfin_elastic.problem.constraints.rigid_motion import RigidMotion
 from dolfin_elastic.problem.material_regions import young
 from dolfin_elastic.problem.mesh_fields import check_finite
@@ -192,10 +192,14 @@ def _resultant(
     if points is None:
         assert isinstance(load, ConcentratedLoad)
         X, weights = _samples(load, integrals)
-        sums = _force_and_moment(
-            X[None], weights[None, :, None] * vector_at(load.values, X[None], t)
-        )
-        return sums if load.on is None else np.asarray(total(integrals.body.comm, sums))
+        if given := fields_of(load.values):
+            assert integrals.problem.nodal_loads is not None
+            forces = integrals.problem.nodal_loads.values(load, t)
+        else:
+            forces = vector_at(load.values, X, t)
+        sums = _force_and_moment(X[None], (weights[:, None] * forces)[None])
+        whole = load.on is None and not given
+        return sums if whole else np.asarray(total(integrals.body.comm, sums))
     density = integrals.density(points) if load.needs_density else None
     result = _sums(load, t, points, density, integrals)
     if result is None or not load.needs_density or load.parts:
@@ -239,9 +243,9 @@ def _field(body: Body, points: QuadraturePoints, name: str) -> FloatArray:
 
 
 def _samples(load: Load, integrals: Integrals) -> tuple[FloatArray, FloatArray]:
-    """Points of a concentrated load [m] and their weights: all by place, this rank's by name."""
+    """Points of a concentrated load [m] and their weights: all by place, else this rank's."""
     assert isinstance(load, ConcentratedLoad)
-    if load.on is None:
+    if load.on is None and not fields_of(load.values):
         return load.samples()
     assert integrals.problem.nodal_loads is not None
     return integrals.problem.nodal_loads.samples(load)

@@ -21,6 +21,7 @@ from dolfin_elastic.model.materials.spatial import Axis, axis_vector
 from dolfin_elastic.model.values import (
     PLACE,
     Component,
+    Vector,
     checked_area,
     component,
     components,
@@ -78,6 +79,19 @@ class Force(Load):
         "total": "the value is the total force",
     }
     part_kinds: ClassVar[tuple[str, ...]] = ("surface", "edge", "point")
+
+    @cached_property
+    def values(self) -> tuple[Component, ...]:
+        """The components [N]; a field has no total, and would be one of force per area."""
+        rows = self.value if isinstance(self.value, list) else [self.value]
+        if any(isinstance(one, Mapping) and "field" in one for one in rows):
+            raise InputError(
+                "a total force is no field",
+                where="value",
+                expected='kind = "traction" with a field of force per area; on edges '
+                '"line-force", at points "point-force"',
+            )
+        return super().values
 
     def on_kind(self, kind: str) -> Load:
         """The force on surfaces, edges or points, whichever its names stand for."""
@@ -139,16 +153,17 @@ class Gravity(Load):
     """
 
     kind: Literal["gravity"] = "gravity"
-    value: list[Any] = Field(default=[])
+    value: Vector = Field(default=[])
     on: str | list[str] | None = None
     unit: ClassVar[str] = "m/s^2"
+    takes_fields: ClassVar[bool] = True
     sentence: ClassVar[str] = "weight, with the acceleration of gravity {}"
     needs_density: ClassVar[bool] = True
 
     @cached_property
     def values(self) -> tuple[Component, ...]:
         """The components [m/s^2]; empty: 9.81 m/s^2 against the last axis."""
-        return components(self.value, self.unit, key="value") if self.value else ()
+        return super().values if self.value else ()
 
     def describe(self, setting: Setting = ALONE) -> str:
         """See `Load.describe`."""
@@ -167,7 +182,7 @@ class Gravity(Load):
     def intensity(self, points: LoadPoints) -> FloatArray:
         """See `Load.intensity`."""
         assert points.density is not None
-        g = vector_at(self.acceleration(points.X.shape[-1]), points.X, points.t)
+        g = vector_at(self.acceleration(points.X.shape[-1]), points.X, points.t, points.fields)
         return np.asarray(points.density[..., None] * g)
 
     def virtual_work(self, context: LoadContext) -> ufl.Form:

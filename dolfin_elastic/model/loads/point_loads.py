@@ -31,6 +31,7 @@ class ConcentratedLoad(Load):
     on: str | list[str] | None = None
     tolerance: Length | None = Field(default=None, ge=0)
     concentrated: ClassVar[bool] = True
+    takes_fields: ClassVar[bool] = True
     key_hints: ClassVar[Mapping[str, str]] = {
         **Load.key_hints,
         "total": 'a total force [N] of all that `on` names is kind = "force"',

@@ -10,19 +10,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from dolfinx import fem, geometry
 from mpi4py import MPI
 
-from dolfin_elastic.core.errors import InputError, MeshError
-from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.errors import InputError, MeshError, keyed
 from dolfin_elastic.core.parallel import agree, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.loads import ConcentratedLoad, Load
-from dolfin_elastic.model.values import amplitude_of, depends_on_time
+from dolfin_elastic.model.values import (
+    FieldsAt,
+    amplitude_of,
+    depends_on_time,
+    fields_of,
+    number_at,
+    sized,
+    vector_at,
+)
+from dolfin_elastic.problem.mesh_fields import check_fields, check_finite
 from dolfin_elastic.problem.term import Term
 from dolfin_elastic.problem.terms.edges_points import points_of
 
@@ -44,6 +53,7 @@ class _Spread:
         weights: What the force at each is multiplied by: 1, or a length [m].
         nodes: Local nodes of each point's cell, shape (points, nodes).
         shapes: Their shape functions at the point, the same shape.
+        fields: Gives the fields of the mesh at the points.
     """
 
     load: ConcentratedLoad
@@ -51,6 +61,7 @@ class _Spread:
     weights: FloatArray
     nodes: IndexArray
     shapes: FloatArray
+    fields: FieldsAt
 
 
 class NodalLoads(Term):
@@ -85,14 +96,10 @@ class NodalLoads(Term):
     def set_time(self, t: float, default: Amplitude) -> None:
         """See `Term`."""
         for spread, forces in zip(self._spread, self._forces, strict=True):
-            x, y, z = spread.x.T
-            for i, value in enumerate(spread.load.values):
+            for i, value in enumerate(sized(spread.load.values, self._dim)):
                 amplitude = amplitude_of(value, spread.load.curve) or default
                 factor = amplitude.at(t) * spread.weights
-                if isinstance(value, Formula):
-                    forces[:, i] = factor * value.evaluate(x=x, y=y, z=z, t=t)
-                else:
-                    forces[:, i] = factor * float(value or 0.0)
+                forces[:, i] = factor * number_at(value, spread.x, t, spread.fields)
 
     def nodal_forces(self) -> FloatArray:
         """This rank's share of the nodal forces on all its nodes, shape (nodes * dim).
@@ -113,16 +120,23 @@ class NodalLoads(Term):
 
     def _spread_out(self, load: ConcentratedLoad) -> _Spread:
         for key, vector in load.vectors.items():
-            if len(vector) != self._dim:
+            if len(sized(vector, self._dim)) != self._dim:
                 raise InputError(
                     f"{len(vector)} components given, the body has {self._dim}", where=key
                 )
-        if load.on is not None:
-            return self._on_parts(load)
+        spread = self._at_places(load) if load.on is None else self._on_parts(load)
+        with keyed("value"):
+            check_fields(self._body, load.values)
+            given = [one.of(spread.fields(one.field)) for one in fields_of(load.values)]
+            check_finite(self._body, load.values, np.array(given))
+        return spread
+
+    def _at_places(self, load: ConcentratedLoad) -> _Spread:
+        """A point, or Gauss points of a line, in cells that this rank owns. Collective."""
         key, points, weights = self._points(load)
         x, cells, local = self._located(points, load, key)
-        nodes, shapes = self._shapes(x[local], cells[local])
-        return _Spread(load, points[local], weights[local], nodes, shapes)
+        nodes, shapes, fields = self._shapes(x[local], cells[local])
+        return _Spread(load, points[local], weights[local], nodes, shapes, fields)
 
     def _on_parts(self, load: ConcentratedLoad) -> _Spread:
         """Named nodes, or Gauss points of named edges, that this rank owns. Collective."""
@@ -144,7 +158,15 @@ class NodalLoads(Term):
         weights = np.asarray(points.weights.ravel() / share, dtype=np.float64)
         nodes = np.asarray(self._V.dofmap.list)[cells]
         table = np.asarray(self._V.element.basix_element.tabulate(0, local)[0, :, :, 0])
-        return _Spread(load, x, weights, nodes, table)
+        return _Spread(load, x, weights, nodes, table, self._fields(cells, local))
+
+    def _fields(self, cells: IndexArray, local: FloatArray) -> FieldsAt:
+        """Gives the fields of the mesh at points of the reference cells of some cells."""
+
+        def values(name: str) -> FloatArray:
+            return self._body.mesh_field(name).at_each(self._body.mesh, cells, local)
+
+        return cache(values)
 
     def samples(self, load: Load) -> tuple[FloatArray, FloatArray]:
         """Places and weights of a load with this rank; those of all ranks make the whole.
@@ -154,6 +176,15 @@ class NodalLoads(Term):
         """
         spread = next(s for s in self._spread if s.load is load)
         return spread.x[:, : self._dim], spread.weights
+
+    def values(self, load: Load, t: float) -> FloatArray:
+        """The load at those places, without its amplitude, shape (points, dim) [N or N/m].
+
+        Args:
+            t: Time [s], or load parameter.
+        """
+        spread = next(s for s in self._spread if s.load is load)
+        return vector_at(load.values, spread.x[:, : self._dim], t, spread.fields)
 
     def _points(self, load: ConcentratedLoad) -> tuple[str, FloatArray, FloatArray]:
         """Key, places and weights of the points; the same on every rank."""
@@ -231,17 +262,18 @@ class NodalLoads(Term):
                 best, at, gap = distance, int(own[k]), vector
         return at, best, point + gap
 
-    def _shapes(self, x: FloatArray, cells: IndexArray) -> tuple[IndexArray, FloatArray]:
+    def _shapes(self, x: FloatArray, cells: IndexArray) -> tuple[IndexArray, FloatArray, FieldsAt]:
+        """Nodes of the cells of points, shape functions there, and fields."""
         mesh, V = self._body.mesh, self._V
         element = V.element.basix_element
         nodes = np.zeros((len(x), element.dim), dtype=np.int32)
-        shapes = np.zeros((len(x), element.dim))
+        shapes, local = np.zeros((len(x), element.dim)), np.zeros((len(x), self._dim))
         for i, (point, cell) in enumerate(zip(x, cells, strict=True)):
             corners = mesh.geometry.x[mesh.geometry.dofmap[cell], : self._dim]
             reference = mesh.geometry.cmap.pull_back(point[None, : self._dim], corners)
             nodes[i] = V.dofmap.cell_dofs(cell)
-            shapes[i] = element.tabulate(0, reference)[0, 0, :, 0]
-        return nodes, shapes
+            shapes[i], local[i] = element.tabulate(0, reference)[0, 0, :, 0], reference[0]
+        return nodes, shapes, self._fields(cells, local)
 
 
 def _nearer_end(load: ConcentratedLoad, point: FloatArray) -> str:
