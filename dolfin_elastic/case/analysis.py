@@ -127,6 +127,14 @@ class AnalysisTables(ModelTables):
         return settings is not None and bool(settings.preload)
 
     @property
+    def preload_of_statics(self) -> bool:
+        """The preload is the equilibrium that [statics] of the same case ends with."""
+        end = self.whole.statics.end if self.whole.statics is not None else 1.0
+        if self.buckling is not None:
+            return self.buckling.preload == end
+        return self.modal is not None and self.modal.preload
+
+    @property
     def file_of_start(self) -> str | None:
         """Results that a motion starts from."""
         start = self.dynamics.start if self.dynamics is not None else None

@@ -211,7 +211,7 @@ class InTurn:
 
     def __iter__(self) -> Iterator[CaseRun]:
         for one in self.runs:
-            if one.case.preloaded and "statics" in self.errors:
+            if "statics" in self.errors and one.case.preload_of_statics:
                 log.warning("[%s] is left out: its preload was not found", one.case.analysis)
                 continue
             if self.several:

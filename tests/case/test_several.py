@@ -127,6 +127,9 @@ def test_one_that_fails(folder: Path, comm: MPI.Comm, caplog: pytest.LogCaptureF
     """Those that need it are left out, the others run; the error comes at the end."""
     fails = {"steps": 1, "max_iterations": 1, "min_step": 1.0, "snap": False}
     load = [{"kind": "traction", "on": "right", "value": ["0 MPa", "90 MPa"]}]
+    buckling = {"count": 1, "preload": 0.5}
+    assert not case(statics={}, buckling=buckling).analyses()[1].preload_of_statics
+    assert case(statics={"end": 0.5}, buckling=buckling).analyses()[1].preload_of_statics
     several = case(**(ALL | {"statics": fails}), load=load)
     results = []
     with pytest.raises(ConvergenceError):
