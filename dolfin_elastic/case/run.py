@@ -188,6 +188,8 @@ class InTurn:
         comm: MPI.Comm,
         before: Unfinished | None = None,
     ) -> None:
+        if before is None:
+            _check_start(cases[-1], folder)
         self.several, self.errors = len(cases) > 1, dict[str, SolveError]()
         self._folder, self._comm = folder, comm
         self._lease = FolderLease(comm, folder)
@@ -239,6 +241,31 @@ class InTurn:
     def close(self) -> None:
         """Lets others write into the folder. Not collective."""
         self._lease.close()
+
+
+def _check_start(case: Case, folder: Path) -> None:
+    """Refuses a motion that would overwrite the results from which it starts. Not collective.
+
+    Args:
+        case: The last analysis: a motion is the last one.
+        folder: Of the results of the whole case.
+
+    Raises:
+        InputError: They are in the folder of its own results.
+    """
+    if case.file_of_start is None:
+        return
+    path = (case.folder / case.file_of_start).resolve()
+    source = path.parent if path.suffix == ".xdmf" else path
+    own = folder.resolve()
+    if source == own or (case.whole is not case and source == own / case.analysis):
+        with locate_errors(case.file):
+            raise InputError(
+                f"'{case.file_of_start}' is in the folder of this run's own results, "
+                "which it overwrites",
+                where="dynamics.start.file",
+                expected="another folder for the results: output.folder, or --output",
+            )
 
 
 @dataclass

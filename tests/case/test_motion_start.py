@@ -51,6 +51,18 @@ def test_from_statics(folder: Path, comm: MPI.Comm) -> None:
     assert written["case"]["dynamics"]["start"] == {"file": "before"}
 
 
+@pytest.mark.parametrize("file", ["before", "before/results.xdmf"])
+def test_from_its_own_folder(file: str, folder: Path, comm: MPI.Comm) -> None:
+    """It would overwrite what it starts from: nothing is touched, nor by analyses before it."""
+    list(run(case(folder, statics={}), output=folder / "before", comm=comm))
+    motion = {**MOTION, "start": {"file": file}}
+    for tables in ({"dynamics": motion}, {"statics": {}, "dynamics": motion}):
+        with pytest.raises(InputError, match=r"dynamics.start.file: .* own results"):
+            list(run(case(folder, **tables), output=folder / "before", comm=comm))
+    names = on_root(comm, lambda: {one.name for one in (folder / "before").iterdir()})
+    assert {"results.xdmf", "summary.json"} <= names
+
+
 def test_from_motion(folder: Path, comm: MPI.Comm) -> None:
     """With its velocity, if that is among the fields; initial_velocity takes its place."""
     fields = {"fields": ["displacement", "velocity"]}
