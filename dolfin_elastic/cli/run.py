@@ -163,14 +163,13 @@ def _compute_all(runs: InTurn, shown: _Shown, comm: MPI.Comm) -> None:
     """
     from dolfin_elastic.cli import console
 
-    codes, summaries = dict[str, int](), dict[str, str]()
+    codes, summaries = {one.case.analysis: 0 for one in runs.runs}, dict[str, str]()
     try:
         with closing(runs):
             for number, one in enumerate(runs, start=1):
                 if runs.several and comm.rank == 0 and not shown.quiet:
                     of = f"({number} of {len(runs.runs)})"
                     console.console().print(f"{one.case.analysis} {of}", style="bold")
-                codes[one.case.analysis] = 0
                 with runs.trying(one):
                     codes[one.case.analysis] = _compute(one, shown, comm, summaries)
                 if INTERRUPTED in codes.values():
@@ -186,11 +185,7 @@ def _compute_all(runs: InTurn, shown: _Shown, comm: MPI.Comm) -> None:
 
 
 def _compute(run: CaseRun, shown: _Shown, comm: MPI.Comm, summaries: dict[str, str]) -> int:
-    """Computes and shows a run; returns its exit code. Collective.
-
-    Args:
-        summaries: Gets its summary, where --json is to print it.
-    """
+    """Computes and shows a run; returns its exit code, and its summary for --json. Collective."""
     from dolfin_elastic.results.writers.summary import mark_stopped
 
     case, folder, visible = run.case, run.folder, comm.rank == 0 and not shown.quiet
