@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from dolfin_elastic.mesh import name_parts as name_parts
     from dolfin_elastic.mesh import read_body as read_body
     from dolfin_elastic.mesh import rectangle_body as rectangle_body
+    from dolfin_elastic.model.axes import CylindricalAxes as CylindricalAxes
+    from dolfin_elastic.model.axes import RectangularAxes as RectangularAxes
     from dolfin_elastic.model.contact import Contact as Contact
     from dolfin_elastic.model.loads import BaseAcceleration as BaseAcceleration
     from dolfin_elastic.model.loads import Bearing as Bearing
@@ -136,6 +138,7 @@ _PLACES = {
     "model.materials.laws.textbook": ("Textbook",),
     "model.materials.laws.yeoh": ("Yeoh",),
     "model.materials.user": ("Energy", "SplitEnergy"),
+    "model.axes": ("CylindricalAxes", "RectangularAxes"),
     "model.periodic": ("Periodic",),
     "model.point.report": ("material_report",),
     "model.point_mass": ("PointMass",),

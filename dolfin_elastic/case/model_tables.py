@@ -27,6 +27,7 @@ from dolfin_elastic.case.toml import key_text, read_toml
 from dolfin_elastic.core.errors import InputError, all_errors, joined, keyed
 from dolfin_elastic.core.schema import AlreadyRead, Record, WhenGiven, quoted
 from dolfin_elastic.mesh import Body, EdgeSelector, PointSelector, Selector
+from dolfin_elastic.model.axes import AXES, LocalAxes, check_name
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads import LOAD_WORDS, LOADS, Load
 from dolfin_elastic.model.materials.law import Law
@@ -60,6 +61,7 @@ class ModelTables(Record):
         tie: Surfaces with different meshes that move together.
         mass: What is mounted on surfaces and has a mass, but no stiffness.
         periodic: Opposite faces that are one, and the macroscopic deformation of the cell.
+        axes: Name to local axes, in which components of fields are asked for.
     """
 
     key_hints: ClassVar[Mapping[str, str]] = {
@@ -83,6 +85,7 @@ class ModelTables(Record):
     tie: list[AlreadyRead[Tie]] = Field(default=[])
     mass: list[AlreadyRead[PointMass]] = Field(default=[])
     periodic: WhenGiven[Periodic] | None = None
+    axes: dict[str, AlreadyRead[LocalAxes]] = Field(default={})
 
     @field_validator("surfaces", "regions", mode="before")
     @classmethod
@@ -103,6 +106,14 @@ class ModelTables(Record):
     @classmethod
     def _materials(cls, tables: object) -> dict[str, Material]:
         return read_material_tables(tables)
+
+    @field_validator("axes", mode="before")
+    @classmethod
+    def _axes(cls, tables: object) -> dict[str, LocalAxes]:
+        for name in as_table(tables):
+            with keyed(key_text(name)):
+                check_name(name)
+        return read_named(tables, _local_axes)
 
     @field_validator("support", "load", "contact", "tie", "mass", mode="before")
     @classmethod
@@ -129,6 +140,7 @@ class ModelTables(Record):
         tables["contact"] = [table_of(item) for item in self.contact]
         tables["tie"] = [table_of(item) for item in self.tie]
         tables["mass"] = [table_of(item) for item in self.mass]
+        tables["axes"] = {n: {"kind": one.kind, **table_of(one)} for n, one in self.axes.items()}
         return tables
 
     def problem_on(self, body: Body, degree: int) -> Problem:
@@ -152,6 +164,7 @@ class ModelTables(Record):
             geometry=self.mesh.geometry,
             thickness=self.mesh.metres_thick(body),
             periodic=self.periodic,
+            axes=self.axes,
         )
 
 
@@ -261,6 +274,12 @@ def _tie(row: object) -> Tie:
 
 def _mass(row: object) -> PointMass:
     return row if isinstance(row, PointMass) else PointMass(**as_table(row))
+
+
+def _local_axes(table: object) -> LocalAxes:
+    if isinstance(table, LocalAxes):
+        return table
+    return class_named(AXES, table, "kind")(**as_table(table))
 
 
 READERS: Mapping[str, Callable[[object], Restraint | Load | Contact | Tie | PointMass]] = {

@@ -393,7 +393,7 @@ class Output(Record):
         for index, name in enumerate(names or ()):
             if name not in FIELDS:
                 raise InputError(
-                    f"unknown field '{name}'", where=f"[{index}]", expected=nearest(name, FIELDS)
+                    f"unknown field '{name}'", where=f"[{index}]", expected=FIELDS.nearest(name)
                 )
         return names
 

@@ -14,10 +14,11 @@ from dolfinx.fem import Constant, Function
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core import jit
-from dolfin_elastic.core.errors import InputError, keyed, nearest
+from dolfin_elastic.core.errors import InputError, all_errors, keyed, nearest
 from dolfin_elastic.core.help.notebook import Shown
-from dolfin_elastic.mesh.body import Body, cell_size
+from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude, Share
+from dolfin_elastic.model.axes import LocalAxes, PlacedAxes, check_name
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.kinematics import Geometry, weight
 from dolfin_elastic.model.loads import Bolt, Cavity, ConcentratedLoad, Eigenstrain, Force, Load
@@ -61,6 +62,25 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.history import History
 
 
+def placed_axes(
+    axes: Mapping[str, LocalAxes], body: Body, geometry: Geometry
+) -> dict[str, PlacedAxes]:
+    """Local axes on a body. Collective.
+
+    Raises:
+        InputError: A name that axes cannot have, or the body has no such axes.
+    """
+    size, result = span(body), dict[str, PlacedAxes]()
+    with all_errors() as attempt:
+        for name, one in axes.items():
+            with attempt(), keyed(f"axes.{name}"):
+                check_name(name)
+                result[name] = one.placed(
+                    body.unit.metres, size, body.dim, axisymmetric=geometry == "axisymmetric"
+                )
+    return result
+
+
 class _Parameters(dict[str, Constant]):
     def __missing__(self, key: str) -> Constant:
         raise InputError(f"there is no parameter '{key}'", expected=nearest(key, self))
@@ -89,6 +109,8 @@ class Problem(Shown):
             "axisymmetric" (x is the radius, y the axis).
         thickness: Of a plane body [m].
         periodic: Faces that are one, and the macroscopic deformation of the cell they bound.
+        axes: Name to local axes in which results are asked for; bare numbers are in the mesh's
+            unit.
 
     Attributes:
         u: The displacement [m]; solvers change it through `w`.
@@ -110,6 +132,7 @@ class Problem(Shown):
         constant: Makes a UFL constant: a new value of it needs no new compilation.
         t: UFL constant with the time, used by formulas.
         X: Reference coordinates (UFL).
+        axes: Name to local axes, on this body.
 
     Raises:
         MeshError: A name does not exist, or the materials do not cover the body exactly once.
@@ -135,10 +158,12 @@ class Problem(Shown):
         geometry: Geometry = "plane-strain",
         thickness: float = 1.0,
         periodic: Periodic | None = None,
+        axes: Mapping[str, LocalAxes] | None = None,
     ) -> None:
         self.body, self.degree, self.thickness = body, degree, thickness
         self.supports, self.loads = _all_supports(supports, loads), tuple(_on_parts(body, loads))
         self.geometry = checked_geometry(geometry, thickness, body)
+        self.axes = placed_axes(axes, body, self.geometry) if axes else {}
         order = max(degree, int(body.mesh.geometry.cmap.degree))
         axisymmetric = self.geometry == "axisymmetric"
         contacts = placed_contacts(contacts, body, turned=axisymmetric) if contacts else ()

@@ -214,7 +214,7 @@ def node_values(
         allowable: Stress [Pa] of all materials, if they have one and the same.
     """
     rows: dict[str, FloatArray] = {}
-    cells = [name for name in FIELDS if name in grid.cell_data]
+    cells = [name for name in (*FIELDS, *grid.cell_data.keys()) if name in grid.cell_data]
     averaged = grid.cell_data_to_point_data() if cells else grid
     for name in (*grid.point_data.keys(), *cells):
         if name in FIELDS:

@@ -16,6 +16,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.jit.cell_integrals import CellExpression
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, once
+from dolfin_elastic.results.components import ComponentForms, check_axes
 from dolfin_elastic.results.fields import FIELDS
 
 if TYPE_CHECKING:
@@ -51,8 +52,9 @@ def cell_components(
         such quantity.
 
     Raises:
-        InputError: An energy density of a law without a strain energy.
+        InputError: An energy density of a law without a strain energy, or unknown axes.
     """
+    check_axes(names, problem.axes)
     F = problem.weak_form.F(w)
     law = cast("Law", _Once(problem.weak_form.response(region, w)))
     if "energy_density" in names and not law.has_energy:
@@ -61,7 +63,8 @@ def cell_components(
             where=where,
             expected="leave the field 'energy_density' out",
         )
-    tensors = (FIELDS[name].of_cell(law, F) for name in names)
+    part, fields = ComponentForms(problem, law, F), [FIELDS[name] for name in names]
+    tensors = (one.of_cell(law, F) if (c := one.component) is None else part(c) for one in fields)
     return [None if tensor is None else _components(tensor) for tensor in tensors]
 
 

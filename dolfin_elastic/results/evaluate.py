@@ -19,7 +19,9 @@ from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
-from dolfin_elastic.results.fields import FIELDS, RecoveredField, check_field_names
+from dolfin_elastic.results.components import check_axes, component_rows
+from dolfin_elastic.results.field import Component, RecoveredField
+from dolfin_elastic.results.fields import FIELDS, check_field_names
 from dolfin_elastic.results.grid import Grid
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.stress import NodalStress, StressRecovery
@@ -102,6 +104,8 @@ class Evaluator:
 
     def __init__(self, problem: Problem, names: Iterable[str]) -> None:
         self.problem, self.names = problem, check_field_names(names)
+        check_axes(self.names, problem.axes)
+        wholes = {FIELDS[name].whole or name for name in self.names}
         self.grid = Grid(problem.V, problem.places)
         self._w = unknowns_of_outputs(problem)
         self.cell_names = tuple(name for name in self.names if _of_cells(name))
@@ -109,9 +113,9 @@ class Evaluator:
         self._error = ErrorEstimator(problem) if "error" in self.names else None
         recovered = any(FIELDS[name].recovered for name in self.names)
         self._recovery = StressRecovery(problem) if recovered else None
-        if {"reaction", "residual"} & set(self.names):
+        if {"reaction", "residual"} & wholes:
             _ = self.residual
-        if "normal" in self.names:
+        if "normal" in wholes:
             _ = self.normals
 
     def _kernel(self, region: MaterialRegion) -> CellKernel | None:
@@ -247,6 +251,11 @@ class StateSource:
         """See `FieldSource`."""
         assert self.stress is not None
         return self.stress.rows(name)
+
+    def component(self, component: Component, rows: AnyArray) -> AnyArray:
+        """See `FieldSource`."""
+        problem = self.evaluator.problem
+        return component_rows(problem, component, rows, problem.places[: len(rows)])
 
     def contact_pressure(self) -> AnyArray:
         """See `FieldSource`; of the problem's present state, which is the one that is written."""

@@ -3,137 +3,28 @@
 The Cauchy stress and what follows from it are recovered at the nodes, see `results/recovery`.
 Fields of cells are evaluated once per cell: they are constant in linear elements, and taken at the
 barycentre of quadratic ones.  Tensors are 3x3 also in a plane body, with the stress across the
-plane.  A law that is linear in the displacement gradient H has one stress, its Cauchy stress, and
-one strain, sym H: reference and current configuration coincide, and others would show the square
-of a rotation, of which such a law knows nothing.
+plane.  A component in local axes is a field of its own, see `Component`.  A law that is linear in
+the displacement gradient H has one stress, its Cauchy stress, and one strain, sym H: reference and
+current configuration coincide, and others would show the square of a rotation, of which such a law
+knows nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import ufl
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.model import kinematics
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, once
 from dolfin_elastic.model.materials.spatial import direction
 from dolfin_elastic.results.derived import spectral
+from dolfin_elastic.results.field import Field, FieldTable, RecoveredField
 from dolfin_elastic.results.verdict import SAFEST
-
-SHAPES = {"scalar": 1, "vector": 3, "tensor": 9}
-
-RecoveredField = Literal[
-    "von_mises",
-    "cauchy_stress",
-    "pressure",
-    "safety_factor",
-    "principal_stresses",
-    "max_principal_stress",
-    "min_principal_stress",
-    "principal_direction_1",
-    "principal_direction_2",
-    "principal_direction_3",
-    "tresca",
-]
-
-
-class FieldSource(Protocol):
-    """One state on this rank, as fields without a formula read it.
-
-    All methods give the rows of the points or cells that this rank owns, and all are collective.
-    """
-
-    def nodal(self, name: Literal["u", "v", "a"]) -> AnyArray:
-        """A vector of the state at the points, shape (points, 3)."""
-
-    def reaction(self) -> AnyArray:
-        """Nodal residual of an equilibrium [N], shape (points, 3)."""
-
-    def residual(self) -> AnyArray:
-        """The same with zeros where supports prescribe the displacement."""
-
-    def recovered(self, name: RecoveredField) -> AnyArray:
-        """A field of the recovered stress at the points."""
-
-    def contact_pressure(self) -> AnyArray:
-        """Pressure of the obstacles on the body [Pa] at the points, shape (points, 1)."""
-
-    def normal(self) -> AnyArray:
-        """Outward unit normals of the deformed surface at the points, shape (points, 3)."""
-
-    def stress_error(self) -> AnyArray:
-        """Estimated error of each cell's stress [Pa], shape (cells, 1)."""
-
-    def region(self) -> AnyArray:
-        """Number of each cell's region, shape (cells, 1)."""
-
-    def material(self) -> AnyArray:
-        """Number of each cell's material, shape (cells, 1)."""
-
-    def rank(self) -> AnyArray:
-        """This rank for each cell, shape (cells, 1)."""
-
-
-@dataclass(frozen=True)
-class Field:
-    """One row of `FIELDS`; fields of cells have a `formula` or `values`, those of nodes `values`.
-
-    Attributes:
-        shape: Scalar, vector (3 components also in 2D) or tensor (9, row by row).
-        centre: Whether there is a value for each node or for each cell.
-        unit: SI unit.
-        description: One line for listings.
-        formula: Law and 3x3 deformation gradient to a UFL expression; None for a law without such
-            a quantity, whose cells get NaN.  Of a field of nodes it gives the value inside a cell.
-        of_tensor: Where `formula` gives a tensor from which the field follows in NumPy: rows of the
-            tensor, shape (n, 9), to rows of the field.
-        values: Of a field of nodes, and of cells without a formula: this rank's rows from a
-            `FieldSource`.
-        recovered: It follows from the recovered stress.
-        motion: Exists in motion only.
-        statics: Exists in statics only.
-        fixed: The same at every step: written once.
-    """
-
-    shape: Literal["scalar", "vector", "tensor"]
-    centre: Literal["node", "cell"]
-    unit: str
-    description: str
-    formula: Callable[[Law, Expr], Expr | None] | None = None
-    of_tensor: Callable[[AnyArray], AnyArray] | None = None
-    values: Callable[[FieldSource], AnyArray] | None = None
-    recovered: bool = False
-    motion: bool = False
-    statics: bool = False
-    fixed: bool = False
-
-    @property
-    def columns(self) -> int:
-        """Number of components."""
-        return SHAPES[self.shape]
-
-    @property
-    def evaluated(self) -> int:
-        """Number of components of `formula`."""
-        return self.columns if self.of_tensor is None else SHAPES["tensor"]
-
-    def finished(self, rows: AnyArray) -> AnyArray:
-        """Rows of the field from rows of `formula`."""
-        return rows if self.of_tensor is None else self.of_tensor(rows)
-
-    def of_cell(self, law: Law, F: Expr) -> Expr | None:
-        """Value of `formula`, which the field has.
-
-        Args:
-            F: Deformation gradient, 3x3.
-        """
-        assert self.formula is not None
-        return self.formula(law, F)
 
 
 @once
@@ -194,7 +85,7 @@ def has_fibre(law: Law, number: int) -> bool:
     return _written_fibre(law, number) is not None
 
 
-def _fibre(law: Law, number: int) -> Expr | None:
+def fibre_of(law: Law, number: int) -> Expr | None:
     """Unit vector of a material direction in the reference configuration; None without one.
 
     Args:
@@ -226,7 +117,7 @@ def _fibre_strain(number: int) -> Callable[[Law, Expr], Expr | None]:
         Args:
             F: Deformation gradient, 3x3.
         """
-        a = _fibre(law, number)
+        a = fibre_of(law, number)
         return None if a is None else ufl.inner(a, _total_strain(law, F) * a)
 
     return formula
@@ -273,6 +164,7 @@ def _recovered(name: RecoveredField, description: str) -> Field:
         description,
         _FORMULAS.get(name, cauchy_stress),
         of_tensor=_OF_STRESS.get(name),
+        current=2,
         values=lambda source: source.recovered(name),
         recovered=True,
     )
@@ -292,16 +184,18 @@ def _of_stretches(
     shape: Literal["vector", "tensor"],
     description: str,
     of_tensor: Callable[[AnyArray], AnyArray],
+    current: int = 0,
 ) -> Field:
     """A field of cells without a unit that follows from the displacement gradient in NumPy.
 
     Args:
         of_tensor: See `Field`.
+        current: See `Field`.
     """
-    return Field(shape, "cell", "", description, _stretching, of_tensor=of_tensor)
+    return Field(shape, "cell", "", description, _stretching, of_tensor=of_tensor, current=current)
 
 
-FIELDS: dict[str, Field] = {
+_FIELDS: dict[str, Field] = {
     "displacement": Field(
         "vector", "node", "m", "displacement", values=lambda source: source.nodal("u")
     ),
@@ -341,7 +235,7 @@ FIELDS: dict[str, Field] = {
         "cauchy_stress", "recovered Cauchy stress: force over current area"
     ),
     "cauchy_stress_cell": Field(
-        "tensor", "cell", "Pa", "Cauchy stress of the cell, not recovered", cauchy_stress
+        "tensor", "cell", "Pa", "Cauchy stress of the cell, not recovered", cauchy_stress, current=2
     ),
     "first_piola": Field(
         "tensor",
@@ -349,6 +243,7 @@ FIELDS: dict[str, Field] = {
         "Pa",
         "first Piola-Kirchhoff stress: force over reference area",
         lambda law, F: law.stress(F),
+        current=1,
     ),
     "second_piola": Field(
         "tensor",
@@ -358,7 +253,12 @@ FIELDS: dict[str, Field] = {
         _second_piola,
     ),
     "kirchhoff_stress": Field(
-        "tensor", "cell", "Pa", "Kirchhoff stress: J times the Cauchy stress", _kirchhoff
+        "tensor",
+        "cell",
+        "Pa",
+        "Kirchhoff stress: J times the Cauchy stress",
+        _kirchhoff,
+        current=2,
     ),
     "principal_stresses": _recovered(
         "principal_stresses", "principal values of the recovered Cauchy stress, largest first"
@@ -400,15 +300,18 @@ FIELDS: dict[str, Field] = {
         _total_strain,
     ),
     "deformation_gradient": Field(
-        "tensor", "cell", "", "deformation gradient F, row by row", lambda law, F: F
+        "tensor", "cell", "", "deformation gradient F, row by row", lambda law, F: F, current=1
     ),
-    "log_strain": _of_stretches("tensor", "logarithmic strain ln V (Hencky)", spectral.log_strain),
+    "log_strain": _of_stretches(
+        "tensor", "logarithmic strain ln V (Hencky)", spectral.log_strain, current=2
+    ),
     "almansi_strain": Field(
         "tensor",
         "cell",
         "",
         "Almansi strain, of the current configuration",
         _almansi_strain,
+        current=2,
     ),
     "principal_stretches": _of_stretches(
         "vector", "principal stretches, largest first", spectral.principal_stretches
@@ -431,7 +334,7 @@ FIELDS: dict[str, Field] = {
         "cell",
         "",
         "unit vector along the law's first direction, undeformed body",
-        lambda law, F: _fibre(law, 0),
+        lambda law, F: fibre_of(law, 0),
         fixed=True,
     ),
     "fibre2": Field(
@@ -439,7 +342,7 @@ FIELDS: dict[str, Field] = {
         "cell",
         "",
         "unit vector along the law's second direction, undeformed body",
-        lambda law, F: _fibre(law, 1),
+        lambda law, F: fibre_of(law, 1),
         fixed=True,
     ),
     "fibre_strain": Field(
@@ -531,6 +434,7 @@ FIELDS: dict[str, Field] = {
     ),
 }
 
+FIELDS = FieldTable(_FIELDS)
 _AXES = "xyz"
 
 
@@ -559,5 +463,5 @@ def check_field_names(names: Iterable[str]) -> tuple[str, ...]:
     unique = tuple(dict.fromkeys(names))
     for name in unique:
         if name not in FIELDS:
-            raise InputError(f"there is no field '{name}'", expected=nearest(name, FIELDS))
+            raise InputError(f"there is no field '{name}'", expected=FIELDS.nearest(name))
     return unique

@@ -11,7 +11,7 @@ from dolfinx import fem
 from pydantic import Field as Key
 from pydantic import field_validator, model_validator
 
-from dolfin_elastic.core.errors import InputError, MeshError, nearest
+from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.schema import Record
@@ -23,6 +23,7 @@ from dolfin_elastic.mesh.geometry.locate import LocatedPoint, locate
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.problem.terms.edges_points import points_of
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
+from dolfin_elastic.results.components import check_axes, component_rows
 from dolfin_elastic.results.derived.part_numbers import (
     NODAL,
     PartNumbers,
@@ -189,8 +190,9 @@ def check_readable(names: Iterable[str]) -> tuple[str, ...]:
     readable = (*NODAL, REACTION)
     known = [name for name in FIELDS if name in readable or FIELDS[name].formula]
     for name in (result := tuple(names)):
-        if name not in known:
-            raise InputError(f"a probe cannot read '{name}'", expected=nearest(name, known))
+        whole = FIELDS[name].whole if name in FIELDS else ""
+        if (whole or name) not in known or whole == REACTION:
+            raise InputError(f"a probe cannot read '{name}'", expected=FIELDS.nearest(name, known))
     return result
 
 
@@ -235,6 +237,7 @@ class Probe:
         self._samples, self._parts, self._others = samples or {}, parts or {}, others
         of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
         asked = {name: check_readable(of[name]) for name in (*points, *self._samples)}
+        check_axes((name for row in asked.values() for name in row), problem.axes)
         held: dict[str, str | Sequence[float]] = dict(reactions or {})
         held |= {name: place for name, place in points.items() if REACTION in asked[name]}
         self._reactions = ReactionSums(problem, held) if held else None
@@ -243,7 +246,8 @@ class Probe:
             every |= {f"{name} {i}": row[:-1].tolist() for i, row in enumerate(rows)}
             self.fields |= {f"{name} {i}": _interpolated(asked[name]) for i in range(len(rows))}
         self.places = locate(problem.body, every, _materials(problem))
-        names = dict.fromkeys(n for row in self.fields.values() for n in row if n not in NODAL)
+        self._at = every
+        names = dict.fromkeys(n for row in self.fields.values() for n in row if not _nodal(n))
         of_cells = tuple(name for name in names if not FIELDS[name].recovered)
         self._cells = _CellFields(problem, self.places, of_cells) if of_cells else None
         recovered = {
@@ -308,10 +312,20 @@ class Probe:
         cells = self._cells(state) if self._cells else {}
         stress = self._stress(state) if self._stress else {}
 
-        def value(name: str, field: str) -> FloatArray:
+        def whole(name: str, field: str) -> FloatArray:
             if field in NODAL:
                 return self._nodal(state, field, self.places[name])
-            return stress[name].row(field) if FIELDS[field].recovered else cells[name][field]
+            return stress[name].row(field)
+
+        def value(name: str, field: str) -> FloatArray:
+            kind = FIELDS[field]
+            if not kind.recovered and not _nodal(field):
+                return cells[name][field]
+            if kind.component is None:
+                return whole(name, field)
+            place = np.array([self._at[name]], dtype=np.float64)
+            rows = whole(name, kind.component.field)[None]
+            return component_rows(self.problem, kind.component, rows, place)[0]
 
         values = {
             f"{name}_{field}": value(name, field)
@@ -361,6 +375,11 @@ class Probe:
         if twice := result.keys() & row(state).keys():
             raise duplicate_column(min(twice))
         return replace(state, numbers={**state.numbers, **result})
+
+
+def _nodal(field: str) -> bool:
+    """Whether a field, or the vector of a component, is a function of the state."""
+    return (FIELDS[field].whole or field) in NODAL
 
 
 def _interpolated(fields: Sequence[str]) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -85,7 +85,7 @@ class Quantity:
 
     def __post_init__(self) -> None:
         if self.name not in FIELDS:
-            raise _no_field(self.name, FIELDS)
+            raise InputError(f"there is no field '{self.name}'", expected=FIELDS.nearest(self.name))
         if not isinstance(self.where, tuple):
             names = component_names(self.name, FIELDS[self.name].columns)
             bare = self.field == self.name and len(names) > 1 and not has_length(self.name)
@@ -114,7 +114,9 @@ class Quantity:
             return 0 if size == 1 else None
         names = component_names(self.name, size)
         if self.field not in names:
-            raise _no_field(self.field, names)
+            raise InputError(
+                f"there is no field '{self.field}'", expected=nearest(self.field, names)
+            )
         return names.index(self.field)
 
     def scalars(self, rows: FloatArray) -> FloatArray:
@@ -132,10 +134,6 @@ class Quantity:
         if isinstance(self.where, tuple):
             return AtPoint(self, problem)
         return (Extreme if self.reduction in EXTREMES else Integral)(self, problem)
-
-
-def _no_field(name: str, known: Iterable[str]) -> InputError:
-    return InputError(f"there is no field '{name}'", expected=nearest(name, known))
 
 
 class Measurement(ABC):

@@ -122,6 +122,7 @@ SHARED = {
     "problem/test_problem.py",
     "results/checkpoint/test_checkpoints.py",
     "results/finished/test_finished.py",
+    "results/test_axes.py",
     "results/test_probes.py",
     "results/test_results.py",
     "results/test_scattered.py",

@@ -16,6 +16,7 @@ from dolfin_elastic.core.errors import CaseError, MeshError, all_errors, keyed, 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, IndexArray
 from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.model.axes import MATERIAL
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.law import SplitLaw
 from dolfin_elastic.model.supports.displacement import Normal
@@ -26,6 +27,8 @@ from dolfin_elastic.problem.coefficients import CoefficientBinder
 from dolfin_elastic.problem.history import NO_PRONY, PERIODIC
 from dolfin_elastic.problem.material_regions import check_user_energies, volume_modulus
 from dolfin_elastic.problem.mesh_fields import check_fields
+from dolfin_elastic.problem.problem import placed_axes
+from dolfin_elastic.results.components import check_axes
 from dolfin_elastic.results.fields import FIBRE_FIELDS, FIELDS, has_fibre
 from dolfin_elastic.solvers.dynamics import settings as dynamics
 from dolfin_elastic.solvers.statics import settings as statics
@@ -301,8 +304,11 @@ def _check_fields(case: Case, body: Body) -> None:
     ]
     if case.analysis in ("modal", "buckling"):
         _check_mode_pictures(case)
+    placed_axes(case.axes, body, case.mesh.geometry)
     without_energy = [n for n, m in case.materials.items() if not m.law.has_energy]
     for where, name in fields:
+        with keyed(where):
+            check_axes([name], case.axes)
         if FIELDS[name].motion and case.dynamics is None:
             raise CaseError(
                 f"there is no '{name}' in statics",
@@ -321,7 +327,9 @@ def _check_fields(case: Case, body: Body) -> None:
                 where=where,
                 expected="leave the field out",
             )
-        number = FIBRE_FIELDS.get(name)
+        component = FIELDS[name].component
+        of_law = component is not None and component.axes == MATERIAL
+        number = 0 if of_law else FIBRE_FIELDS.get(name)
         if number is not None and not any(
             has_fibre(material.law, number) for material in case.materials.values()
         ):

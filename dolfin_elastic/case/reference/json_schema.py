@@ -24,6 +24,7 @@ from dolfin_elastic.core.schema import Record, field_keys
 from dolfin_elastic.core.units import Quantity, members_of
 from dolfin_elastic.mesh.selectors import Place, Selector
 from dolfin_elastic.model.amplitude import Amplitude
+from dolfin_elastic.model.axes import AXES, LocalAxes
 from dolfin_elastic.model.loads import LOADS, Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.laws.linear_elastic import LinearElastic
@@ -120,6 +121,7 @@ class _Writer:
             Material: self._material,
             Restraint: lambda: self._kinds(SUPPORTS, may_lack="displacement"),
             Load: lambda: self._kinds(LOADS),
+            LocalAxes: lambda: self._kinds(AXES),
         }
 
     def table(self, kind: type[Record], *, plus: Mapping[str, Schema] | None = None) -> Schema:

@@ -99,9 +99,9 @@ def _field_unit(column: str) -> str | None:
         return unit
     name, _, last = column.rpartition("_")
     vector, tensor = last in _AXES, len(last) == 2 and set(last) <= set(_AXES)
-    text = name if vector or tensor else column
-    result = [field for field in FIELDS if text.endswith(f"_{field}")]
-    return FIELDS[max(result, key=len)].unit if result else None
+    words = (name if vector or tensor else column).split("_")
+    ends = ("_".join(words[i:]) for i in range(1, len(words)))
+    return next((FIELDS[end].unit for end in ends if end in FIELDS), None)
 
 
 ANALYSES = ("statics", "modal", "buckling", "dynamics")

@@ -39,11 +39,13 @@ class DrawnField:
     Attributes:
         name: As given.
         linear: Its value, not components, is given at the nodes and linear between them: means of
-            cells and pressures of contact, which must not overshoot, and forces of nodes.
+            cells and pressures of contact, which must not overshoot, forces of nodes, and
+            components in local axes.
     """
 
     def __init__(self, problem: Problem, name: str) -> None:
-        self.name, self._recovered = name, FIELDS[name].recovered
+        field = FIELDS[name]
+        self.name, self._recovered = name, field.recovered and field.component is None
         self.linear = not self._recovered and name not in _SMOOTH
         self._recovery = StressRecovery(problem) if self._recovered else None
         self._evaluate = Evaluator(problem, [] if self._recovered else [name])

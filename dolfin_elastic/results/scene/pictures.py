@@ -19,7 +19,7 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from dolfin_elastic.core.errors import InputError, OutputError, nearest
+from dolfin_elastic.core.errors import InputError, OutputError
 from dolfin_elastic.core.ghosts import with_ghosts
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.shapes.shapes import Shape
@@ -80,8 +80,8 @@ def check_drawable(name: str) -> str:
         name for name, row in FIELDS.items() if name in CATEGORIES or row.formula or not row.fixed
     ]
     if name not in FIELDS:
-        raise InputError(f"there is no field '{name}'", expected=nearest(name, allowed))
-    if name not in allowed:
+        raise InputError(f"there is no field '{name}'", expected=FIELDS.nearest(name, allowed))
+    if name not in allowed and FIELDS[name].component is None:
         raise InputError(f"a picture cannot show '{name}'", expected=f"one of {', '.join(allowed)}")
     return name
 

@@ -129,7 +129,11 @@ class Wanted:
         elif not body.kinds(self.part):
             raise _unknown("no part and no probe", self.part, [*parts, *probes])
         elif not self.is_field:
-            raise _unknown("no field", self.name, FIELDS)
+            raise InputError(
+                f"there is no field '{self.name}'",
+                where="--until",
+                expected=FIELDS.nearest(self.name),
+            )
         elif self.quantity.reduction not in EXTREMES:
             sized = [*body.parts["surface"], *body.parts["region"]]
             if self.part not in sized:
