@@ -163,7 +163,8 @@ def _compute_all(runs: InTurn, shown: _Shown, comm: MPI.Comm) -> None:
     """
     from dolfin_elastic.cli import console
 
-    codes, summaries = {one.case.analysis: 0 for one in runs.runs}, dict[str, str]()
+    codes: dict[str, int] = {one.case.analysis: 0 for one in runs.runs}
+    summaries = dict[str, str]()
     try:
         with closing(runs):
             for number, one in enumerate(runs, start=1):
@@ -179,7 +180,8 @@ def _compute_all(runs: InTurn, shown: _Shown, comm: MPI.Comm) -> None:
         if summaries:
             each = ",\n".join(f'"{name}": {text.strip()}' for name, text in summaries.items())
             print(f"{{{each}}}" if runs.runs[0].around else each.partition(": ")[2], flush=True)
-    codes |= {name: error.exit_code for name, error in runs.errors.items()}
+    for name, error in runs.errors.items():
+        codes[name] = error.exit_code
     if ends := [code for code in codes.values() if code]:
         raise Exit(INTERRUPTED if INTERRUPTED in ends else ends[0])
 
