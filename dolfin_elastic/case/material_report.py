@@ -65,7 +65,7 @@ def read_laws(
     if what in MATERIALS:
         with locate_errors(what):
             return {what: MATERIALS[what](**constants)}
-    if not what.endswith(".toml") and not Path(what).exists():
+    if not what.endswith(".toml") and not Path(what).is_file():
         try:
             name = in_words(what)[0]
         except InputError:

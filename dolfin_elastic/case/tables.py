@@ -399,6 +399,15 @@ class Output(Record):
 
     _known_formats = field_validator("formats")(staticmethod(check_formats))
 
+    @field_validator("pictures", mode="before")
+    @classmethod
+    def _tables(cls, pictures: object) -> object:
+        for one in pictures if isinstance(pictures, list) else [pictures]:
+            if isinstance(one, str):
+                row = f"{{file = {quoted(one)}}}"
+                raise InputError(f"{quoted(one)} is wrong", expected=f"write pictures = [{row}]")
+        return pictures
+
     @field_validator("pictures")
     @classmethod
     def _distinct_files(cls, pictures: list[Picture]) -> list[Picture]:

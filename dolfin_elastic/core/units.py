@@ -224,6 +224,19 @@ def to_si(value: object, unit: str) -> float:
         return _finite(math.inf, math.inf)
 
 
+def unit_to_si(name: str, unit: str) -> float:
+    """One of a unit in SI units.
+
+    Raises:
+        UnitError: It is unknown, or measures something else than `unit`.
+    """
+    try:
+        return to_si(f"1 {name}", unit)
+    except UnitError as error:
+        what = error.what.replace(f" in '1 {name}'", "").replace(f"'1 {name}'", f"'{name}'")
+        raise UnitError(what, expected=f"expected a unit of {unit}") from None
+
+
 def _from_text(text: str, unit: str) -> float:
     if (parts := _split(text)) is None:
         raise UnitError(f"'{text}' is not a number", expected=_expected(unit))

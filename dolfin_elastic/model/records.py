@@ -12,7 +12,7 @@ from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import to_si
+from dolfin_elastic.core.units import unit_to_si
 from dolfin_elastic.model.amplitude import Rows, table_of
 
 RATES = ("m", "m/s", "m/s^2")
@@ -84,7 +84,7 @@ class RecordFormula(Formula):
         if keys.unit:
             with keyed("unit"):
                 g = unit == RATES[2] and keys.unit == "g"  # no gram
-                factor = GRAVITY if g else to_si(f"1 {keys.unit}", unit)
+                factor = GRAVITY if g else unit_to_si(keys.unit, unit)
         given = keys.table if keys.table else getattr(written, "rows", None)
         rows: Rows = ()
         if given:

@@ -14,7 +14,7 @@ from dolfin_elastic.core.errors import InputError, dotted, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import LOAD_EXAMPLES, is_quantity, to_base, to_si
+from dolfin_elastic.core.units import LOAD_EXAMPLES, is_quantity, to_base, to_si, unit_to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.records import RecordFormula
 
@@ -170,11 +170,11 @@ def field_table(written: Mapping[str, object], unit: str | None) -> tuple[FieldT
     Raises:
         InputError: Another key, or a unit that does not fit.
     """
-    table = FieldTable(**written)
-    one, factor = f"1 {table.unit}", 1.0
+    table, factor = FieldTable(**written), 1.0
     with keyed("unit"):
         if table.unit:
-            factor = to_base(one) if unit is None else to_si(one, unit)
+            one = f"1 {table.unit}"
+            factor = to_base(one) if unit is None else unit_to_si(table.unit, unit)
     return table, factor
 
 

@@ -197,6 +197,11 @@ class State:
     between: bool = False
     derived: dict[str, object] = field(default_factory=dict, compare=False, repr=False)
 
+    def __repr__(self) -> str:
+        """Its step and largest displacement, without the fields."""
+        at = f"t = {self.t:.6g} s" if self.timed else f"load factor {self.load_factor:.6g}"
+        return f"<State {self.step}: {at}, largest displacement {self.max_displacement:.6g} m>"
+
     @property
     def timed(self) -> bool:
         """`t` is a time [s]: in motion, and in statics where materials relax."""

@@ -494,6 +494,11 @@ MISTAKES = {
         'pictures = [{}, {view = "x"}]\nfields =',
         "output.pictures[1].file: 'picture.png' is the file of a picture above; a file of its own",
     ),
+    "a picture without its table": (
+        "fields =",
+        'pictures = "a.png"\nfields =',
+        'output.pictures: "a.png" is wrong; write pictures = [{file = "a.png"}]',
+    ),
     "pictures": (
         "fields =",
         'pictures = [{feild = "x"}]\nfields =',

@@ -513,7 +513,7 @@ def cells_of(value: Any) -> np.ndarray:
         ),
         (
             {"E": {"field": "rho", "unit": "kg"}},
-            "E.unit: '1 kg' has the wrong unit; expected a num",
+            "E.unit: 'kg' has the wrong unit; expected a unit ",
         ),
         ({"E": {"feld": "rho"}}, "E: unknown key 'feld'; did you mean 'field'?"),
         ({"E": {"field": "flow"}}, "E.field: the field 'flow' has 3 components; expected a scalar"),

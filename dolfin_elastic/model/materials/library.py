@@ -78,12 +78,22 @@ def check_library(entries: Mapping[str, object]) -> None:
     """Checks the keys of a user's library.
 
     Raises:
-        InputError: An entry is no table, or has a key that its law does not have.
+        InputError: An entry is no table, or has a key that its law does not have, or a name twice.
     """
     with all_errors() as attempt:
         for name, entry in entries.items():
             with attempt(), keyed(f'"{name}"'):
                 _check_entry(entry)
+        first: dict[str, str] = {}
+        for name, entry in entries.items():
+            also = entry.get("also") if isinstance(entry, Mapping) else ()
+            for one in map(str, (name, *(also if isinstance(also, list) else ()))):
+                with attempt(), keyed(f'"{name}"'):
+                    if (other := first.setdefault(_plain(one), name)) != name:
+                        raise InputError(
+                            f"the name '{one}' is that of '{other}', too",
+                            expected="each name once, without regard to capitals",
+                        )
 
 
 def _check_entry(entry: object) -> None:

@@ -425,6 +425,7 @@ def test_what_is_no_load(kind, keys, says):
         (Centrifugal(value=1, point=[0, 0]), "load[1].point: 2 components"),
         (Centrifugal(value=1), "materials.body"),
         (Force(on="none", value=[0, 0, 1]), "load[1].on: the surface has no area"),
+        (Traction(on="rigth", value=[0, 0, 1]), "load[1].on: no surface 'rigth' in"),
     ],
 )
 def test_loads_that_do_not_fit_the_body(load, says):

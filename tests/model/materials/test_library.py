@@ -52,6 +52,11 @@ def test_keys_and_names_of_the_library() -> None:
     check_library(library())
     names = [n.casefold() for known, e in library().items() for n in (known, *e.get("also", ()))]
     assert len(names) == len(set(names))
+    twice = {"My steel": {"E": 2e11}, "my  STEEL": {"E": 1e9}, "wood": {"also": ["My steel"]}}
+    with pytest.raises(InputError) as caught:
+        check_library(twice)
+    found = [(one.where, one.what.partition(" is ")[0]) for one in caught.value.each]
+    assert found == [('"my  STEEL"', "the name 'my  STEEL'"), ('"wood"', "the name 'My steel'")]
 
 
 def test_values() -> None:
