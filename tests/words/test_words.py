@@ -16,7 +16,7 @@ ROOT = Path(dolfin_elastic.__file__).parent
 DOCS = ROOT.parent / "docs"
 PRIVATE = {
     r"\brims?\b": "boundary, edge",
-    r"\bends? in\b(?! (\.|`|planes|'|…))": "gives, leads to",  # but a name ends in .png
+    r"\bends? in\b(?! (\.|`|planes|'|…)|\Z)": "gives, leads to",  # but a name ends in .png
     r"\bat odds\b": "inconsistent",
     r"\bserves?\b|\bserved\b": "is suited",
     r"\b(is|are|was|were|be|been) (told|said)\b|\btold apart\b": "reported, distinguished",
