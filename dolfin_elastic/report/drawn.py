@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.si_text import number, quantity
 from dolfin_elastic.core.types import FloatArray, IntArray
-from dolfin_elastic.core.units import to_si
 from dolfin_elastic.mesh.geometry.simplices import qualities, signed_volumes
 from dolfin_elastic.report.scene import Viewed, chosen_frames, node_values, surface_of
 from dolfin_elastic.report.words import loads_act
-from dolfin_elastic.results.finished.draw import obstacles_of
+from dolfin_elastic.results.finished.draw import allowable_of, obstacles_of
 from dolfin_elastic.results.finished.findings import ModeRow, modes_of
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.finished.xdmf import Frame, damaged, read_array, read_frames, read_grid
@@ -25,7 +23,6 @@ from dolfin_elastic.results.scene.edges import sharp_edges
 from dolfin_elastic.results.scene.obstacles import Reach, obstacles_beside
 from dolfin_elastic.results.scene.scene import Frame as State
 from dolfin_elastic.results.scene.scene import Glyphs, Obstacle, Scene
-from dolfin_elastic.results.verdict import Table
 
 if TYPE_CHECKING:
     import pyvista
@@ -80,7 +77,7 @@ def scene_of(run: FinishedRun, frames: Sequence[tuple[str, Frame]]) -> Viewed | 
     for label, frame in chosen:
         one = grid if frame is frames[-1][1] else read_grid(run.folder, frame)
         if np.array_equal(one.points, points):  # else the run went on with other ranks
-            shown.append(_frame(label, one, nodes, _allowable(run.case)))
+            shown.append(_frame(label, one, nodes, allowable_of(run.case)))
     glyphs = [Glyphs.of(row) for row in run.model.get("glyphs") or ()]
     scene = Scene(
         points[nodes],
@@ -111,22 +108,7 @@ def _obstacles(run: FinishedRun, viewed: Viewed, t: float) -> tuple[Obstacle, ..
     return obstacles_beside(rows, reach, run.dim)
 
 
-def _allowable(case: Table) -> float | None:
-    """The allowable stress [Pa], where all materials have the same one."""
-    tables = case.get("materials")
-    rows = [*tables.values()] if isinstance(tables, Mapping) else []
-    given = [row.get("allowable") if isinstance(row, Mapping) else None for row in rows]
-    if not given or any(value is None or value != given[0] for value in given):
-        return None
-    try:
-        return to_si(given[0], "Pa")
-    except InputError:  # a field of the mesh, or a formula
-        return None
-
-
-def _frame(
-    label: str, grid: pyvista.UnstructuredGrid, nodes: IntArray, allowable: float | None
-) -> State:
+def _frame(label: str, grid: pyvista.UnstructuredGrid, nodes: IntArray, allowable: float) -> State:
     values = {name: v[nodes] for name, v in node_values(grid, allowable).items()}
     u = np.zeros((grid.n_points, 3))
     if "displacement" in grid.point_data:

@@ -202,16 +202,14 @@ _PARTS = {3: [[0, 1, 2]], 6: [[0, 5, 4], [5, 1, 3], [4, 3, 2], [5, 3, 4]]}
 """Number of nodes of a face to the triangles between them."""
 
 
-def node_values(
-    grid: pyvista.UnstructuredGrid, allowable: float | None = None
-) -> dict[str, FloatArray]:
+def node_values(grid: pyvista.UnstructuredGrid, allowable: float = 0.0) -> dict[str, FloatArray]:
     """Field's name to its values at the nodes; of vectors and tensors their length or norm.
 
     Values of cells are averaged at the nodes.  The von Mises stress follows from the Cauchy stress
     where a run has not written it, and the safety factor from the von Mises stress.
 
     Args:
-        allowable: Stress [Pa] of all materials, if they have one and the same.
+        allowable: Stress [Pa] of all materials, 0 if they have not one and the same.
     """
     rows: dict[str, FloatArray] = {}
     cells = [name for name in (*FIELDS, *grid.cell_data.keys()) if name in grid.cell_data]

@@ -21,6 +21,9 @@ ENOUGH = 0.3
 SAFEST = 1000.0
 """Upper bound of the safety factor, which would be infinite without stress."""
 _LEAVES = "it buckles, tips over or snaps through"
+ELSEWHERE = {"von_mises": "elsewhere", "safety_factor": "safety_factor_elsewhere"}
+"""Key of an extreme value in the error of `summary.json` to that of the one where it is regular."""
+
 Kind = Literal["holds", "fails", "not known", "result"]
 Table = Mapping[str, Any]
 
@@ -154,8 +157,8 @@ def mode_text(row: Table, whole: Table) -> str:
 
 def _of_stress(summary: Table) -> Verdict:
     error, extremes = (_table(summary, key) for key in ("error", "extremes"))
-    safety = reliable(error, "safety_factor", "safety_factor_elsewhere", extremes)
-    stress = reliable(error, "von_mises", "elsewhere", extremes)
+    safety = reliable(error, "safety_factor", extremes)
+    stress = reliable(error, "von_mises", extremes)
     if safety is not None and _number(safety.get("value")) > 0:
         return _of_safety(safety, summary)
     if stress is None or not _number(stress.get("value")) > 0:
@@ -182,19 +185,19 @@ def _of_load(found: Verdict, summary: Table) -> Verdict:
     return _verdict(kind, f"{text}; with {percent(load)} of the load" if load < 0.999 else text)
 
 
-def reliable(error: Table, name: str, elsewhere: str, extremes: Table) -> Table | None:
+def reliable(error: Table, name: str, extremes: Table) -> Table | None:
     """The extreme value to judge by: where it is singular, that away from there.
 
     Args:
         error: Of `summary.json`.
-        elsewhere: Key of the one away from singular places.
+        name: One of `ELSEWHERE`.
         extremes: Of `summary.json`, where no error was estimated.
     """
     peak = error.get(name)
     if not isinstance(peak, Mapping):  # of a motion, or unloaded
         peak = extremes.get(name)
         return peak if isinstance(peak, Mapping) else None
-    other, rival = error.get(elsewhere), error.get("may_be_larger")
+    other, rival = error.get(ELSEWHERE[name]), error.get("may_be_larger")
     if peak.get("singular") and isinstance(other, Mapping):
         peak = {**other, "apart": peak["singular"]}
     if isinstance(rival, Mapping) and rival.get("unresolved"):

@@ -20,12 +20,13 @@ from dolfin_elastic.model.loads.forces import Gravity
 from dolfin_elastic.results.derived.spectral import von_mises
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.scene.appearance import Appearance, picture_of
+from dolfin_elastic.results.scene.appearance import Appearance, common_allowable, picture_of
 from dolfin_elastic.results.scene.clip import Clip
 from dolfin_elastic.results.scene.obstacles import Reach
-from dolfin_elastic.results.scene.scene import Picture, Up, up_against
+from dolfin_elastic.results.scene.scene import Picture, Reliable, Up, up_against
 from dolfin_elastic.results.scene.series import Series, film_times
 from dolfin_elastic.results.scene.surface import Surface, divided, outer_faces
+from dolfin_elastic.results.verdict import ELSEWHERE
 
 if TYPE_CHECKING:
     import pyvista
@@ -159,6 +160,8 @@ def _panel(
         names=names,
         obstacles=obstacles_of(run, run.frame(step).t),
         outline=not (look.film and run.moving),
+        allowable=allowable_of(run.case),
+        reliable=reliable_of(run, name) if step in (-1, len(run.steps) - 1) else None,
     )
     if not len(left.scene.triangles):
         ends = enumerate(_ends(grid))
@@ -169,6 +172,19 @@ def _panel(
             expected=f"planes that leave a part of it, {', '.join(sides)} m",
         )
     return left
+
+
+def allowable_of(case: Mapping[str, object]) -> float:
+    """See `common_allowable`."""
+    tables = case.get("materials")
+    rows = [*tables.values()] if isinstance(tables, Mapping) else []
+    return common_allowable([r.get("allowable") if isinstance(r, Mapping) else None for r in rows])
+
+
+def reliable_of(run: FinishedRun, name: str) -> Reliable | None:
+    """What to judge by in the last state, where the largest value of a field is singular."""
+    error, other = run.summary.get("error"), ELSEWHERE.get(name, "")
+    return Reliable.of(error.get(name), error.get(other)) if isinstance(error, Mapping) else None
 
 
 def _up(run: FinishedRun) -> Up:

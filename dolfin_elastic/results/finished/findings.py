@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from dolfin_elastic.core.si_text import percent, quantity
 from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.verdict import Table, doubt, mode_text, place_text, reliable
+from dolfin_elastic.results.verdict import ELSEWHERE, Table, doubt, mode_text, place_text, reliable
 
 _GOOD = 0.1
 """Estimated error of the largest stress up to which a mesh is good."""
@@ -93,9 +93,6 @@ _EXTREMES = {
 }
 
 
-_ELSEWHERE = {"von_mises": "elsewhere", "safety_factor": "safety_factor_elsewhere"}
-
-
 def extremes_of(summary: Table) -> list[Extreme]:
     """The largest values of the last state; none of a run that has reached no step."""
     result: list[Extreme] = []
@@ -113,7 +110,7 @@ def extremes_of(summary: Table) -> list[Extreme]:
         where, singular = _place(here, peak, summary), bool(peak.get("singular"))
         trust = _trust(peak) if peak else ("", "")
         mine = Extreme(name, title, value, where, *trust, singular)
-        other = _peak(summary, _ELSEWHERE.get(name, ""))  # away from where it is unbounded
+        other = _peak(summary, ELSEWHERE.get(name, ""))  # away from where it is unbounded
         if (regular := Value.of(other.get("value"), unit)) is not None:
             where = _place(other if several else {**other, "part": ""}, other, summary)
             result.append(Extreme(name, title, regular, where, *_trust(other)))
@@ -150,7 +147,7 @@ def _place(row: Table, peak: Table, summary: Table) -> str:
 def mesh_badge(summary: Table) -> tuple[str, str]:
     """How well the mesh gives the largest stress, and its kind; see `status_of`."""
     error = summary.get("error")
-    peak = reliable(error, "von_mises", "elsewhere", {}) if isinstance(error, Mapping) else None
+    peak = reliable(error, "von_mises", {}) if isinstance(error, Mapping) else None
     if peak is None:
         return "Mesh: error not estimated", "warn"
     if doubt(peak) or not isinstance(known := peak.get("error"), int | float):

@@ -23,10 +23,11 @@ from dolfin_elastic.results.verdict import factor_text
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
+    from dolfin_elastic.problem.state import State
 
 _EQUAL = 1e-9
 """Relative difference of stresses below which none is the larger one."""
-ERROR = "estimated error"
+ERROR, _PEAKS = "estimated error", "peaks"
 _CUT_OFF = 1e-3
 """Least share of the energy at straight cells that is reported."""
 _MORE, _MORE_OF_ERROR = 0.01, 0.25
@@ -218,6 +219,14 @@ def percent(share: float) -> str:
     if not np.isfinite(share):
         return "unknown"
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
+
+
+def peaks_of(problem: Problem, state: State, estimate: ErrorEstimate) -> Peaks:
+    """See `find_peaks`: found once for all outputs of a state. Collective."""
+    known = state.derived.get(_PEAKS)
+    if not isinstance(known, Peaks):
+        known = state.derived[_PEAKS] = find_peaks(problem, estimate)
+    return known
 
 
 def find_peaks(problem: Problem, estimate: ErrorEstimate) -> Peaks:

@@ -5,12 +5,23 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.shapes.shapes import Shape
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.units import to_si
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.scene.clip import Clip, clipped
 from dolfin_elastic.results.scene.obstacles import Reach, obstacles_beside
-from dolfin_elastic.results.scene.scene import Frame, Patch, Picture, Scene, Up, View, label_of
+from dolfin_elastic.results.scene.scene import (
+    Frame,
+    Patch,
+    Picture,
+    Reliable,
+    Scene,
+    Up,
+    View,
+    label_of,
+)
 from dolfin_elastic.results.scene.series import Limits
 from dolfin_elastic.results.scene.surface import Surface
 
@@ -65,6 +76,8 @@ def picture_of(
     noise: float = 0.0,
     obstacles: Sequence[tuple[str, Shape, FloatArray]] = (),
     outline: bool = True,
+    allowable: float = 0.0,
+    reliable: Reliable | None = None,
 ) -> Picture:
     """The picture of a surface, as clip planes leave it.
 
@@ -75,6 +88,8 @@ def picture_of(
         reach: Of the body in all states so far.
         shown: Components at points to what is shown, shape (n, 1).
         obstacles: See `obstacles_beside`.
+        allowable: See `common_allowable`.
+        reliable: See `Picture`.
     """
     view, up = "z" if plane else look.view, look.up or "z"
     left = clipped(surface, cells, look.clips, view, up)
@@ -108,4 +123,20 @@ def picture_of(
         outline=outline,
         bare=look.bare,
         film=look.film,
+        allowable=allowable if name.startswith("von_mises") else 0.0,
+        reliable=reliable,
     )
+
+
+def common_allowable(values: Sequence[object]) -> float:
+    """The allowable stress of all materials [Pa]; 0 where they have none, or not the same one.
+
+    Args:
+        values: Of each material, as a case or a law has it.
+    """
+    if not values or any(value != values[0] for value in values):
+        return 0.0
+    try:
+        return float(to_si(values[0], "Pa"))
+    except (InputError, TypeError, ValueError):  # none, a field of the mesh, or a formula
+        return 0.0

@@ -36,6 +36,7 @@ class ColourBar:
         form: Format of the ticks, for printf.
         label: Above it.
         reversed: Small values are warm.
+        limit: Marked value on the bar, such as the allowable stress; None: there is none.
     """
 
     ticks: tuple[float, ...]
@@ -44,6 +45,16 @@ class ColourBar:
     form: str
     label: str = ""
     reversed: bool = False
+    limit: float | None = None
+
+    @property
+    def labels(self) -> tuple[float, ...]:
+        """Ticks with a number: the limit, and those that it leaves room for."""
+        if self.limit is None:
+            return self.ticks
+        room = _APART * (self.ticks[-1] - self.ticks[0])
+        kept = (tick for tick in self.ticks if abs(tick - self.limit) > room)
+        return tuple(sorted((*kept, self.limit)))
 
 
 def colour_map(*, warm_first: bool = False) -> ListedColormap:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pyvista as pv
 from PIL import Image
+from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkActor2D, vtkPolyDataMapper2D
 
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
@@ -24,8 +25,8 @@ from dolfin_elastic.results.scene.scene import (
     FILM,
     GREY,
     SIZE,
-    SMALL_MATTERS,
     Glyphs,
+    Mark,
     Picture,
     load,
 )
@@ -44,6 +45,8 @@ _SHIFT = 0.12
 _BESIDE_BAR = 0.7
 # Pixels between a point and the text beside it.
 _ASIDE = 18
+# Pixels between two of these texts.
+_APART = 44
 _FLAT = 1e-6
 """Difference of normals of one plane."""
 _FLOOR, _SHADOW = 216, 120
@@ -73,8 +76,8 @@ def _add_body(plot: pv.Plotter, picture: Picture) -> pv.DataSetMapper:
         specular=0.06,
         show_scalar_bar=False,
     )
-    if picture.field in SMALL_MATTERS:  # where the allowable stress is reached
-        limit = mesh.contour([1.0], scalars="value")
+    if picture.bar is not None and picture.bar.limit is not None:  # where it is reached
+        limit = mesh.contour([picture.bar.limit], scalars="value")
         if limit.n_points:
             plot.add_mesh(limit, color=_LIMIT, line_width=6.0, lighting=False)
     _add_lines(plot, moved, scene.edges, INK, 3.5)
@@ -134,7 +137,10 @@ def _add_glyphs(plot: pv.Plotter, picture: Picture, glyphs: Glyphs) -> None:
 
 def _add_text(plot: pv.Plotter, picture: Picture, mapper: pv.DataSetMapper) -> None:
     if picture.bar is not None:
-        _add_bar(plot, picture.bar, mapper)
+        drawn = _add_bar(plot, picture.bar, mapper)
+        if picture.bar.limit is not None:
+            plot.render_window.Render()  # which lays the bar out
+            _add_limit(plot, picture.bar, drawn)
     elif picture.scene.patch is not None:
         _add_legend(plot, picture)
     headline = _plain(picture.title)
@@ -148,7 +154,7 @@ def _plain(text: str) -> str:
     return text.replace("$", "\\$")
 
 
-def _add_bar(plot: pv.Plotter, bar: ColourBar, mapper: pv.DataSetMapper) -> None:
+def _add_bar(plot: pv.Plotter, bar: ColourBar, mapper: pv.DataSetMapper) -> vtkScalarBarActor:
     drawn = plot.add_scalar_bar(
         mapper=mapper,
         title=bar.label + "\n",
@@ -157,14 +163,26 @@ def _add_bar(plot: pv.Plotter, bar: ColourBar, mapper: pv.DataSetMapper) -> None
         position_y=0.2,
         width=0.055,
         height=0.6,
-        n_labels=len(bar.ticks),
-        fmt=bar.form,
+        n_labels=len(bar.labels),
+        fmt=bar.form if bar.labels == bar.ticks else "%.4g",
         color=INK,
         title_font_size=26,
         label_font_size=24,
     )
     drawn.SetUseCustomLabels(True)
-    drawn.SetCustomLabels(pv.convert_array(np.asarray(bar.ticks, dtype=float)))
+    drawn.SetCustomLabels(pv.convert_array(np.asarray(bar.labels, dtype=float)))
+    return drawn
+
+
+def _add_limit(plot: pv.Plotter, bar: ColourBar, drawn: vtkScalarBarActor) -> None:
+    """A line across a bar that has been laid out."""
+    assert bar.limit is not None
+    rect = [0, 0, 0, 0]
+    drawn.GetScalarBarRect(rect, plot.renderer)
+    (x, y, wide, high), (first, *_, last) = rect, bar.ticks
+    at = y + high * (bar.limit - first) / (last - first)
+    left, right, half = x - 12.0, x + wide, 3.0
+    _add_rectangle(plot, (left, at - half), (right, at + half), _LIMIT)
 
 
 def _add_legend(plot: pv.Plotter, picture: Picture) -> None:
@@ -189,9 +207,16 @@ def _add_legend(plot: pv.Plotter, picture: Picture) -> None:
 
 def _add_square(plot: pv.Plotter, corner: tuple[float, float], colour: str) -> None:
     x, y = (share * size for share, size in zip(corner, plot.window_size, strict=True))
-    square = pv.Rectangle([(x, y, 0.0), (x + 22, y, 0.0), (x + 22, y + 22, 0.0)])
+    _add_rectangle(plot, (x, y), (x + 22, y + 22), colour)
+
+
+def _add_rectangle(
+    plot: pv.Plotter, low: tuple[float, float], high: tuple[float, float], colour: str
+) -> None:
+    """A rectangle between two corners [pixels]."""
+    corners = [(*low, 0.0), (high[0], low[1], 0.0), (*high, 0.0)]
     mapper = vtkPolyDataMapper2D()
-    mapper.SetInputData(square)
+    mapper.SetInputData(pv.Rectangle(corners))
     actor = vtkActor2D()
     actor.SetMapper(mapper)
     actor.GetProperty().SetColor(pv.Color(colour).float_rgb)
@@ -217,7 +242,7 @@ def _add_obstacles(plot: pv.Plotter, picture: Picture) -> None:
     """Rigid obstacles, in grey that lets the body be seen."""
     for obstacle in picture.scene.obstacles:
         mesh = triangulated(obstacle.points + obstacle.shift, obstacle.triangles)
-        if picture.film and not picture.scene.plane and _flat(mesh):
+        if picture.film and not picture.scene.plane and _seen_floor(mesh, picture):
             _add_floor(plot, picture, mesh)
             continue
         rims = mesh.extract_feature_edges(SHARP, boundary_edges=True)
@@ -229,18 +254,17 @@ def _add_obstacles(plot: pv.Plotter, picture: Picture) -> None:
             plot.add_mesh(rims, color=_GHOST, line_width=width, lighting=False)
 
 
-def _flat(mesh: pv.PolyData) -> bool:
-    """Whether all triangles have one normal: a plane, drawn without an end in films."""
+def _seen_floor(mesh: pv.PolyData, picture: Picture) -> bool:
+    """Whether all triangles have one normal, to the camera: a plane without an end in films."""
     normals = np.asarray(mesh.face_normals)
-    return bool(np.abs(normals - normals[0]).max() < _FLAT)
+    flat = bool(np.abs(normals - normals[0]).max() < _FLAT)
+    return flat and bool(normals[0] @ picture.axes[2] > 0)  # from behind it would hide the body
 
 
 def _add_floor(plot: pv.Plotter, picture: Picture, mesh: pv.PolyData) -> None:
     """A floor that fades into the background, with the body's shadow, dark where it touches."""
     points, size = picture.moved, picture.scene.diagonal
     normal, on = np.asarray(mesh.face_normals)[0], np.asarray(mesh.points)[0]
-    if normal @ picture.axes[2] <= 0:  # seen from behind it would hide the body
-        return
     gap = (points - on) @ normal
     foot = points - gap[:, None] * normal
     middle = foot.mean(axis=0)
@@ -260,19 +284,32 @@ def _add_floor(plot: pv.Plotter, picture: Picture, mesh: pv.PolyData) -> None:
     plot.add_mesh(shadow, scalars=shades, rgb=True, lighting=False)
 
 
-def _add_mark(plot: pv.Plotter, picture: Picture) -> None:
-    """A point at the largest value, and the value beside it, and whether the body hides it."""
-    if picture.mark is None:
-        return
+def _add_marks(plot: pv.Plotter, picture: Picture) -> None:
+    """Marks, of which the texts of two at about one height stand above each other."""
+    heights = [mark.place @ picture.axes[1] for mark in picture.marks]
+    pixel = 2 * plot.camera.parallel_scale / plot.window_size[1]
+    for mark, height in zip(picture.marks, heights, strict=True):
+        other = sum(heights) - height if len(heights) == 2 else -np.inf
+        lift = max(0.0, _APART - abs(height - other) / pixel) / 2
+        first = height > other or (height == other and mark is picture.marks[0])
+        _add_mark(plot, picture, mark, lift if first else -lift)
+
+
+def _add_mark(plot: pv.Plotter, picture: Picture, mark: Mark, lift: float) -> None:
+    """A point at a value, the value beside it, and whether the body hides it.
+
+    Args:
+        lift: How far the text stands above the point [pixels].
+    """
     # In front of all, where a parallel projection shows it at the same place.
-    (low, high), (right, _, back) = picture.seen, picture.axes
+    (low, high), (right, up, back) = picture.seen, picture.axes
     depth = float(np.linalg.norm(high - low))
-    begin, end = (picture.mark + ahead * depth * back for ahead in (1e-3, 2.0))
+    begin, end = (mark.place + ahead * depth * back for ahead in (1e-3, 2.0))
     hits, _ = triangulated(picture.moved, picture.scene.triangles).ray_trace(begin, end)
-    text = _plain(picture.mark_text) + (", behind" if len(hits) else "")
-    left = bool((picture.mark @ right - low[0]) / (high[0] - low[0]) > _BESIDE_BAR)
+    text = _plain(mark.text) + (", behind" if len(hits) else "")
+    left = bool((mark.place @ right - low[0]) / (high[0] - low[0]) > _BESIDE_BAR)
     for size, colour, ahead in ((20, "white", 0.9), (13, INK, 0.95)):
-        place = (picture.mark + ahead * depth * back)[None].astype(float)
+        place = (mark.place + ahead * depth * back)[None].astype(float)
         plot.add_mesh(
             pv.PolyData(place),
             color=colour,
@@ -281,7 +318,7 @@ def _add_mark(plot: pv.Plotter, picture: Picture) -> None:
             lighting=False,
         )
     pixel = 2 * plot.camera.parallel_scale / plot.window_size[1]
-    beside = place[0] + (-1 if left else 1) * _ASIDE * pixel * right
+    beside = place[0] + pixel * ((-1 if left else 1) * _ASIDE * right + lift * up)
     label = plot.add_text(f" {text} ", position=(0.0, 0.0), color=INK, font_size=12)
     label.GetPositionCoordinate().SetCoordinateSystemToWorld()
     label.GetPositionCoordinate().SetValue(*beside)
@@ -307,7 +344,7 @@ def _panel(plot: pv.Plotter, picture: Picture) -> AnyArray:
     for glyphs in picture.scene.glyphs:
         _add_glyphs(plot, picture, glyphs)
     _add_obstacles(plot, picture)
-    _add_mark(plot, picture)
+    _add_marks(plot, picture)
     if picture.beside:
         _add_text(plot, picture, mapper)
     if not picture.bare and not picture.scene.plane:

@@ -32,11 +32,19 @@ from dolfin_elastic.problem.material_regions import shear_modulus
 from dolfin_elastic.problem.state import Mode, State, plain
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import make_folder, writing
-from dolfin_elastic.results.scene.appearance import CATEGORIES, DEFAULT, Appearance, picture_of
+from dolfin_elastic.results.recovery.error import ERROR, ErrorEstimate
+from dolfin_elastic.results.recovery.peaks import peaks_of
+from dolfin_elastic.results.scene.appearance import (
+    CATEGORIES,
+    DEFAULT,
+    Appearance,
+    common_allowable,
+    picture_of,
+)
 from dolfin_elastic.results.scene.drawn_field import DrawnField
 from dolfin_elastic.results.scene.obstacles import Reach
 from dolfin_elastic.results.scene.renderer import RENDERER
-from dolfin_elastic.results.scene.scene import Picture, View, up_against
+from dolfin_elastic.results.scene.scene import Picture, Reliable, View, up_against
 from dolfin_elastic.results.scene.series import FILMS, Series, film_times
 from dolfin_elastic.results.scene.surface import gather_cells, gather_surface
 from dolfin_elastic.results.writer import LastState, Numbers, StepInterval
@@ -48,6 +56,11 @@ log = logging.getLogger("dolfin_elastic")
 
 _STATICS = 0.2
 """Share of the load that a second of a film shows, if the user does not say."""
+_PEAKS = {
+    "von_mises": ("largest", "elsewhere"),
+    "safety_factor": ("safety", "safety_elsewhere"),
+}
+"""Fields whose largest values may be singular, and their attributes in `Peaks`."""
 _SLEEP = 0.02
 """Seconds between two looks for the end of the drawing."""
 
@@ -260,9 +273,12 @@ class ModePictureWriter:
         with stage("output"):
             self._u.x.array[:] = mode.base.x.array + self._size * mode.u.x.array
             state = State(mode.number, 0.0, self._u, w=self._w, load_factor=float("nan"))
+            # Colours show the mode alone, whose largest displacement is 1.
+            shape = replace(state, u=mode.u)
             file = self.path.with_name(f"{self.path.stem}_{mode.number:04d}{self.path.suffix}")
             title = "   |   ".join(filter(None, (self._appearance.title, _mode_title(mode))))
-            self._painter.paint_or_warn(state, file, replace(self._appearance, title=title))
+            look = replace(self._appearance, title=title)
+            self._painter.paint_or_warn(state, file, look, shape=shape)
 
     def restart_state(self) -> Numbers:
         """See `Writer`; runs of modes have no checkpoints."""
@@ -314,6 +330,9 @@ class Painter:
         self._up = up_against(weights) if self.dim == 3 else "z"
         names = [check_drawable(name) for name in fields]
         self._noise = {name: _round_off(problem, FIELDS[name].unit) for name in names}
+        given = [part.law.allowable for part in problem.regions]
+        known = [float(a.value) if isinstance(a, fem.Constant) else None for a in given]
+        self._allowable = common_allowable(known)
         self._drawn = [DrawnField(problem, name) for name in names]
         RENDERER.hold(self)
 
@@ -322,7 +341,13 @@ class Painter:
         RENDERER.release(self)
 
     def paint_or_warn(
-        self, state: State, file: Path, appearance: Appearance, series: Series | None = None
+        self,
+        state: State,
+        file: Path,
+        appearance: Appearance,
+        series: Series | None = None,
+        *,
+        shape: State | None = None,
     ) -> None:
         """Draws a state, or warns once if that cannot be done: results do not depend on pictures.
 
@@ -333,8 +358,9 @@ class Painter:
             file: The same.
             appearance: The same.
             series: The same.
+            shape: A mode, whose values are the colours.
         """
-        panels = self.panels(state, appearance)
+        panels = self.panels(state, appearance, shape)
         self.or_warn(lambda: self._paint(state.step, panels, file, appearance, series))
 
     def or_warn(self, action: Callable[[], None]) -> None:
@@ -384,12 +410,20 @@ class Painter:
             if series is None:
                 whole.close()
 
-    def panels(self, state: State, appearance: Appearance) -> list[Picture]:
-        """A picture of each field on rank 0, none elsewhere. Collective."""
-        every = [self._panel(drawn, state, appearance) for drawn in self._drawn]
+    def panels(
+        self, state: State, appearance: Appearance, shape: State | None = None
+    ) -> list[Picture]:
+        """A picture of each field on rank 0, none elsewhere. Collective.
+
+        Args:
+            shape: See `paint_or_warn`.
+        """
+        every = [self._panel(drawn, state, appearance, shape) for drawn in self._drawn]
         return [panel for panel in every if panel is not None]
 
-    def _panel(self, drawn: DrawnField, state: State, appearance: Appearance) -> Picture | None:
+    def _panel(
+        self, drawn: DrawnField, state: State, appearance: Appearance, shape: State | None
+    ) -> Picture | None:
         grid = drawn.grid
         u = state.u.x.array.reshape(-1, self.dim)
         fields, of_cells = {"u": np.pad(u, ((0, 0), (0, 3 - self.dim)))}, None
@@ -399,8 +433,8 @@ class Painter:
             of_cells = with_ghosts(cells, drawn.values(state))[:, 0].astype(np.int64)
             of_cells += drawn.name == "region"  # -1: none
         else:
-            fields["value"] = drawn.at_nodes(state)
-        linear = ("value",) if drawn.linear else ()
+            fields["value"] = drawn.at_nodes(shape or state)
+        linear, reliable = ("value",) if drawn.linear else (), self._reliable(drawn.name, state)
         surface, cut = gather_surface(grid, fields, of_cells, linear=linear), None
         if appearance.clips and self.dim == 3:
             planes = [(clip.axis, clip.at) for clip in appearance.clips]
@@ -408,7 +442,7 @@ class Painter:
         if surface is None:
             return None
         moving = appearance.film and state.v is not None
-        return picture_of(
+        picture = picture_of(
             surface,
             cut,
             replace(appearance, up=appearance.up or self._up),
@@ -421,7 +455,19 @@ class Painter:
             noise=self._noise[drawn.name],
             obstacles=self._obstacles(),
             outline=not moving,
+            allowable=self._allowable,
+            reliable=reliable,
         )
+        return picture if shape is None else replace(picture, unit="", noise=0.0, scaled=True)
+
+    def _reliable(self, name: str, state: State) -> Reliable | None:
+        """What to judge by in a state whose error is known. Collective."""
+        estimate = state.derived.get(ERROR)
+        if name not in _PEAKS or not isinstance(estimate, ErrorEstimate):
+            return None
+        peaks = peaks_of(self.problem, state, estimate)
+        pair = [getattr(peaks, attribute) for attribute in _PEAKS[name]]
+        return Reliable.of(*(None if peak is None else peak.as_json() for peak in pair))
 
     def _obstacles(self) -> list[tuple[str, Shape, FloatArray]]:
         return [

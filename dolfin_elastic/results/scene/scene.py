@@ -14,6 +14,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from dolfin_elastic.core.shapes.triangles import whole
+from dolfin_elastic.core.si_text import percent
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IntArray
 from dolfin_elastic.results.scene.colour_bar import ColourBar, make_colour_bar
 
@@ -198,6 +200,51 @@ class Scene:
 
 
 @dataclass(frozen=True)
+class Reliable:
+    """What to judge by where the largest value of a field is singular.
+
+    Attributes:
+        value: The largest value away from singular places [SI]; NaN: there is none.
+        place: Of the undeformed body [m], shape (3,).
+        error: Its estimated error in words; empty: it is not known.
+    """
+
+    value: float
+    place: FloatArray
+    error: str = ""
+
+    @classmethod
+    def of(cls, peak: object, other: object) -> Reliable | None:
+        """From rows of the error in `summary.json`; None where the largest value is not singular.
+
+        Args:
+            peak: The largest value, see `Peak.as_json`.
+            other: The same away from singular places; None: there is none.
+        """
+        if not isinstance(peak, Mapping) or not peak.get("singular"):
+            return None
+        if not isinstance(other, Mapping) or not isinstance(other.get("value"), int | float):
+            return cls(np.nan, np.zeros(3))
+        error = other.get("error")
+        known = isinstance(error, int | float) and np.isfinite(error)
+        text = f"± {percent(error)}" if known else ""
+        return cls(float(other["value"]), whole(np.array(other["place"], dtype=float)), text)
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A marked value.
+
+    Attributes:
+        place: In the deformed body as it is drawn [m], shape (3,).
+        text: Beside it.
+    """
+
+    place: FloatArray
+    text: str
+
+
+@dataclass(frozen=True)
 class Picture:
     """How a scene is seen; its last frame is drawn.
 
@@ -220,8 +267,10 @@ class Picture:
         film: It is a frame of a film: of 16 to 9, and drawn fast.
         window: What the camera has to show, see `window`; None: all of the scene.
         bar: The colour bar, of pictures with a field.
-        mark: Place of the marked value [m], shape (3,), or None.
-        mark_text: Beside it.
+        scaled: The largest value is 1: it is that of a mode.
+        allowable: Stress up to which the colour bar and the body are marked [Pa]; 0: there is none.
+        reliable: What to judge by; None: the largest value.
+        marks: Marked values.
     """
 
     scene: Scene
@@ -241,8 +290,10 @@ class Picture:
     film: bool = False
     window: FloatArray | None = None
     bar: ColourBar | None = None
-    mark: FloatArray | None = None
-    mark_text: str = ""
+    scaled: bool = False
+    allowable: float = 0.0
+    reliable: Reliable | None = None
+    marks: tuple[Mark, ...] = ()
 
     @property
     def frame(self) -> Frame:
@@ -282,7 +333,11 @@ class Picture:
 
 
 _KINDS = {
-    one.__name__: one for one in (Picture, ColourBar, Scene, Frame, Patch, Glyphs, Obstacle, Curve)
+    one.__name__: one
+    for one in (
+        *(Picture, ColourBar, Scene, Frame, Patch, Glyphs, Obstacle, Curve),
+        *(Mark, Reliable),
+    )
 }
 
 
@@ -358,6 +413,9 @@ SMALL_MATTERS = ("safety_factor",)
 """Fields whose small values matter: drawn in warm colours, large ones all alike."""
 _NOTHING = 1e-9
 """Largest values below this share of the colour bar's are not marked: round-off of rest."""
+_SAME = 1e-5
+"""Distance over the size of the body below which a point is the one that is meant: files of scenes
+have numbers of seven digits."""
 _LINE = 20
 """Letters in a line above the colour bar; longer ones would not fit."""
 _LABELS = {
@@ -389,6 +447,9 @@ def bar_of(
     noise: float = 0.0,
     ends: tuple[float, float] | None = None,
     tensor: bool = False,
+    note: str = "",
+    cut: bool = False,
+    limit: float = 0.0,
 ) -> ColourBar:
     """The colour bar of some values.
 
@@ -397,6 +458,9 @@ def bar_of(
         spread: Values whose range the bar has, such as those of all pictures of a series.
         unit: Its SI unit.
         ends: Ends of the bar [SI] in place of those of the values.
+        note: Last line above it; empty: none.
+        cut: Values above its end are singular, which is told if there are any.
+        limit: Value that is marked [SI]; 0: none.
     """
     small = field in SMALL_MATTERS
     if ends is None and small:
@@ -408,14 +472,26 @@ def bar_of(
         text = f"norm of the tensor\n{text}"
     if small and len(values) and np.nanmax(values) / result.factor > result.ticks[-1]:
         text = f"{result.ticks[-1]:g} and more alike"
-    label = f"{fill(label_of(field), _LINE)}\n{text}".strip()
-    return replace(result, label=label, reversed=small)
+    limit = 1.0 if small else limit / result.factor
+    shown_limit = limit if result.ticks[0] < limit < result.ticks[-1] else None
+    if limit and not small:
+        text += f"\n{'allowable' if shown_limit is None else 'red: allowable'} {limit:.4g}"
+    if cut and not small and np.nanmax(values) / result.factor > result.ticks[-1]:
+        note = "more where singular"
+    label = "\n".join(filter(None, (fill(label_of(field), _LINE), text, note)))
+    return replace(result, label=label, reversed=small, limit=shown_limit)
+
+
+def _beyond(value: float, known: float, *, small: bool) -> bool:
+    """Whether a value exceeds the one to judge by, which a clip plane may have left."""
+    return not (value >= known * (1 - _SAME) if small else value <= known * (1 + _SAME))
 
 
 def marked(picture: Picture) -> Picture:
     """A picture with a mark at the largest value, or where small ones matter at the smallest.
 
-    Of nodes only: between them quadratic interpolation overshoots.
+    Of nodes only: between them quadratic interpolation overshoots.  Where that value is singular it
+    is said, and the one to judge by is marked, too.
     """
     bar, nodes = picture.bar, picture.scene.nodes
     assert bar is not None
@@ -428,7 +504,15 @@ def marked(picture: Picture) -> Picture:
     if abs(values[at]) <= _NOTHING * np.abs(bar.ticks).max():
         return picture
     text = f"{'min' if bar.reversed else 'max'} {values[at]:.4g} {bar.unit}".strip()
-    return replace(picture, mark=picture.moved[at], mark_text=text)
+    marks, known = [Mark(picture.moved[at], text)], picture.reliable
+    if known is not None and _beyond(values[at] * bar.factor, known.value, small=bar.reversed):
+        marks = [Mark(picture.moved[at], f"{text}: singular")]
+        away = np.linalg.norm(picture.scene.points - known.place, axis=1)
+        near = int(np.argmin(away))
+        if np.isfinite(known.value) and away[near] <= _SAME * picture.scene.diagonal:
+            text = f"{known.value / bar.factor:.4g} {bar.unit} {known.error}".strip()
+            marks.append(Mark(picture.moved[near], " ".join(text.split())))
+    return replace(picture, marks=tuple(marks))
 
 
 def up_against(weights: Iterable[Sequence[object]]) -> Up:

@@ -21,6 +21,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.files import writing
 from dolfin_elastic.results.scene.renderer import RENDERER
 from dolfin_elastic.results.scene.scene import (
+    SMALL_MATTERS,
     Obstacle,
     Picture,
     bar_of,
@@ -295,6 +296,9 @@ def finished(
         noise=picture.noise,
         ends=ends if limits.ends is not None else None,
         tensor=picture.tensor,
+        note="scaled to 1" if picture.scaled else "",
+        cut=picture.reliable is not None and limits.ends is None,
+        limit=picture.allowable,
     )
     picture = replace(picture, bar=bar)
     return marked(picture) if marks else picture
@@ -331,9 +335,13 @@ def _ends(picture: Picture, limits: Limits) -> tuple[float, float] | None:
     values = values[np.isfinite(values)]
     if limits.ends is not None and not limits.share:
         return limits.ends
+    if picture.scaled:  # between nodes quadratic interpolation overshoots
+        return 0.0, 1.0
     if not len(values):
         return None
     low, high = np.percentile(values, limits.ends if limits.ends is not None else (0, 100))
+    if limits.ends is None and picture.reliable is not None and picture.field not in SMALL_MATTERS:
+        high = np.fmin(high, picture.reliable.value)  # a singular value has no limit
     return float(low), float(high)
 
 

@@ -30,7 +30,7 @@ from dolfin_elastic.results.files import make_folder, replace_text
 from dolfin_elastic.results.quantity import Extremes, Measured
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.locking import unseen_locking
-from dolfin_elastic.results.recovery.peaks import ERROR, find_peaks
+from dolfin_elastic.results.recovery.peaks import ERROR, peaks_of
 from dolfin_elastic.results.recovery.slender import may_buckle
 from dolfin_elastic.results.verdict import verdict_of
 from dolfin_elastic.results.writer import LastState, Numbers
@@ -224,8 +224,8 @@ class SummaryWriter:
                     for name, one in content.items()
                 },
             }
-            if estimate:
-                extra["error"] = _error(self.problem, estimate, logs=self._logs)
+            if state and estimate:
+                extra["error"] = _error(self.problem, state, estimate, logs=self._logs)
                 stress = estimate.stress.stress
                 if isinstance(self._last["stability"], dict):
                     self._last["stability"]["may_buckle"] = may_buckle(self.problem, stress)
@@ -384,14 +384,16 @@ def _convergence(
     return {"most_iterations": now if more else most, "last": now}
 
 
-def _error(problem: Problem, estimate: ErrorEstimate, *, logs: bool) -> dict[str, object]:
+def _error(
+    problem: Problem, state: State, estimate: ErrorEstimate, *, logs: bool
+) -> dict[str, object]:
     """The estimated error and the largest stresses. Collective.
 
     Args:
         problem: The problem that is solved, in the state of the estimate.
         logs: They are also logged.
     """
-    peaks = find_peaks(problem, estimate)
+    peaks = peaks_of(problem, state, estimate)
     locking = unseen_locking(problem, estimate.relative)
     if logs and peaks.largest.value > 0:
         for line in peaks.lines(estimate.relative):

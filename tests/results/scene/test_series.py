@@ -24,7 +24,15 @@ from dolfin_elastic.results.outputs import Picture, limits_of
 from dolfin_elastic.results.scene import renderer, series
 from dolfin_elastic.results.scene.colour_bar import ColourBar, colour_map
 from dolfin_elastic.results.scene.obstacles import Reach, obstacles_beside
-from dolfin_elastic.results.scene.scene import Frame, Patch, Scene, axes_of, load, up_against
+from dolfin_elastic.results.scene.scene import (
+    Frame,
+    Patch,
+    Reliable,
+    Scene,
+    axes_of,
+    load,
+    up_against,
+)
 from dolfin_elastic.results.scene.scene import Picture as Panel
 from dolfin_elastic.results.scene.series import Limits, Series, encode, film_times, frames_at
 
@@ -68,9 +76,8 @@ def test_one_range_and_one_camera_over_a_series(folder: Path, drawn: list[Panel]
     assert ticks == [[0, 0.5, 1, 1.5, 2], *[[0, 2, 4, 6, 8]] * 2]
     assert np.array_equal(drawn[2].seen, drawn[1].seen)
     assert not np.array_equal(drawn[0].seen, drawn[1].seen)
-    assert drawn[2].mark_text == "max 2 MPa"
-    assert drawn[1].mark is not None
-    np.testing.assert_allclose(drawn[1].mark, (0.5, 1.5, 0.5))
+    assert drawn[2].marks[0].text == "max 2 MPa"
+    np.testing.assert_allclose(drawn[1].marks[0].place, (0.5, 1.5, 0.5))
     assert not (folder / ".frames").exists()
 
 
@@ -213,7 +220,7 @@ def test_marks_stand_at_nodes(folder: Path, drawn: list[Panel]) -> None:
     panel = scene_of([1e6, 9e6, 2e6], nodes=np.array([True, False, True]))
     pictures.add(0, [panel])
     pictures.draw(0, [panel], folder / "a.png")
-    assert drawn[0].mark_text == "max 2 MPa"
+    assert drawn[0].marks[0].text == "max 2 MPa"
     body = make_problem(2, cells=1).body
     assert [Picture(file=f).appearance(body).marks for f in ("a.png", "a.mp4")] == [True, False]
 
@@ -366,17 +373,67 @@ def test_colours_grow_lighter() -> None:
     assert np.all(np.diff(light) > 0)
 
 
-@pytest.mark.parametrize("least", [0.5, 1.5])
-def test_a_line_where_the_allowable_stress_is_reached(folder: Path, least: float) -> None:
-    """Red on pictures of a safety factor that falls below 1, where it is 1; no other thing is."""
+@pytest.mark.parametrize(("field", "values"), [("safety_factor", 1.0), ("von_mises", 2e6)])
+@pytest.mark.parametrize("reached", [True, False])
+def test_a_line_where_the_allowable_stress_is_reached(
+    folder: Path, field: str, values: float, reached: bool
+) -> None:
+    """Red on pictures, where the safety factor is 1 or the stress the allowable one; nothing else
+    is, but a line across the bar, which has room for it.
+    """
+    small = field == "safety_factor"
+    other = 3.0 if small else 1e6
+    end = values * (0.5 if small == reached else 1.5)
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    frame = Frame("", 0 * points, {"safety_factor": np.array([least, 3.0, 3.0])})
+    frame = Frame("", 0 * points, {field: np.array([end, other, other])})
     scene = Scene(points, np.array([[0, 1, 2]]), frames=(frame,), plane=True)
-    panel = Panel(scene, "z", field="safety_factor")
-    panel = series.finished(panel, (least, 3.0), Limits(), panel.seen, marks=False)
-    series.draw_pictures(folder, [replace(panel, bare=True)], folder / "a.png")
+    panel = Panel(scene, "z", field=field, unit="" if small else "Pa", allowable=values)
+    ends = min(end, other), max(end, other)
+    panel = series.finished(panel, ends, Limits(), panel.seen, marks=False)
+    bar = bar_in(panel)
+    assert (bar.limit is not None) == (small or reached)
+    if not small:
+        assert bar.label.endswith("red: allowable 2" if reached else "\nallowable 2")
+    counts = []
+    for bare in (True, False):
+        series.draw_pictures(folder, [replace(panel, bare=bare)], folder / "a.png")
+        with Image.open(folder / "a.png") as image:
+            colours = np.asarray(image.convert("RGB")).astype(int)
+        red = (colours[..., 0] > 180) & (colours[..., 1] < 90) & (colours[..., 2] < 90)
+        counts.append(np.count_nonzero(red[:, :1250] if bare else red[:, 1250:]))
     renderer.RENDERER.release(folder)
-    with Image.open(folder / "a.png") as image:
-        colours = np.asarray(image.convert("RGB")).astype(int)
-    red = (colours[..., 0] > 180) & (colours[..., 1] < 90) & (colours[..., 2] < 90)
-    assert (np.count_nonzero(red) > 200) == (least < 1)
+    assert (counts[0] > 200) == reached
+    assert (100 < counts[1] < 1000) == (bar.limit is not None)
+
+
+RIM = {"value": 8e6, "singular": "the rim of the support 'left'", "place": [1, 0], "error": None}
+FILLET = {"value": 3e6, "place": [0, 1], "error": 0.06}
+
+
+def test_what_is_singular_is_told(drawn: list[Panel], folder: Path) -> None:
+    """The colours end at the largest reliable stress, which is marked beside the singular one."""
+    panel = replace(scene_of([0, 8e6, 3e6]), reliable=Reliable.of(RIM, FILLET))
+    pictures = Series(Limits(), marks=True)
+    pictures.add(0, [panel])
+    pictures.draw(0, [panel], folder / "a.png")
+    (told,) = drawn
+    assert [mark.text for mark in told.marks] == ["max 8 MPa: singular", "3 MPa ± 6 %"]
+    np.testing.assert_allclose([mark.place for mark in told.marks], [[1, 0, 0], [0, 1, 0]])
+    assert bar_in(told).ticks[-1] == 3
+    assert bar_in(told).label == "von Mises stress\n[MPa]\nmore where singular"
+    assert Reliable.of({**RIM, "singular": ""}, FILLET) is None
+    alone = replace(panel, reliable=Reliable.of(RIM, None))
+    alone = series.finished(alone, (0, 8e6), Limits(), panel.seen, marks=True)
+    assert [mark.text for mark in alone.marks] == ["max 8 MPa: singular"]
+    cut = replace(scene_of([0, 2e6, 1e6]), reliable=Reliable.of(RIM, FILLET))
+    cut = series.finished(cut, (0, 2e6), Limits(), panel.seen, marks=True)
+    assert [mark.text for mark in cut.marks] == ["max 2 MPa"]  # a plane has left the rest
+
+
+def test_a_mode_has_no_size(drawn: list[Panel], folder: Path) -> None:
+    panel = replace(scene_of([0, 0.5, 1.0002]), field="von_mises", unit="", scaled=True)
+    pictures = Series(Limits(), marks=True)
+    pictures.add(0, [panel])
+    pictures.draw(0, [panel], folder / "a.png")
+    assert bar_in(drawn[0]).ticks[-1] == 1
+    assert bar_in(drawn[0]).label.endswith("\nscaled to 1")
