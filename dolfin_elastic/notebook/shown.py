@@ -147,9 +147,7 @@ def _(report: MaterialReport) -> str:
     return _page(
         f"Tests of the law {report.law.name()} at a point",
         [f"note: {note}" for note in report.notes],
-        _table(
-            ("check", "", "result"), [(f.check, f.verdict, f.text) for f in report.findings]
-        ),
+        _table(("check", "", "result"), [(f.check, f.verdict, f.text) for f in report.findings]),
         *pictures,
     )
 

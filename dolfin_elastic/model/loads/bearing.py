@@ -9,10 +9,10 @@ import numpy as np
 import ufl
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import InputError, keyed
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints
-from dolfin_elastic.model.materials.spatial import Axis, axis_vector
+from dolfin_elastic.model.materials.spatial import Axis, unit_axis
 from dolfin_elastic.model.values import Component, checked_area, components
 
 _TILT = 0.03
@@ -62,16 +62,7 @@ class Bearing(Load):
 
     @cached_property
     def _axis(self) -> FloatArray | None:
-        written = axis_vector(self.axis)
-        if written is None:
-            return None
-        with keyed("axis"):
-            a = np.array(plain(components(written, ""), "", 'for example "z"'), dtype=np.float64)
-        if len(a) != 3 or not a.any():
-            raise InputError(
-                "the axis has no length", where="axis", expected='for example "z" or [0, 0, 1]'
-            )
-        return np.asarray(a / np.linalg.norm(a))
+        return None if self.axis is None else np.array(unit_axis(self.axis))
 
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:

@@ -17,7 +17,7 @@ from dolfin_elastic.model.amplitude import Amplitude, amplitude
 from dolfin_elastic.model.kinematics import deformation_from
 from dolfin_elastic.model.loads.base import LoadContext, ScalarLoad
 from dolfin_elastic.model.loads.eigenstrain import Eigenstrain
-from dolfin_elastic.model.materials.spatial import Axis, axis_vector
+from dolfin_elastic.model.materials.spatial import Axis, unit_axis
 from dolfin_elastic.model.values import Component, Parts, component
 
 
@@ -86,7 +86,7 @@ class Bolt(ScalarLoad, Eigenstrain):
 
     @property
     def domain(self) -> Parts:
-        """See `Load`: regions, which it needs."""
+        """See `Load`: a volume, that of a region or beside a surface."""
         return Parts("region", self.parts)
 
     @property
@@ -97,13 +97,7 @@ class Bolt(ScalarLoad, Eigenstrain):
     @cached_property
     def direction(self) -> FloatArray:
         """Unit vector of the axis, shape (3,)."""
-        axis = np.resize(np.append(np.array(axis_vector(self.axis), dtype=float), 0.0), 3)
-        length = float(np.linalg.norm(axis))
-        if not np.isfinite(length) or length == 0.0:
-            raise InputError(
-                f"{self.axis!r} is not an axis", where="axis", expected='for example "z"'
-            )
-        return np.asarray(axis / length)
+        return np.array(unit_axis(self.axis))
 
     def force(self, t: float, default: Amplitude) -> float:
         """The preload at load parameter t [N].

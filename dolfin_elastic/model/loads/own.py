@@ -13,7 +13,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.model.describe import ALONE, Setting
 from dolfin_elastic.model.loads.base import Load, LoadContext
-from dolfin_elastic.model.values import Component
+from dolfin_elastic.model.values import Component, Parts
 
 _STATE = frozenset("uF")
 _ARGUMENTS = ("v", "u", "F", "X", "N", "t")
@@ -68,6 +68,11 @@ class OwnLoad(Load):
         """See `Load.parts`."""
         names = self.region if self.surface is None else self.surface
         return () if names is None else (names,) if isinstance(names, str) else tuple(names)
+
+    @property
+    def domain(self) -> Parts:
+        """See `Load.domain`."""
+        return Parts("region" if self.surface is None else "surface", self.parts)
 
     def describe(self, setting: Setting = ALONE) -> str:
         """See `Load.describe`."""

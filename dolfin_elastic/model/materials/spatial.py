@@ -9,6 +9,7 @@ array with a value for each cell.  What a name means is known only on a body, to
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -284,6 +285,26 @@ Axis = Literal["x", "y", "z"]
 def axis_vector(axis: object) -> object:
     """The unit vector of "x", "y" or "z"; any other value unchanged."""
     return [float(name == axis) for name in "xyz"] if isinstance(axis, str) else axis
+
+
+def unit_axis(axis: object) -> tuple[float, float, float]:
+    """The unit vector of an axis as a user wrote it: "x", "y", "z" or a direction.
+
+    Raises:
+        InputError: It is none of these, or has no length.
+    """
+    given = axis_vector(axis)
+    parts = list(given) if isinstance(given, list | tuple) else []
+    if len(parts) in (2, 3) and all(isinstance(item, int | float) for item in parts):
+        x, y, z = (float(item) for item in [*parts, 0.0][:3])
+        length = math.hypot(x, y, z)
+        if 0.0 < length < math.inf:
+            return x / length, y / length, z / length
+    raise InputError(
+        f"{axis!r} is not an axis",
+        where="axis",
+        expected='"x", "y", "z" or a direction, for example [0, 0, 1]',
+    )
 
 
 def direction(value: Expr | Sequence[float]) -> Expr:

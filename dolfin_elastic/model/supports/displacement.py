@@ -16,7 +16,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import is_quantity, to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
-from dolfin_elastic.model.materials.spatial import Axis, axis_vector
+from dolfin_elastic.model.materials.spatial import Axis, unit_axis
 from dolfin_elastic.model.records import RATES
 from dolfin_elastic.model.values import (
     Component,
@@ -434,15 +434,7 @@ class Rotation(PrescribingSupport):
     @cached_property
     def direction(self) -> tuple[float, ...]:
         """Unit vector of the axis."""
-        axis = np.array(axis_vector("z" if self.axis is None else self.axis))
-        length = float(np.linalg.norm(axis))
-        if axis.shape != (3,) or not np.isfinite(length) or length == 0.0:
-            raise InputError(
-                f"{self.axis!r} is not an axis",
-                where="axis",
-                expected='"x", "y", "z" or a direction of 3 components, for example [0, 0, 1]',
-            )
-        return tuple(float(item) for item in axis / length)
+        return unit_axis("z" if self.axis is None else self.axis)
 
     @property
     def vectors(self) -> Mapping[str, tuple[Component, ...]]:

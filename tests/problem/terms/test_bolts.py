@@ -232,6 +232,8 @@ def test_surfaces_that_cut_no_shank(keys: dict[str, Any], where: str, said: str)
     ("keys", "said"),
     [
         ({"axis": [0, 0, 0]}, "is not an axis"),
+        ({"axis": [1]}, "is not an axis"),
+        ({"axis": [0, 0, 1, 5]}, "is not an axis"),
         ({"locked_at": 0.5, "curve": "ramp"}, "given together"),
         ({"value": "x"}, "one preload"),
         ({"value": "3 MPa"}, "N"),
