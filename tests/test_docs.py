@@ -125,6 +125,6 @@ def test_notes_are_found() -> None:
         "linear elements bend too stiffly",
         "linear elements lock at nu = …",
         "the file says that its lengths are in …",
-        "… of … cells are very thin",
+        "… of … elements are very thin",
     ):
         assert [code for text, code in found.items() if text.startswith(start)] == ["0"], start

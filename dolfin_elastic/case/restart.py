@@ -104,7 +104,7 @@ class Unfinished:
         before = self.found.content["mesh"]
         if before == json.loads(json.dumps(description.mesh)):
             return
-        words = {"cells": "number of cells", "geometry": "positions of elements"}
+        words = {"cells": "number of elements", "geometry": "positions of elements"}
         which = next(
             (key for key in description.mesh if before.get(key) != description.mesh[key]), "cells"
         )

@@ -319,7 +319,7 @@ def _entities(
         if missed < len(wanted):
             parts[name] = np.sort(entities[at[at >= 0]]).astype(np.int32)
         if missed:
-            lost[name] = f"{missed} of its {len(wanted)} {things} are no {things} of a cell"
+            lost[name] = f"{missed} of its {len(wanted)} {things} are no {things} of an element"
     return parts, lost
 
 

@@ -158,7 +158,7 @@ class FieldFile:
         first = first_of(body.comm, (tuple(map(float, x)) for x in places[:, : body.dim]))
         if first is None:
             return
-        kind = "nodes" if centre == "point" else "midpoints of cells"
+        kind = "nodes" if centre == "point" else "midpoints of elements"
         sizes = [
             " x ".join(f"{x / body.unit.metres:.4g}" for x in extent(one)) for one in (body, other)
         ]

@@ -65,7 +65,7 @@ def box_body(
     dim = _check(size, cells, origin)
     number = number_of_cells(cells)
     _check_extremes(size, scale)
-    check_memory(comm, number, BYTES[dim], where="cells", expected="fewer cells")
+    check_memory(comm, number, BYTES[dim], where="cells", expected="fewer elements")
     low = np.array([*origin, 0.0][:dim], dtype=float) * scale
     high = low + np.asarray(size, dtype=float) * scale
     count = [int(n) for n in cells]
@@ -164,7 +164,7 @@ def _check(size: Sequence[float], cells: Sequence[int], origin: Sequence[float])
         )
     if len(cells) != dim:
         raise MeshError(
-            f"{len(cells)} numbers of cells for {dim} sizes",
+            f"{len(cells)} numbers of elements for {dim} sizes",
             where="cells",
             expected="one number for each edge",
         )
@@ -176,7 +176,7 @@ def _check(size: Sequence[float], cells: Sequence[int], origin: Sequence[float])
         )
     if min(cells) < 1 or any(int(n) != n for n in cells):
         raise MeshError(
-            f"numbers of cells must be whole and positive, not {list(cells)}",
+            f"numbers of elements must be whole and positive, not {list(cells)}",
             where="cells",
             expected="for example [8, 4, 4]",
         )
@@ -211,7 +211,7 @@ def number_of_cells(cells: Sequence[int]) -> int:
     number = math.prod(int(n) for n in cells) * math.factorial(len(cells))
     if number > _MOST_CELLS:
         raise MeshError(
-            f"{number:.3g} cells are too many",
+            f"{number:.3g} elements are too many",
             where="cells",
             expected=f"at most {_MOST_CELLS:.3g}: PETSc's numbers have 32 bits",
         )

@@ -88,7 +88,7 @@ def interface(body: Body, first: str, second: str) -> IndexArray:
     shared = body.owned_cells(second)
     if count := int(total(body.comm, int(np.count_nonzero(sides[shared])))):
         raise MeshError(
-            f"'{first}' and '{second}' have {count} cells in common",
+            f"'{first}' and '{second}' have {count} elements in common",
             where="between",
             expected="two regions that lie beside each other",
         )

@@ -107,7 +107,7 @@ class CadSizes:
     def information(self, unit: LengthUnit) -> list[str]:
         """The sizes in words, if there are any."""
         words = [one.words(unit) for one in self.sizes]
-        return [f"smaller cells: {', '.join(words)}"] if words else []
+        return [f"smaller elements: {', '.join(words)}"] if words else []
 
     def for_gmsh(
         self,
@@ -257,7 +257,7 @@ def _check_count(count: float, seconds: float, faces: CadFaces, where: str) -> N
         return
     takes = f", for which Gmsh has {seconds:g} s (mesh.time_limit)" if most < MOST_CELLS else ""
     raise MeshError(
-        f"there would be about {count:.2g} cells of this size",
+        f"there would be about {count:.2g} elements of this size",
         where=where,
         expected=f"at most {most:.2g}{takes}; lengths without a unit are in {faces.unit.name}",
     )

@@ -207,7 +207,8 @@ def check_file(
         raise MeshError(
             "mesh.curved is given, but this file is a finished mesh",
             where=path.name,
-            expected=f"curved is for {', '.join(CAD)}; a mesh of quadratic cells is curved already",
+            expected=f"curved is for {', '.join(CAD)}; a mesh of quadratic elements is curved "
+            "already",
         )
     if join is not None and path.suffix.lower() not in SHAPES:
         raise MeshError(

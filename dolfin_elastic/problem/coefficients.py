@@ -130,10 +130,10 @@ class CoefficientBinder:
         wrong = count not in (owned, owned + ghosts)
         if largest(self.body.comm, float(wrong)):
             raise InputError(
-                f"an array of {count} values for the {owned} cells of this rank"
+                f"an array of {count} values for the {owned} elements of this rank"
                 if wrong
-                else "an array that does not have a value for each cell of another rank",
-                expected="a value for each owned cell of the rank, in the order of body.mesh",
+                else "an array that does not have a value for each element of another rank",
+                expected="a value for each owned element of the rank, in the order of body.mesh",
             )
         return np.repeat(item.values[cells][:, None], len(self.points), axis=1)
 
@@ -163,7 +163,7 @@ class CoefficientBinder:
             count = int(total(self.body.comm, int(np.count_nonzero(np.any(bad, axis=1)))))
             raise MeshError(
                 f"the field '{name}' of {self.body.source or 'the mesh'} has no finite value in "
-                f"{count} cells, near {worst[1]}",
+                f"{count} elements, near {worst[1]}",
                 expected="a field with a value wherever the material is",
             )
         return table

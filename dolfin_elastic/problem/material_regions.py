@@ -231,15 +231,15 @@ def _check_cover(body: Body, cells: Mapping[str, IndexArray]) -> None:
     bare, twice = total(body.comm, np.array([np.sum(times == 0), np.sum(times > 1)]))
     if bare:
         raise MeshError(
-            f"{bare} of {body.num_cells} cells have no material",
+            f"{bare} of {body.num_cells} elements have no material",
             where="materials",
-            expected="every cell needs exactly one",
+            expected="every element needs exactly one",
         )
     if twice:
         raise MeshError(
-            f"{twice} cells have more than one material",
+            f"{twice} elements have more than one material",
             where="materials",
-            expected="every cell needs exactly one",
+            expected="every element needs exactly one",
         )
 
 

@@ -60,7 +60,7 @@ def fields_at_nodes(body: Body, V: fem.FunctionSpace) -> FieldsAt:
         field = body.mesh_field(name)
         if field.centre == "cell":
             raise MeshError(
-                f"the field '{name}' has values in cells",
+                f"the field '{name}' has values in elements",
                 expected="a field with values at points, for displacements are those of nodes",
             )
         rows = V.dofmap.list

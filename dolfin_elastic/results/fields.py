@@ -229,13 +229,18 @@ _FIELDS: dict[str, Field] = {
     "von_mises": _recovered("von_mises", "von Mises stress, from the recovered Cauchy stress"),
     "von_mises_nodal": _recovered("von_mises", "the same as von_mises"),
     "von_mises_cell": Field(
-        "scalar", "cell", "Pa", "von Mises stress of the cell, not recovered", _von_mises
+        "scalar", "cell", "Pa", "von Mises stress of the element, not recovered", _von_mises
     ),
     "cauchy_stress": _recovered(
         "cauchy_stress", "recovered Cauchy stress: force over current area"
     ),
     "cauchy_stress_cell": Field(
-        "tensor", "cell", "Pa", "Cauchy stress of the cell, not recovered", cauchy_stress, current=2
+        "tensor",
+        "cell",
+        "Pa",
+        "Cauchy stress of the element, not recovered",
+        cauchy_stress,
+        current=2,
     ),
     "first_piola": Field(
         "tensor",
@@ -283,7 +288,7 @@ _FIELDS: dict[str, Field] = {
     ),
     "pressure": _recovered("pressure", "pressure: minus the mean recovered Cauchy stress"),
     "pressure_cell": Field(
-        "scalar", "cell", "Pa", "pressure of the cell: minus its mean Cauchy stress", _pressure
+        "scalar", "cell", "Pa", "pressure of the element: minus its mean Cauchy stress", _pressure
     ),
     "strain": Field(
         "tensor",
@@ -375,7 +380,7 @@ _FIELDS: dict[str, Field] = {
         "scalar",
         "cell",
         "Pa",
-        "estimated error of the cell's stress: of recovered minus raw, mean square",
+        "estimated error of the element's stress: of recovered minus raw, mean square",
         values=lambda source: source.stress_error(),
     ),
     "young_modulus": Field(
@@ -428,7 +433,7 @@ _FIELDS: dict[str, Field] = {
         "scalar",
         "cell",
         "",
-        "MPI rank that owns the cell",
+        "MPI rank that owns the element",
         values=lambda source: source.rank(),
         fixed=True,
     ),

@@ -32,7 +32,7 @@ DOMAIN = (
     "has values"
 )
 LOAD = "a formula of that load that has a finite value for every displacement and time"
-SMALLER = "more load steps, a smaller load, or a finer mesh where the cells are crushed"
+SMALLER = "more load steps, a smaller load, or a finer mesh where the elements are crushed"
 BUCKLING = (
     "a small imperfection that leads into the mode (a side load, a bent mesh), or statics.method = "
     '"arc-length" to follow the path, or [dynamics] to see where the body goes'
@@ -48,16 +48,16 @@ MATERIAL = (
 STALLED = "more load steps or a smaller load; beyond a limit point no static equilibrium exists"
 JUMP = "a curve or a formula of the support that takes some time from one position to the other"
 WITHOUT_SLIVERS = (
-    "mesh anew without such slivers (dolfin-elastic check lists the worst cells), or "
-    "law = 'fixed-corotated', which goes on with inverted cells"
+    "mesh anew without such slivers (dolfin-elastic check lists the worst elements), or "
+    "law = 'fixed-corotated', which goes on with inverted elements"
 )
 MIRRORED = (
-    "the law is a function of C alone, which cannot tell a cell from its mirror image: it does not "
-    "resist being turned inside out, and an inverted cell would stay so"
+    "the law is a function of C alone, which cannot tell an element from its mirror image: it does "
+    "not resist being turned inside out, and an inverted element would stay so"
 )
 SEES_INVERSION = (
     "law = 'neo-hookean', which resists inversion, or law = 'fixed-corotated', which goes on with "
-    "inverted cells and turns them back"
+    "inverted elements and turns them back"
 )
 SMALLER_STEP = (
     "a smaller dt, or a scheme that damps more (a smaller spectral_radius, implicit-euler)"
@@ -115,7 +115,7 @@ _ENDS = {
         "the forces out of balance grow without bound or have no value"
     ),
     "DIVERGED_FUNCTION_DOMAIN": (
-        "step after step of Newton's method was shortened, lest cells turn inside out"
+        "step after step of Newton's method was shortened, lest elements turn inside out"
     ),
     "DIVERGED_LINE_SEARCH": "no step along Newton's direction brings the forces nearer to balance",
     "DIVERGED_LOCAL_MIN": "no step along Newton's direction brings the forces nearer to balance",
@@ -160,7 +160,7 @@ def eigenvalues(reason: str) -> str:
 
 def ahead(fault: str) -> str:
     """The text where Newton's next step inverts cells."""
-    return f"every step of Newton's method turns cells inside out: {fault}"
+    return f"every step of Newton's method turns elements inside out: {fault}"
 
 
 def linear(reason: str) -> tuple[str, str]:
@@ -195,8 +195,8 @@ def sliver(quality: float) -> str:
         quality: Of the cell: 1 of a regular one, 0 of a flat one.
     """
     return (
-        f"it is a sliver: its quality is {quality:.2g}, where 1 is a regular cell, so that a small "
-        "motion of a node turns it inside out"
+        f"it is a sliver: its quality is {quality:.2g}, where 1 is a regular element, so that a "
+        "small motion of a node turns it inside out"
     )
 
 

@@ -435,12 +435,12 @@ MISTAKES = {
         "E = 1\n"
         "nu = 0.1\n"
         'on = "core"',
-        "materials.alu.on: 6 cells are in 'steel' too; every cell needs exactly one material",
+        "materials.alu.on: 6 elements are in 'steel' too; every element needs exactly one material",
     ),
     "uncovered": (
         "nu = 0.3",
         'nu = 0.3\non = "core"',
-        "materials: 6 of 12 cells have no material; a material without `on` fills what "
+        "materials: 6 of 12 elements have no material; a material without `on` fills what "
         "the others leave",
     ),
     "no support": (

@@ -72,7 +72,7 @@ HOSTILE = {
     ),
     "cells": (
         case("box = {size = [1, 1, 1], cells = [100000, 100000, 100000]}"),
-        r"mesh.box.*6e\+15 cells are too many",
+        r"mesh.box.*6e\+15 elements are too many",
     ),
     "digits": (case() + f"[output]\ncheckpoint = 1{'0' * 400}\n", r"output.checkpoint: an integer"),
     "digits-list": (

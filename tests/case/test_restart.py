@@ -577,7 +577,7 @@ def test_a_changed_mesh_is_refused(folder: Path) -> None:
     on_root(WORLD, lambda: write(0.2))
     begun(on_file(), folder / "a", 2)
     on_root(WORLD, lambda: write(0.1))
-    refused(folder / "a", "the mesh is not that of the checkpoint: its number of cells differ")
+    refused(folder / "a", "the mesh is not that of the checkpoint: its number of elements differ")
     on_root(WORLD, lambda: write(0.2))
     states = restart(folder / "a")
     assert next(states).step == 3

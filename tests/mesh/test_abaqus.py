@@ -123,7 +123,7 @@ def test_reference_points_of_an_assembly(folder: Path) -> None:
     for name in ("own", "corner", "after"):
         nodes = body.mesh.geometry.x[body.owned_points(name)]
         assert COMM.allreduce(len(nodes)) == 1 and not nodes.any()
-    with pytest.raises(MeshError, match="'reference' .* 1 of its 1 nodes belong to no cell"):
+    with pytest.raises(MeshError, match="'reference' .* 1 of its 1 nodes belong to no element"):
         body.point("reference")
 
 
@@ -161,7 +161,7 @@ INCOMPLETE = {
     "*SURFACE, NAME=one\n1, S1\n*SURFACE, NAME=part, COMBINE=DIFFERENCE\none, one\n": "DIFFERENCE",
     "*ELEMENT, TYPE=C3D4\n6, 1, 2, 4, 8\n*ELSET, ELSET=part\n5, 6\n": "1 of its 2 elements stand",
     "*NSET, NSET=part\n": "it has no nodes",
-    "*NODE\n50, 5., 5., 5.\n*NSET, NSET=part\n1, 50\n": "1 of its 2 nodes belong to no cell",
+    "*NODE\n50, 5., 5., 5.\n*NSET, NSET=part\n1, 50\n": "1 of its 2 nodes belong to no element",
     "*ELEMENT, TYPE=S3, ELSET=part\n9, 1, 2, 4\n10, 2, 3, 5\n": "1 of its 2 facets are no facets",
 }
 

@@ -133,12 +133,12 @@ def test_sets_of_nodes_fields_and_faults_stay(
     made(lambda: (folder / "cube.vtu").write_text("<VTKFile/>"))
     monkeypatch.setattr(read, "_other_reader", lambda suffix: lambda path: file)
     found = convert_mesh(folder / "cube.vtu", folder / "cube.xdmf")
-    assert any("1 of 28 points belong to no cell (dropped)" in note for note in found.notes)
+    assert any("1 of 28 points belong to no element (dropped)" in note for note in found.notes)
     one, other = (read_body(folder / name) for name in ("cube.vtu", "cube.xdmf"))
     same(one, other)
     assert dict(other.uncovered) == {"loose": 1} and list(other.incomplete) == ["lost"]
     assert total(COMM, len(other.owned_points("bottom"))) == 9
-    assert not any("belong to no cell" in note for note in other.information)
+    assert not any("belong to no element" in note for note in other.information)
     # A field is where it was: its values are coordinates.
     for body in (one, other):
         fibre = body.fields["fibre"].values
@@ -243,7 +243,7 @@ def test_facets_of_no_cell_are_missed(folder: Path) -> None:
     count = on_root(COMM, change)
     body = read_body(folder / "two.xdmf")
     (lost,) = set(surfaces) - set(body.surfaces)
-    assert body.incomplete == {lost: f"1 of its {count} facets are no facets of a cell"}
+    assert body.incomplete == {lost: f"1 of its {count} facets are no facets of an element"}
     assert any(
         f"incomplete named parts (left out): '{lost}' (1 of its" in note for note in body.notes
     )

@@ -191,7 +191,7 @@ def test_midside_nodes_of_covered_facets_are_covered() -> None:
 def test_an_edge_that_is_not_whole_is_refused_where_it_is_used() -> None:
     lines = Block("line", np.array([[0, 1], [1, 7]]), {"seam": np.array([0, 1])})
     body = cube([lines])
-    reason = "1 of its 2 edges are no edges of a cell"
+    reason = "1 of its 2 edges are no edges of an element"
     assert body.notes == (f"incomplete named parts (left out): 'seam' ({reason})",)
     with pytest.raises(MeshError, match=f"'seam' of cube is incomplete: {reason}"):
         body.owned_edges("seam")

@@ -64,7 +64,7 @@ def test_cells_at_a_fillet_have_the_size(folder: Path, surfaces) -> None:
     _, far, _ = sizes(body, [4.17, 3, 4.17], 10, 99)
     assert 0.5 < near < 0.85
     assert 1.8 < far < 3.5
-    assert "smaller cells: 0.6 mm at 'fillet'" in body.information
+    assert "smaller elements: 0.6 mm at 'fillet'" in body.information
     triangle = np.sqrt(3) / 4 * 0.6**2
     assert body.count("fillet") == pytest.approx(12 * np.pi / triangle, rel=0.2)
 
@@ -104,7 +104,7 @@ def test_uniform_refinement_keeps_names(folder: Path, file: bool) -> None:
     assert fine.count("s") == 4 * coarse.count("s")
     volumes = [mesh_statistics(body).regions["r"] for body in (coarse, fine)]
     assert volumes[1] == pytest.approx(volumes[0], rel=1e-2 if file else 1e-12)
-    assert f"refined uniformly 1 time: {coarse.num_cells} cells before" in fine.information
+    assert f"refined uniformly 1 time: {coarse.num_cells} elements before" in fine.information
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ def test_places_much_smaller_than_a_cell(folder: Path, center) -> None:
     assert 0.03 / 4 < least <= most <= 0.03
     assert body.num_cells < 20_000
     outside = [{"sphere": {"center": [9, 9, 9], "radius": 0.05}, "size": 0.03}]
-    with pytest.raises(InputError, match=r"refine\[0\]: there is no cell in the sphere"):
+    with pytest.raises(InputError, match=r"refine\[0\]: there is no element in the sphere"):
         body_of(folder, {**mesh, "refine": outside})
 
 

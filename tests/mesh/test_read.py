@@ -122,7 +122,7 @@ def test_curved_cells_keep_their_shape(folder: Path, suffix: str) -> None:
 
         made(convert)
     size = mesh_statistics(read_body(path))
-    # Straight cells of this size lose 3 % of the volume.
+    # Straight elements of this size lose 3 % of the volume.
     assert size.volume == pytest.approx(np.pi / 6, rel=2e-3)
     assert size.boundary == pytest.approx(np.pi / 2 + 3 * np.pi / 4, rel=2e-3)
 
@@ -433,10 +433,10 @@ def test_unused_points_duplicates_and_reversed_cells_are_noted(folder: Path) -> 
     made(lambda: write_cube(folder / "cube.vtu", points, cells))
     body = read_body(folder / "cube.vtu", scale=0.5)
     assert mesh_statistics(body).volume == pytest.approx(1 / 8)
-    assert body.notes == ("1 duplicate cells (removed) near (0.75, 0.5, 0.25) x 0.5 m",)
+    assert body.notes == ("1 duplicate elements (removed) near (0.75, 0.5, 0.25) x 0.5 m",)
     information = " | ".join(body.information)
-    assert "1 of 9 points belong to no cell" in information
-    assert "3 of 6 cells list their points the other way round (harmless" in information
+    assert "1 of 9 points belong to no element" in information
+    assert "3 of 6 elements list their points the other way round (harmless" in information
 
 
 def test_pieces_that_touch_are_noted_with_the_place(folder: Path) -> None:
@@ -444,7 +444,7 @@ def test_pieces_that_touch_are_noted_with_the_place(folder: Path) -> None:
     points = np.vstack([POINTS, POINTS + np.array([1, 0, 0])])
     made(lambda: write_cube(folder / "two.vtu", points, np.vstack([CUBE, CUBE + len(POINTS)])))
     pieces, same = read_body(folder / "two.vtu", scale=1e-3).notes
-    assert "2 unconnected pieces of 6, 6 cells" in pieces
+    assert "2 unconnected pieces of 6, 6 elements" in pieces
     assert "4 nodes of different pieces have the same coordinates, near (1, " in same
     assert ") mm: the pieces touch there and are not joined" in same
     points[8:] += [0.5, 0, 0]
@@ -458,7 +458,7 @@ FAULTS: dict[str, tuple[Callable[[], dict[str, object]], str]] = {
             "points": np.vstack([POINTS, [0.5, 0.5, 0]]),
             "cells": np.vstack([CUBE, [0, 1, 3, 8]]),
         },
-        r"1 of 7 cells have no volume, near \(0\.625, 0\.375, 0\)",
+        r"1 of 7 elements have no volume, near \(0\.625, 0\.375, 0\)",
     ),
     "nan": (lambda: {"points": np.where(POINTS == [1, 1, 1], np.nan, POINTS)}, "not numbers"),
     "range": (lambda: {"cells": np.vstack([CUBE, [0, 1, 3, 99]])}, "point 99"),
@@ -468,7 +468,7 @@ FAULTS: dict[str, tuple[Callable[[], dict[str, object]], str]] = {
             "points": np.vstack([POINTS, [2, 0.4, 0.3]]),
             "cells": np.vstack([CUBE, [0, 1, 7, 8]]),
         },
-        "three or more cells",
+        "three or more elements",
     ),
     "inside out": (
         lambda: {
@@ -496,8 +496,8 @@ XDMF_FAULTS = {
     "nan": "not numbers",
     "range": "point 99, but there are 8",
     "twice": "point twice",
-    "duplicate": "1 duplicate cells",
-    "overlap": "three or more cells",
+    "duplicate": "1 duplicate elements",
+    "overlap": "three or more elements",
     "flat": "no volume",
     "inside out": "inside out",
 }
@@ -518,7 +518,7 @@ def test_one_cell_on_any_number_of_ranks(folder: Path) -> None:
     made(lambda: write_cube(folder / "one.vtu", cells=CUBE[:1]))
     size = mesh_statistics(body := read_body(folder / "one.vtu"))
     assert body.num_cells == 1 and size.volume == pytest.approx(1 / 6)
-    assert "4 of 8 points belong to no cell" in " ".join(body.information)
+    assert "4 of 8 points belong to no element" in " ".join(body.information)
     assert not body.notes
 
 
@@ -535,7 +535,7 @@ def test_pieces_are_counted(folder: Path, cells: int) -> None:
     points = np.vstack([POINTS, POINTS + 3])
     made(lambda: write_cube(folder / "two.vtu", points, np.vstack([CUBE, CUBE[:cells] + 8])))
     said = " ".join(read_body(folder / "two.vtu").notes)
-    assert f"2 unconnected pieces of 6, {cells} cells" in said
+    assert f"2 unconnected pieces of 6, {cells} elements" in said
 
 
 def test_only_facets_named_and_names_without_elements(folder: Path) -> None:
@@ -570,7 +570,7 @@ def test_a_surface_with_a_facet_outside_the_body_is_no_surface(folder: Path) -> 
     )
     made(lambda: mesh.write(folder / "cube.vtu"))
     body = read_body(folder / "cube.vtu")
-    reason = "1 of its 2 facets are no facets of a cell"
+    reason = "1 of its 2 facets are no facets of an element"
     assert any(f"left out): 'part_5' ({reason})" in note for note in body.notes)
     with pytest.raises(MeshError, match=f"'part_5' of cube.vtu is incomplete: {reason}"):
         body.surface("part_5")
@@ -659,7 +659,7 @@ def test_real_meshes() -> None:
 def test_inside_out_cells_are_told_from_reversed_ones() -> None:
     body = read_body(SHARED / "microstructure.msh")
     notes, information = body.notes, body.information
-    said = [note for note in notes if "8 of 6414 cells are inside out" in note]
+    said = [note for note in notes if "8 of 6414 elements are inside out" in note]
     assert len(said) == 1 and "(0.5537, 0.7854, 0.5163)" in said[0]
     assert not any("other way round" in text for text in (*notes, *information))
 
@@ -694,7 +694,7 @@ def test_straight_cells_of_a_case(folder: Path) -> None:
     made(lambda: folded(folder / "cube.inp"))
     tables = {"materials": {"a": {"law": "linear-elastic", "E": 1e9, "nu": 0.3}}}
     mesh = {"file": "cube.inp", "degree": 1}
-    with pytest.raises(MeshError, match="mesh.file: cube.inp: 1 of 6|2 of 6 quadratic cells fold"):
+    with pytest.raises(MeshError, match="mesh.file: cube.inp: 1 of 6|2 of 6 quadratic elements fold"):
         Case.from_dict({"mesh": mesh, **tables}, folder).read_body()
     body = Case.from_dict({"mesh": {**mesh, "curved": False}, **tables}, folder).read_body()
     assert mesh_statistics(body).volume == pytest.approx(1)

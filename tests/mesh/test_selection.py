@@ -257,7 +257,7 @@ def test_a_cut_between_the_nodes_lies_within_a_cell_of_its_plane(box: Body) -> N
     ("keys", "said"),
     [
         ({"between": ["half", "rset"]}, "no region 'rset'.*'rest'"),
-        ({"between": ["half", "half"]}, "'half' and 'half' have .* cells in common"),
+        ({"between": ["half", "half"]}, "'half' and 'half' have .* elements in common"),
         ({"between": ["half", "rest"], "plane": "x", "at": 0.5}, "facets between 'half' and"),
         ({"cut": True, "plane": "x", "at": 3}, "no elements lie on both sides of x = 3"),
         ({"cut": True, "plane": "x", "at": 0.5, "of": "rest"}, "between 1.062 and 1.938"),

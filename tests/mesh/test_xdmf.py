@@ -250,9 +250,9 @@ def test_points_that_no_cell_uses(folder: Path) -> None:
     made(lambda: write("plain", POINTS, lambda i: i, []))
     made(lambda: write("more", x, lambda i: rows[i], [[0, 1, 2]]))
     plain, more = (read_body(folder / f"{name}.xdmf") for name in ("plain", "more"))
-    assert "3 of 11 points belong to no cell (dropped)" in more.information
-    assert not any("belong to no cell" in said for said in plain.information)
-    assert more.incomplete == {"facets_3": "1 of its 1 members belong to no cell"}
+    assert "3 of 11 points belong to no element (dropped)" in more.information
+    assert not any("belong to no element" in said for said in plain.information)
+    assert more.incomplete == {"facets_3": "1 of its 1 members belong to no element"}
     assert mesh_statistics(more).volume == pytest.approx(1.0)
     found = [contents(body) for body in (plain, more)]
     assert found[0] == found[1]
@@ -296,7 +296,7 @@ def test_tags_of_a_second_mesh(folder: Path, grid: str, dim: int) -> None:
         return
     body = read_body(folder / "two.xdmf")
     assert not any(body.parts.values())
-    left = {2: "of its 4 facets are no facets of a cell", 3: "of its 36 cells are no cells of"}
+    left = {2: "of its 4 facets are no facets of an element", 3: "of its 36 cells are no cells of"}
     assert left[dim] in body.incomplete["marks_7"]
 
 

@@ -167,7 +167,7 @@ def test_a_load_that_can_have_no_field_says_so(row: dict[str, Any], said: str) -
     [
         ("load", {"kind": "pressure", "on": "right", "value": {"field": "gap"}}, "finite"),
         ("support", {"on": "right", "displacement": [{"field": "gap"}, 0]}, "finite"),
-        ("support", {"on": "top", "displacement": [{"field": "half"}, 0]}, "values in cells"),
+        ("support", {"on": "top", "displacement": [{"field": "half"}, 0]}, "values in elements"),
         ("support", {"on": "top", "displacement": [{"field": "none"}, 0]}, "no field 'none'"),
         ("load", {"kind": "thermal", "value": {"field": "v"}}, "has 3 components"),
     ],

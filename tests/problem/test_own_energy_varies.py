@@ -140,7 +140,7 @@ def test_a_split_energy_may_use_functions() -> None:
         (lambda body: modulus(beam(), 0), "another mesh"),
         (lambda body: np.ones(3), "values for the"),
         (lambda body: np.ones((4, 2)), r"an array of shape \(4, 2\)"),
-        (lambda body: np.array(["a"]), "expected a real number for each cell"),
+        (lambda body: np.array(["a"]), "expected a real number for each element"),
         (
             lambda body: fem.Function(fem.functionspace(body.mesh, ("Lagrange", 1, (3,)))),
             "expected a scalar function",

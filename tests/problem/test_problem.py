@@ -70,10 +70,10 @@ def test_every_cell_needs_exactly_one_material():
     soft = LinearElastic(E=E, nu=NU)
     with pytest.raises(MeshError) as caught:
         Problem(square(), {"west": soft}, degree=1)
-    assert "16 of 32 cells have no material" in str(caught.value)
+    assert "16 of 32 elements have no material" in str(caught.value)
     with pytest.raises(MeshError) as caught:
         Problem(square(), {"west": soft, "east": soft, "south": soft}, degree=1)
-    assert "16 cells have more than one material" in str(caught.value)
+    assert "16 elements have more than one material" in str(caught.value)
     with pytest.raises(MeshError) as caught:
         Problem(square(), {"wset": soft, "east": soft}, degree=1)
     assert "did you mean 'west'" in str(caught.value)

@@ -392,15 +392,15 @@ def _check_materials(case: Case, body: Body) -> None:
     for (one, first), (two, second) in combinations(filled.items(), 2):
         if twice := int(total(body.comm, int(np.sum(first & second)))):
             raise CaseError(
-                f"{twice} cells are in '{one}' too",
+                f"{twice} elements are in '{one}' too",
                 where=f"materials.{key_text(two)}.on",
-                expected="every cell needs exactly one material",
+                expected="every element needs exactly one material",
             )
     marked = int(np.sum(np.any(list(filled.values()), axis=0))) if filled else 0
     missing = int(total(body.comm, owned - marked))
     if missing and not everywhere:
         raise CaseError(
-            f"{missing} of {body.num_cells} cells have no material",
+            f"{missing} of {body.num_cells} elements have no material",
             where="materials",
             expected="a material without `on` fills what the others leave",
         )

@@ -54,7 +54,7 @@ def part_notes(body: Body, inner: Collection[str | None] = ()) -> Iterator[str]:
     """
     for name in sorted(body.regions):
         if not int(total(body.comm, len(body.owned_cells(name)))):
-            yield f"the region '{name}' is empty: no cell carries it"
+            yield f"the region '{name}' is empty: no element carries it"
     prepare_facets(body.mesh)
     outside = exterior_facet_indices(body.mesh.topology)
     for name in sorted(body.surfaces.keys() - body.uncovered.keys()):
@@ -83,8 +83,8 @@ def cell_notes(body: Body) -> Iterator[str]:
         )
         more = ", ..." if count > len(worst) else ""
         yield (
-            f"{count} of {body.num_cells} cells are thin (quality below {THIN:g}; 1 is regular): "
-            f"{places}{more} {unit.name}"
+            f"{count} of {body.num_cells} elements are thin (quality below {THIN:g}; 1 is regular)"
+            f": {places}{more} {unit.name}"
         )
 
 
@@ -103,8 +103,8 @@ def shape_notes(case: Case, problem: Problem) -> list[str]:
     curved = int(mesh.geometry.cmap.degree) > 1
     if curved and problem.degree == 1:
         return [
-            "linear elements in curved cells: they cannot even turn without strain; use "
-            + ("straight cells" if case.explicit else "mesh.degree = 2")
+            "linear elements in curved elements: they cannot even turn without strain; use "
+            + ("straight elements" if case.explicit else "mesh.degree = 2")
         ]
     # In motion, where no error of the stress is estimated, a mesh is mostly all that there is.
     finished = case.mesh.file is not None and not is_cad(case.mesh.file)
@@ -118,10 +118,10 @@ def shape_notes(case: Case, problem: Problem) -> list[str]:
     if count <= _FEW * all_of_them:
         return []
     return [
-        f"straight cells along curved surfaces: {count:.0f} of {all_of_them:.0f} edges of the "
+        f"straight elements along curved surfaces: {count:.0f} of {all_of_them:.0f} edges of the "
         f"boundary are bent, by {sums / count:.2g} degrees in the mean, and quadratic elements "
-        "converge there as on a polyhedron: stress with the first power of the cell size; export "
-        "quadratic cells (Gmsh: Mesh.ElementOrder = 2), or give the CAD file"
+        "converge there as on a polyhedron: stress with the first power of the element size; "
+        "export quadratic elements (Gmsh: Mesh.ElementOrder = 2), or give the CAD file"
     ]
 
 

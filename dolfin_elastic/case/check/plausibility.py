@@ -355,7 +355,7 @@ def _material_notes(case: Case, body: Body) -> Iterator[str]:
         yield from _density_notes(where, material.law)
         yield from _allowable_notes(where, material.law)
         if not material.regions and not _unnamed_cells(case, body):
-            yield f"{where} fills no cell: the others leave none"
+            yield f"{where} fills no element: the others leave none"
         for i, load in enumerate(case.load):
             strain = _thermal_strain(load, material.law.expansion)
             if strain > _THERMAL_STRAIN:
@@ -572,7 +572,7 @@ def _told_of_both(body: Body, i: int, j: int, nodes: IndexArray) -> Iterator[str
     if count := int(total(body.comm, len(owned))):
         yield (
             f"support[{i}] and support[{j}] prescribe different displacements at "
-            f"{count} corner{'s' if count > 1 else ''} of cells that both hold: the later one "
+            f"{count} corner{'s' if count > 1 else ''} of elements that both hold: the later one "
             "counts"
         )
 

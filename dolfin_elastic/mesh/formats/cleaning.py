@@ -53,7 +53,7 @@ def straight(raw: RawMesh) -> RawMesh:
     covered = raw.surfaces.keys() - raw.uncovered.keys()
     nodes = {n: rows[~midside[rows]] if n in covered else rows for n, rows in raw.nodes.items()}
     count = np.count_nonzero(midside)
-    text = f"quadratic cells read as straight ones, without {count} midside nodes"
+    text = f"quadratic elements read as straight ones, without {count} midside nodes"
     raw = replace(
         raw,
         cells=_corners(raw),
@@ -61,7 +61,7 @@ def straight(raw: RawMesh) -> RawMesh:
         nodes=nodes,
         information=(*raw.information, text),
     )
-    return _restricted(raw, ~midside, "are midside nodes, which straight cells have not")
+    return _restricted(raw, ~midside, "are midside nodes, which straight elements have not")
 
 
 def _noted(raw: RawMesh, note: str, **changes: object) -> RawMesh:
@@ -104,7 +104,7 @@ def _duplicates(raw: RawMesh) -> RawMesh:
     first[order] = np.searchsorted(keep, order[new])[np.cumsum(new) - 1]
     count = len(order) - len(keep)
     again = np.setdiff1d(np.arange(len(order)), keep)
-    note = f"{count} duplicate cells (removed) {_near(raw, again, count)}"
+    note = f"{count} duplicate elements (removed) {_near(raw, again, count)}"
     regions = {name: np.unique(first[rows]) for name, rows in raw.regions.items()}
     data = {name: values[keep] for name, values in raw.cell_data.items()}
     return _noted(raw, note, cells=raw.cells[keep], regions=regions, cell_data=data)
@@ -117,7 +117,7 @@ def _used(raw: RawMesh) -> RawMesh:
     if unused == 0:
         return raw
     note = unused_text(unused, len(used))
-    rest = _restricted(raw, used, "belong to no cell")
+    rest = _restricted(raw, used, "belong to no element")
     return replace(rest, information=(*rest.information, note))
 
 
@@ -182,7 +182,7 @@ def _collapsed(raw: RawMesh) -> RawMesh:
     if bad.any():
         count = np.count_nonzero(bad)
         raise MeshError(
-            f"{count} cells use the same point twice, {_near(raw, bad, count)}",
+            f"{count} elements use the same point twice, {_near(raw, bad, count)}",
             expected="remesh there",
         )
     return raw
@@ -201,7 +201,7 @@ def _branching(raw: RawMesh) -> RawMesh:
         where = raw.points[facets[2:][third][:5]].mean(axis=1)
         count = np.count_nonzero(third)
         raise MeshError(
-            f"{count} facets lie between three or more cells: the mesh overlaps "
+            f"{count} facets lie between three or more elements: the mesh overlaps "
             f"itself, {format_points(where, count, raw.unit)}",
             expected="remesh there",
         )
@@ -238,7 +238,7 @@ def _pieces(raw: RawMesh) -> RawMesh:
     text = ", ".join(str(s) for s in sizes[:5]) + (" ..." if len(sizes) > 5 else "")
     raw = _noted(
         raw,
-        f"the mesh is in {len(sizes)} unconnected pieces of {text} cells: each "
+        f"the mesh is in {len(sizes)} unconnected pieces of {text} elements: each "
         "needs its own support, or a [[tie]]",
     )
     same = _same_places(raw, label)
@@ -283,15 +283,15 @@ def check_distributed(comm: MPI.Comm, cells: IntArray, points: int, dim: int) ->
     corners = np.sort(cells[:, : dim + 1], axis=1)
     collapsed = int(total(comm, int((corners[:, 1:] == corners[:, :-1]).any(axis=1).sum())))
     if collapsed:
-        raise MeshError(f"{collapsed} cells use the same point twice", expected="remesh")
+        raise MeshError(f"{collapsed} elements use the same point twice", expected="remesh")
     twice = int(total(comm, _repeated(comm, corners, 1)))
     if twice:
-        raise MeshError(f"{twice} duplicate cells", expected="save each cell once")
+        raise MeshError(f"{twice} duplicate elements", expected="save each element once")
     facets = np.concatenate([np.delete(corners, i, axis=1) for i in range(dim + 1)])
     branching = int(total(comm, _repeated(comm, facets, 2)))
     if branching:
         raise MeshError(
-            f"{branching} facets lie between three or more cells: the mesh overlaps itself",
+            f"{branching} facets lie between three or more elements: the mesh overlaps itself",
             expected="remesh",
         )
 
@@ -325,7 +325,7 @@ def without(numbers: IntArray, unused: IntArray) -> IntArray:
 
 def unused_text(count: int, points: int) -> str:
     """What is said of points that are left out."""
-    return f"{count} of {points} points belong to no cell (dropped)"
+    return f"{count} of {points} points belong to no element (dropped)"
 
 
 def _out_of_range(cells: IntArray, points: int) -> MeshError | None:

@@ -609,7 +609,7 @@ def _missing(
             count = len(np.unique(np.concatenate(every), axis=0))
         if here < count:
             text = f"{count - here} of its {count} {things} are no {things} of "
-            lost[tags.name_of(value)] = text + ("the mesh" if things == "cells" else "a cell")
+            lost[tags.name_of(value)] = text + ("the mesh" if things == "cells" else "an element")
     return lost
 
 
@@ -619,7 +619,7 @@ def _lost(comm: MPI.Comm, tags: _Tags, numbers: IndexArray, gone: BoolArray) -> 
     for value in _values(comm, numbers[gone]):
         local = np.array([np.sum(gone & (numbers == value)), np.sum(numbers == value)])
         count, every = total(comm, local)
-        result[tags.name_of(value)] = f"{count} of its {every} members belong to no cell"
+        result[tags.name_of(value)] = f"{count} of its {every} members belong to no element"
     return result
 
 

@@ -37,7 +37,7 @@ def check_cells(body: Body) -> Body:
     count, near = _places(body, ~np.isfinite(middle).all(axis=1), middle)
     if count:
         raise MeshError(
-            f"{count} cells have points whose coordinates are not numbers",
+            f"{count} elements have points whose coordinates are not numbers",
             where=where,
             expected="save the mesh anew",
         )
@@ -45,7 +45,7 @@ def check_cells(body: Body) -> Body:
     count, near = _places(body, shape < FLAT, middle)
     if count:
         raise MeshError(
-            f"{count} of {body.num_cells} cells have no volume, {near}",
+            f"{count} of {body.num_cells} elements have no volume, {near}",
             where=where,
             expected="remesh there, or collapse their shortest edges",
         )
@@ -55,7 +55,7 @@ def check_cells(body: Body) -> Body:
     count, near = _places(body, shape < SLIVER, middle)
     if count:
         notes.append(
-            f"{count} of {body.num_cells} cells are very thin (quality below "
+            f"{count} of {body.num_cells} elements are very thin (quality below "
             f"{SLIVER:g}; 1 is regular), {near}"
         )
     return replace(body, notes=(*body.notes, *notes), information=(*body.information, *information))
@@ -78,10 +78,10 @@ def _curved(body: Body, middle: FloatArray) -> None:
     count, near = _places(body, smallest_jacobians(body.mesh) <= 0, middle)
     if count:
         raise MeshError(
-            f"{count} of {body.num_cells} quadratic cells fold over themselves, {near}",
+            f"{count} of {body.num_cells} quadratic elements fold over themselves, {near}",
             where=body.source,
             expected="optimise the high-order mesh (in Gmsh: Mesh.HighOrderOptimize = 2), use "
-            "smaller cells there, or read the cells as straight ones: mesh.curved = false",
+            "smaller elements there, or read the elements as straight ones: mesh.curved = false",
         )
 
 
@@ -101,7 +101,7 @@ def _orientation(
     count, near = _places(body, against & ~inside_out, middle)
     if count:
         information.append(
-            f"{count} of {body.num_cells} cells list their points the other way round "
+            f"{count} of {body.num_cells} elements list their points the other way round "
             f"(harmless: they are reordered), {near}"
         )
     count, near = _places(body, inside_out, middle)
@@ -112,7 +112,7 @@ def _orientation(
                 np.abs(volumes),
                 inside_out,
                 f"{count} of {body.num_cells} "
-                f"cells are inside out (they overlap their neighbours), {near}",
+                f"elements are inside out (they overlap their neighbours), {near}",
             )
         )
     return notes, information

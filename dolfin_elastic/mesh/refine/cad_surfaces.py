@@ -102,7 +102,7 @@ class CadSurfaces:
             _on_each_rank(body.comm, lambda: self._project(model, links, moved))
         _from_owners(space, moved)
         stay = _restore_folded(body, space, x, moved)
-        note = f"{stay} nodes are not on the surfaces of {body.source}: cells would fold"
+        note = f"{stay} nodes are not on the surfaces of {body.source}: elements would fold"
         return moved, (note,) if stay else ()
 
     def _classify(self, model: _Model, body: Body, facets: IndexArray, near: float) -> IntArray:

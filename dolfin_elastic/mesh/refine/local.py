@@ -35,7 +35,7 @@ def refined_uniformly(body: Body, times: int) -> Body:
     before = body.num_cells
     for _ in range(times):
         body = _finer(body, body.owned_cells())
-    text = f"refined uniformly {times} time{'s' if times > 1 else ''}: {before} cells before"
+    text = f"refined uniformly {times} time{'s' if times > 1 else ''}: {before} elements before"
     return replace(body, information=(*body.information, text))
 
 
@@ -62,7 +62,7 @@ def refined_locally(body: Body, sizes: Sequence[LocalSize]) -> Body:
             inside = _inside(body, one, where)
             if not total(body.comm, int(np.count_nonzero(inside))):
                 raise MeshError(
-                    f"there is no cell in {one.place()}",
+                    f"there is no element in {one.place()}",
                     where=where,
                     expected=f"a point in the body; lengths without a unit are in {body.unit.name}",
                 )
@@ -72,7 +72,7 @@ def refined_locally(body: Body, sizes: Sequence[LocalSize]) -> Body:
                 break
             _check_count(body, body.num_cells + count * (2.0**body.dim - 1.0), f"{where}.size")
             body = _finer(body, marked.astype(np.int32))
-    text = f"refined to {', '.join(information)}: {before} cells before"
+    text = f"refined to {', '.join(information)}: {before} elements before"
     return replace(body, information=(*body.information, text))
 
 

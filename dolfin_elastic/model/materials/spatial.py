@@ -130,7 +130,7 @@ class SpatialCells(SpatialValue):
     @property
     def written(self) -> str:
         """What it is: no case file can hold it."""
-        return "values of cells"
+        return "values of elements"
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ def _cells(values: FloatArray) -> SpatialCells:
     if values.ndim != 1 or values.dtype.kind not in "fiu":
         raise InputError(
             f"an array of shape {values.shape} and type {values.dtype}",
-            expected="expected a real number for each cell of this rank",
+            expected="expected a real number for each element of this rank",
         )
     return SpatialCells(np.array(values, dtype=np.float64))
 

@@ -263,7 +263,7 @@ def _centre(body: Body, section: Section, sides: AnyArray) -> FloatArray:
     sums = total(body.comm, np.array([*(area @ middle), area.sum(), len(area)]))
     if not sums[-1]:
         raise InputError(
-            "no cell is joined to another one across the plane",
+            "no element is joined to another one across the plane",
             where="at",
             expected="a plane through a part; ties and contacts have reactions of their own",
         )

@@ -265,9 +265,9 @@ class EquilibriumAuditor:
         inverted = self._watch.inverted() if self._watch.survives else None
         if not low[0] > 0.0:
             J, place = low[0], self._problem.body.unit.point(low[1])
-            violation = Violation(f"a cell is inside out: det F = {J:.3g} at {place}", -J)
+            violation = Violation(f"an element is inside out: det F = {J:.3g} at {place}", -J)
             if inverted is not None:
-                cells = count(self._problem.body.num_cells, "cell")
+                cells = count(self._problem.body.num_cells, "element")
                 violation = Violation(
                     f"{inverted} of {cells} inverted, smallest det F = {J:.3g} at {place}", -J
                 )
@@ -332,7 +332,7 @@ class EquilibriumAuditor:
         if self._round_off_share > 0.0:
             notes.append(
                 f"forces balance to {self._round_off_share:.1g} of their sum only: rounding errors "
-                "of the stiffest cells"
+                "of the stiffest elements"
             )
         return tuple(note for note in (*notes, no_balance(self._problem)) if note)
 

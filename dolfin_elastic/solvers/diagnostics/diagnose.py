@@ -233,10 +233,10 @@ class _CauseSearch:
         worst = self.worst[0]
         J, place = (bad.jacobian, bad.place) if bad.place else (worst.jacobian, worst.place)
         place, unit = place[: self.problem.body.dim], self.problem.body.unit
-        text = f"{start}a cell turned inside out (det F = {J:.3g}, at {unit.point(place)})"
+        text = f"{start}an element turned inside out (det F = {J:.3g}, at {unit.point(place)})"
         if count:
             text += (
-                f"; the last iterate has {messages.count(count, 'such cell')} in {self._names()}"
+                f"; the last iterate has {messages.count(count, 'such element')} in {self._names()}"
             )
         diagnosis = self._make("inverted", text, messages.SMALLER, place)
         return explained(self.problem, diagnosis)

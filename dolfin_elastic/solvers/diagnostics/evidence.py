@@ -247,7 +247,7 @@ def _of_material(cells: Cells, part: MaterialRegion) -> Fault | None:
     inverted = not upright and not np.isnan(low)
     why = f"det F falls to {low:.3g}" if inverted else why
     near = problem.body.unit.point(place)
-    text = f"material '{part.name}': {why}, in {count(bad_ones, 'cell')} near {near}"
+    text = f"material '{part.name}': {why}, in {count(bad_ones, 'element')} near {near}"
     return Fault(text, place, inverted=inverted)
 
 

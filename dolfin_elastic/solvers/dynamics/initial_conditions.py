@@ -114,7 +114,7 @@ def _check_upright(problem: Problem, key: str) -> None:
     J, place = JacobianWatch(problem).refused()
     if J > 0.0:
         return
-    what = f"it turns cells inside out: det F = {J:.3g} at {problem.body.unit.point(place)}"
+    what = f"it turns elements inside out: det F = {J:.3g} at {problem.body.unit.point(place)}"
     expected = "det F > 0 everywhere"
     if any(part.law.blind_to_inversion for part in problem.regions):
         what, expected = f"{what}; {MIRRORED}", f"{expected}, or {SEES_INVERSION}"
@@ -205,8 +205,8 @@ class SupportJump:
         most = f"{self.most:.3g} m/s" if speed else self.unit.length(self.most)
         follows = {
             "velocity": "its nodes move with the support at once, and a shock runs into the body",
-            "displacement": "its nodes are put there at once, and the cells beside them strained: "
-            "a shock runs into the body",
+            "displacement": "its nodes are put there at once, and the elements beside them strained"
+            ": a shock runs into the body",
         }[self.what]
         return (
             f"at the start the support '{self.support}' and the body differ in {self.what}, by "

@@ -289,5 +289,5 @@ class RetryStrategy:
             return result
         unit = self.newton.assembler.problem.body.unit
         return result.inverted(value, place).refused(
-            f"a cell turned inside out (det F = {value:.3g}, at {unit.point(place)})"
+            f"an element turned inside out (det F = {value:.3g}, at {unit.point(place)})"
         )

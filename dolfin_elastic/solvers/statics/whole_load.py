@@ -155,7 +155,7 @@ def _solved(newton: Newton, path_check: PathEnergyCheck) -> NewtonResult:
     if result.newton > 1 and check.far(newton.snes):
         return result.refused(FARTHER)
     if guard is not None and guard.watch.smallest()[0] <= 0.0:
-        return result.refused("a cell has turned inside out")
+        return result.refused("an element has turned inside out")
     path_check.evaluate()
     if not path_check.finite():
         return result.refused(BEYOND)

@@ -624,7 +624,7 @@ THICK = {"law": "linear-elastic", "E": E, "nu": 0.3}
                 "regions": {"whole": {"all": True}},
                 "materials": {"rubber": RUBBER, "wood": {**RUBBER, "on": "whole"}},
             },
-            "materials.rubber fills no cell",
+            "materials.rubber fills no element",
         ),
         (
             {"load": [{"kind": "traction", "on": "bottom", "value": [0, 0, 1]}]},
@@ -710,7 +710,7 @@ def test_parts_that_no_cell_carries():
     count = int(total(COMM, len(inside)))
     odd = body.named(regions={"nobody": none}, surfaces={"nowhere": none, "cut": inside})
     assert list(part_notes(odd)) == [
-        "the region 'nobody' is empty: no cell carries it",
+        "the region 'nobody' is empty: no element carries it",
         f"{count} of {count} facets of the surface 'cut' lie inside the body, not on its boundary",
         "the surface 'nowhere' is empty: no facet carries it",
     ]
@@ -720,7 +720,7 @@ def test_parts_that_no_cell_carries():
 def test_thin_cells():
     """The worst cells are named with their places."""
     (note,) = cell_notes(box_body(size=(100, 1, 1), cells=(1, 1, 1)))
-    assert note.startswith("6 of 6 cells are thin (quality below 0.05; 1 is regular): ")
+    assert note.startswith("6 of 6 elements are thin (quality below 0.05; 1 is regular): ")
     assert note.count(" at (") == 5
     assert list(cell_notes(box_body(size=(1, 1, 1), cells=(1, 1, 1)))) == []
 

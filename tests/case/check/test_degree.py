@@ -138,7 +138,7 @@ Extrude {0, 0, 4} { Surface{1}; }
         (GEO + HOLE, {"degree": 1}, 1),
         (GEO + HOLE, {"curved": False}, 1),
         (GEO + HOLE, {"degree": 1, "curved": True}, 2),
-        (GEO, {}, 1),  # nothing is curved, and straight cells are cheaper
+        (GEO, {}, 1),  # nothing is curved, and straight elements are cheaper
         (RULED, {}, 1),  # nor here, though Gmsh does not call these sides planes
         (GEO, {"curved": True}, 2),
     ],
@@ -441,10 +441,10 @@ def meshed(folder: Path, geo: str, order: int) -> Iterator[Path]:
 @pytest.mark.parametrize(
     ("geo", "order", "degree", "said"),
     [
-        (GEO + HOLE, 1, 2, "straight cells along curved surfaces: "),
+        (GEO + HOLE, 1, 2, "straight elements along curved surfaces: "),
         (GEO + HOLE, 2, 2, ""),
         (GEO, 1, 2, ""),
-        (GEO + HOLE, 2, 1, "linear elements in curved cells: "),
+        (GEO + HOLE, 2, 1, "linear elements in curved elements: "),
         (GEO + HOLE, 1, 1, ""),  # of the order of what linear elements err anyhow
     ],
 )
@@ -455,8 +455,8 @@ def test_shapes(geo: str, order: int, degree: int, said: str, folder: Path) -> N
         notes = " ".join(report(Case.from_dict({**tables, "modal": {}}, folder)).notes)
         motion = {"end": 1, "dt": 0.1}
         moving = " ".join(report(Case.from_dict({**tables, "dynamics": motion}, folder)).notes)
-    assert "straight cells along" not in moving
-    for text in ("straight cells along", "linear elements in curved"):
+    assert "straight elements along" not in moving
+    for text in ("straight elements along", "linear elements in curved"):
         assert (text in notes) == said.startswith(text)
     if said.startswith("straight"):
         # At 24 facets around the hole the normal turns by 15 degrees, along some edges by less.

@@ -367,7 +367,10 @@ def test_what_nobody_means(name: str) -> None:
 @pytest.mark.parametrize(
     ("box", "text"),
     [
-        ({"size": [1, 1, 1], "cells": [10**9] * 3}, r"cells: 6e\+27 cells are too many; at most"),
+        (
+            {"size": [1, 1, 1], "cells": [10**9] * 3},
+            r"cells: 6e\+27 elements are too many; at most",
+        ),
         ({"size": [1e-300, 1, 1], "cells": [1, 1, 1]}, r"size: an edge of 1e-300 m is too short"),
         ({"size": [1, 1, 1e-8], "cells": [1, 1, 1]}, r"size: an edge of 1e-08 m is too short"),
     ],

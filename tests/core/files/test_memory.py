@@ -51,10 +51,10 @@ def test_ranks_share_a_machine(monkeypatch) -> None:
     assert memory.free_together(MPI.COMM_SELF) == 6e6 + COMM.rank
     last = COMM.rank == COMM.size - 1
     monkeypatch.setattr(memory, "free_memory", lambda: 1e6 if last else 1e12)
-    memory.check_memory(COMM, 1000, 999.0, where="cells", expected="fewer cells")
+    memory.check_memory(COMM, 1000, 999.0, where="cells", expected="fewer elements")
     with pytest.raises(MeshError) as caught:
-        memory.check_memory(COMM, 1000, 1001.0, where="cells", expected="fewer cells")
+        memory.check_memory(COMM, 1000, 1001.0, where="cells", expected="fewer elements")
     assert str(caught.value) == (
-        "cells: 1e+03 elements need about 1 MB of memory, 1 MB are free; fewer cells, or a machine "
-        "with more memory"
+        "cells: 1e+03 elements need about 1 MB of memory, 1 MB are free; fewer elements, or a "
+        "machine with more memory"
     )

@@ -365,7 +365,7 @@ def test_cell_inside_out():
     watch: Any = type("Watch", (), {**answers, "survives": False})()
     assembler.residual.assemble()
     audit = EquilibriumAuditor(problem, assembler, watch).audit(0.0, 0.0)
-    assert audit.reasons == ("a cell is inside out: det F = -0.1 at (0.5, 0.25, 0.125) m",)
+    assert audit.reasons == ("an element is inside out: det F = -0.1 at (0.5, 0.25, 0.125) m",)
     assert (audit.min_jacobian, audit.max_jacobian) == (-0.1, 2.0)
     assembler.destroy()
 

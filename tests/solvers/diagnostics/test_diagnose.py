@@ -111,7 +111,7 @@ def test_solutions_that_are_inside_out():
     J = 1 - 1.5 * state.load_factor
     assert -0.1 < J < 0
     assert "det F = -" in found.text
-    assert "such cells in the body" in found.text
+    assert "such elements in the body" in found.text
     assert "refused" in found.text
     assert "more load steps" in found.advice
     assert len(found.cells) == 10

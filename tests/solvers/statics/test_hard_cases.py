@@ -104,7 +104,7 @@ def test_pressed_through_zero_volume():
     stiffness = E * (1 - NU) / (1 + NU) / (1 - 2 * NU)
     assert state.reactions["top"][1] == pytest.approx(-1.05 * stiffness, rel=1e-8)
     assert state.audit.inverted == 32
-    assert any("32 of 32 cells inverted, smallest det F = -0.05" in r for r in state.audit.reasons)
+    assert any("32 of 32 elements inverted, smallest det F = -0.05" in r for r in state.audit.reasons)
     assert state.audit.verdict == "warn"
 
 
@@ -230,7 +230,7 @@ def test_squeezed_through_itself_by_a_law_that_survives():
     assert state.load_factor == 1.0
     assert state.audit.verdict == "warn"
     assert state.audit.inverted > 0
-    assert any("cells inverted, smallest det F = -" in reason for reason in state.audit.reasons)
+    assert any("elements inverted, smallest det F = -" in reason for reason in state.audit.reasons)
 
 
 def test_stretched_beyond_the_limit_of_its_chains():

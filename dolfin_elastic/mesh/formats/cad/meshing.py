@@ -201,7 +201,7 @@ def _generate(gmsh: ModuleType, dim: int, source: str, *, retry: bool) -> float:
         if not errors[-1]:
             return factor
         gmsh.model.mesh.clear()
-    tried = " (nor with cells half, a quarter and twice as large)" if retry else ""
+    tried = " (nor with elements half, a quarter and twice as large)" if retry else ""
     raise MeshError(
         f"Gmsh cannot mesh it{tried}: {errors[0]}",
         where=source,
@@ -221,7 +221,7 @@ def _errors_of_meshing(gmsh: ModuleType, dim: int) -> str:
         gmsh.option.setNumber("General.AbortOnError", before)
     empty = [e for e in gmsh.model.getEntities(dim) if not len(gmsh.model.mesh.getElements(*e)[0])]
     text = logged_errors(gmsh, start)
-    return text or (f"{len(empty)} of its bodies have no cells" if empty else "")
+    return text or (f"{len(empty)} of its bodies have no elements" if empty else "")
 
 
 MAX_CELLS = 5e7

@@ -81,7 +81,7 @@ class StabilityMonitor:
             return
         self.place = tuple(float(x) for x in place[: self._problem.body.dim])
         what = f"det F = {J:.3g} at {self._problem.body.unit.point(self.place)}"
-        self.inverted = f"cells had turned inside out by t = {t:.6g} s, {what}"
+        self.inverted = f"elements had turned inside out by t = {t:.6g} s, {what}"
         if blind_to_inversion(self._problem, Cells(self._assembler).worst()):
             text = f"{self.inverted}: {MIRRORED}; {SEES_INVERSION}"
             self._violations.add({"inverted": Violation(text, -J, fails=True)}, f"t = {t:.6g} s")

@@ -30,7 +30,7 @@ FAR = 1e6
 """Displacement over the size of the body from which the motion is unbounded."""
 
 SHORTER = "a smaller dt or safety"
-CRUSHED = f"{SHORTER}, a finer mesh where the cells are crushed, or a smaller load or velocity"
+CRUSHED = f"{SHORTER}, a finer mesh where the elements are crushed, or a smaller load or velocity"
 STRAINED = (
     "a smaller load or velocity; the material cannot be strained further than its formula has "
     f"values; or {SHORTER}"
@@ -124,7 +124,7 @@ class Replay:
             return self.not_finite()
         state, place = march.state(moved=True), march.size.location()
         unit = march.problem.body.unit
-        text = error.what + (f"; cells at {unit.point(place)} ask for it" if place else "")
+        text = error.what + (f"; elements at {unit.point(place)} ask for it" if place else "")
         cells = Cells(march.assembler).worst()
         diagnosis = Diagnosis("step", text, error.advice, place, cells)
         return StabilityError(text, advice=error.advice, state=state, diagnosis=diagnosis)
@@ -174,7 +174,7 @@ class Replay:
         cells = Cells(self._march.assembler)
         many = total(cells.comm, int(np.sum(cells.jacobians() <= 0.0)))
         at = f"det F = {J:.3g}, at {body.unit.point(place)}"
-        return f"{messages.count(many, 'cell')} turned inside out {when} ({at})", place
+        return f"{messages.count(many, 'element')} turned inside out {when} ({at})", place
 
     def _farthest(self) -> tuple[float, Place]:
         """Largest nodal displacement, and where; what is not finite is infinite. Collective."""

@@ -210,7 +210,7 @@ class StepSize:
         contact = "; obstacles may be hit" if self._contact and self._safety == RESONANCE else ""
         if self.bound is None or not self._square:
             return contact
-        return f"{contact}; cells at {self._problem.body.unit.point(self.location())} ask for it"
+        return f"{contact}; elements at {self._problem.body.unit.point(self.location())} ask for it"
 
     def location(self) -> tuple[float, ...]:
         """Where the bound by cells is largest, undeformed [m]; empty without one. Collective."""

@@ -79,7 +79,7 @@ def test_what_is_lost_by_them_is_told_with_the_place(comm: MPI.Comm) -> None:
     told = r"no finite motion after .* inside out by t = .* at.* a function of C alone"
     with pytest.raises(StabilityError, match=told) as caught:
         run(pressed(StVenantKirchhoff(**SOFT), 1e6, comm), scheme=CENTRAL, end=0.15, every=5)
-    assert "law = 'fixed-corotated', which goes on with inverted cells" in caught.value.advice
+    assert "law = 'fixed-corotated', which goes on with inverted elements" in caught.value.advice
 
 
 def test_a_law_that_does_not_see_inversion_fails(

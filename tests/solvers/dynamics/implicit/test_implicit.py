@@ -653,7 +653,7 @@ def test_a_law_that_survives_inversion_goes_on(comm):
     counts = [state.audit.inverted for state in states]
     assert counts[0] == 0
     assert max(counts) > 0
-    assert any("cells inverted, smallest det F" in r for r in states[-1].audit.so_far)
+    assert any("elements inverted, smallest det F" in r for r in states[-1].audit.so_far)
 
 
 @pytest.mark.parametrize("law", [FixedCorotated, StVenantKirchhoff])
@@ -668,7 +668,7 @@ def test_a_start_with_half_of_the_cells_inverted(law, comm):
     folded = {"initial_displacement": ["-1.5*max(x - 0.5, 0)", "0.05*x*sin(9*z)", "0.05*x*y"]}
     motion = Dynamics(problem, scheme="implicit-euler", end=40.0, dt=0.1, **folded)
     if law is StVenantKirchhoff:
-        told = r"it turns cells inside out: .*a function of C alone.* would stay so"
+        told = r"it turns elements inside out: .*a function of C alone.* would stay so"
         with pytest.raises(InputError, match=told) as refused:
             next(motion.steps())
         assert "or law = 'neo-hookean'" in refused.value.expected
