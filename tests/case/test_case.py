@@ -353,13 +353,13 @@ MISTAKES = {
     "selector empty": (
         '{plane = "z", at = "min"}',
         "{}",
-        "surfaces.foot: say where: plane and at, box, sphere, cylinder, normal, of, or all"
+        "surfaces.foot: say where: plane and at, box, sphere, cylinder, normal, between, of, or all"
         "; of a CAD file also faces, kind, cone, or torus",
     ),
     "selector str": (
         '{plane = "z", at = "min"}',
         '"z"',
-        "surfaces.foot: no surface 'z' in box 2 x 1 x 1; known: back, bottom, front, left, right, "
+        "surfaces.foot: no surface 'z' in box 2 x 1 x 1; known: back, bottom, core, front, left, right, "
         "top",
     ),
     "region unit": (

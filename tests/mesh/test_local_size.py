@@ -157,7 +157,10 @@ def test_places_much_smaller_than_a_cell(folder: Path, center) -> None:
             [{"on": "tip", "size": 1}],
             r"mesh\.refine\[0\]\.on: there is no surface or region 'tip'; ",
         ),
-        ([{"on": "top", "size": "1 nm"}], r"mesh\.refine\[0\]\.size: .* would have about .* cells"),
+        (
+            [{"on": "top", "size": "1 nm"}],
+            r"mesh\.refine\[0\]\.size: .* would have about .* elements",
+        ),
         (9, r"mesh\.refine: refined like this .* at most 5e\+07"),
         (
             [{"size": 1}],
@@ -256,5 +259,5 @@ def test_the_number_of_cells_is_known_before(folder: Path) -> None:
     limit = {**mesh, "time_limit": "1 s", "refine": [{"on": "fillet", "size": 0.02}]}
     with pytest.raises(InputError, match=r"at most 2e\+04, for which Gmsh has 1 s") as caught:
         body_of(folder, limit, surfaces=fillet)
-    told = float(re.search(r"about (\S+) cells", str(caught.value))[1])
+    told = float(re.search(r"about (\S+) elements", str(caught.value))[1])
     assert 1 / 2 < more * (0.5 / 0.02) ** 2 / told < 2

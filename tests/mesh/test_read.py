@@ -694,7 +694,9 @@ def test_straight_cells_of_a_case(folder: Path) -> None:
     made(lambda: folded(folder / "cube.inp"))
     tables = {"materials": {"a": {"law": "linear-elastic", "E": 1e9, "nu": 0.3}}}
     mesh = {"file": "cube.inp", "degree": 1}
-    with pytest.raises(MeshError, match="mesh.file: cube.inp: 1 of 6|2 of 6 quadratic elements fold"):
+    with pytest.raises(
+        MeshError, match="mesh.file: cube.inp: 1 of 6|2 of 6 quadratic elements fold"
+    ):
         Case.from_dict({"mesh": mesh, **tables}, folder).read_body()
     body = Case.from_dict({"mesh": {**mesh, "curved": False}, **tables}, folder).read_body()
     assert mesh_statistics(body).volume == pytest.approx(1)

@@ -87,7 +87,7 @@ def _check_count(body: Body, cells: float, where: str) -> None:
     """Refuses refinements that are meant otherwise, or do not fit into the memory. Collective."""
     if cells > MOST_CELLS:
         raise MeshError(
-            f"refined like this {body.source or 'the mesh'} would have about {cells:.1g} cells",
+            f"refined like this {body.source or 'the mesh'} would have about {cells:.1g} elements",
             where=where,
             expected=f"at most {MOST_CELLS:.0g}; lengths without a unit are in {body.unit.name}",
         )

@@ -477,7 +477,7 @@ def bar_of(
     if limit and not small:
         text += f"\n{'allowable' if shown_limit is None else 'red: allowable'} {limit:.4g}"
     if cut and not small and np.nanmax(values) / result.factor > result.ticks[-1]:
-        note = "more where singular"
+        text += "\nmore where singular"
     label = "\n".join(filter(None, (fill(label_of(field), _LINE), text, note)))
     return replace(result, label=label, reversed=small, limit=shown_limit)
 

@@ -163,7 +163,7 @@ def test_the_tables_are_written_and_read_back() -> None:
         ),
         (
             {"points": {"tip": {"nearest": [1, 0.4, 3]}}},
-            ("points.tip: the nearest vertex is (1, 0, 3) mm, 0.4 mm from the place",),
+            ("points.tip: the nearest vertex is (1, 0, 3) mm, 0.4 mm from these coordinates",),
         ),
         ({"points": {"tip": {"nearest": [1, 0.4, 3], "tolerance": 0.5}}}, ()),
     ],

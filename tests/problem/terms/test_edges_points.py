@@ -346,7 +346,7 @@ def test_what_does_not_fit(supports: list[Any], loads: list[Any], says: str) -> 
         (PointForce, {"at": [0, 0, 0], "on": "a"}, "on: on and at are given together"),
         (PointForce, {"on": []}, "on: no name is given"),
         (LineForce, {"start": [0, 0, 0]}, "end: this key is missing"),
-        (LineForce, {"on": "rim", "tolerance": 1}, "tolerance: tolerance needs a place"),
+        (LineForce, {"on": "rim", "tolerance": 1}, "tolerance: tolerance needs coordinates"),
     ],
 )
 def test_keys_that_do_not_go_together(kind: Any, keys: dict[str, Any], says: str) -> None:

@@ -104,7 +104,9 @@ def test_pressed_through_zero_volume():
     stiffness = E * (1 - NU) / (1 + NU) / (1 - 2 * NU)
     assert state.reactions["top"][1] == pytest.approx(-1.05 * stiffness, rel=1e-8)
     assert state.audit.inverted == 32
-    assert any("32 of 32 elements inverted, smallest det F = -0.05" in r for r in state.audit.reasons)
+    assert any(
+        "32 of 32 elements inverted, smallest det F = -0.05" in r for r in state.audit.reasons
+    )
     assert state.audit.verdict == "warn"
 
 

@@ -509,7 +509,7 @@ def test_refused():
     refused("so its stress is a result", stress=[[1, 0], [0, 0]])
     refused("neither F11", gradient=[[FREE, 0], [0, 1]], stress=[[FREE, 0], [0, 0]])
     refused("is infinite at t = 0", gradient=[["1/t", 0], [0, 1]], solved=True)
-    refused("same at all places", gradient=[["1 + x", 0], [0, 1]])
+    refused("same at all points", gradient=[["1 + x", 0], [0, 1]])
     refused("rows of", gradient=[[1, 0], [0]])
     refused("no supports", supports=[Support(on="left")])
     refused("no loads", loads=[Gravity()])
