@@ -15,14 +15,15 @@ from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.mesh.geometry.simplices import qualities, signed_volumes
 from dolfin_elastic.report.scene import Viewed, chosen_frames, node_values, surface_of
 from dolfin_elastic.report.words import loads_act
-from dolfin_elastic.results.finished.draw import allowable_of, obstacles_of
+from dolfin_elastic.results.finished.draw import allowable_of, obstacles_of, reliable_of
 from dolfin_elastic.results.finished.findings import ModeRow, modes_of
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.finished.xdmf import Frame, damaged, read_array, read_frames, read_grid
 from dolfin_elastic.results.scene.edges import sharp_edges
 from dolfin_elastic.results.scene.obstacles import Reach, obstacles_beside
 from dolfin_elastic.results.scene.scene import Frame as State
-from dolfin_elastic.results.scene.scene import Glyphs, Obstacle, Scene
+from dolfin_elastic.results.scene.scene import Glyphs, Obstacle, Reliable, Scene
+from dolfin_elastic.results.verdict import ELSEWHERE
 
 if TYPE_CHECKING:
     import pyvista
@@ -87,7 +88,12 @@ def scene_of(run: FinishedRun, frames: Sequence[tuple[str, Frame]]) -> Viewed | 
         frames[-1][1].dim == 2,
         glyphs=tuple(one for one in glyphs if loads_act(run.case) or not one.load),
     )
-    viewed = Viewed(scene, bool(run.summary.get("modes")), before)
+    judged: dict[str, Reliable] = {}
+    if run.frames and frames[-1][1] is run.frames[-1]:  # no mode, and not the state that failed
+        rows = {name: reliable_of(run, name) for name in ELSEWHERE}
+        judged = {name: known for name, known in rows.items() if known is not None}
+    modes = bool(run.summary.get("modes"))
+    viewed = Viewed(scene, modes, before, allowable_of(run.case), judged)
     return replace(viewed, scene=replace(scene, obstacles=_obstacles(run, viewed, frames[-1][1].t)))
 
 

@@ -10,14 +10,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dolfin_elastic.core.si_text import scaled_unit
+from dolfin_elastic.core.si_text import quantity, scaled_unit
 from dolfin_elastic.core.startup.elsewhere import elsewhere
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.results.derived.spectral import von_mises
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.scene.colour_bar import colour_map
 from dolfin_elastic.results.scene.scene import SAFEST as SAFE
-from dolfin_elastic.results.scene.scene import SMALL_MATTERS, Frame, Glyphs, Scene, label_of
+from dolfin_elastic.results.scene.scene import (
+    SMALL_MATTERS,
+    Frame,
+    Glyphs,
+    Reliable,
+    Scene,
+    label_of,
+    nearest,
+)
 from dolfin_elastic.results.scene.surface import outer_faces
 from dolfin_elastic.results.verdict import SAFEST
 
@@ -55,6 +63,8 @@ class Shown:
         title: For people.
         low: Value of the first colour, SI units.
         high: Of the last one.
+        most: Largest value, above `high` where it is singular.
+        limit: Marked value, such as the allowable stress; 0: there is none.
         factor: What to divide by for `unit`.
         unit: For people.
     """
@@ -63,6 +73,8 @@ class Shown:
     title: str
     low: float
     high: float
+    most: float
+    limit: float
     factor: float
     unit: str
 
@@ -75,6 +87,8 @@ class Viewed:
         scene: The body, its states or modes, and supports and loads.
         modes: The frames are modes, whose size means nothing.
         of: Triangles of the surface before it was thinned out.
+        allowable: Stress of all materials [Pa]; 0: there is none.
+        reliable: Field to what to judge by in the last frame, where its largest value is singular.
         fields: What can be shown, in the order in which it is offered.
         left_out: Titles of fields for which the page has no room.
     """
@@ -82,6 +96,8 @@ class Viewed:
     scene: Scene
     modes: bool = False
     of: int = 0
+    allowable: float = 0.0
+    reliable: Mapping[str, Reliable] = field(default_factory=dict)
     fields: tuple[Shown, ...] = field(init=False)
     left_out: tuple[str, ...] = field(init=False)
 
@@ -89,7 +105,7 @@ class Viewed:
         scene, frames = self.scene, self.scene.frames
         names = _offered(frames)
         titles = _titles(names)
-        shown = [_shown(name, titles[name], frames, modes=self.modes) for name in names]
+        shown = [_shown(name, titles[name], self) for name in names]
         # Numbers of 16 bits each, those of the viewer's triangles and edges of 32.
         used = 6 * len(scene.points) * (1 + len(frames))
         used += 12 * len(scene.triangles) + 8 * len(scene.edges)
@@ -153,20 +169,24 @@ def _titles(names: Sequence[str]) -> dict[str, str]:
     return {n: f"{label} ({n})" if label in alike else label for n, label in labels.items()}
 
 
-def _shown(name: str, title: str, frames: Sequence[Frame], *, modes: bool) -> Shown:
-    unit = FIELDS[name].unit
-    low, high = _range([one.values[name] for one in frames])
+def _shown(name: str, title: str, viewed: Viewed) -> Shown:
+    unit, modes, limit = FIELDS[name].unit, viewed.modes, 0.0
+    low, high = _range([one.values[name] for one in viewed.scene.frames])
+    most = high
     if name in SMALL_MATTERS:
-        low, high = 0.0, SAFE
+        low, high, most, limit = 0.0, SAFE, SAFE, 1.0
     elif unit:  # a strain or stretch need not begin at 0
-        low, high = min(low, 0.0), max(high, 0.0)
+        low, most = min(low, 0.0), max(high, 0.0)
+        known = viewed.reliable.get(name)
+        high = most if known is None else float(np.fmin(most, known.value))
+        limit = viewed.allowable if name.startswith("von_mises") and not modes else 0.0
     largest = max(abs(low), abs(high))
     factor, shown = (largest or 1.0, "") if modes else scaled_unit(largest, unit)
     if modes:  # a mode has no size of its own
         title = f"{title} (scaled to 1)"
     if FIELDS[name].shape == "tensor":
         title = f"{title} (norm)"
-    return Shown(name, title, low, high, factor, shown)
+    return Shown(name, title, low, high, most, limit, factor, shown)
 
 
 # --- from grids ---
@@ -272,11 +292,22 @@ def packed(viewed: Viewed, palette: Mapping[str, str]) -> dict[str, object]:
         "edges": _text(scene.edges.astype("<u4")),
         "colours": _text(np.rint(255 * colour_map()(np.arange(256))).astype(np.uint8)),
         "fields": [
-            {**asdict(shown), "least": shown.name in SMALL_MATTERS} for shown in viewed.fields
+            {**asdict(one), "least": one.name in SMALL_MATTERS, "judge": _judged(viewed, one)}
+            for one in viewed.fields
         ],
         "frames": [_frame(frame, viewed.fields) for frame in scene.frames],
         "glyphs": [_glyph(glyphs, scene, palette[glyphs.key]) for glyphs in scene.glyphs],
     }
+
+
+def _judged(viewed: Viewed, shown: Shown) -> dict[str, object] | None:
+    """Where to judge by in the last frame, -1 nowhere on its surface, and what stands there."""
+    known = viewed.reliable.get(shown.name)
+    if known is None:
+        return None
+    near = nearest(viewed.scene, known.place) if np.isfinite(known.value) else -1
+    text = f"{quantity(known.value, FIELDS[shown.name].unit)} {known.error}".strip()
+    return {"at": near, "text": text if near >= 0 else ""}
 
 
 def _frame(frame: Frame, fields: Sequence[Shown]) -> dict[str, object]:
@@ -290,7 +321,7 @@ def _frame(frame: Frame, fields: Sequence[Shown]) -> dict[str, object]:
 
 
 def _shares(values: FloatArray, shown: Shown) -> AnyArray:
-    room = (shown.high - shown.low) or 1.0
+    room = (shown.most - shown.low) or 1.0
     shares = _LAST * np.clip((values - shown.low) / room, 0.0, 1.0)
     return np.asarray(np.where(np.isnan(shares), _UNKNOWN, np.rint(shares)).astype("<u2"))
 

@@ -71,6 +71,8 @@ def _coloured(body: Picture, viewed: Viewed, shown: Shown) -> Picture:
         field=name,
         unit=unit,
         tensor=FIELDS[name].shape == "tensor",
+        allowable=shown.limit,
+        reliable=viewed.reliable.get(name),
     )
     ends = shown.low / factor, shown.high / factor
     return finished(picture, ends, Limits(), picture.seen, marks=True)

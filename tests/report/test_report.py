@@ -55,7 +55,7 @@ from dolfin_elastic.report.words import small_strains
 from dolfin_elastic.results.finished.findings import mesh_badge
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.scene.colour_bar import colour_map
-from dolfin_elastic.results.scene.scene import Frame, Glyphs, Picture, Scene
+from dolfin_elastic.results.scene.scene import Frame, Glyphs, Picture, Reliable, Scene
 
 EVIL = "</script><script>alert(1)</script><img src=x onerror='alert(2)'>&amp;\"`"
 BOX = {"box": {"size": [4, 1, 1], "cells": [4, 1, 1]}}
@@ -814,3 +814,32 @@ def test_pictures_that_are_none(tmp_path: Path, caplog: pytest.LogCaptureFixture
     kinds = {"a": "a pipe", "b": "a link", "c": "a link"}
     for name, kind in kinds.items():
         assert f"{name}.png is left out: this is {kind}, not a file" in caplog.text
+
+
+def test_singular_peaks_and_the_allowable_stress_are_marked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Colours end at the value to judge by, in the viewer, whose numbers go on, and on paper."""
+    drawn: list[Picture] = []
+
+    def draw(_user: object, pictures: list[Picture], file: Path) -> None:
+        drawn.extend(pictures)
+        file.touch()
+
+    monkeypatch.setattr(still, "draw_pictures", draw)
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    frame = Frame("", np.zeros((3, 3)), {"von_mises": np.array([4e6, 1e6, 2e6])})
+    scene = Scene(points, np.array([[0, 1, 2]]), frames=(frame,))
+    known = Reliable(2e6, points[2], "± 5 %")
+    viewed = Viewed(scene, allowable=1.5e6, reliable={"von_mises": known})
+    (shown,), (row,) = viewed.fields, packed(viewed, {})["fields"]  # type: ignore[misc]
+    assert (shown.high, shown.most, shown.limit) == (2e6, 4e6, 1.5e6)
+    assert row["judge"] == {"at": 2, "text": "2 MPa ± 5 %"}
+    nowhere = replace(viewed, reliable={"von_mises": Reliable(math.nan, points[2])})
+    assert nowhere.fields[0].high == 4e6
+    assert packed(nowhere, {})["fields"][0]["judge"] == {"at": -1, "text": ""}  # type: ignore[index]
+    still.stills(viewed, {})
+    assert [mark.text for mark in drawn[0].marks] == ["max 4 MPa: singular", "2 MPa ± 5 %"]
+    assert drawn[0].bar is not None
+    assert drawn[0].bar.ticks[-1] == 2
+    assert drawn[0].bar.limit == 1.5

@@ -38,15 +38,17 @@ const FRAGMENT = `
   uniform float plain;
   uniform float turned;
   uniform vec3 grey;
+  uniform float limit;
   varying float shade;
   varying float sure;
   varying vec3 place;
   void main() {
     vec3 n = normalize(cross(dFdx(place), dFdy(place)));
     float light = 0.7 + 0.3 * abs(dot(n, normalize(vec3(0.25, 0.35, 1.0))));
-    float s = mix(shade, 1.0 - shade, turned);
+    float within = clamp(shade, 0.0, 1.0), s = mix(within, 1.0 - within, turned);
     vec3 c = mix(texture2D(colours, vec2(s * 255.0 / 256.0 + 0.5 / 256.0, 0.5)).rgb, grey,
                  sure < 0.999 ? 1.0 : plain);
+    if (limit > 0.0 && plain < 0.5 && sure > 0.999 && abs(shade - limit) < 1.5 * fwidth(shade)) c = vec3(0.82, 0.2, 0.12);
     gl_FragColor = vec4(light * c, 1.0);
   }`;
 
@@ -86,7 +88,7 @@ function start() {
   table.minFilter = table.magFilter = LinearFilter;
   table.needsUpdate = true;
   const scale = { value: 1 };
-  const uniforms = { colours: { value: table }, scale, plain: { value: 0 }, turned: { value: 0 }, grey: { value: new Vector3(0.72, 0.75, 0.78) } };
+  const uniforms = { colours: { value: table }, scale, plain: { value: 0 }, turned: { value: 0 }, grey: { value: new Vector3(0.72, 0.75, 0.78) }, limit: { value: 0 } };
   const body = new Mesh(geometry, new ShaderMaterial({
     uniforms, vertexShader: VERTEX, fragmentShader: FRAGMENT, side: DoubleSide,
     polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1,
@@ -107,7 +109,8 @@ function start() {
   const rim = new Mesh(new SphereGeometry(0.015 * size, 16, 12), new MeshBasicMaterial({ color: 0x111111, depthTest: false }));
   rim.renderOrder = 8; top.renderOrder = 9;  // seen through the body, wherever it is
   top.add(rim);
-  scene.add(top);
+  const judged = top.clone();  // what to judge by, where the largest value is singular
+  scene.add(top, judged);
 
   // --- supports and loads ---
 
@@ -178,26 +181,34 @@ function start() {
     const field = data.fields.find((f) => f.name === state.field);
     uniforms.plain.value = field ? 0 : 1;
     $("legend").hidden = !field;
-    top.visible = false;
+    top.visible = judged.visible = false;
     if (field) {
       uniforms.turned.value = field.least ? 1 : 0;  // what is dangerous is bright
-      paint(field.least);
+      const room = field.high - field.low || 1, end = room / (field.most - field.low || 1);
+      uniforms.limit.value = field.limit ? (field.limit - field.low) / room : 0;
+      paint(field.least, uniforms.limit.value);
       const shares = numbers("s", state.frame, field.name);
       let most = -1;
       for (let i = 0; i < n; i++) {
         const sure = !Number.isNaN(shares[i]);
         known.array[i] = sure ? 1 : 0;
-        value.array[i] = sure ? shares[i] : 0;
+        value.array[i] = sure ? shares[i] / end : 0;  // above 1 where it is singular
         if (sure && (most < 0 || (field.least ? shares[i] < shares[most] : shares[i] > shares[most]))) most = i;
       }
       value.needsUpdate = known.needsUpdate = true;
       $("low").textContent = `${digits(field.low / field.factor)} ${field.unit}`;
-      $("high").textContent = `${digits(field.high / field.factor)} ${field.unit}`;
+      const above = field.most > field.high ? " and more where singular" : "";
+      $("high").textContent = `${digits(field.high / field.factor)} ${field.unit}${above}`;
       top.visible = most >= 0 && $("marks").checked && field.high > field.low;
       top.userData.vertex = most;
-      const share = most < 0 ? 0 : value.array[most], peak = field.low + share * (field.high - field.low);
+      const share = most < 0 ? 0 : value.array[most], peak = field.low + share * room;
+      const judge = state.frame === data.frames.length - 1 ? field.judge : null;
+      judged.visible = top.visible && judge !== null && judge.at >= 0;
+      judged.userData.vertex = judged.visible ? judge.at : 0;
       const words = field.least ? (share === 1 ? "everywhere at least" : "smallest here") : "largest here";
-      $("peak").textContent = most < 0 ? "" : `${words} ${digits(peak / field.factor)} ${field.unit}`;
+      const other = !judge ? "" : judge.text ? `: singular; judge by ${judge.text}` : ": singular";
+      const limit = field.limit && !field.least ? `; ${field.limit < field.high ? "red: " : ""}allowable ${digits(field.limit / field.factor)} ${field.unit}` : "";
+      $("peak").textContent = most < 0 ? "" : `${words} ${digits(peak / field.factor)} ${field.unit}${other}${limit}`;
     }
     if ($("frame")) $("step").textContent = frame.label;
     draw();
@@ -208,7 +219,7 @@ function start() {
     waiting = true;
     requestAnimationFrame(() => {
       waiting = false;
-      if (top.visible) place(top.userData.vertex, top.position);
+      for (const dot of [top, judged]) if (dot.visible) place(dot.userData.vertex, dot.position);
       placeGlyphs();
       sun.position.copy(camera.position).sub(controls.target).add(new Vector3(0.3 * size, 0.5 * size, 0));
       renderer.render(scene, camera);
@@ -276,11 +287,15 @@ function start() {
   choice.value = state.field;
   choice.addEventListener("change", () => { state.field = choice.value; refresh(); });
   const ramp = $("ramp"), pen = ramp.getContext("2d"), shades = new Uint8Array(bytes(data.colours));
-  function paint(turned) {
+  function paint(turned, limit) {
     for (let i = 0; i < 256; i++) {
       const k = 4 * (turned ? 255 - i : i);
       pen.fillStyle = `rgb(${shades[k]},${shades[k + 1]},${shades[k + 2]})`;
       pen.fillRect(i, 0, 1, 1);
+    }
+    if (limit > 0 && limit < 1) {
+      pen.fillStyle = "rgb(209,52,31)";
+      pen.fillRect(Math.round(255 * limit) - 2, 0, 4, 1);
     }
   }
 

@@ -487,6 +487,17 @@ def _beyond(value: float, known: float, *, small: bool) -> bool:
     return not (value >= known * (1 - _SAME) if small else value <= known * (1 + _SAME))
 
 
+def nearest(scene: Scene, place: FloatArray) -> int:
+    """Number of the point at a place; -1: there is none.
+
+    Args:
+        place: Of the undeformed body [m], shape (3,).
+    """
+    away = np.linalg.norm(scene.points - place, axis=1)
+    near = int(np.argmin(away))
+    return near if away[near] <= _SAME * scene.diagonal else -1
+
+
 def marked(picture: Picture) -> Picture:
     """A picture with a mark at the largest value, or where small ones matter at the smallest.
 
@@ -507,9 +518,8 @@ def marked(picture: Picture) -> Picture:
     marks, known = [Mark(picture.moved[at], text)], picture.reliable
     if known is not None and _beyond(values[at] * bar.factor, known.value, small=bar.reversed):
         marks = [Mark(picture.moved[at], f"{text}: singular")]
-        away = np.linalg.norm(picture.scene.points - known.place, axis=1)
-        near = int(np.argmin(away))
-        if np.isfinite(known.value) and away[near] <= _SAME * picture.scene.diagonal:
+        near = nearest(picture.scene, known.place)
+        if np.isfinite(known.value) and near >= 0:
             text = f"{known.value / bar.factor:.4g} {bar.unit} {known.error}".strip()
             marks.append(Mark(picture.moved[near], " ".join(text.split())))
     return replace(picture, marks=tuple(marks))
