@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dolfin_elastic.core.shapes.triangles import whole
 from dolfin_elastic.core.si_text import number, quantity
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.mesh.geometry.simplices import qualities, signed_volumes
@@ -22,7 +23,7 @@ from dolfin_elastic.results.finished.xdmf import Frame, damaged, read_array, rea
 from dolfin_elastic.results.scene.edges import sharp_edges
 from dolfin_elastic.results.scene.obstacles import Reach, obstacles_beside
 from dolfin_elastic.results.scene.scene import Frame as State
-from dolfin_elastic.results.scene.scene import Glyphs, Obstacle, Reliable, Scene
+from dolfin_elastic.results.scene.scene import Glyphs, Reliable, Scene
 from dolfin_elastic.results.verdict import ELSEWHERE
 
 if TYPE_CHECKING:
@@ -74,11 +75,12 @@ def scene_of(run: FinishedRun, frames: Sequence[tuple[str, Frame]]) -> Viewed | 
     if not len(triangles):
         return None
     chosen = [frames[k] for k in chosen_frames(len(frames), len(nodes))]
-    points, shown = np.asarray(grid.points, dtype=np.float64), []
+    points, shown, times = np.asarray(grid.points, dtype=np.float64), [], list[float]()
     for label, frame in chosen:
         one = grid if frame is frames[-1][1] else read_grid(run.folder, frame)
         if np.array_equal(one.points, points):  # else the run went on with other ranks
             shown.append(_frame(label, one, nodes, allowable_of(run.case)))
+            times.append(frame.t)
     glyphs = [Glyphs.of(row) for row in run.model.get("glyphs") or ()]
     scene = Scene(
         points[nodes],
@@ -94,24 +96,35 @@ def scene_of(run: FinishedRun, frames: Sequence[tuple[str, Frame]]) -> Viewed | 
         judged = {name: known for name, known in rows.items() if known is not None}
     modes = bool(run.summary.get("modes"))
     viewed = Viewed(scene, modes, before, allowable_of(run.case), judged)
-    return replace(viewed, scene=replace(scene, obstacles=_obstacles(run, viewed, frames[-1][1].t)))
+    return viewed if modes else _beside_obstacles(run, viewed, times)
 
 
-def _obstacles(run: FinishedRun, viewed: Viewed, t: float) -> tuple[Obstacle, ...]:
-    """Obstacles beside the last state; none beside modes, whose size means nothing.
+def _beside_obstacles(run: FinishedRun, viewed: Viewed, times: Sequence[float]) -> Viewed:
+    """A scene with its obstacles.
 
     Each is as far from the nearest point of the body as it is, however magnified that one moves.
+
+    Args:
+        times: Of the frames.
     """
-    if viewed.modes:
-        return ()
-    x, u, reach, rows = viewed.scene.points, viewed.frame.u, Reach(), []
+    x, scale, reach = viewed.scene.points, viewed.scale, Reach()
     reach.take(x)
-    reach.take(x + viewed.scale * u)
-    for name, shape, shift in obstacles_of(run, t):
-        places = (x + u)[:, : run.dim] - shift
-        near = int(np.argmin(shape.gap([*places.T], float, np.sqrt)[0]))
-        rows.append((name, shape, shift + (viewed.scale - 1) * u[near, : run.dim]))
-    return obstacles_beside(rows, reach, run.dim)
+    frames: list[list[FloatArray]] = []
+    for t, frame in zip(times, viewed.scene.frames, strict=True):
+        reach.take(x + scale * frame.u)
+        frames.append([])
+        for _, shape, shift in obstacles_of(run, t):
+            places = (x + frame.u)[:, : run.dim] - shift
+            near = int(np.argmin(shape.gap([*places.T], float, np.sqrt)[0]))
+            frames[-1].append(np.stack([whole(shift), frame.u[near]]))
+    ways = tuple(np.nan_to_num(np.array(way)) for way in zip(*frames, strict=True))
+    shifts = (way[-1, 0] + (scale - 1) * way[-1, 1] for way in ways)
+    rows = [
+        (name, shape, shift[: run.dim])
+        for (name, shape, _), shift in zip(obstacles_of(run, times[-1]), shifts, strict=True)
+    ]
+    scene = replace(viewed.scene, obstacles=obstacles_beside(rows, reach, run.dim))
+    return replace(viewed, scene=scene, ways=ways)
 
 
 def _frame(label: str, grid: pyvista.UnstructuredGrid, nodes: IntArray, allowable: float) -> State:

@@ -89,6 +89,8 @@ class Viewed:
         of: Triangles of the surface before it was thinned out.
         allowable: Stress of all materials [Pa]; 0: there is none.
         reliable: Field to what to judge by in the last frame, where its largest value is singular.
+        ways: Of each obstacle its displacement and that of the body's nearest point in each frame
+            [m], shape (frames, 2, 3): it stays as far away, however magnified the body moves.
         fields: What can be shown, in the order in which it is offered.
         left_out: Titles of fields for which the page has no room.
     """
@@ -98,6 +100,7 @@ class Viewed:
     of: int = 0
     allowable: float = 0.0
     reliable: Mapping[str, Reliable] = field(default_factory=dict)
+    ways: tuple[FloatArray, ...] = ()
     fields: tuple[Shown, ...] = field(init=False)
     left_out: tuple[str, ...] = field(init=False)
 
@@ -109,6 +112,7 @@ class Viewed:
         # Numbers of 16 bits each, those of the viewer's triangles and edges of 32.
         used = 6 * len(scene.points) * (1 + len(frames))
         used += 12 * len(scene.triangles) + 8 * len(scene.edges)
+        used += sum(12 * (len(one.points) + len(one.triangles)) for one in scene.obstacles)
         each = 2 * len(scene.points) * len(frames)
         count = max(_ALWAYS, (_ALL_ROOM - used) // max(each, 1))
         # The only way to complete a frozen object.
@@ -297,6 +301,15 @@ def packed(viewed: Viewed, palette: Mapping[str, str]) -> dict[str, object]:
         ],
         "frames": [_frame(frame, viewed.fields) for frame in scene.frames],
         "glyphs": [_glyph(glyphs, scene, palette[glyphs.key]) for glyphs in scene.glyphs],
+        "obstacles": [
+            {
+                "points": _text(one.points.astype("<f4")),
+                "triangles": _text(one.triangles.astype("<u4")),
+                "colour": one.colour,
+                "ways": way.tolist(),
+            }
+            for one, way in zip(scene.obstacles, viewed.ways, strict=True)
+        ],
     }
 
 

@@ -512,6 +512,15 @@ def test_fixed_pictures_show_obstacles(folders: Any, monkeypatch: pytest.MonkeyP
     assert viewed.scale > 1
     still.stills(viewed, _palette(viewed))
     lowest = (viewed.scene.points + viewed.frame.u)[:, 2].min()
+    data: Any = packed(viewed, _palette(viewed))
+    (seen,) = data["obstacles"]
+    z = np.frombuffer(base64.b64decode(seen["points"]), "<f4").reshape(-1, 3)[:, 2].max()
+    for frame, (shift, near) in zip(viewed.scene.frames, seen["ways"], strict=True):
+        for scale in (0.0, 1.0, viewed.scale):
+            least = (viewed.scene.points + scale * frame.u)[:, 2].min()
+            away = least - (z + shift[2] + (scale - 1) * near[2])
+            gap = (viewed.scene.points + frame.u)[:, 2].min() - (shift[2] - 1)
+            assert away == pytest.approx(gap, abs=1e-6)
     for picture in drawn:
         (one,) = picture.scene.obstacles
         away = picture.moved[:, 2].min() - (one.points + one.shift)[:, 2].max()

@@ -3,7 +3,7 @@
 // whatever is a text in them reaches the page through textContent only.
 import {
   AmbientLight, BufferAttribute, BufferGeometry, ConeGeometry, CylinderGeometry, DataTexture,
-  DirectionalLight, DoubleSide, InstancedMesh, LineBasicMaterial, LineSegments, LinearFilter,
+  DirectionalLight, DoubleSide, EdgesGeometry, InstancedMesh, LineBasicMaterial, LineSegments, LinearFilter,
   Matrix4, Mesh, MeshBasicMaterial, MeshLambertMaterial, OrthographicCamera, Quaternion, RGBAFormat,
   Scene, ShaderMaterial, SphereGeometry, Vector3, WebGLRenderer,
 } from "three";
@@ -128,6 +128,25 @@ function start() {
     parts.forEach((p) => { p.frustumCulled = false; scene.add(p); });
     glyphs.push({ group, parts, long });
   }
+  // Rigid obstacles: each stays as far from the body's nearest point as it is.
+  const obstacles = data.obstacles.map((one) => {
+    const shape = new BufferGeometry();
+    shape.setAttribute("position", new BufferAttribute(new Float32Array(bytes(one.points)), 3));
+    shape.setIndex(new BufferAttribute(new Uint32Array(bytes(one.triangles)), 1));
+    const part = new Mesh(shape, new MeshBasicMaterial({
+      color: one.colour, side: DoubleSide, transparent: true, opacity: 0.35, depthWrite: false,
+    }));
+    part.add(new LineSegments(new EdgesGeometry(shape, 30), new LineBasicMaterial({ color: 0x7d8a97 })));
+    part.frustumCulled = false;
+    scene.add(part);
+    return { part, ways: one.ways };
+  });
+  function placeObstacles() {
+    for (const { part, ways } of obstacles) {
+      const [shift, near] = ways[state.frame];
+      part.position.fromArray(shift.map((s, i) => s + (scale.value - 1) * near[i]));
+    }
+  }
   function place(index, into) {
     into.fromArray(points, 3 * index);
     into.x += scale.value * moved.array[3 * index];
@@ -221,6 +240,7 @@ function start() {
       waiting = false;
       for (const dot of [top, judged]) if (dot.visible) place(dot.userData.vertex, dot.position);
       placeGlyphs();
+      placeObstacles();
       sun.position.copy(camera.position).sub(controls.target).add(new Vector3(0.3 * size, 0.5 * size, 0));
       renderer.render(scene, camera);
     });
