@@ -84,6 +84,14 @@ def case(key: str = "load", **row: Any) -> Case:
     return Case.from_dict(tables)
 
 
+def test_vectors_of_a_plane_body_may_have_two_components() -> None:
+    """As those of DOLFINx and of scripts; ParaView's have three."""
+    on = body(2)
+    fields = {**on.fields, "v": MeshField("point", on.fields["v"].values[:, :2])}
+    found = moved(replace(on, fields=fields), True, 1)
+    np.testing.assert_allclose(found, moved(on, True, 1), rtol=0, atol=1e-14)
+
+
 def test_a_case_sums_up_fields_and_writes_them_back(tmp_path: Any) -> None:
     """A field of cells is 1 in the right half; its force is that of the area."""
     from dolfin_elastic.case.check.integrals import Integrals

@@ -127,7 +127,8 @@ class NodalLoads(Term):
         spread = self._at_places(load) if load.on is None else self._on_parts(load)
         with keyed("value"):
             check_fields(self._body, load.values)
-            given = [one.of(spread.fields(one.field)) for one in fields_of(load.values)]
+            values = fields_of(sized(load.values, self._dim))
+            given = [one.of(spread.fields(one.field)) for one in values]
             check_finite(self._body, load.values, np.array(given))
         return spread
 
