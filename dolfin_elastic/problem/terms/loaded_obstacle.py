@@ -68,7 +68,7 @@ class LoadedObstacle(ScalarTerm):
         self._way = pair.contact.way
         self.steps, self.signs = np.array([_STEP * pair.size]), np.ones(1)
         self.prescribing = np.zeros(1, dtype=bool)
-        self._s = self._stiffness = 0.0
+        self._s = self._stiffness = self._most = 0.0
 
     def without_motion(self) -> InputError:
         """See `ScalarTerm`."""
@@ -77,6 +77,27 @@ class LoadedObstacle(ScalarTerm):
             where=f"{self._where}.force",
             expected="[statics]; or its motion over time; or a part with a mass in its place",
         )
+
+    def commit(self) -> None:
+        """See `Term`.
+
+        Raises:
+            InputError: The force pulls, at a load factor that `check_start` has not looked at.
+        """
+        super().commit()
+        self._check_push(self.t)
+
+    def _check_push(self, t: float) -> None:
+        """Refuses a force that pulls: only `_guided` would be in balance with it."""
+        force = self._pair.contact.force_at(t, PROPORTIONAL)
+        self._most = max(self._most, force)
+        if force < -SAME * self._most:
+            raise InputError(
+                f"the force on the obstacle of '{self.label}' is {force:.4g} N at load factor "
+                f"{t:.4g}: it pulls the obstacle off the body, where nothing stops it",
+                where=f"{self._where}.force",
+                expected="a force not below 0, along a direction towards the body",
+            )
 
     # --- the start ---
 
@@ -87,13 +108,7 @@ class LoadedObstacle(ScalarTerm):
             InputError: It meets nothing, or its force pulls.
         """
         for t in np.linspace(0.0, 1.0, _TIMES):
-            if (force := self._pair.contact.force_at(float(t), PROPORTIONAL)) < 0.0:
-                raise InputError(
-                    f"the force on the obstacle of '{self.label}' is {force:.4g} N at load factor "
-                    f"{t:.4g}: it pulls the obstacle off the body, where nothing stops it",
-                    where=f"{self._where}.force",
-                    expected="a force not below 0, along a direction towards the body",
-                )
+            self._check_push(float(t))
         if not self._touch():
             raise InputError(
                 f"in its direction the obstacle of '{self.label}' meets nothing: its force would "

@@ -181,6 +181,24 @@ def test_a_force_that_pulls_at_some_time():
 
 
 @pytest.mark.parametrize(
+    ("force", "settings"),
+    [("3e4*t*(1.5 - t)", {"end": 2.0}), ("3e4*(1 - 2*exp(-1e6*(t - 0.505)^2))", {"times": [0.505]})],
+)
+def test_a_force_that_pulls_after_the_full_load_or_for_a_short_time(force, settings):
+    """No state has it: nothing but what leads an obstacle to the body would be in balance."""
+    with pytest.raises(InputError, match="it pulls the obstacle off") as caught:
+        last(pressed(**{**PLATE, **DOWN, "force": force}), steps=4, **settings)
+    assert caught.value.where == "contact[0].force"
+
+
+def test_round_off_of_a_force_that_is_gone_is_no_pull():
+    """At its end the force is -1e-11 N."""
+    states = Statics(pressed(**{**PLATE, **DOWN, "force": "3e4*(1 + cos(pi*t)) - 1e-11"}), steps=2)
+    *_, state = states.steps()
+    assert way(state) == pytest.approx(GAP, rel=1e-9)
+
+
+@pytest.mark.parametrize(
     ("keys", "where", "said"),
     [
         ({"force": 1.0}, "direction", "needs the force and its direction"),
