@@ -359,8 +359,8 @@ MISTAKES = {
     "selector str": (
         '{plane = "z", at = "min"}',
         '"z"',
-        "surfaces.foot: no surface 'z' in box 2 x 1 x 1; known: back, bottom, core, front, left, right, "
-        "top",
+        "surfaces.foot: no surface 'z' in box 2 x 1 x 1; known: back, bottom, core, front, left, "
+        "right, top",
     ),
     "region unit": (
         '"1 mm"',

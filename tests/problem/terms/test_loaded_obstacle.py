@@ -182,7 +182,10 @@ def test_a_force_that_pulls_at_some_time():
 
 @pytest.mark.parametrize(
     ("force", "settings"),
-    [("3e4*t*(1.5 - t)", {"end": 2.0}), ("3e4*(1 - 2*exp(-1e6*(t - 0.505)^2))", {"times": [0.505]})],
+    [
+        ("3e4*t*(1.5 - t)", {"end": 2.0}),
+        ("3e4*(1 - 2*exp(-1e6*(t - 0.505)^2))", {"times": [0.505]}),
+    ],
 )
 def test_a_force_that_pulls_after_the_full_load_or_for_a_short_time(force, settings):
     """No state has it: nothing but what leads an obstacle to the body would be in balance."""
