@@ -102,6 +102,11 @@ class Case(AnalysisTables):
         """The tables in the order in which they were written."""
         return self.to_dict()
 
+    @property
+    def trusted(self) -> bool:
+        """A .geo script of its mesh may do all that its user may."""
+        return self._trusted
+
     # --- back to text ---
 
     def to_dict(self) -> dict[str, Any]:
@@ -120,16 +125,33 @@ class Case(AnalysisTables):
 
     def read_body(self, comm: MPI.Comm = MPI.COMM_WORLD) -> Body:
         """The mesh with all its names. Collective."""
-        key = next(k for k in ("file", "box", "rectangle") if getattr(self.mesh, k) is not None)
+        named = self.name_parts(self.read_mesh(comm))
+        with locate_errors(self.file):
+            finer = self.mesh.refined(named)
+            add_fields(finer, self.model_tables(), self.folder)
+        with locate_errors(self.file, f"mesh.{self._mesh_key}"):
+            check_elements(comm, finer.num_cells, finer.dim, self.degree, made=True)
+        return finer
+
+    @property
+    def _mesh_key(self) -> str:
+        return next(k for k in ("file", "box", "rectangle") if getattr(self.mesh, k) is not None)
+
+    def read_mesh(self, comm: MPI.Comm) -> Body:
+        """The mesh with the names of its file, without those of the case. Collective."""
+        key = self._mesh_key
         with locate_errors(self.file, f"mesh.{key}"):
             if cells := self.mesh.generated_cells:
                 check_elements(comm, cells, 2 if key == "rectangle" else 3, self.degree)
         with locate_errors(self.file, f"mesh.{key}", exact=False):
-            body = self.mesh.body(
+            return self.mesh.body(
                 self.folder, comm, curved=self.curved, surfaces=self.surfaces, trust=self._trusted
             )
+
+    def name_parts(self, body: Body) -> Body:
+        """A mesh with the names of the case. Collective."""
         with locate_errors(self.file):
-            named = name_parts(
+            return name_parts(
                 body,
                 surfaces=self.surfaces,
                 regions=self.regions,
@@ -137,11 +159,6 @@ class Case(AnalysisTables):
                 points=self.points,
                 scale=body.unit.metres,
             )
-            finer = self.mesh.refined(named)
-            add_fields(finer, self.model_tables(), self.folder)
-        with locate_errors(self.file, f"mesh.{key}"):
-            check_elements(comm, finer.num_cells, finer.dim, self.degree, made=True)
-        return finer
 
     def make_problem(self, body: Body) -> Problem:
         """The boundary value problem. Collective.
@@ -208,11 +225,17 @@ def read_case(
     file, folder = str(path), Path(path).parent
     tables = written = on_root(comm, lambda: read_toml(file))
     with locate_errors(file), in_order(lambda: written):
-        if "library" in tables:
-            tables = on_root(comm, lambda: _with_library(written, folder))
-        case = Case(**tables)
-        if has_curve_files(case):
-            case = on_root(comm, lambda: with_curves(case, folder))
+        try:
+            if "library" in tables:
+                tables = on_root(comm, lambda: _with_library(written, folder))
+            case = Case(**tables)
+            if has_curve_files(case):
+                case = on_root(comm, lambda: with_curves(case, folder))
+        except InputError as error:
+            # Imported only here: checks import this module.
+            from dolfin_elastic.case.check.rest import with_the_rest
+
+            raise with_the_rest(error, tables, folder, comm, trust=trust) from None
     return case._from(file, folder, trust, written)
 
 

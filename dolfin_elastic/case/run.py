@@ -26,6 +26,7 @@ from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.case.check.loads import LoadSum, load_sums, stress_notes
 from dolfin_elastic.case.check.mesh_quality import bending_notes, section_notes, shape_notes
 from dolfin_elastic.case.check.plausibility import unit_information
+from dolfin_elastic.case.check.rest import read_body
 from dolfin_elastic.case.model_record import model_record
 from dolfin_elastic.case.restart import Unfinished, describe_run, unfinished, written_tables
 from dolfin_elastic.case.run_checkpoints import RunCheckpoints
@@ -287,7 +288,7 @@ class _Shared:
     def body_of(self, case: Case, comm: MPI.Comm) -> Body:
         """The mesh of a case, read once. Collective."""
         if self.body is None or self.body[0] != case.curved:
-            self.body = case.curved, case.read_body(comm)
+            self.body = case.curved, read_body(case, comm)
         return self.body[1]
 
 

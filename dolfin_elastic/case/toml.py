@@ -57,17 +57,22 @@ def key_text(key: str) -> str:
 _PART = re.compile(r'"((?:[^"\\]|\\.)*)"|([^.\[\]"]+)')
 
 
+def key_parts(where: str) -> list[str]:
+    """A dotted key as the keys and indices that it consists of."""
+    return [quoted or bare for quoted, bare in _PART.findall(where)]
+
+
 def position(tables: Mapping[str, object], where: str) -> list[int]:
     """Where a dotted key stands in a document, to be compared; a missing one at its table's end."""
     result, value = list[int](), cast(object, tables)
-    for quoted, bare in _PART.findall(where):
+    for key in key_parts(where):
         if isinstance(value, Mapping):
-            keys, key = list(value), quoted or bare
+            keys = list(value)
             result.append(keys.index(key) if key in keys else len(keys))
             value = value.get(key)
-        elif isinstance(value, list) and bare.isdigit() and int(bare) < len(value):
-            result.append(int(bare))
-            value = value[int(bare)]
+        elif isinstance(value, list) and key.isdigit() and int(key) < len(value):
+            result.append(int(key))
+            value = value[int(key)]
     return result
 
 

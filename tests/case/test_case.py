@@ -1071,6 +1071,65 @@ def test_all_names_that_are_missing_are_told(folder: Path) -> None:
     assert said[2].endswith("there is no surface 'lef'; did you mean 'left'?")
 
 
+def keys_of(folder: Path, text: str) -> list[str]:
+    """Keys of all errors that a check tells, in their order. Collective."""
+    said = [line.removeprefix("case.toml: ") for line in message_of(folder, text).splitlines()]
+    return [line.partition(": ")[0] for line in said]
+
+
+def test_errors_of_keys_and_of_the_mesh_are_told_in_one_round(folder: Path) -> None:
+    """Names of good tables are compared with the mesh although others are wrong."""
+    text = (
+        GOOD.replace("nu = 0.3", "nu = 0.7")
+        .replace('on = "left"\ndisplacement = [0, 0, 0]', 'onn = "lef"\ndisplacement = [0, 0]')
+        .replace('on = "right"', 'on = "rihgt"')
+        .replace("steps = 2", "steps = 0")
+    )
+    text += """probes = {tip = {at = [9, 9, 9]}}
+[[load]]
+kind = "tracktion"
+on = "nowhere"
+[[load]]
+kind = "pressure"
+on = "topp"
+value = 1
+[materials.core]
+law = "linear-elastic"
+E = 1
+nu = 0.3
+on = "cores"
+"""
+    assert keys_of(folder, text) == [
+        "materials.steel.nu",
+        "materials.core.on",
+        "support[0]",
+        "load[0].on",
+        "load[1].kind",
+        "load[2].on",
+        "statics.steps",
+    ]
+    assert keys_of(folder, text.replace("degree = 1", "degree = 3"))[0] == "mesh.degree"
+
+
+def test_what_refers_to_a_wrong_name_is_no_further_error(folder: Path) -> None:
+    """Neither where its selector is wrong, nor where the mesh has no such place."""
+    for wrong, key in (('at = "mi"', "surfaces.foot.at"), ("at = 7", "surfaces.foot")):
+        text = GOOD.replace('at = "min"', wrong).replace('on = "left"', 'on = ["foot", "lef"]')
+        text = text.replace("[regions]", 'sole = {of = "foot"}\n[regions]')
+        text = text.replace('on = "right"', 'on = "rihgt"')
+        assert keys_of(folder, text) == [key, "load[0].on"]
+    text = GOOD.replace("[surfaces]", "[surfces]").replace('on = "left"', 'on = "foot"')
+    assert len(keys_of(folder, text)) == 1
+    text = GOOD.replace("steps = 2", "steps = 0").replace('"displacement"]', '"velocity"]')
+    assert keys_of(folder, text) == ["statics.steps"]
+
+
+def test_names_and_materials_are_told_in_one_round(folder: Path) -> None:
+    text = GOOD.replace("nu = 0.3", 'nu = 0.3\non = "core"').replace('"right"', '"rihgt"')
+    text += "probes = {tip = {at = [9, 9, 9]}}\n"
+    assert keys_of(folder, text) == ["materials", "load[0].on", "output.probes"]
+
+
 SHOP = """
 ["PETG, ours"]
 E = "1.6 GPa"

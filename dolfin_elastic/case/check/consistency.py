@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
 
+from dolfin_elastic.case.analysis import ANALYSES
 from dolfin_elastic.case.case import Case, in_order, locate_errors
 from dolfin_elastic.case.check.initial_state import NOTHING_MOVES
 from dolfin_elastic.case.check.plausibility import plausibility_notes
-from dolfin_elastic.case.toml import key_text
-from dolfin_elastic.core.errors import CaseError, MeshError, all_errors, keyed, nearest
+from dolfin_elastic.case.toml import key_parts, key_text
+from dolfin_elastic.core.errors import (
+    CaseError,
+    InputError,
+    MeshError,
+    all_errors,
+    joined,
+    keyed,
+    nearest,
+)
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, IndexArray
 from dolfin_elastic.mesh.body import Body
@@ -46,32 +55,45 @@ def check(case: Case, body: Body) -> tuple[str, ...]:
     Raises:
         InputError: All faults, each with file and key, the same on every rank.
     """
-    first = (_check_names, _check_components, _check_mesh_fields, _check_densities, _check_fields)
-    with locate_errors(case.file):
-        with in_order(lambda: case.written), all_errors() as attempt:
-            for check_case in first:
-                with attempt():
-                    check_case(case, body)
-        with (
-            in_order(lambda: case.written),
-            all_errors() as attempt,
-        ):  # by the names, which are right
-            for check_case in (_check_materials, _check_energies, _check_constants, _check_output):
-                with attempt():
-                    check_case(case, body)
-        if any(material.law.relaxes for material in case.materials.values()):
-            _check_relaxing(case)
-        if case.explicit:
-            _check_explicit(case)
+    with locate_errors(case.file), in_order(lambda: case.written):
+        if found := faults(case, body):
+            raise joined(found)
     return (*_notes(case), *plausibility_notes(case, body))
 
 
-def _check_relaxing(case: Case) -> None:
+def faults(case: Case, body: Body, wrong: frozenset[str] = frozenset()) -> tuple[InputError, ...]:
+    """All faults of a case, without what follows from others. Collective.
+
+    Args:
+        wrong: Tables that the case has lost because they are wrong; "" for an unknown one.
+    """
+    names = _errors_of(_check_names, case, body)
+    found = list(names)
+    of_names = {where[0] for error in names if (where := key_parts(error.where))}
+    for check_case, by_names, needs in _CHECKS:
+        if not wrong & {*needs} and not (by_names and of_names & {*needs}):
+            found += _errors_of(check_case, case, body)
+    return tuple(found)
+
+
+def _errors_of(
+    check_case: Callable[[Case, Body], None], case: Case, body: Body
+) -> tuple[InputError, ...]:
+    try:
+        check_case(case, body)
+    except InputError as error:
+        return error.each
+    return ()
+
+
+def _check_relaxing(case: Case, body: Body) -> None:
     """What materials that relax do not allow.
 
     Raises:
         InputError: A periodic cell, or an analysis or steps in which no time passes.
     """
+    if not any(material.law.relaxes for material in case.materials.values()):
+        return
     if case.periodic is not None:
         raise CaseError(PERIODIC, where="periodic", expected=NO_PRONY)
     if case.dynamics is not None:
@@ -80,7 +102,7 @@ def _check_relaxing(case: Case) -> None:
         statics.refuse_relaxing(case.statics or statics.StaticsSettings())
 
 
-def _check_explicit(case: Case) -> None:
+def _check_explicit(case: Case, body: Body) -> None:
     """What an explicit scheme cannot do: a pressure as unknown, quadratic elements.
 
     The material is checked first: the advice for it names the mesh's `formulation`, which an
@@ -89,7 +111,8 @@ def _check_explicit(case: Case) -> None:
     Raises:
         CaseError: An incompressible material, or quadratic elements.
     """
-    assert case.dynamics is not None
+    if case.dynamics is None or not case.explicit:
+        return
     scheme = case.dynamics.scheme
     for name, material in case.materials.items():
         if isinstance(material.law, SplitLaw) and math.isinf(volume_modulus(material.law)):
@@ -447,6 +470,22 @@ def _check_constants(case: Case, body: Body) -> None:
         if material.law.spatial_constants():
             cells = np.flatnonzero(marks if material.regions else unnamed).astype(np.int32)
             binder.values(material.law, cells, f"materials.{key_text(name)}")
+
+
+_ANALYSIS = ("", *ANALYSES)
+_CHECKS: tuple[tuple[Callable[[Case, Body], None], bool, tuple[str, ...]], ...] = (
+    (_check_components, False, ()),
+    (_check_mesh_fields, False, ()),
+    (_check_densities, False, ("materials", *_ANALYSIS)),
+    (_check_fields, False, ("materials", "axes", "output", *_ANALYSIS)),
+    (_check_materials, True, ("", "materials", "regions")),
+    (_check_energies, True, ("materials",)),
+    (_check_constants, True, ("materials", "regions")),
+    (_check_output, True, ("output",)),
+    (_check_relaxing, True, ("materials", "periodic", *_ANALYSIS)),
+    (_check_explicit, True, ("materials", *_ANALYSIS)),
+)
+"""Checks after that of the names, whether a wrong name touches them, and what they need."""
 
 
 # --- notes ---

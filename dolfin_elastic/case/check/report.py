@@ -40,6 +40,7 @@ from dolfin_elastic.case.check.mesh_quality import (
     shape_notes,
 )
 from dolfin_elastic.case.check.plausibility import unit_information
+from dolfin_elastic.case.check.rest import read_body
 from dolfin_elastic.case.check.sizes import (
     PartSize,
     lower_sizes,
@@ -155,7 +156,7 @@ def report(case: Case, *, comm: MPI.Comm = MPI.COMM_WORLD) -> Report:
     reports = []
     for one in case.analyses():
         if one.curved not in bodies:
-            bodies[one.curved] = one.read_body(comm)
+            bodies[one.curved] = read_body(one, comm)
         reports.append(_report(one, bodies[one.curved]))
     if len(reports) == 1:
         return reports[0]
