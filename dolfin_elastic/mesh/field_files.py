@@ -130,7 +130,7 @@ class FieldFile:
             cells = np.asarray(data.dest_cells, dtype=np.int32)[order]
             local, off = _reference_places(other, cells, asked)
             if outside == "nearest":
-                _move_inside(other, cells, asked, local, off)
+                _move_inside(other, cells, asked, local, off, within=padding)
             owners[rows[exchange.send_back(off[:, None] > OUTSIDE_TOLERANCE)[:, 0]]] = -1
             parts.append(_Part(rows, exchange, cells, local))
             padding = near if padding < near else _FARTHER * padding
@@ -253,17 +253,27 @@ def _reference_places(
 
 
 def _move_inside(
-    mesh: Mesh, cells: IndexArray, places: FloatArray, local: FloatArray, off: FloatArray
+    mesh: Mesh,
+    cells: IndexArray,
+    places: FloatArray,
+    local: FloatArray,
+    off: FloatArray,
+    *,
+    within: float,
 ) -> None:
-    """Moves places far outside to the nearest ones in their cells, in `local` and `off`. Local."""
+    """Moves places far outside to the nearest ones in their cells, in `local` and `off`. Local.
+
+    Args:
+        within: Distance [m] in which all cells were looked at: farther away than the nearest place
+            of the given cell may be one in another cell.
+    """
     far = np.flatnonzero(off > OUTSIDE_TOLERANCE)
-    if not len(far):
-        return
     x, d = mesh.geometry.x, mesh.topology.dim
-    moved = [
-        place
-        + compute_distance_gjk(x[mesh.geometry.dofmap[cell]], np.append(place, [0.0] * (3 - d)))[:d]
-        for cell, place in zip(cells[far], places[far], strict=True)
-    ]
-    local[far], _ = _reference_places(mesh, cells[far], np.array(moved))
+    gaps = np.zeros((len(far), 3))
+    for i, (cell, place) in enumerate(zip(cells[far], places[far], strict=True)):
+        whole = np.append(place, [0.0] * (3 - d))
+        gaps[i] = compute_distance_gjk(x[mesh.geometry.dofmap[cell]], whole)
+    near = np.linalg.norm(gaps, axis=1) <= within
+    far, gaps = far[near], gaps[near]
+    local[far], _ = _reference_places(mesh, cells[far], places[far] + gaps[:, :d])
     off[far] = 0.0

@@ -143,6 +143,21 @@ def test_beyond_a_mesh_the_nearest_place_counts(folder: Path) -> None:
     np.testing.assert_allclose(values, 20 + linear(inside), rtol=1e-12)
 
 
+def test_the_nearest_place_may_be_in_a_cell_that_is_not_around(folder: Path) -> None:
+    """All of the body lies in the box around a large cell, and beside a small one."""
+
+    def write() -> None:
+        corners = [[0, 0], [10, 0], [0, 10], [10.2, 9.5], [11, 9.5], [11, 10.5]]
+        x = np.column_stack([np.array(corners), np.zeros(6)])
+        rows = np.arange(6).reshape(2, 3)
+        meshio.Mesh(x, [("triangle", rows)], {"T": [0, 0, 0, 1, 1, 1]}).write(folder / "a.vtu")
+
+    on_root(COMM, write)
+    on = rectangle_body(size=(0.25, 0.25), cells=(2, 2), origin=(9.7, 9.7))
+    values = field(on, folder, field="T", file="a.vtu", outside="nearest")
+    np.testing.assert_allclose(values, 1.0, rtol=1e-12)
+
+
 def test_parts_that_touch_have_the_values_of_their_own_side(folder: Path) -> None:
     """Nodes of both parts are at one place; temperatures differ across the joint."""
 
