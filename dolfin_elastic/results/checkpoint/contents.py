@@ -115,7 +115,7 @@ _NUMBERS = {
     "sizes.calm": COUNT,
     "jumps": COUNT,
     "speed": KNOWN_SIZE,
-    "limits": NUMBERS,
+    "limits": PAIRS,
     "before": TABLE,
     "before.t": TIME,
     "before.scalars": NUMBERS,
