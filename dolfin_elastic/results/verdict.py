@@ -206,7 +206,7 @@ def reliable(error: Table, name: str, extremes: Table) -> Table | None:
 
 
 def doubt(peak: Table) -> str:
-    """Why a value is not known; empty where it is, or where no reason is givens error."""
+    """Why a value is not known; empty where it is, or where its error was not estimated."""
     if peak.get("singular"):
         return f"it is singular at {peak['singular']}, and elements are too large to look beside"
     if peak.get("unresolved"):
