@@ -146,12 +146,21 @@ def rows_of_cases(cases: Sequence[Table]) -> Rows:
     keys = dict.fromkeys(key for one in flat for key in one)
     differ = [k for k in keys if any(k not in one or one[k] != flat[0].get(k) for one in flat)]
     rows: Rows = {
-        key: [[Line(given(one[key]) or "yes")] if key in one else () for one in flat]
+        key: [[Line(_given(key, one[key]))] if key in one else () for one in flat]
         for key in differ[:_MOST]
     }
     if len(differ) > _MOST:
         rows[f"and {len(differ) - _MOST} more"] = [()] * len(flat)
     return rows
+
+
+def _given(key: str, value: object) -> str:
+    """A value of a case; of the file of a mesh the name: where it lay is nobody's business."""
+    if key == "mesh.file":
+        return Path(str(value)).name
+    if value in ("", []):
+        return "empty"
+    return given(value) or "yes"
 
 
 def _leaves(value: object, key: str = "") -> Iterator[tuple[str, object]]:

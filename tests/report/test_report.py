@@ -263,6 +263,19 @@ def test_what_differs_in_cases() -> None:
     assert rows_of_cases([one, {**one, "title": "c"}]) == {}
 
 
+def test_no_folders_and_no_false_yes_in_what_differs() -> None:
+    """Of a file its name alone, for pages are mailed; an empty list is not called a "yes"."""
+    one = {"mesh": {"file": "/home/me/a.msh"}, "tie": [], "part_of": ""}
+    two = {"mesh": {"file": "/home/me/b.msh"}, "tie": [1], "part_of": "x"}
+    rows = rows_of_cases([one, two])
+    text = {key: [line.value for cell in row for line in cell] for key, row in rows.items()}
+    assert text == {
+        "mesh.file": ["a.msh", "b.msh"],
+        "tie": ["empty", "(1)"],
+        "part_of": ["empty", "x"],
+    }
+
+
 def check_policy(page: Page) -> None:
     """The hashes are those of the content, and there is nothing else to run or load."""
     (policy,) = [
