@@ -16,6 +16,7 @@ from jsonschema import Draft7Validator
 from mpi4py import MPI
 
 from dolfin_elastic.cli.tools.files import TEMPLATES, Kind
+from dolfin_elastic.cli.tools.report import report
 from dolfin_elastic.cli.tools.verify import _write, verify
 from dolfin_elastic.core.errors import CaseError, OutputError
 
@@ -138,3 +139,20 @@ def test_verify_refuses(tmp_path: Path) -> None:
     code, _, err = cli("verify", "--case", "x.toml", "--ranks", "2", folder=tmp_path)
     assert code == 2
     assert "at least two numbers of ranks" in err
+
+
+@pytest.mark.parametrize("first", [".", "../a", "inner/.."])
+def test_report_of_several_lies_beside_the_first(
+    first: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From inside a folder, too, whose own page it would replace."""
+    for name in ("a/inner", "b"):
+        (tmp_path / name).mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "a")
+    monkeypatch.setattr(
+        "dolfin_elastic.report.several.write_pages", lambda _runs, page: page.touch() or page
+    )
+    report([Path(first), Path("../b")])
+    assert [path.relative_to(tmp_path) for path in tmp_path.rglob("*.html")] == [
+        Path("report.html")
+    ]

@@ -52,7 +52,8 @@ def report(
     if len(runs) > len(folders) == 1 and output is None:
         for run in runs:
             report([run], pdf=pdf)
-    page = output or (folders[0].parent if len(folders) > 1 else folders[0]) / "report.html"
+    beside = folders[0] / ".." if folders[0].name in ("", "..") else folders[0].parent
+    page = output or (beside if len(folders) > 1 else folders[0]) / "report.html"
     if page.suffix.lower() not in (".html", ".htm"):
         raise CaseError(
             f"'{page}' is no page", where="--output", expected='for example "report.html"'
