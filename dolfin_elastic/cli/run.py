@@ -167,9 +167,9 @@ def _compute_all(runs: InTurn, shown: _Shown, comm: MPI.Comm) -> None:
     summaries = dict[str, str]()
     try:
         with closing(runs):
-            for number, one in enumerate(runs, start=1):
+            for one in runs:
                 if runs.several and comm.rank == 0 and not shown.quiet:
-                    of = f"({number} of {len(runs.runs)})"
+                    of = f"({list(codes).index(one.case.analysis) + 1} of {len(codes)})"
                     console.console().print(f"{one.case.analysis} {of}", style="bold")
                 with runs.trying(one):
                     codes[one.case.analysis] = _compute(one, shown, comm, summaries)

@@ -176,6 +176,26 @@ def test_stop_and_restart(folder: Path, comm: MPI.Comm) -> None:
         restart(folder, comm=comm).send(None)
 
 
+def test_numbers_count_what_is_left_out(
+    folder: Path,
+    comm: MPI.Comm,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Of three of which the second is left out the last one is the third."""
+    if comm.size > 1:
+        pytest.skip("prints on rank 0 only")
+    monkeypatch.chdir(folder)
+    fails = {"steps": 1, "max_iterations": 1, "min_step": 1.0, "snap": False}
+    load = [{"kind": "traction", "on": "right", "value": ["0 MPa", "90 MPa"]}]
+    file = folder / "bar.toml"
+    file.write_text(case(**(ALL | {"statics": fails}), load=load).to_toml())
+    monkeypatch.setattr("sys.argv", ["dolfin-elastic", "run", str(file), "-o", str(folder)])
+    assert guarded() == 3
+    heads = [line for line in capsys.readouterr().out.splitlines() if " of 4)" in line]
+    assert heads == ["statics (1 of 4)", "buckling (3 of 4)", "dynamics (4 of 4)"]
+
+
 def test_commands(
     folder: Path,
     comm: MPI.Comm,
