@@ -247,7 +247,9 @@ def _reference_places(
     for _ in range(_NEWTON if mesh.geometry.cmap.degree > 1 and len(cells) else len(cells[:1])):
         gap = places - np.einsum("pn,pnj->pj", shape_functions(mesh, local), nodes)
         slopes = np.einsum("pnk,pnj->pjk", shape_gradients(mesh, local), nodes)
-        local = np.clip(local + np.linalg.solve(slopes, gap[..., None])[..., 0], -3.0, 4.0)
+        # An iterate may have a singular slope: no rank may fail alone.
+        step = np.einsum("pij,pj->pi", np.linalg.pinv(slopes), gap)
+        local = np.clip(local + step, -3.0, 4.0)
     off = np.maximum(-local.min(axis=1, initial=0.0), local.sum(axis=1) - 1)
     return local, np.maximum(off, 0.0)
 

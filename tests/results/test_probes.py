@@ -216,7 +216,7 @@ def test_moments_about_several_points(folder):
         ({"left": 3}, r"output.moments.left: 3 is no point; expected \"middle\", .*; or a table"),
         ({"left": [0, 1, "x"]}, r"output.moments.left\[2\]: .*'x'"),
         ({"left": [0, True, 1]}, r"output.moments.left\[1\]: true is wrong"),
-        ({"left": {}}, r"output.moments.left: no position is given; expected names, each with"),
+        ({"left": {}}, r"output.moments.left: no point is given; expected names, each with"),
         ({"left": {"bolt": [1]}}, r"output.moments.left.bolt: \[1\] is no point; expected \"mi"),
         ({"left": {"bolt": {"a": "middle"}}}, r"output.moments.left.bolt: .* is no point"),
         ({"left": {"bolt": "tpo"}}, r"output.moments.left.bolt: .*'tpo'; did you mean 'top'"),
