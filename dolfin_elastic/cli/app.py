@@ -170,8 +170,8 @@ def check(
     start()
     from mpi4py import MPI
 
-    from dolfin_elastic.case.case import read_case
     from dolfin_elastic.case.check.report import report
+    from dolfin_elastic.case.check.rest import read_case
 
     comm = MPI.COMM_WORLD
     collect_garbage()

@@ -73,7 +73,7 @@ def run(
     """
     options, at_start = parse_arguments(petsc or [])
     start(at_start)
-    from dolfin_elastic.case.case import read_case
+    from dolfin_elastic.case.check.rest import read_case
     from dolfin_elastic.case.run import InTurn
 
     shown = _Shown(quiet=quiet or json, verbose=verbose, json=json, profile=profile)

@@ -12,9 +12,10 @@ from typing import Any
 import pytest
 from mpi4py import MPI
 
-from dolfin_elastic.case.case import Case, read_case
+from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check.consistency import check
 from dolfin_elastic.case.check.report import report
+from dolfin_elastic.case.check.rest import read_case
 from dolfin_elastic.case.run import run
 from dolfin_elastic.cli.tools.files import Kind, template
 from dolfin_elastic.core.errors import InputError

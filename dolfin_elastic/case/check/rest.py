@@ -11,9 +11,10 @@ from mpi4py import MPI
 
 from dolfin_elastic.case.analysis import ANALYSES
 from dolfin_elastic.case.case import Case, in_order, locate_errors
+from dolfin_elastic.case.case import read_case as read_alone
 from dolfin_elastic.case.check.consistency import faults
 from dolfin_elastic.case.model_tables import READERS
-from dolfin_elastic.case.toml import key_parts
+from dolfin_elastic.case.toml import key_parts, read_toml
 from dolfin_elastic.core.errors import MOST_ERRORS, InputError, joined
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh import Body
@@ -69,21 +70,38 @@ def with_the_rest(
     return joined(found[:MOST_ERRORS])
 
 
+def read_case(path: Path, *, comm: MPI.Comm = MPI.COMM_WORLD, trust: bool = False) -> Case:
+    """See `case.read_case`; errors of keys have those of the rest beside them. Collective."""
+    file = str(path)
+    try:
+        return read_alone(path, comm=comm, trust=trust)
+    except InputError as error:
+        bare, folder = _bare(error, file), path.parent
+        written = on_root(comm, lambda: read_toml(file))  # else raises that it is no TOML
+        with locate_errors(file), in_order(lambda: written):
+            raise with_the_rest(bare, written, folder, comm, trust=trust) from None
+
+
 def read_body(case: Case, comm: MPI.Comm) -> Body:
     """See `Case.read_body`; an error has all others of the case beside it. Collective."""
     try:
         return case.read_body(comm)
     except InputError as error:
-        bare = error.moved(lambda where: where.removeprefix(f"{case.file}: "))
+        bare, trust = _bare(error, case.file), case.trusted
         with locate_errors(case.file), in_order(lambda: case.written):
-            raise with_the_rest(bare, case.written, case.folder, comm, trust=case.trusted) from None
+            raise with_the_rest(bare, case.written, case.folder, comm, trust=trust) from None
+
+
+def _bare(error: InputError, file: str) -> InputError:
+    """Errors without the name of the case file."""
+    return error.moved(lambda where: where.removeprefix(file).removeprefix(": "))
 
 
 class _Rest:
     """A case without its wrong tables.
 
     Args:
-        tables: What remains.
+        tables: The case's, without those that are wrong and what refers to their names.
         wrong: First parts of the keys that are wrong; "" for one that is unknown.
         kept: Key of a list to the indices of the rows that remain.
     """
