@@ -66,7 +66,8 @@ def _moment(run: FinishedRun, label: str, force: float) -> str:
     Args:
         force: The largest reaction [N]: its moment about the end of the body is not small.
     """
-    moments = run.summary.get("moments") or {}
+    rows = (run.summary.get("moments") or {}).items()
+    moments = {name: one for name, one in rows if "moment" in one and "about" in one}
     if not (moment := moments.get(label)):
         return ""
     size = max((run.model.get("mesh") or {}).get("extent") or [0.0])
@@ -148,7 +149,7 @@ def balance_of(run: FinishedRun) -> Balance | None:
     forces = [force for s in sums if (force := s.get("force"))]
     together = len(forces) == len(sums) and len({s.get("time") for s in sums}) == 1
     whole = _sum(forces) if together else None
-    on_plates = [s["force"] for s in sums if str(s["load"]).startswith("support[")]
+    on_plates = [s["force"] for s in sums if together and str(s.get("load")).startswith("support[")]
     twice = _sum(on_plates) if together else None
     total = _sum(list(reactions.values()))
     most = max((abs(x) for row in (*reactions.values(), *forces) for x in row), default=0.0)

@@ -29,7 +29,7 @@ from dolfin_elastic.report.words import analysis_of, what_was_computed
 from dolfin_elastic.results.files import replace_text
 from dolfin_elastic.results.finished import findings
 from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.finished.xdmf import Frame
+from dolfin_elastic.results.finished.xdmf import Frame, damaged
 from dolfin_elastic.results.verdict import Table, verdict_of
 
 log = logging.getLogger("dolfin_elastic")
@@ -299,7 +299,10 @@ def _case_text(case: Table) -> str:
     output = dict(case.get("output") or {})
     if "folder" in output:
         output["folder"] = Path(str(output["folder"])).name
-    text = toml_text({**case, "mesh": mesh, **({"output": output} if output else {})})
+    try:
+        text = toml_text({**case, "mesh": mesh, **({"output": output} if output else {})})
+    except TypeError as error:
+        raise damaged(f"no case file can hold this: {error}", "summary.json: case") from None
     return text if len(text) <= _CASE else f"{text[:_CASE]}\n# ... {len(text) - _CASE} letters more"
 
 

@@ -1,6 +1,6 @@
 """What a finished run has found, in words: its end, largest values with their errors, modes, mesh.
 
-All of it follows from `summary.json`, whose types `FinishedRun` has checked.
+All of it follows from `summary.json`, whose types `FinishedRun` has checked, see `SUMMARY`.
 """
 
 from __future__ import annotations

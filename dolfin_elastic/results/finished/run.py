@@ -17,6 +17,7 @@ from dolfin_elastic.core.errors import InputError, nearest_file
 from dolfin_elastic.core.files.links import refuse_links
 from dolfin_elastic.core.help.notebook import Shown
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.results.finished.shape import SUMMARY, check_types
 from dolfin_elastic.results.finished.xdmf import Frame, damaged, read_frames, read_grid
 
 if TYPE_CHECKING:
@@ -144,6 +145,7 @@ class FinishedRun(Shown):
         self.folder = folder = Path(folder)
         self._check_folder()
         self.summary: dict[str, Any] = _read_json(folder / _SUMMARY)
+        check_types(self.summary, SUMMARY, str(folder / _SUMMARY))
         self.case: dict[str, Any] = self.summary.get("case") or {}
         self.history = _read_history(folder / _HISTORY)
         self.frames: list[Frame] = read_frames(folder / _FIELDS)

@@ -227,3 +227,28 @@ def test_folders_of_strangers(folder: Path, kind: str, capfd: pytest.CaptureFixt
 
     on_root(COMM, look)
     assert "HDF5" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("summary", "where", "found"),
+    [
+        ({"extremes": []}, "extremes", "a list"),
+        ({"reactions": 3}, "reactions", "a number"),
+        ({"reactions": {"left": [1, None]}}, "reactions.left[1]", "null"),
+        ({"error": {"von_mises": {"value": "1"}}}, "error.von_mises.value", "a text"),
+        ({"extremes": {"von_mises": None}}, "extremes.von_mises", "null"),
+        ({"steps": True}, "steps", "true or false"),
+        ({"modes": [[]]}, "modes[0]", "a list"),
+        ({"case": {"mesh": None}}, "case.mesh", "null"),
+        ({"error": {"elsewhere": None, "von_mises": {"error": None}}, "model": None}, "", ""),
+    ],
+)
+def test_types_of_the_summary(tmp_path: Path, summary: Any, where: str, found: str) -> None:
+    """One message names the key; null is what is unknown."""
+    (tmp_path / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    if not where:
+        assert FinishedRun(tmp_path).summary == summary
+        return
+    with pytest.raises(InputError) as caught:
+        FinishedRun(tmp_path)
+    assert f"summary.json: {where}: this is {found}; expected" in str(caught.value)
