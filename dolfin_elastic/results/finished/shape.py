@@ -7,7 +7,7 @@ from typing import Any
 
 from dolfin_elastic.core.errors import InputError
 
-_VALUE: dict[str, Any] = {
+_VALUE: dict[str, object] = {
     **dict.fromkeys(("value", "error"), float),
     **dict.fromkeys(("part", "surface", "singular", "unresolved"), str),
     "place": [float],
@@ -22,7 +22,7 @@ _GLYPHS = {
     "inside": bool,
     "tails": [bool],
 }
-SUMMARY: dict[str, Any] = {
+SUMMARY: dict[str, object] = {
     **dict.fromkeys(("status", "reason", "started", "finished"), str),
     **dict.fromkeys(("dofs", "cells", "ranks", "degree", "steps", "t", "load_factor"), float),
     **dict.fromkeys(("newton_iterations", "krylov_iterations", "max_displacement"), float),
