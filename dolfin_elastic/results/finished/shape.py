@@ -97,7 +97,7 @@ def check_types(
 
     Args:
         shape: A type, a list of one, or a table of them, see `SUMMARY`.
-        key: Dotted, that of the value.
+        key: Where it stands in the file, dotted; empty: it is the whole file.
         needed: A table or list must not be null.
 
     Raises:
