@@ -225,17 +225,11 @@ def read_case(
     file, folder = str(path), Path(path).parent
     tables = written = on_root(comm, lambda: read_toml(file))
     with locate_errors(file), in_order(lambda: written):
-        try:
-            if "library" in tables:
-                tables = on_root(comm, lambda: _with_library(written, folder))
-            case = Case(**tables)
-            if has_curve_files(case):
-                case = on_root(comm, lambda: with_curves(case, folder))
-        except InputError as error:
-            # Imported only here: checks import this module.
-            from dolfin_elastic.case.check.rest import with_the_rest
-
-            raise with_the_rest(error, tables, folder, comm, trust=trust) from None
+        if "library" in tables:
+            tables = on_root(comm, lambda: _with_library(written, folder))
+        case = Case(**tables)
+        if has_curve_files(case):
+            case = on_root(comm, lambda: with_curves(case, folder))
     return case._from(file, folder, trust, written)
 
 
