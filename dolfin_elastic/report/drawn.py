@@ -105,7 +105,7 @@ def _beside_obstacles(run: FinishedRun, viewed: Viewed, times: Sequence[float]) 
     Each is as far from the nearest point of the body as it is, however magnified that one moves.
 
     Args:
-        times: Of the frames.
+        times: Of the frames, in the unit of the obstacles' motion: [s], or load parameters.
     """
     x, scale, reach = viewed.scene.points, viewed.scale, Reach()
     reach.take(x)
