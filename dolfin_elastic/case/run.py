@@ -213,6 +213,8 @@ class InTurn:
         return cls([stopped.case, *stopped.rest], folder, options, stopped.found.comm, stopped)
 
     def __iter__(self) -> Iterator[CaseRun]:
+        for one in self.runs[1:]:
+            one.check()
         for one in self.runs:
             if "statics" in self.errors and one.case.preload_of_statics:
                 log.warning("[%s] is left out: its preload was not found", one.case.analysis)
@@ -308,6 +310,16 @@ class CaseRun:
     def around(self) -> Path | None:
         """Folder of all analyses of the case; None of a single one."""
         return self.folder.parent if self.case.whole is not self.case else None
+
+    def check(self) -> None:
+        """Finds what this analysis lacks, before another one is computed. Collective.
+
+        Raises:
+            InputError: Such as a material without density, or a law that knows no buckling.
+        """
+        with locate_errors(self.case.file):
+            problem = self.case.make_problem(self.shared.body_of(self.case, self.comm))
+            self.case.solver_for(problem, self.petsc)
 
     def states(self, *, asked: Callable[[], bool] | None = None) -> States:
         """All states and modes after they are written; see `run`. Collective."""

@@ -181,7 +181,7 @@ class Selector(Place):
             raise ValueError("angle goes with normal")
         if self.cut and self.plane is None:
             raise ValueError('cut goes with plane and at, as in {cut = true, plane = "z", at = 2}')
-        if self.cut or self.between:
+        if self.is_inner:
             of_boundary = [*self.by_face, *(["normal"] if self.normal is not None else [])]
             if of_boundary:
                 raise ValueError(f"inner facets are wanted: {of_boundary[0]} is of the boundary")
@@ -193,6 +193,11 @@ class Selector(Place):
                 "CAD file also faces, kind, cone, or torus"
             )
         return self
+
+    @property
+    def is_inner(self) -> bool:
+        """It picks facets inside the body."""
+        return self.cut or self.between is not None
 
     @property
     def by_face(self) -> list[str]:

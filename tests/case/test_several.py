@@ -142,6 +142,20 @@ def test_one_that_fails(folder: Path, comm: MPI.Comm, caplog: pytest.LogCaptureF
     assert summary(folder / "dynamics", comm)["status"] == "completed"
 
 
+def test_what_one_lacks_is_found_before_any_is_computed(folder: Path, comm: MPI.Comm) -> None:
+    """A law that knows no buckling, and a material without density, beside statics that run."""
+    soft = {"law": "linear-elastic", "E": "2 GPa", "nu": 0.3, "density": 1000}
+    light = {"law": "st-venant-kirchhoff", "E": "2 GPa", "nu": 0.3}
+    for kind, steel, said in (
+        ("buckling", soft, "materials.steel.law: .* its stiffness does not change"),
+        ("modal", light, "materials.steel: weight and motion need a density"),
+    ):
+        several = case(statics={}, materials={"steel": steel}, **{kind: {"count": 1}})
+        with pytest.raises(InputError, match=said):
+            list(run(several, output=folder / kind, comm=comm))
+        assert on_root(comm, lambda kind=kind: not (folder / kind / "statics").exists())
+
+
 def test_what_failed_is_not_gone_on_with(folder: Path, comm: MPI.Comm) -> None:
     """The one after it was stopped: its checkpoint would be removed if the first began again."""
     fails = {"steps": 2, "max_iterations": 1, "min_step": 1.0, "snap": False}

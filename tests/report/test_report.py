@@ -717,9 +717,13 @@ def test_moments_of_supports(tmp_path: Path) -> None:
 
 
 def test_the_command_can_be_typed(tmp_path: Path) -> None:
-    """Names with blanks, options with values, and what `converge` was asked for."""
+    """Names with blanks, options with values, what `converge` was asked for; no text is a number."""
     model = {"file": "my case.toml", "petsc": {"log_view": ":a b.txt", "ksp_view": None}}
     summary = {"ranks": "2; rm x", "model": model}
+    (tmp_path / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
+    with pytest.raises(InputError, match="ranks: this is a text; expected a number"):
+        FinishedRun(tmp_path)
+    summary["ranks"] = 1
     (tmp_path / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
     text = "dolfin-elastic run 'my case.toml' -- -log_view ':a b.txt' -ksp_view"
     assert _command(FinishedRun(tmp_path)) == text

@@ -105,7 +105,7 @@ SHARED = {
     "model/loads/test_pressure.py",
     "model/loads/test_remote_force.py",
     "model/supports/test_supports.py",
-    "notebook/test_shown.py",
+    "notebook/test_notebook_views.py",
     "problem/terms/test_at_points.py",
     "problem/terms/test_bolts.py",
     "problem/terms/test_contact.py",

@@ -187,7 +187,8 @@ def _of_load(key: str, load: Load, integrals: Integrals) -> Iterator[_Use]:
     elif load.domain.kind == "surface":
         places, corners = partial(_facets, integrals, load.parts), body.dim
     else:
-        cells = _cells_of(body, load.parts) if load.parts else body.owned_cells()
+        regions = [name for name in load.parts if name in body.regions]  # a bolt may have a cut
+        cells = _cells_of(body, regions) if regions else body.owned_cells()
         places, corners = partial(_cells, integrals, cells), body.dim + 1
         if load.is_eigenstrain:
             inside, growth = body.dim + 1, _ANY

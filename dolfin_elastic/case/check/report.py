@@ -55,6 +55,7 @@ from dolfin_elastic.core.errors import CaseError, InputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import refuse_case_keys
 from dolfin_elastic.mesh.body import Body, extent
+from dolfin_elastic.mesh.selectors import Selector
 from dolfin_elastic.problem.damping import check_damped
 from dolfin_elastic.problem.material_regions import locking_notes
 from dolfin_elastic.problem.problem import Problem
@@ -257,6 +258,17 @@ def _solver_notes(case: Case, problem: Problem) -> tuple[str, ...]:
     return notes
 
 
+def _inner_surfaces(case: Case) -> set[str | None]:
+    """Surfaces that are meant to lie inside the body."""
+    named = {
+        name
+        for name, given in case.surfaces.items()
+        for one in ([given] if isinstance(given, Selector) else given)
+        if one.is_inner
+    }
+    return {*named, *(section.on for section in case.output.sections.values())}
+
+
 def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> Report:
     """The report of a case without faults. Collective."""
     integrals = Integrals(problem, case.mesh.metres_thick(body))
@@ -299,7 +311,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
             *section_notes(case, problem),
             *stress_notes(case, integrals, sums),
             *HydrostaticConstant(problem).notes(),
-            *part_notes(body, {s.on for s in case.output.sections.values()}),
+            *part_notes(body, _inner_surfaces(case)),
             *cell_notes(body),
         ),
         fields=tuple(

@@ -473,7 +473,8 @@ def bar_of(
     if small and len(values) and np.nanmax(values) / result.factor > result.ticks[-1]:
         text = f"{result.ticks[-1]:g} and more alike"
     limit = 1.0 if small else limit / result.factor
-    shown_limit = limit if result.ticks[0] < limit < result.ticks[-1] else None
+    within = bool(limit) and result.ticks[0] < limit < result.ticks[-1]
+    shown_limit = limit if within else None
     if limit and not small:
         text += f"\n{'allowable' if shown_limit is None else 'red: allowable'} {limit:.4g}"
     if cut and not small and np.nanmax(values) / result.factor > result.ticks[-1]:

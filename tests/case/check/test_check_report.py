@@ -701,6 +701,18 @@ def test_density_without_its_unit(constants, density, said):
     assert [note.endswith(said) for note in found] == [True] * bool(said), found
 
 
+def test_a_bolt_at_a_cut():
+    """A case of it is in order: the cut is meant to lie inside."""
+    read = case(
+        mesh={"box": {"size": [1, 1, 6], "cells": [1, 1, 5]}, "unit": "mm"},
+        surfaces={"neck": {"cut": True, "plane": "z", "at": 3}},
+        materials={"steel": {"law": "linear-elastic", "E": "210 GPa", "nu": 0.3}},
+        support=[{"kind": "fixed", "on": ["bottom", "top"]}],
+        load=[{"kind": "bolt", "on": "neck", "axis": "z", "value": "10 N"}],
+    )
+    assert check(read, read.read_body()) == ()
+
+
 def test_parts_that_no_cell_carries():
     """Empty names, and surfaces inside the body."""
     body = box_body(size=(1, 1, 1), cells=(2, 2, 2))

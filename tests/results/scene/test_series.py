@@ -30,6 +30,7 @@ from dolfin_elastic.results.scene.scene import (
     Reliable,
     Scene,
     axes_of,
+    bar_of,
     load,
     up_against,
 )
@@ -392,6 +393,8 @@ def test_a_line_where_the_allowable_stress_is_reached(
     panel = series.finished(panel, ends, Limits(), panel.seen, marks=False)
     bar = bar_in(panel)
     assert (bar.limit is not None) == (small or reached)
+    unmarked = bar_of(np.array([-1.0, 1.0]), np.array([-1.0, 1.0]), "cauchy_stress_xx", "Pa")
+    assert unmarked.limit is None  # a stress of 0 is no allowable one
     if not small:
         assert bar.label.endswith("red: allowable 2" if reached else "\nallowable 2")
     counts = []

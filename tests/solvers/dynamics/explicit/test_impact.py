@@ -279,7 +279,7 @@ def test_a_cube_that_bounces_keeps_its_energy(comm: MPI.Comm, caplog) -> None:
     if comm.rank == 0:
         assert "from nowhere" not in caplog.text
         found = re.search(
-            r"stable step (\S+) s, taken .* s, about \d+ in all \(safety 0.6; obstacles may be hit",
+            r"stable step (\S+) s, used .* s, about \d+ in all \(safety 0.6; obstacles may be hit",
             caplog.text,
         )
         assert found
