@@ -140,7 +140,7 @@ class MeshFields(dict[str, MeshField]):
         super().__setitem__(name, values)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Body(Shown):
     """A distributed mesh in the reference configuration, in metres, with named parts.
 
@@ -198,6 +198,11 @@ class Body(Shown):
             object.__setattr__(self, table, PartNames(getattr(self, table), every))
         object.__setattr__(self, "fields", MeshFields(self.mesh, self.fields))
         object.__setattr__(self, "surfaces", SurfaceNames(self.surfaces, every, self.faces))
+
+    def __repr__(self) -> str:
+        """In a line: where it comes from, its size, and the names of its parts."""
+        parts = (f"{kind}s {', '.join(names)}" for kind, names in self.parts.items() if names)
+        return f"<Body {self.source}: {'; '.join([f'{self.num_cells} elements', *parts])}>"
 
     @property
     def comm(self) -> MPI.Comm:

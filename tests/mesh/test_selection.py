@@ -245,6 +245,12 @@ def test_inner_surfaces_have_the_area_of_the_interface_or_cut(
     assert mesh_statistics(body).surfaces["part"] * 1e6 == pytest.approx(area)
 
 
+def test_a_body_prints_in_a_line(box: Body) -> None:
+    text = repr(halves(box))
+    assert text.startswith("<Body box 2 x 1 x 1: 768 elements; regions half, rest; surfaces ")
+    assert "\n" not in text
+
+
 def test_a_cut_between_the_nodes_lies_within_a_cell_of_its_plane(box: Body) -> None:
     """It parts the body: what lies beyond has the volume beyond the plane, give or take a cell."""
     body = halves(box, part=Selector(cut=True, plane="x", at=1.1))

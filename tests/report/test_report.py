@@ -717,7 +717,7 @@ def test_moments_of_supports(tmp_path: Path) -> None:
 
 
 def test_the_command_can_be_typed(tmp_path: Path) -> None:
-    """Names with blanks, options with values, what `converge` was asked for; no text is a number."""
+    """Names with blanks, options with values, and what `converge` was asked for."""
     model = {"file": "my case.toml", "petsc": {"log_view": ":a b.txt", "ksp_view": None}}
     summary = {"ranks": "2; rm x", "model": model}
     (tmp_path / "summary.json").write_text(json.dumps(summary), encoding="utf-8")

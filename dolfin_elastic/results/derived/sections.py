@@ -275,7 +275,7 @@ def _centre(body: Body, section: Section, sides: AnyArray) -> FloatArray:
 def _refuse_loaded(problem: Problem, surface: str) -> None:
     """Refuses integrals of loads and springs over an inner surface: they are of neither side."""
     body, on = problem.body, problem.body.surface(surface)
-    acting = {part for load in problem.loads for part in load.parts}
+    acting = {one for load in problem.loads if not load.is_eigenstrain for one in load.parts}
     acting |= {part for spring in (*problem.springs, *problem.dashpots) for part in spring.surfaces}
     for part in sorted(acting & body.surfaces.keys()):
         if total(body.comm, int(np.isin(body.owned_facets(part), on).sum())):
