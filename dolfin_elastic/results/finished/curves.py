@@ -25,6 +25,8 @@ POINTS = 201
 """Points of a line or circle."""
 _TOLERANCE = 1e-6
 """Distance from the body that still counts as inside, over the body's length."""
+_INWARD = 1e-9
+"""Way towards the middle of an element at which its values are read."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,12 @@ def along(
     grid = run.grid(step)
     if any(run.frame(step).arrays[name].centre == "cell" for name in names):
         grid = grid.cell_data_to_point_data()
-    sampled = pv.PolyData(points).sample(grid, tolerance=_TOLERANCE * grid.length)
+    # VTK misses points that lie exactly on a face of a quadratic element.
+    cells, nearest = grid.find_closest_cell(points, return_closest_point=True)
+    near = np.linalg.norm(nearest - points, axis=1) <= _TOLERANCE * grid.length
+    inward = _INWARD * (grid.cell_centers().points[cells] - points)
+    moved = np.where(near[:, None], points + inward, points)
+    sampled = pv.PolyData(moved).sample(grid, tolerance=_TOLERANCE * grid.length)
     inside = np.asarray(sampled.point_data["vtkValidPointMask"]).astype(bool)
     if not inside.any():
         raise InputError(

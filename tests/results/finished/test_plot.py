@@ -12,6 +12,8 @@ from helpers.processes import cli
 from helpers.states import displacement, make_problem, make_state
 from PIL import Image
 
+import dolfin_elastic
+from dolfin_elastic import Case
 from dolfin_elastic.cli.tools.plot import _limits, plot
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray
@@ -74,6 +76,31 @@ def test_a_field_along_a_line_and_a_circle(run: FinishedRun) -> None:
     np.testing.assert_allclose(points[:, 2], 0.5)
     np.testing.assert_allclose(points[50], [1, 0.8, 0.5])  # a quarter, counter-clockwise
     check_displacement(run, points, Axis("angle", angle, "rad"))
+
+
+QUARTER = """SetFactory("OpenCASCADE");
+Cylinder(1) = {0, 0, 0, 0, 0, 2, 2, Pi/2};
+Cylinder(2) = {0, 0, 0, 0, 0, 2, 1, Pi/2};
+BooleanDifference(3) = { Volume{1}; Delete; }{ Volume{2}; Delete; };
+"""
+
+
+def test_a_field_along_a_face_of_curved_elements(folder: Path) -> None:
+    """Points on the plane of symmetry of a quarter of a ring are points of the body."""
+    (folder / "quarter.geo").write_text(QUARTER)
+    tables = {
+        "mesh": {"file": "quarter.geo", "size": 0.8},
+        "surfaces": {"foot": {"plane": "x", "at": 0}},
+        "materials": {"one": {"law": "linear-elastic", "E": 1e6, "nu": 0.3}},
+        "support": [{"on": "foot"}],
+        "load": [{"kind": "body-force", "value": [0, 0, 1e3]}],
+        "statics": {},
+    }
+    [*dolfin_elastic.run(Case.from_dict(tables, folder), output=folder / "ring")]
+    points, distance = line([0, 1, 1], [0, 2, 1])
+    over = Axis("distance", distance, "m")
+    values = along(FinishedRun(folder / "ring"), ["von_mises"], points, over).curves[0].values
+    assert np.isfinite(values).all()
 
 
 def test_points_outside(run: FinishedRun) -> None:
