@@ -267,21 +267,28 @@ class FormContext:
 
     def volumes(self, regions: Sequence[str]) -> WeightedMeasure:
         """Reference volume of regions, or of the whole body."""
-        for name in regions:
-            self.body.region(name)
+        self._check_names("region", regions)
         if not regions:
             return self.measures.filled(None, self.weight_degree)
         return self.measures.regions(regions, self.weight_degree)
 
     def areas(self, surfaces: Sequence[str]) -> WeightedMeasure:
         """Reference area of surfaces."""
-        for name in surfaces:
-            self.body.surface(name)
+        self._check_names("surface", surfaces)
         return self.measures.surfaces(surfaces, 2 * self.order)
+
+    def _check_names(self, kind: str, names: Sequence[str]) -> None:
+        """Refuses parts that the body does not have, which `on` names."""
+        try:
+            for name in names:
+                self.body.part(kind, name)
+        except InputError as error:
+            raise error.at("on") from None
 
     def surface(self, surfaces: Sequence[str]) -> tuple[LoadPoints, WeightedMeasure]:
         """Quadrature points of the reference area of surfaces, and its measure. Collective."""
-        return self.measures.load_points(surfaces, 2 * self.order), self.areas(surfaces)
+        area = self.areas(surfaces)
+        return self.measures.load_points(surfaces, 2 * self.order), area
 
     def area(self, surfaces: Sequence[str]) -> Constant:
         """Size of the reference area of surfaces [m^2]. Collective."""

@@ -240,16 +240,8 @@ class WeakForm:
         ]
 
     def _work(self, index: int) -> ufl.Form:
-        load = self._loads[index]
-        kinds = load.part_kinds or (load.domain.kind,)
-        if len(kinds) == 1:
-            try:
-                for name in load.parts:
-                    self._context.body.part(kinds[0], name)
-            except InputError as error:
-                raise error.at(f"load[{index}].on") from None
         try:
-            return load.virtual_work(self._context)
+            return self._loads[index].virtual_work(self._context)
         except InputError as error:
             if error.where.startswith("materials"):  # a fault of a material names its own key
                 raise
