@@ -27,8 +27,8 @@ from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body, extent, span
 from dolfin_elastic.mesh.distribute import is_cad
 from dolfin_elastic.mesh.fields import MeshField
-from dolfin_elastic.mesh.geometry.curved import shape_functions, shape_gradients
-from dolfin_elastic.mesh.geometry.locate import OUTSIDE_TOLERANCE, ROUND_OFF
+from dolfin_elastic.mesh.geometry.curved import shape_functions
+from dolfin_elastic.mesh.geometry.locate import OUTSIDE_TOLERANCE, ROUND_OFF, in_reference_cells
 from dolfin_elastic.mesh.read import check_file, read_body, stated_unit_of
 
 Centre = Literal["cell", "point"]
@@ -41,7 +41,6 @@ Where two parts touch, nodes of both are at one place: each gets the values of i
 """
 _FARTHER = 4.0
 """Factor by which the search for the nearest place goes on."""
-_NEWTON = 20
 
 
 class FieldFile:
@@ -128,7 +127,7 @@ class FieldFile:
             asked = exchange.send(places[rows])[:, :d]
             order = np.argsort(data.dest_owners, kind="stable")
             cells = np.asarray(data.dest_cells, dtype=np.int32)[order]
-            local, off = _reference_places(other, cells, asked)
+            local, off = in_reference_cells(other, x[cells][..., :d], asked)
             if outside == "nearest":
                 _move_inside(other, cells, asked, local, off, within=padding)
             owners[rows[exchange.send_back(off[:, None] > OUTSIDE_TOLERANCE)[:, 0]]] = -1
@@ -227,33 +226,6 @@ class _Found:
         return result
 
 
-def _reference_places(
-    mesh: Mesh, cells: IndexArray, places: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Places in reference cells, and by how much they are outside. Local.
-
-    By Newton, which is exact after one step in straight cells.
-
-    Args:
-        cells: The cell of each place, shape (n,).
-        places: Shape (n, dim) [m].
-
-    Returns:
-        Reference coordinates, shape (n, dim), and the largest one outside, shape (n,).
-    """
-    d = mesh.topology.dim
-    local = np.full((len(cells), d), 1 / (d + 1))
-    nodes = mesh.geometry.x[mesh.geometry.dofmap[cells]][..., :d]
-    for _ in range(_NEWTON if mesh.geometry.cmap.degree > 1 and len(cells) else len(cells[:1])):
-        gap = places - np.einsum("pn,pnj->pj", shape_functions(mesh, local), nodes)
-        slopes = np.einsum("pnk,pnj->pjk", shape_gradients(mesh, local), nodes)
-        # An iterate may have a singular slope: no rank may fail alone.
-        step = np.einsum("pij,pj->pi", np.linalg.pinv(slopes), gap)
-        local = np.clip(local + step, -3.0, 4.0)
-    off = np.maximum(-local.min(axis=1, initial=0.0), local.sum(axis=1) - 1)
-    return local, np.maximum(off, 0.0)
-
-
 def _move_inside(
     mesh: Mesh,
     cells: IndexArray,
@@ -277,5 +249,6 @@ def _move_inside(
         gaps[i] = compute_distance_gjk(x[mesh.geometry.dofmap[cell]], whole)
     near = np.linalg.norm(gaps, axis=1) <= within
     far, gaps = far[near], gaps[near]
-    local[far], _ = _reference_places(mesh, cells[far], places[far] + gaps[:, :d])
+    nodes = x[mesh.geometry.dofmap[cells[far]]][..., :d]
+    local[far], _ = in_reference_cells(mesh, nodes, places[far] + gaps[:, :d])
     off[far] = 0.0

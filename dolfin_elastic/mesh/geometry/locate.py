@@ -11,7 +11,7 @@ from dolfinx.mesh import Mesh
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, span
-from dolfin_elastic.mesh.geometry.curved import cell_gradients, shape_functions
+from dolfin_elastic.mesh.geometry.curved import shape_functions, shape_gradients
 
 OUTSIDE_TOLERANCE = 0.05
 """Reference coordinate by which a point may lie outside: cells cut corners of round surfaces."""
@@ -113,26 +113,36 @@ def _in_own_cells(
     near = np.flatnonzero(inside).astype(np.int32)
     if not len(near):
         return (np.inf,), -1, np.zeros(d)
-    local = _reference_coordinates(mesh, nodes[near], point)
-    off = np.maximum(-local.min(axis=1), local.sum(axis=1) - 1)
-    off = np.where(np.isfinite(off), np.maximum(off, 0.0), np.inf)
+    local, off = in_reference_cells(mesh, nodes[near], np.tile(point, (len(near), 1)))
     keys = ranking.keys(off, near, nodes[near])
     best = min(range(len(near)), key=keys.__getitem__)
     return keys[best], int(near[best]), local[best]
 
 
-def _reference_coordinates(mesh: Mesh, nodes: FloatArray, point: FloatArray) -> FloatArray:
-    """Reference coordinates of a point in cells, by Newton; not finite where that fails."""
-    d = nodes.shape[2]
-    local = np.full((len(nodes), d), 1 / (d + 1))
-    degree = mesh.geometry.cmap.degree
-    for _ in range(_NEWTON if degree > 1 else 1):
-        for i, (corner, at) in enumerate(zip(nodes, local, strict=True)):
-            gap = point - shape_functions(mesh, at[None])[0] @ corner
-            slope = cell_gradients(corner[None], degree, at[None])[0, 0]
-            local[i] = at + np.linalg.lstsq(slope, gap, rcond=None)[0]
-        np.clip(local, -3.0, 4.0, out=local)  # far cells must not send the iteration astray
-    return local
+def in_reference_cells(
+    mesh: Mesh, nodes: FloatArray, places: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Places in reference cells, and by how much they are outside. Local.
+
+    By Newton, which is exact after one step in straight cells.
+
+    Args:
+        nodes: Those of the cell of each place [m], shape (n, nodes, dim).
+        places: Shape (n, dim) [m].
+
+    Returns:
+        Reference coordinates, shape (n, dim), and the largest one outside, shape (n,).
+    """
+    n, _, d = nodes.shape
+    local = np.full((n, d), 1 / (d + 1))
+    for _ in range(_NEWTON if mesh.geometry.cmap.degree > 1 and n else min(n, 1)):
+        gap = places - np.einsum("pn,pnj->pj", shape_functions(mesh, local), nodes)
+        slopes = np.einsum("pnk,pnj->pjk", shape_gradients(mesh, local), nodes)
+        # An iterate may have a singular slope: no rank may fail alone.
+        step = np.einsum("pij,pj->pi", np.linalg.pinv(slopes), gap)
+        local = np.clip(local + step, -3.0, 4.0)  # far cells must not send the iteration astray
+    off = np.maximum(-local.min(axis=1, initial=0.0), local.sum(axis=1) - 1)
+    return local, np.where(np.isfinite(off), np.maximum(off, 0.0), np.inf)
 
 
 def _refuse_outside(body: Body, points: Mapping[str, FloatArray], off: Sequence[float]) -> None:
