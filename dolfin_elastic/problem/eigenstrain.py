@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,11 +25,14 @@ _THROUGH = 0.1
 """Least cosine of the angle between the axis of a bolt and the normal of its section."""
 
 
-def eigenstrains(context: FormContext, loads: Sequence[Load]) -> dict[str, Expr]:
+def eigenstrains(
+    context: FormContext, loads: Sequence[Load], shanks: Mapping[int, Shank]
+) -> dict[str, Expr]:
     """Material's name to its growth Fg; those that do not grow are left out. Collective.
 
     Args:
         loads: All loads; those that are no eigenstrains are passed over.
+        shanks: From `shanks_of`.
 
     Raises:
         InputError: A material that is warmed has no coefficient of expansion.
@@ -40,9 +43,7 @@ def eigenstrains(context: FormContext, loads: Sequence[Load]) -> dict[str, Expr]
             continue
         cells: fem.Function | None = None
         share: Expr | None = None
-        if isinstance(load, Bolt):
-            with keyed(f"load[{index}]"):
-                shank = shank_of(context, load)
+        if (shank := shanks.get(index)) is not None:
             cells, share = shank.cells, shank.g
         elif load.parts:
             cells = share = indicator(context, load.parts)
@@ -75,7 +76,21 @@ class Shank:
     length: float
 
 
-def shank_of(context: FormContext, bolt: Bolt) -> Shank:
+def shanks_of(context: FormContext, loads: Sequence[Load]) -> dict[int, Shank]:
+    """Number of each bolt among the loads to its shank. Collective.
+
+    Raises:
+        InputError: See `_shank`.
+    """
+    result = {}
+    for index, load in enumerate(loads):
+        if isinstance(load, Bolt):
+            with keyed(f"load[{index}]"):
+                result[index] = _shank(context, load)
+    return result
+
+
+def _shank(context: FormContext, bolt: Bolt) -> Shank:
     """The shank of a bolt: a region, or one side of an inner surface. Collective.
 
     Raises:

@@ -21,7 +21,7 @@ from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude, Sh
 from dolfin_elastic.model.axes import LocalAxes, PlacedAxes, check_name
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.kinematics import Geometry, weight
-from dolfin_elastic.model.loads import Bolt, Cavity, ConcentratedLoad, Eigenstrain, Force, Load
+from dolfin_elastic.model.loads import Cavity, ConcentratedLoad, Eigenstrain, Force, Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.supports.displacement import Restraint, Rotation
@@ -32,7 +32,7 @@ from dolfin_elastic.problem.constraints.normals import check_outside
 from dolfin_elastic.problem.constraints.periodic.unit_cell import Cell, Fluctuation, make_cell
 from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.context import FormContext, Measures
-from dolfin_elastic.problem.eigenstrain import eigenstrains
+from dolfin_elastic.problem.eigenstrain import Shank, eigenstrains, shanks_of
 from dolfin_elastic.problem.material_regions import (
     WHOLE,
     Formulation,
@@ -240,16 +240,18 @@ class Problem(Shown):
             self.terms += self.contact_pairs
             self.terms += make_loaded_obstacles(self.contact_pairs, self.context)
         self.eigenstrains: dict[str, Expr] = {}
+        shanks: dict[int, Shank] = {}
         if any(issubclass(kind, Eigenstrain) for kind in kinds):
-            self.eigenstrains = eigenstrains(self.context, self.loads)
+            shanks = shanks_of(self.context, self.loads)
+            self.eigenstrains = eigenstrains(self.context, self.loads, shanks)
         self.nodal_loads: NodalLoads | None = None
         if any(issubclass(kind, ConcentratedLoad) for kind in kinds):
             self.nodal_loads = NodalLoads(self.body, self.V, self.loads)
             self.terms.append(self.nodal_loads)
         if any(issubclass(kind, Cavity) for kind in kinds):
             self.terms += make_cavities(self.loads, self.context, self.constraints)
-        if any(issubclass(kind, Bolt) for kind in kinds):
-            self.terms += make_bolts(self.loads, self.context, lambda: self.weak_form)
+        if shanks:
+            self.terms += make_bolts(self.loads, shanks, self.context, lambda: self.weak_form)
         what = self.context, self.constraints
         self.terms += [RigidSurface(motion, *what) for motion in self.constraints.rigid_motions]
         self.terms += [TurnedSurface(s, *what) for s in self.supports if isinstance(s, Rotation)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +17,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.loads.bolt import Bolt
 from dolfin_elastic.problem.context import FormContext
-from dolfin_elastic.problem.eigenstrain import shank_of
+from dolfin_elastic.problem.eigenstrain import Shank
 from dolfin_elastic.problem.material_regions import young
 from dolfin_elastic.problem.term import OutOfBalance, ScalarTerm
 
@@ -34,21 +34,23 @@ class PreloadedBolt(ScalarTerm):
     """A bolt, whose shortening is an unknown, as a strain.  Collective to make.
 
     Args:
+        shank: From `shanks_of`.
         weak_form: Gives the stress, once the problem is made.
 
     Attributes:
         length: L of `Bolt` [m].
     """
 
-    def __init__(self, bolt: Bolt, context: FormContext, weak_form: Callable[[], WeakForm]) -> None:
+    def __init__(
+        self, bolt: Bolt, shank: Shank, context: FormContext, weak_form: Callable[[], WeakForm]
+    ) -> None:
         self._bolt, self._context, self._weak_form = bolt, context, weak_form
         self.label, self.size = bolt.label, 1
         self.steps, self.signs = np.array([1e-6]), np.ones(1)
         self.prescribing = np.zeros(1, dtype=bool)
         self.follows_path = bolt.locked_at is not None
         self._locked: float | None = None
-        self._shank = shank_of(context, bolt)
-        self.length = self._shank.length
+        self._shank, self.length = shank, shank.length
         if context.axisymmetric and abs(bolt.direction[1]) < 1 - 1e-9:
             raise InputError(
                 "the shank of a body of revolution is along its axis",
@@ -130,12 +132,16 @@ class PreloadedBolt(ScalarTerm):
 
 
 def make_bolts(
-    loads: Sequence[Load], context: FormContext, weak_form: Callable[[], WeakForm]
+    loads: Sequence[Load],
+    shanks: Mapping[int, Shank],
+    context: FormContext,
+    weak_form: Callable[[], WeakForm],
 ) -> Iterator[PreloadedBolt]:
     """The bolts among the loads. Collective.
 
     Args:
         loads: All loads of the body.
+        shanks: From `shanks_of`.
         weak_form: See `PreloadedBolt`.
 
     Raises:
@@ -152,5 +158,5 @@ def make_bolts(
                 )
             labels.add(load.label)
             with keyed(f"load[{index}]"):
-                bolt = PreloadedBolt(load, context, weak_form)
+                bolt = PreloadedBolt(load, shanks[index], context, weak_form)
             yield bolt
