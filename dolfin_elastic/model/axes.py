@@ -20,7 +20,7 @@ from dolfin_elastic.core.schema import Record, quoted
 from dolfin_elastic.core.shapes.shapes import Axis, Direction, Point, nonzero
 from dolfin_elastic.core.types import FloatArray, Scalar
 from dolfin_elastic.core.units import metres
-from dolfin_elastic.model.materials.spatial import axis_vector
+from dolfin_elastic.model.materials.spatial import unit_axis
 
 MATERIAL = "material"
 """Name of the axes that each material brings along."""
@@ -144,7 +144,7 @@ class CylindricalAxes(LocalAxes):
         self, scale: float, size: float, dim: int, *, axisymmetric: bool = False
     ) -> PlacedAxes:
         """See `LocalAxes.placed`."""
-        axis = _unit(axis_vector(self.axis))
+        axis = np.array(unit_axis(self.axis))
         point = tuple(metres(x, scale) for x in self.point)
         if dim == 3 and len(point) == 2:
             raise InputError("2 components given", where="point", expected="three coordinates")
@@ -156,7 +156,7 @@ class CylindricalAxes(LocalAxes):
                 expected='"z", or "y" with a point at x = 0' if axisymmetric else '"z"',
             )
         first = np.eye(3)[int(np.argmin(np.abs(axis)))]
-        first = _unit(first - (first @ axis) * axis)
+        first = np.array(unit_axis([*(first - (first @ axis) * axis)]))
         triad = np.array([first, np.cross(axis, first), axis])
         return PlacedAxes(self.letters, triad, (*point, 0.0)[:3], _ON_AXIS * size)
 
@@ -181,14 +181,14 @@ class RectangularAxes(LocalAxes):
         self, scale: float, size: float, dim: int, *, axisymmetric: bool = False
     ) -> PlacedAxes:
         """See `LocalAxes.placed`."""
-        x, y = _unit(self.x), _unit(self.y)
+        x, y = np.array(unit_axis(self.x)), np.array(unit_axis(self.y))
         if abs(x @ y) > _NOT_SQUARE:
             raise InputError(
                 f"x and y are at {np.degrees(np.arccos(np.clip(x @ y, -1, 1))):.4g} degrees",
                 where="y",
                 expected="a direction at a right angle to x",
             )
-        y = _unit(y - (x @ y) * x)
+        y = np.array(unit_axis([*(y - (x @ y) * x)]))
         triad = np.array([x, y, np.cross(x, y)])
         if dim == 2 and (x[2] or y[2]):
             raise InputError(
@@ -215,11 +215,3 @@ def check_name(name: str) -> None:
             f"axes cannot be called {quoted(name)}",
             expected=f"letters, digits and _, without '{JOINT}', and not '{MATERIAL}'",
         )
-
-
-def _unit(vector: object) -> FloatArray:
-    """A unit vector of three components."""
-    whole = np.zeros(3)
-    given = np.asarray(vector, dtype=np.float64)
-    whole[: len(given)] = given
-    return np.asarray(whole / np.linalg.norm(whole))

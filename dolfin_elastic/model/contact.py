@@ -8,10 +8,10 @@ in metres; or a force drives it along a direction, and how far it moves is an un
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
@@ -22,13 +22,14 @@ from dolfin_elastic.core.shapes.shapes import (
     Shape,
     SphereObstacle,
     check_components,
+    nonzero,
 )
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import ForceDensity, Length, members_of
 from dolfin_elastic.model.amplitude import Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
-from dolfin_elastic.model.values import OnSurfaces, amplitude_of, component, components
+from dolfin_elastic.model.values import OnSurfaces, amplitude_of, at_time, component, components
 
 
 class Contact(OnSurfaces):
@@ -58,7 +59,7 @@ class Contact(OnSurfaces):
     cylinder: CylinderObstacle | None = None
     motion: list[Any] = Field(default=[])
     force: Any = None
-    direction: Direction | None = None
+    direction: Annotated[Direction, AfterValidator(nonzero)] | None = None
     curve: Curve | None = None
     gap_tolerance: Length | None = Field(default=None, gt=0)
     stiffness: ForceDensity | None = Field(default=None, gt=0)
@@ -97,10 +98,6 @@ class Contact(OnSurfaces):
                 where="force",
                 expected="one of them: the other is a result",
             )
-        if self.direction is not None and not any(self.direction):
-            raise InputError(
-                "a direction cannot be zero", where="direction", expected="for example [0, 0, -1]"
-            )
         if isinstance(self.push, Formula) and self.push.names - {"t"}:
             raise InputError(
                 "the obstacle is rigid: its force depends on t only",
@@ -123,9 +120,7 @@ class Contact(OnSurfaces):
             t: Time [s], or load parameter.
             default: Amplitude where the contact has no curve.
         """
-        push = self.push
-        number = float(push.evaluate(t=t)) if isinstance(push, Formula) else float(push or 0.0)
-        return default.of(amplitude_of(push, self.curve), t) * number
+        return default.of(amplitude_of(self.push, self.curve), t) * at_time(self.push, t)
 
     @property
     def way(self) -> FloatArray:
@@ -174,11 +169,7 @@ class Contact(OnSurfaces):
         """
         if not self.values:
             return [0.0] * dim
-        return [
-            default.of(amplitude_of(v, self.curve), t)
-            * float(v.evaluate(t=t) if isinstance(v, Formula) else v)
-            for v in self.values
-        ]
+        return [default.of(amplitude_of(v, self.curve), t) * at_time(v, t) for v in self.values]
 
     def check(self, dim: int, *, axisymmetric: bool) -> None:
         """Raises where the obstacle, in metres, or its motion does not fit the body.

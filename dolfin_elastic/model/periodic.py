@@ -14,7 +14,7 @@ from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
-from dolfin_elastic.model.values import Component, component
+from dolfin_elastic.model.values import Component, at_time, component
 
 Matrix = tuple[tuple[Component, ...], ...]
 Pair = Annotated[list[str], Field(min_length=2, max_length=2)]
@@ -146,7 +146,7 @@ class Periodic(Record):
         for i, row in enumerate(values):
             for j, value in enumerate(row):
                 if value is not None:
-                    off = _number(value, t) - rest[i, j]
+                    off = at_time(value, t) - rest[i, j]
                     result[i, j] = off * self._amplitude(value, default).at(t)
         return result
 
@@ -154,10 +154,6 @@ class Periodic(Record):
         if self.curve is not None:
             return self.curve
         return CONSTANT if isinstance(value, Formula) else default
-
-
-def _number(value: Component, t: float) -> float:
-    return float(value.evaluate(t=t)) if isinstance(value, Formula) else float(value or 0.0)
 
 
 def _matrix(written: Sequence[Sequence[object]], unit: str, key: str) -> Matrix:

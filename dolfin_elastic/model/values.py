@@ -196,6 +196,15 @@ def field_tables(written: object, where: str = "") -> Iterator[tuple[str, FieldT
             yield from field_tables(value, f"{where}[{index}]")
 
 
+def at_time(value: Component, t: float) -> float:
+    """A component that is the same at all places, at a time; 0 of a free one.
+
+    Args:
+        t: Time [s], or load parameter.
+    """
+    return float(value.evaluate(t=t)) if isinstance(value, Formula) else float(value or 0.0)
+
+
 def fields_of(values: Iterable[Component]) -> list[FieldFormula]:
     """Those values that are fields of the mesh."""
     return [value for value in values if isinstance(value, FieldFormula)]

@@ -18,7 +18,7 @@ from dolfin_elastic.model.kinematics import deformation_from
 from dolfin_elastic.model.loads.base import LoadContext, ScalarLoad
 from dolfin_elastic.model.loads.eigenstrain import Eigenstrain
 from dolfin_elastic.model.materials.spatial import Axis, unit_axis
-from dolfin_elastic.model.values import Component, Parts, component
+from dolfin_elastic.model.values import Component, Parts, at_time, component
 
 
 class Bolt(ScalarLoad, Eigenstrain):
@@ -107,8 +107,7 @@ class Bolt(ScalarLoad, Eigenstrain):
             default: Amplitude where the bolt has no curve.
         """
         (value,) = self.values
-        number = float(value.evaluate(t=t)) if isinstance(value, Formula) else float(value or 0.0)
-        return default.of(self.amplitude, t) * number
+        return default.of(self.amplitude, t) * at_time(value, t)
 
     def growth(self, context: LoadContext, expansion: Expr | None, share: Expr | None) -> Expr:
         """See `Eigenstrain.growth`; the share is the field g."""

@@ -16,7 +16,7 @@ from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.loads.base import Load, LoadContext
 from dolfin_elastic.model.loads.pressure import area_vector
-from dolfin_elastic.model.values import Component, component, components
+from dolfin_elastic.model.values import Component, at_time, component, components
 
 UNITS = {"pressure": "Pa", "volume": "m^3", "volume_ratio": "", "added": "m^3"}
 
@@ -145,8 +145,7 @@ class Cavity(Load):
             initial: Volume of the undeformed cavity [m^3].
         """
         (value,) = self.values
-        number = float(value.evaluate(t=t)) if isinstance(value, Formula) else float(value or 0.0)
-        scale = default.of(self.amplitude, t)
+        number, scale = at_time(value, t), default.of(self.amplitude, t)
         if self.key == "pressure":
             return scale * number
         change = {

@@ -24,6 +24,7 @@ from dolfin_elastic.model.values import (
     OnSurfaces,
     Vector,
     amplitude_of,
+    at_time,
     component,
     components,
     depends_on_time,
@@ -478,7 +479,7 @@ class Rotation(PrescribingSupport):
         fields: FieldsAt | None = None,
     ) -> FloatArray | float:
         """See `PrescribingSupport`."""
-        angle = self._scale(self.rotation_angle, t, default) * _at_time(self.rotation_angle, t)
+        angle = self._scale(self.rotation_angle, t, default) * at_time(self.rotation_angle, t)
         r = x - np.array([*map(float, self.centre), 0.0])[:3]  # type: ignore[arg-type]
         Kr = np.cross(self.direction, r)
         KKr = np.cross(self.direction, Kr)
@@ -487,8 +488,4 @@ class Rotation(PrescribingSupport):
         if not self.translation:
             return np.asarray(rotated[:, which])
         d = self.translation[which]
-        return np.asarray(rotated[:, which] + self._scale(d, t, default) * _at_time(d, t))
-
-
-def _at_time(value: Component, t: float) -> float:
-    return float(value.evaluate(t=t)) if isinstance(value, Formula) else float(value or 0.0)
+        return np.asarray(rotated[:, which] + self._scale(d, t, default) * at_time(d, t))

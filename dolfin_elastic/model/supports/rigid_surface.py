@@ -19,6 +19,7 @@ from dolfin_elastic.model.values import (
     FREE,
     Component,
     amplitude_of,
+    at_time,
     component,
     components,
     misspelt_unit,
@@ -202,11 +203,7 @@ class Rigid(Restraint):
         Returns:
             One number a component, 0 for free ones.
         """
-        return tuple(
-            default.of(amplitude_of(v, self.curve), t)
-            * (v.evaluate(t=t) if isinstance(v, Formula) else float(v or 0.0))
-            for v in values
-        )
+        return tuple(default.of(amplitude_of(v, self.curve), t) * at_time(v, t) for v in values)
 
 
 def _single(written: object, unit: str, free: bool) -> Component:
