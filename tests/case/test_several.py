@@ -190,6 +190,15 @@ def test_stop_and_restart(folder: Path, comm: MPI.Comm) -> None:
         restart(folder, comm=comm).send(None)
 
 
+def typed_run(several: Case, folder: Path, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Exit code of the command that runs a case, with its results in a folder."""
+    monkeypatch.chdir(folder)  # docker/run refuses an output that it would not keep
+    file = folder / "bar.toml"
+    file.write_text(several.to_toml())
+    monkeypatch.setattr("sys.argv", ["dolfin-elastic", "run", str(file), "-o", str(folder)])
+    return guarded()
+
+
 def test_numbers_count_what_is_left_out(
     folder: Path,
     comm: MPI.Comm,
@@ -199,13 +208,9 @@ def test_numbers_count_what_is_left_out(
     """Of three of which the second is left out the last one is the third."""
     if comm.size > 1:
         pytest.skip("prints on rank 0 only")
-    monkeypatch.chdir(folder)
     fails = {"steps": 1, "max_iterations": 1, "min_step": 1.0, "snap": False}
     load = [{"kind": "traction", "on": "right", "value": ["0 MPa", "90 MPa"]}]
-    file = folder / "bar.toml"
-    file.write_text(case(**(ALL | {"statics": fails}), load=load).to_toml())
-    monkeypatch.setattr("sys.argv", ["dolfin-elastic", "run", str(file), "-o", str(folder)])
-    assert guarded() == 3
+    assert typed_run(case(**(ALL | {"statics": fails}), load=load), folder, monkeypatch) == 3
     heads = [line for line in capsys.readouterr().out.splitlines() if " of 4)" in line]
     assert heads == ["statics (1 of 4)", "buckling (3 of 4)", "dynamics (4 of 4)"]
 
@@ -219,12 +224,9 @@ def test_commands(
     """A heading and the folder of each; files of an older run go."""
     if comm.size > 1:
         pytest.skip("prints on rank 0 only")
-    monkeypatch.chdir(folder)  # docker/run refuses an output that it would not keep
     list(run(case(statics={}), output=folder))
-    file = folder / "bar.toml"
-    file.write_text(case(modal={"count": 1}, buckling={"count": 1}).to_toml())
-    monkeypatch.setattr("sys.argv", ["dolfin-elastic", "run", str(file), "-o", str(folder)])
-    assert guarded() == 0
+    several = case(modal={"count": 1}, buckling={"count": 1})
+    assert typed_run(several, folder, monkeypatch) == 0
     lines = capsys.readouterr().out.splitlines()
     assert "modal (1 of 2)" in lines
     assert "buckling (2 of 2)" in lines

@@ -38,8 +38,7 @@ def cavity_notes(case: Case, problem: Problem) -> Iterator[str]:
             continue
         reason = (
             f"the cavity '{load.label}' is open: a part of its edge is not constrained to a plane "
-            "through "
-            "its origin"
+            "through its origin"
         )
         if load.volume_controlled:
             raise InputError(

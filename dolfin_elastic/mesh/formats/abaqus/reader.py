@@ -321,8 +321,7 @@ def _points(deck: _Deck, path: Path) -> tuple[IntArray, FloatArray]:
     if other.any():
         raise MeshError(
             f"{len(np.unique(every[other]))} nodes stand twice, at different positions, for "
-            "example "
-            f"{every[other][0]}",
+            f"example {every[other][0]}",
             where=path.name,
         )
     return numbers, points[first]
