@@ -171,7 +171,7 @@ class ContactPair(Term):
         obstacle's curvature 1/R that has the further eigenvalue eps g/R, which is smaller.
         """
         if kind == "work":
-            return self.work
+            return self.pressure * ufl.inner(self._gap[1], self._context.v) * self._measure
         if kind == "energy":
             q = ufl.max_value(self._trial_pressure, 0.0)
             return (q**2 - self.lam**2) / (2 * self.penalty) * self._measure
@@ -196,11 +196,6 @@ class ContactPair(Term):
         """Contact pressure on the reference area [Pa]."""
         in_contact = ufl.ge(self._trial_pressure, -self.penalty * self._reach)
         return ufl.conditional(in_contact, self._trial_pressure, 0.0)
-
-    @cached_property
-    def work(self) -> ufl.Form:
-        """Virtual work of the obstacle's force on the body."""
-        return self.pressure * ufl.inner(self._gap[1], self._context.v) * self._measure
 
     def along(self, way: FloatArray) -> tuple[ufl.Form, ufl.Form]:
         """The obstacle's force on the body along a unit vector [N], and its penalty as a whole.
@@ -229,6 +224,10 @@ class ContactPair(Term):
     def pressures(self) -> FloatArray:
         """Pressure per reference area at the owned nodes of the surface [Pa]. Not collective."""
         return np.maximum(0.0, self.lam.x.array[self.nodes] - self._eps * self.gaps()[0])
+
+    def clearances(self) -> FloatArray:
+        """Gaps beyond those at which the pressure ends, at the owned nodes [m]. Not collective."""
+        return self.gaps()[0] - self.lam.x.array[self.nodes] / self._eps
 
     def gap_error(self) -> float:
         """Largest distance from the obstacle of nodes that press or penetrate [m]. Collective."""

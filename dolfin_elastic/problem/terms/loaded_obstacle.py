@@ -175,14 +175,16 @@ class LoadedObstacle(ScalarTerm):
     def _guided(self, given: float, farther: float = 0.0) -> float:
         """What leads an obstacle that touches nothing back to the body [N]. Collective.
 
-        -(F + k g) at the gap g, with the penalty k of the whole surface.  Where nodes are inside,
-        but no point of the quadrature is, -F^2/(F - k g): it goes on as steeply, and never to 0.
+        -(F + k g) with the penalty k of the whole surface and the gap g beyond the one at which the
+        pressure ends: so it goes on where the force that is carried ends.  Where nodes are inside,
+        but no point of the quadrature is, -F^2/(F - k g): as steep, and never 0.
 
         Args:
             given: The force F [N].
             farther: Added to the gap [m].
         """
-        push = self._stiffness * (self._nearest() + farther)
+        clear = smallest(self._comm, float(np.min(self._pair.clearances(), initial=np.inf)))
+        push = self._stiffness * (clear + farther)
         if push >= 0.0:
             return -(given + push)
         given = max(given, self._stiffness * self._pair.reach)
