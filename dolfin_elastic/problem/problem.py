@@ -45,11 +45,12 @@ from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Resistance, Terms
 from dolfin_elastic.problem.terms.bolts import make_bolts
 from dolfin_elastic.problem.terms.cavities import make_cavities
-from dolfin_elastic.problem.terms.contact import ContactPair, make_contacts, placed_contacts
+from dolfin_elastic.problem.terms.contact import ContactPair, placed_contacts
 from dolfin_elastic.problem.terms.loaded_obstacle import make_loaded_obstacles
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
 from dolfin_elastic.problem.terms.pressure_symmetry import follower_pressure_has_potential
 from dolfin_elastic.problem.terms.rigid_surfaces import RigidSurface, TurnedSurface
+from dolfin_elastic.problem.terms.vertex_contact import make_contacts
 from dolfin_elastic.problem.weak_form import (
     StepStart,
     WeakForm,
@@ -236,7 +237,7 @@ class Problem(Shown):
         self.terms = Terms(Resistance(s, self.context) for s in resisting)
         self.contact_pairs: tuple[ContactPair, ...] = ()
         if contacts:
-            self.contact_pairs = make_contacts(contacts, self.context)
+            self.contact_pairs = make_contacts(contacts, self.context, self.thickness)
             self.terms += self.contact_pairs
             self.terms += make_loaded_obstacles(self.contact_pairs, self.context)
         self.eigenstrains: dict[str, Expr] = {}

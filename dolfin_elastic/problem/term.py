@@ -91,12 +91,16 @@ class Term:
         """
 
     def add_forces(self, forces: FloatArray) -> None:
-        """Adds its present forces on the body that are in no form. Local.
+        """Adds its present forces on the body that are in no form. Collective.
 
         Args:
             forces: Of the displacement's owned nodes and ghosts, before the ranks are summed,
                 shape (nodes * dim,) [N].
         """
+
+    def energy(self) -> float:
+        """What it stores of which it has no form [J]. Collective."""
+        return 0.0
 
     def blocks(self) -> Blocks | None:
         """Minus the derivative of these forces; None, on all ranks and always, without any.

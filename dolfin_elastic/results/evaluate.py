@@ -261,7 +261,8 @@ class StateSource:
         """See `FieldSource`; of the problem's present state, which is the one that is written."""
         values = np.zeros((self.evaluator.grid.own_points, 1))
         for pair in self.evaluator.problem.contact_pairs:
-            values[pair.nodes_of_displacement, 0] += pair.pressures()
+            nodes, pressures = pair.nodal_pressures()
+            values[nodes, 0] += pressures
         return values
 
     def normal(self) -> AnyArray:

@@ -145,6 +145,25 @@ class Shape(Record):
             else (distance, normal)
         )
 
+    def curvature(self, x: FloatArray) -> FloatArray:
+        """Second derivatives of the gap at points [1/m], of a shape in metres.
+
+        Args:
+            x: Points [m], shape (..., dim).
+
+        Returns:
+            Shape (..., dim, dim); 0 of planes.
+        """
+        return np.zeros((*x.shape, x.shape[-1]))
+
+    def _round_curvature(self, x: FloatArray, across: FloatArray) -> FloatArray:
+        """(A - n n)/r, r the distance from centre or axis, A what leaves out the axis."""
+        distance, normal = self.distance(list(np.moveaxis(x, -1, 0)), float, np.sqrt)
+        n = np.stack([np.asarray(item) for item in normal], axis=-1)
+        r = np.asarray(distance) + float(getattr(self, "radius", 0.0))
+        result = (across - n[..., :, None] * n[..., None, :]) / r[..., None, None]
+        return -result if self.hollow else result
+
     def off(self, x: FloatArray) -> FloatArray:
         """Signed distances of points, shape (..., dim), of a shape in metres."""
         return np.asarray(self.distance(list(np.moveaxis(x, -1, 0)), float, np.sqrt)[0])
@@ -259,6 +278,10 @@ class Sphere(Shape):
         arm = [a - number(c) for a, c in zip(x, self.center, strict=True)]
         return _round(arm, number(self.radius), root)
 
+    def curvature(self, x: FloatArray) -> FloatArray:
+        """See `Shape.curvature`."""
+        return self._round_curvature(x, np.eye(x.shape[-1]))
+
     def triangles(self, near: Box, dim: int) -> Triangles:
         """See `Shape.triangles`."""
         assert self.center is not None
@@ -353,6 +376,11 @@ class Cylinder(Shape):
         share = sum(p * q for p, q in zip(arm, a, strict=True))
         arm = [p - share * q for p, q in zip(arm, a, strict=True)]
         return _round(arm, number(self.radius), root)
+
+    def curvature(self, x: FloatArray) -> FloatArray:
+        """See `Shape.curvature`."""
+        a = np.array(self.direction[: x.shape[-1]])
+        return self._round_curvature(x, np.eye(len(a)) - np.outer(a, a))
 
     def triangles(self, near: Box, dim: int) -> Triangles:
         """See `Shape.triangles`."""

@@ -13,17 +13,13 @@ Source: P. Wriggers, Computational Contact Mechanics, 2nd ed., Springer 2006, se
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cached_property
+from typing import Protocol
 
 import numpy as np
-import ufl
 from dolfinx import fem
-from dolfinx.mesh import Mesh
-from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.ghosts import summed
-from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IndexArray
@@ -37,12 +33,11 @@ from dolfin_elastic.mesh.geometry.simplices import (
 )
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.contact import Contact
-from dolfin_elastic.model.kinematics import WeightedMeasure
 from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion, shear_modulus, volume_modulus
 from dolfin_elastic.problem.spaces import Unknowns
-from dolfin_elastic.problem.term import Acting, Kind, Term
+from dolfin_elastic.problem.term import Acting, Term
 
 FACTOR = 10.0
 """Penalty over the stiffness of the cell beside: enough for a few augmentations."""
@@ -78,49 +73,57 @@ ROUND = 10.0
 sideways."""
 
 
+class ForceAlong(Protocol):
+    """The force of an obstacle on the body along a direction.
+
+    Attributes:
+        stiffness: Force per depth where all of the surface is in contact [N/m].
+    """
+
+    stiffness: float
+
+    def value(self) -> float:
+        """The present force [N]. Collective."""
+
+    def row(self) -> FloatArray:
+        """Its derivative by the unknowns, owned entries [N/m]. Collective."""
+
+
 class ContactPair(Term):
     """One contact on one body. Collective to make.
 
     Args:
-        measure: Reference area of its surfaces, with the rule of `rule`.
         index: From 0, in the case.
 
     Attributes:
         contact: What the user wrote.
         label: What results call it.
-        lam: Multiplier [Pa], nodal values of the displacement's degree; 0 in motion.
+        facets: Local facets of its surfaces, ghosts too.
+        lam: Multiplier [Pa], a value at each vertex; 0 in motion.
         penalty: eps [Pa/m], one number a cell beside the surface.
         size: Mean height of the cells over the surface [m].
         tolerance: Penetration that statics leaves [m].
-        nodes: Owned nodes of the surface in the space of `lam`.
-        nodes_of_displacement: The same nodes in the displacement's space.
+        nodes: Owned vertices of the surface in the space of `lam`.
+        nodes_of_displacement: The same vertices in the displacement's space.
     """
 
     linear, restrains, opens, account = False, True, True, "contact"
 
-    def __init__(
-        self, contact: Contact, context: FormContext, measure: WeightedMeasure, index: int
-    ) -> None:
+    def __init__(self, contact: Contact, context: FormContext, index: int) -> None:
         body = context.body
-        self.contact, self.label, self._context, self._measure = (
-            contact,
-            contact.label,
-            context,
-            measure,
-        )
+        self.contact, self.label, self._context = contact, contact.label, context
         self._axisymmetric = context.geometry == "axisymmetric"
         self.comm, self._dim = body.comm, body.dim
         prepare_facets(body.mesh)
         facets = np.unique(np.concatenate([body.surface(name) for name in contact.surfaces]))
-        self.lam, self.nodes, self.nodes_of_displacement = _nodal(context, facets)
+        self.facets = facets.astype(np.int32)
+        self.lam, self.nodes, self.nodes_of_displacement = nodal(context, facets, 1)
         self.memory, self._index = {f"contact_{index}": self.lam}, index
         self.at_rest = not contact.values and contact.push is None
         heights = _heights(body, facets)
         self.penalty = _penalty(context, contact.stiffness, *heights)
         self.size = _mean(body, facets, heights)
         self.tolerance = contact.gap_tolerance or 1e-3 * self.size
-        if self._axisymmetric:
-            self._correct_weights_at_axis(facets)
         self._eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
         self._first = self.penalty.x.array.copy(), self._eps.copy()
         self.shift: fem.Constant = context.constant([0.0] * body.dim)
@@ -136,74 +139,6 @@ class ContactPair(Term):
             self._eps = factor * self._first[1]
         if moving:
             self.lam.x.array[:] = 0.0
-
-    def _correct_weights_at_axis(self, facets: IndexArray) -> None:
-        """Weights of nodes near the axis of an axisymmetric body.
-
-        With linear elements the trapezoidal rule would give a node on the axis none of the ring
-        around it: its weight is the integral of its shape function times the radius, for which
-        the radius at a node is replaced by (r + 2 r_middle)/3, r_middle that of the facet.  The
-        vertex of a quadratic element has no such integral on the axis: it is left to its
-        neighbours.
-        """
-        if self._context.order > 1:
-            X = self.lam.function_space.tabulate_dof_coordinates()
-            off = X[self.nodes, 0] > 1e-9 * self.size
-            self.nodes, self.nodes_of_displacement = (
-                self.nodes[off],
-                self.nodes_of_displacement[off],
-            )
-            return
-        weight = (
-            2
-            * ufl.pi
-            * (self._context.X[0] + 2 * _middle_radius(self._context.body.mesh, facets))
-            / 3
-        )
-        self._measure = WeightedMeasure(weight, self._measure.measure)
-
-    # --- forms ---
-
-    def form(self, kind: Kind) -> ufl.Form | None:
-        """See `Term`.
-
-        The potential has the multiplier at rest.  The penalty bounds the rows of the tangent: at an
-        obstacle's curvature 1/R that has the further eigenvalue eps g/R, which is smaller.
-        """
-        if kind == "work":
-            return self.pressure * ufl.inner(self._gap[1], self._context.v) * self._measure
-        if kind == "energy":
-            q = ufl.max_value(self._trial_pressure, 0.0)
-            return (q**2 - self.lam**2) / (2 * self.penalty) * self._measure
-        return self.penalty * sum(self._context.v) * self._measure if kind == "bound" else None
-
-    @cached_property
-    def _gap(self) -> tuple[Expr, Expr]:
-        """Gap and normal of the current place."""
-        place = self._context.X + self._context.u - self.shift
-        distance, normal = self.contact.obstacle.gap(
-            [place[i] for i in range(self._dim)], self._context.constant, ufl.sqrt
-        )
-        return distance, ufl.as_vector(normal)
-
-    @cached_property
-    def _trial_pressure(self) -> Expr:
-        """Trial contact pressure lam - eps g [Pa]."""
-        return self.lam - self.penalty * self._gap[0]
-
-    @cached_property
-    def pressure(self) -> Expr:
-        """Contact pressure on the reference area [Pa]."""
-        in_contact = ufl.ge(self._trial_pressure, -self.penalty * self._reach)
-        return ufl.conditional(in_contact, self._trial_pressure, 0.0)
-
-    def along(self, way: FloatArray) -> tuple[ufl.Form, ufl.Form]:
-        """The obstacle's force on the body along a unit vector [N], and its penalty as a whole.
-
-        The latter is the force per depth where all of the surface is in contact [N/m].
-        """
-        n = ufl.dot(self._gap[1], self._context.constant([float(x) for x in way]))
-        return self.pressure * n * self._measure, self.penalty * self._measure
 
     # --- numbers at the nodes ---
 
@@ -222,16 +157,32 @@ class ContactPair(Term):
         return gaps, np.stack(normals, axis=1)
 
     def pressures(self) -> FloatArray:
-        """Pressure per reference area at the owned nodes of the surface [Pa]. Not collective."""
-        return np.maximum(0.0, self.lam.x.array[self.nodes] - self._eps * self.gaps()[0])
+        """Pressure per reference area at the owned nodes of the surface [Pa]. Collective."""
+        return np.maximum(0.0, self.lam.x.array[self.nodes] - self._eps * self.pressing_gaps())
+
+    def pressing_gaps(self) -> FloatArray:
+        """Gaps that the pressures at the owned nodes follow [m]. Collective."""
+        return self.gaps()[0]
+
+    def nodal_pressures(self) -> tuple[IndexArray, FloatArray]:
+        """Owned nodes of the displacement on the surface, and pressures there [Pa]. Collective."""
+        return self.nodes_of_displacement, self.pressures()
 
     def clearances(self) -> FloatArray:
-        """Gaps beyond those at which the pressure ends, at the owned nodes [m]. Not collective."""
-        return self.gaps()[0] - self.lam.x.array[self.nodes] / self._eps
+        """Gaps beyond those at which the pressure ends, at the owned nodes [m]. Collective."""
+        return self.pressing_gaps() - self.lam.x.array[self.nodes] / self._eps
+
+    def area(self) -> float:
+        """Reference area on which there is pressure [m^2]. Collective."""
+        raise NotImplementedError
+
+    def along(self, way: FloatArray) -> ForceAlong:
+        """The obstacle's force on the body along a unit vector. Collective."""
+        raise NotImplementedError
 
     def gap_error(self) -> float:
         """Largest distance from the obstacle of nodes that press or penetrate [m]. Collective."""
-        gaps, _ = self.gaps()
+        gaps = self.pressing_gaps()
         off = np.abs(gaps[(self.pressures() > 0) | (gaps < 0)])
         return largest(self.comm, float(np.max(off, initial=0)))
 
@@ -337,29 +288,17 @@ class ContactPair(Term):
 
     # --- results ---
 
-    @cached_property
-    def _area(self) -> fem.Form:
-        """Reference area on which there is pressure [m^2]."""
-        area = ufl.conditional(ufl.gt(self._trial_pressure, 0.0), 1.0, 0.0) * self._measure
-        return compile_forms(self.comm, [area], options(self.comm))[0]
+    def depth(self) -> float:
+        """Of this rank's deepest node of the surface in the obstacle [m]. Not collective."""
+        return float(np.max(-self.gaps()[0], initial=0.0))
 
     @stage("contact")
     def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
         """See `Term`: largest penetration [m] and area under pressure [m^2]."""
-        depth = largest(self.comm, float(np.max(-self.gaps()[0], initial=0.0)))
+        depth = largest(self.comm, self.depth())
         first, second = f"penetration_{self.label}", f"contact_area_{self.label}"
         result[first] = max(result.get(first, 0.0), depth)
-        area = total(self.comm, float(fem.assemble_scalar(self._area)))
-        result[second] = result.get(second, 0.0) + area
-
-
-def make_contacts(contacts: Sequence[Contact], context: FormContext) -> tuple[ContactPair, ...]:
-    """All contacts on a body. Collective."""
-    points = rule(context.order, context.body.dim)
-    return tuple(
-        ContactPair(c, context, context.measures.contact_area(c.surfaces, points), i)
-        for i, c in enumerate(contacts)
-    )
+        result[second] = result.get(second, 0.0) + self.area()
 
 
 def nearest_node(pair: ContactPair) -> tuple[float, tuple[float, ...]]:
@@ -374,24 +313,6 @@ def nearest_node(pair: ContactPair) -> tuple[float, tuple[float, ...]]:
     least = min((gap for gap, _ in rows), default=np.inf) + 1e-9 * pair.size
     near = (row for row in rows if row[0] <= least)
     return min(near, key=lambda row: row[1], default=(np.inf, ()))
-
-
-def rule(degree: int, dim: int) -> dict[str, object]:
-    """Quadrature of contact integrals.
-
-    Where there is a rule at the nodes with positive weights it is taken: gap and multiplier are
-    compared there, so that a facet on a curved obstacle is not asked for more than its nodes can
-    do (trapezoidal for linear elements, Simpson's for quadratic ones in a plane).  Quadratic
-    triangles have none and take Gauss's.
-
-    Args:
-        degree: Of the displacement or of the mesh's curved cells, whichever is higher.
-    """
-    if degree > 1 and dim == 3:
-        return {"quadrature_degree": 2 * degree}
-    if degree == 1:
-        return {"quadrature_rule": "vertex", "quadrature_degree": 1}
-    return {"quadrature_rule": "GLL", "quadrature_degree": 3}
 
 
 def placed_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> list[Contact]:
@@ -461,20 +382,6 @@ def _penalty(
     return result
 
 
-def _middle_radius(mesh: Mesh, facets: IndexArray) -> Expr:
-    """Radius of the middle of the facet at hand [m]: a cell may have several in contact.
-
-    On the reference triangle the outward normals are (1, 1)/sqrt(2), (-1, 0) and (0, -1).
-    """
-    radii = fem.Function(fem.functionspace(mesh, ("DG", 0, (3,))))
-    beside, local = cells_beside_facets(mesh, facets)
-    cells = radii.function_space.dofmap.list[beside, 0]
-    radii.x.array.reshape(-1, 3)[cells, local] = facet_corners(mesh, facets)[:, :, 0].mean(axis=1)
-    normal = ufl.geometry.ReferenceNormal(mesh)
-    left = ufl.conditional(ufl.lt(normal[0], -0.5), radii[1], radii[2])
-    return ufl.conditional(ufl.gt(normal[0], 0.5), radii[0], left)
-
-
 def _modulus(region: MaterialRegion) -> float:
     """K + 4 mu/3 of a material [Pa], K bounded."""
     mu = shear_modulus(region.typical)
@@ -483,17 +390,19 @@ def _modulus(region: MaterialRegion) -> float:
     return min(K, ROUND * mu) + 4 / 3 * mu
 
 
-def _nodal(context: FormContext, facets: IndexArray) -> tuple[fem.Function, IndexArray, IndexArray]:
-    """Multiplier, owned nodes of the surface, and the same nodes of the displacement. Collective.
+def nodal(
+    context: FormContext, facets: IndexArray, degree: int
+) -> tuple[fem.Function, IndexArray, IndexArray]:
+    """A scalar field, its owned nodes on a surface, and these of the displacement. Collective.
 
-    Two spaces of one element need not number their nodes alike, but do so within each cell.
+    Two spaces need not number their nodes alike, but order those of a cell alike, vertices first.
     """
     mesh, V = context.body.mesh, context.unknowns.V
-    S = fem.functionspace(mesh, ("Lagrange", context.unknowns.degree))
+    S = fem.functionspace(mesh, ("Lagrange", degree))
     nodes = fem.locate_dofs_topological(S, mesh.topology.dim - 1, facets)
     owned = np.sort(nodes[nodes < S.dofmap.index_map.size_local]).astype(np.int32)
     number = np.zeros(S.dofmap.index_map.size_local + S.dofmap.index_map.num_ghosts, np.int32)
-    number[S.dofmap.list.ravel()] = V.dofmap.list.ravel()
+    number[S.dofmap.list] = V.dofmap.list[:, : S.dofmap.list.shape[1]]
     return fem.Function(S), owned, number[owned]
 
 

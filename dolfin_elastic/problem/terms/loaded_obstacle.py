@@ -19,12 +19,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import ufl
-from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.ghosts import assembled
-from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import span
@@ -135,19 +131,19 @@ class LoadedObstacle(ScalarTerm):
 
     def _nearest(self) -> float:
         """The smallest gap [m]. Collective."""
-        return smallest(self._comm, float(np.min(self._pair.gaps()[0], initial=np.inf)))
+        return self._smallest(self._pair.gaps()[0])
+
+    def _smallest(self, gaps: FloatArray) -> float:
+        return smallest(self._comm, float(np.min(gaps, initial=np.inf)))
 
     def begin(self, *, moving: bool) -> None:
         """See `Term`."""
-        (force, penalty), space = self._pair.along(self._way), self._context.unknowns.W
-        row = ufl.derivative(force, self._context.unknowns.w, ufl.TestFunction(space))
-        forms = compile_forms(self._comm, [force, row, penalty], options(self._comm))
-        self._force, self._row, whole = forms
-        self._stiffness = total(self._comm, float(fem.assemble_scalar(whole)))
+        self._force = self._pair.along(self._way)
+        self._stiffness = self._force.stiffness
 
     def unsettled(self) -> bool:
         """See `Term`: it rests above the body, on a multiplier that has no pressure left."""
-        return self._nearest() > self._pair.tolerance
+        return self._smallest(self._pair.pressing_gaps()) > self._pair.tolerance
 
     # --- the unknown and its equation ---
 
@@ -160,16 +156,12 @@ class LoadedObstacle(ScalarTerm):
         self._s = float(values[0])
         self._pair.shift.value[:] = self._s * self._way
 
-    def _carried(self) -> float:
-        """Force of the obstacle on the body along its direction [N]. Collective."""
-        return total(self._comm, float(fem.assemble_scalar(self._force)))
-
     def _given(self) -> float:
         return self._pair.contact.force_at(self.t, self.default)
 
     def residual(self, forces: OutOfBalance) -> FloatArray:
         """The force on the body beyond the given one [N]. Collective."""
-        carried, given = self._carried(), self._given()
+        carried, given = self._force.value(), self._given()
         return np.array([carried - given if carried != 0.0 else self._guided(given)])
 
     def _guided(self, given: float, farther: float = 0.0) -> float:
@@ -183,7 +175,7 @@ class LoadedObstacle(ScalarTerm):
             given: The force F [N].
             farther: Added to the gap [m].
         """
-        clear = smallest(self._comm, float(np.min(self._pair.clearances(), initial=np.inf)))
+        clear = self._smallest(self._pair.clearances())
         push = self._stiffness * (clear + farther)
         if push >= 0.0:
             return -(given + push)
@@ -192,7 +184,7 @@ class LoadedObstacle(ScalarTerm):
 
     def rows(self, forces: OutOfBalance) -> list[FloatArray]:
         """Its derivative [N/m]. Collective."""
-        return [assembled(self._row, self._context.unknowns.W)]
+        return [self._force.row()]
 
     def exact(self, rows: Sequence[FloatArray]) -> dict[int, tuple[FloatArray, float]]:
         """See `ScalarUnknowns`: the tangent is symmetric, and gaps depend on u - s d.
@@ -219,7 +211,7 @@ class LoadedObstacle(ScalarTerm):
     def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
         """See `Term`: displacement, and the force that is carried."""
         result[f"obstacle_displacement_{self.label}"] = self._s
-        result[f"obstacle_force_{self.label}"] = self._carried()
+        result[f"obstacle_force_{self.label}"] = self._force.value()
 
 
 def make_loaded_obstacles(

@@ -269,7 +269,8 @@ def _pressed(
     body, V = problem.body, problem.V
     named = np.unique(np.concatenate([body.surface(name) for name in pair.contact.surfaces]))
     work = la.vector(V.dofmap.index_map, 1)
-    work.array[pair.nodes_of_displacement[pair.pressures() > 0]] = 1.0
+    nodes, pressures = pair.nodal_pressures()
+    work.array[nodes[pressures > 0]] = 1.0
     work.scatter_forward()
     cells, local = cells_beside_facets(body.mesh, facets)
     layout, d = V.dofmap.dof_layout, body.dim

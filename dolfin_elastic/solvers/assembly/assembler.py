@@ -79,7 +79,7 @@ class Reactions:
         return forces
 
     def add_terms(self, forces: FloatArray, sign: float, *, restraining: bool | None) -> None:
-        """Adds this rank's share of the forces of terms that are in no form. Not collective.
+        """Adds this rank's share of the forces of terms that are in no form. Collective.
 
         Args:
             forces: Entries of all unknowns, owned and ghost, before the ranks are summed [N].
@@ -101,11 +101,15 @@ class Reactions:
             if label not in without:
                 yield label, self.nodal(form)
         for term in self._dofs.problem.terms:
-            if term.nodal and term.restrains:
-                forces = self._dofs.ghosted_vector()
-                forces.array[self._entries] = self._of_term(term)
-                forces.scatter_reverse(la.InsertMode.add)
-                yield term.label, forces.array[: self._dofs.size]
+            if term.nodal and term.restrains and term.label not in without:
+                yield term.label, self.of_term(term)
+
+    def of_term(self, term: Term) -> FloatArray:
+        """Nodal forces of a term that are in no form, owned entries [N]."""
+        forces = self._dofs.ghosted_vector()
+        forces.array[self._entries] = self._of_term(term)
+        forces.scatter_reverse(la.InsertMode.add)
+        return np.asarray(forces.array[: self._dofs.size])
 
     @property
     def labels(self) -> list[str]:
@@ -150,6 +154,7 @@ class Tangent:
     Attributes:
         form: The compiled bilinear form.
         matrix: The tangent; owned here.
+        pattern: Grows whenever `matrix` has other entries.
     """
 
     def __init__(self, dofs: ConstrainedDofs, form: BilinearForm, *, iterated: bool) -> None:
@@ -177,7 +182,7 @@ class Tangent:
         return TangentMatrix(self.form, fixed=fixed)
 
     def _take(self, matrix: PETSc.Mat) -> None:
-        dofs, self._pattern = self._dofs, 0
+        dofs, self.pattern = self._dofs, 0
         self._constrained = ConstrainedMatrix(dofs.problem, dofs, matrix, dofs.displacement_dofs)
         self.matrix = self._of_forms = self._constrained.matrix
         if self.blocks is not None and not isinstance(self._assembled, SymmetricMatrix):
@@ -245,10 +250,10 @@ class Tangent:
         """Makes `matrix` the sum of that of the forms and of blocks, whose pattern may be new."""
         added, structure = blocks.free(), PETSc.Mat.Structure
         self._of_forms.copy(self.matrix, structure.DIFFERENT_NONZERO_PATTERN)
-        known = blocks.pattern == self._pattern
+        known = blocks.pattern == self.pattern
         how = structure.SUBSET_NONZERO_PATTERN if known else structure.DIFFERENT_NONZERO_PATTERN
         self.matrix.axpy(1.0, added, how)
-        self._pattern = blocks.pattern
+        self.pattern = blocks.pattern
         self._mark()
 
     def scale(self) -> float:

@@ -71,6 +71,7 @@ class EnergyBook:
         self._cells, self._others = (None, None) if strain is None else in_cells(problem, strain)
         forms = {account: form for account in terms if (form := stored(account)) is not None}
         self._terms = dict(zip(forms, compiled(problem, list(forms.values())), strict=True))
+        self._nodal = [t for t in problem.terms if t.nodal and t.restrains and t.account in terms]
 
     def stored(self) -> dict[str, float]:
         """Energies by account [J]. Collective.
@@ -86,6 +87,8 @@ class EnergyBook:
             local += 0.0 if self._others is None else float(fem.assemble_scalar(self._others))
             strain = total(comm, local) + sum(relaxing.values())
         terms = {name: integral(self._problem, form) for name, form in self._terms.items()}
+        for term in self._nodal:
+            terms[term.account] = terms.get(term.account, 0.0) + term.energy()
         return {"strain": strain, **relaxing, **terms}
 
 

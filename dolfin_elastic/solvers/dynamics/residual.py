@@ -105,7 +105,9 @@ class DynamicResidual:
         named = {name: form for name, form in forms.items() if form is not None}
         self._forms = dict(zip(named, compiled(problem, list(named.values())), strict=True))
         self.obstacles = [term for term in problem.terms if term.shift is not None]
-        self._contact_forms = compiled(problem, forms_of(self.obstacles, "work"))
+        of_forms = [term for term in self.obstacles if not term.nodal]
+        contact_forms = compiled(problem, forms_of(of_forms, "work"))
+        self._contact_forms = dict(zip(of_forms, contact_forms, strict=True))
         # Restraints of a label are assembled as one: obstacles that share theirs with springs are
         # in them already, and must not be added once more.
         others = {term.label for term in problem.terms if term.shift is None}
@@ -228,9 +230,11 @@ class DynamicResidual:
 
     def contact_forces(self) -> FloatArray:
         """`Forces.contact` at the present state. Collective."""
-        rows = np.zeros((len(self._contact_forms), len(self.displacement_dofs)))
-        for row, form in zip(rows, self._contact_forms, strict=True):
-            row[:] = self.assembler.reactions.nodal(form)[self.displacement_dofs]
+        rows = np.zeros((len(self.obstacles), len(self.displacement_dofs)))
+        for row, term in zip(rows, self.obstacles, strict=True):
+            form, reactions = self._contact_forms.get(term), self.assembler.reactions
+            forces = reactions.of_term(term) if form is None else reactions.nodal(form)
+            row[:] = forces[self.displacement_dofs]
         return rows
 
     def forces_at(self, t: float, v: FloatArray, a: FloatArray) -> Forces:

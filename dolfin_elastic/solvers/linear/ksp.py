@@ -172,6 +172,7 @@ class LinearSolver:
         self._assembler, self._options, self.ksp, self._snes = assembler, options, ksp, snes
         self._parts: Multigrid | PMultigrid | PressureSplit | SymmetricPart | None = None
         self._prepared, self.direct, self.left_gradients = False, False, False
+        self._pattern = 0
         self._age: Age | None = None
         self._rtol = 0.0  # of the last solve; 0 where there was none
         # Whether the next solve may be Newton's last one, and whether the solve before was to be.
@@ -253,6 +254,11 @@ class LinearSolver:
         With the options in force, before SNES hands the tangent on, if it does.
         """
         pc, age = self.ksp.getPC(), self._age
+        if self.direct and self._pattern != self._assembler.tangent.pattern:
+            # A sum of matrices that takes the place of another may have the nonzero state of that
+            # one: PETSc would then factorise it with what was analysed for the other pattern.
+            self._pattern = self._assembler.tangent.pattern
+            self.factors.reset()
         if age is None:
             if self.ksp != self._snes.ksp:  # else SNES does so
                 pc.setReusePreconditioner(self._prepared and not self.direct)

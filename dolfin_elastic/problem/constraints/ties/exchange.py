@@ -41,17 +41,20 @@ class Owners:
         ranks = self._ranks(ids)
         return [ids[ranks == r] for r in range(self.comm.size)]
 
-    def summed(self, rows: IntArray, columns: IntArray, values: FloatArray) -> csr_array:
+    def summed(
+        self, rows: IntArray, columns: IntArray, values: FloatArray, width: int | None = None
+    ) -> csr_array:
         """The owned rows of a matrix from entries that ranks have of it, summed. Collective.
 
         Args:
             rows: Global row of each entry.
             columns: Global column.
+            width: Number of columns; by default as many as rows.
         """
         from scipy.sparse import csr_array
 
         i, j, v = self._sent(self._ranks(rows), (rows, columns, values))
-        return csr_array((v, (i - self.first, j)), shape=(self.count, self.size))
+        return csr_array((v, (i - self.first, j)), shape=(self.count, width or self.size))
 
     def values_at(self, owned: AnyArray, numbers: IntArray) -> AnyArray:
         """Values at any global numbers. Collective.

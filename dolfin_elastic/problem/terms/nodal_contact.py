@@ -1,0 +1,135 @@
+"""`NodalContact`: contact of linear faces, its pressures at their nodes.
+
+Gap and multiplier are compared at the nodes, by the trapezoidal rule, so that a face on a curved
+obstacle is not asked for more than its nodes can do.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import Mesh
+from ufl.core.expr import Expr
+
+from dolfin_elastic.core.ghosts import assembled
+from dolfin_elastic.core.jit import compile_forms, options
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets, facet_corners
+from dolfin_elastic.model.contact import Contact
+from dolfin_elastic.model.kinematics import WeightedMeasure
+from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.term import Kind
+from dolfin_elastic.problem.terms.contact import ContactPair
+
+_RULE = {"quadrature_rule": "vertex", "quadrature_degree": 1}
+
+
+class NodalContact(ContactPair):
+    """One contact of linear faces.  Its forces are integrals. Collective to make."""
+
+    def __init__(self, contact: Contact, context: FormContext, index: int) -> None:
+        super().__init__(contact, context, index)
+        self._measure = context.measures.contact_area(contact.surfaces, _RULE)
+        if self._axisymmetric:
+            self._measure = self._weights_at_axis(self.facets)
+
+    def _weights_at_axis(self, facets: IndexArray) -> WeightedMeasure:
+        """The measure with weights of nodes near the axis of an axisymmetric body.
+
+        The trapezoidal rule would give a node on the axis none of the ring around it: its weight is
+        the integral of its shape function times the radius, for which the radius at a node is
+        replaced by (r + 2 r_middle)/3, r_middle that of the facet.
+        """
+        middle = _middle_radius(self._context.body.mesh, facets)
+        weight = 2 * ufl.pi * (self._context.X[0] + 2 * middle) / 3
+        return WeightedMeasure(weight, self._measure.measure)
+
+    # --- forms ---
+
+    def form(self, kind: Kind) -> ufl.Form | None:
+        """See `Term`.
+
+        The potential has the multiplier at rest.  The penalty bounds the rows of the tangent: at an
+        obstacle's curvature 1/R that has the further eigenvalue eps g/R, which is smaller.
+        """
+        if kind == "work":
+            return self.pressure * ufl.inner(self._gap[1], self._context.v) * self._measure
+        if kind == "energy":
+            q = ufl.max_value(self._trial_pressure, 0.0)
+            return (q**2 - self.lam**2) / (2 * self.penalty) * self._measure
+        return self.penalty * sum(self._context.v) * self._measure if kind == "bound" else None
+
+    @cached_property
+    def _gap(self) -> tuple[Expr, Expr]:
+        """Gap and normal of the current place."""
+        place = self._context.X + self._context.u - self.shift
+        distance, normal = self.contact.obstacle.gap(
+            [place[i] for i in range(self._dim)], self._context.constant, ufl.sqrt
+        )
+        return distance, ufl.as_vector(normal)
+
+    @cached_property
+    def _trial_pressure(self) -> Expr:
+        """Trial contact pressure lam - eps g [Pa]."""
+        return self.lam - self.penalty * self._gap[0]
+
+    @cached_property
+    def pressure(self) -> Expr:
+        """Contact pressure on the reference area [Pa]."""
+        in_contact = ufl.ge(self._trial_pressure, -self.penalty * self._reach)
+        return ufl.conditional(in_contact, self._trial_pressure, 0.0)
+
+    def along(self, way: FloatArray) -> _ForceOfForm:
+        """See `ContactPair`."""
+        n = ufl.dot(self._gap[1], self._context.constant([float(x) for x in way]))
+        force = self.pressure * n * self._measure
+        return _ForceOfForm(self._context, force, self.penalty * self._measure)
+
+    @cached_property
+    def _area(self) -> fem.Form:
+        area = ufl.conditional(ufl.gt(self._trial_pressure, 0.0), 1.0, 0.0) * self._measure
+        return compile_forms(self.comm, [area], options(self.comm))[0]
+
+    def area(self) -> float:
+        """See `ContactPair`."""
+        return total(self.comm, float(fem.assemble_scalar(self._area)))
+
+
+class _ForceOfForm:
+    """See `ForceAlong`.
+
+    Args:
+        penalty: As a whole [N/m].
+    """
+
+    def __init__(self, context: FormContext, force: ufl.Form, penalty: ufl.Form) -> None:
+        self._comm, self._space = context.body.comm, context.unknowns.W
+        row = ufl.derivative(force, context.unknowns.w, ufl.TestFunction(self._space))
+        forms = compile_forms(self._comm, [force, row, penalty], options(self._comm))
+        self._force, self._row, whole = forms
+        self.stiffness = total(self._comm, float(fem.assemble_scalar(whole)))
+
+    def value(self) -> float:
+        """See `ForceAlong`."""
+        return total(self._comm, float(fem.assemble_scalar(self._force)))
+
+    def row(self) -> FloatArray:
+        """See `ForceAlong`."""
+        return assembled(self._row, self._space)
+
+
+def _middle_radius(mesh: Mesh, facets: IndexArray) -> Expr:
+    """Radius of the middle of the facet at hand [m]: a cell may have several in contact.
+
+    On the reference triangle the outward normals are (1, 1)/sqrt(2), (-1, 0) and (0, -1).
+    """
+    radii = fem.Function(fem.functionspace(mesh, ("DG", 0, (3,))))
+    beside, local = cells_beside_facets(mesh, facets)
+    cells = radii.function_space.dofmap.list[beside, 0]
+    radii.x.array.reshape(-1, 3)[cells, local] = facet_corners(mesh, facets)[:, :, 0].mean(axis=1)
+    normal = ufl.geometry.ReferenceNormal(mesh)
+    left = ufl.conditional(ufl.lt(normal[0], -0.5), radii[1], radii[2])
+    return ufl.conditional(ufl.gt(normal[0], 0.5), radii[0], left)
