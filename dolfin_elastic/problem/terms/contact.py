@@ -288,14 +288,11 @@ class ContactPair(Term):
 
     # --- results ---
 
-    def depth(self) -> float:
-        """Of this rank's deepest node of the surface in the obstacle [m]. Not collective."""
-        return float(np.max(-self.gaps()[0], initial=0.0))
-
     @stage("contact")
     def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
         """See `Term`: largest penetration [m] and area under pressure [m^2]."""
-        depth = largest(self.comm, self.depth())
+        gaps = np.minimum(self.gaps()[0], self.pressing_gaps())
+        depth = largest(self.comm, float(np.max(-gaps, initial=0.0)))
         first, second = f"penetration_{self.label}", f"contact_area_{self.label}"
         result[first] = max(result.get(first, 0.0), depth)
         result[second] = result.get(second, 0.0) + self.area()

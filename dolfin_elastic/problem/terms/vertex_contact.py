@@ -15,6 +15,13 @@ With the potential sum of A_I (p_I^2 - lam_I^2)/(2 eps) the virtual work is the 
 integral of psi_I n . v: uniform pressures pass the patch test.  Integrals are over the reference
 surface.
 
+A straight face of a body that is round lacks what lies between it and the body's true surface,
+which may be more than the gap.  So on straight faces the gap is that of the vertices, linear on a
+face, and what the midside displacements add to it: with the place x of a point and that of the same
+point on the face through the moved vertices, x',
+
+    g = sum of l_J g(x_J) + g(x) - g(x').
+
 Source: B. I. Wohlmuth, SIAM J. Numer. Anal. 38 (2000) 989 (dual functions); A. Popp, B. Wohlmuth,
 M. W. Gee & W. A. Wall, SIAM J. Sci. Comput. 34 (2012) B421 (quadratic faces); M. A. Puso & T. A.
 Laursen, Comput. Methods Appl. Mech. Eng. 193 (2004) 601 (weighted gaps); P. Wriggers, Computational
@@ -61,22 +68,42 @@ class VertexContact(ContactPair):
         own = self.facets[self.facets < mesh.topology.index_map(d - 1).size_local]
         # The degree of a pressure, a displacement and, on curved faces, the area element.
         rule = facet_quadrature(mesh, own, 1 + order + 2 * (order - 1), raised=False)
-        self._X, self._weights = rule.X, thickness * rule.weights
+        weights = thickness * rule.weights
         if self._axisymmetric:
-            self._weights *= 2 * np.pi * rule.X[:, :, 0]
+            weights *= 2 * np.pi * rule.X[:, :, 0]
         hats = facet_shape_functions(d, 1, rule.local)
+        means = np.einsum("fq,qi->fi", weights, hats)
+        masses = np.einsum("fq,qi,qj->fij", weights, hats, hats)
+        dual = means[:, :, None] * np.linalg.inv(masses)
+        self._psi = np.einsum("fq,fij,qj->fqi", weights, dual, hats)
         self._shapes = facet_shape_functions(d, context.unknowns.degree, rule.local)
+        self._X = rule.X
+        if mesh.geometry.cmap.degree == 1:
+            self._measure_from_vertices(hats, means, mesh.geometry.x[rule.nodes][:, :, :d])
         S, V = self.lam.function_space, context.unknowns.V
         beside = cells_beside_facets(mesh, own)
         self._vertices, self._nodes = (_on_facets(space, *beside) for space in (S, V))
-        means = np.einsum("fq,qi->fi", self._weights, hats)
-        masses = np.einsum("fq,qi,qj->fij", self._weights, hats, hats)
-        dual = means[:, :, None] * np.linalg.inv(masses)
-        self._psi = np.einsum("fij,qj->fqi", dual, hats)
         self._area_of = self._summed(means)
         index_map = S.dofmap.index_map
         self._owners = Owners(self.comm, index_map.local_range[0], index_map.size_local)
         self._near = np.zeros(index_map.size_local, dtype=bool)
+
+    def _measure_from_vertices(
+        self, hats: FloatArray, means: FloatArray, corners: FloatArray
+    ) -> None:
+        """Adds the points of straight faces, see the module: x' and the vertices.
+
+        Args:
+            hats: At the points of the quadrature, shape (points, d).
+            means: Integrals of the hats, shape (facets, d).
+            corners: Of the faces, shape (facets, d, d) [m].
+        """
+        d = self._dim
+        none = np.zeros((len(hats) + d, self._shapes.shape[1] - d))
+        flat = np.vstack([hats, np.eye(d)])
+        self._shapes = np.vstack([self._shapes, np.hstack([flat, none])])
+        self._psi = np.concatenate([self._psi, -self._psi, means[:, :, None] * np.eye(d)], axis=1)
+        self._X = np.concatenate([self._X, self._X, corners], axis=1)
 
     def _summed(self, rows: FloatArray) -> FloatArray:
         """Sums at the owned nodes of what facets have at their vertices. Collective."""
@@ -93,7 +120,7 @@ class VertexContact(ContactPair):
     # --- gaps and pressures ---
 
     def _places(self) -> FloatArray:
-        """Points of the quadrature as the obstacle sees them, shape (facets, points, dim) [m]."""
+        """Where the gap is measured, as the obstacle sees it, shape (facets, points, dim) [m]."""
         u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
         moved = np.einsum("qk,fkd->fqd", self._shapes, u[self._nodes])
         return np.asarray(self._X + moved - self.shift.value)
@@ -108,7 +135,7 @@ class VertexContact(ContactPair):
     def pressing_gaps(self) -> FloatArray:
         """See `ContactPair`: mean gaps."""
         gaps, _ = self._point_gaps()
-        weighted = np.einsum("fq,fqi,fq->fi", self._weights, self._psi, gaps)
+        weighted = np.einsum("fqi,fq->fi", self._psi, gaps)
         return self._summed(weighted) / self._area_of
 
     def _trial(self) -> tuple[FloatArray, BoolArray]:
@@ -129,10 +156,6 @@ class VertexContact(ContactPair):
     def _of_nodes(self) -> tuple[fem.Function, IndexArray, IndexArray]:
         return nodal(self._context, self.facets, self._context.unknowns.degree)
 
-    def depth(self) -> float:
-        """See `ContactPair`: of its nodes and points."""
-        return max(super().depth(), float(np.max(-self._point_gaps()[0], initial=0.0)))
-
     def area(self) -> float:
         """See `ContactPair`."""
         return total(self.comm, float(np.sum(self._area_of[self.pressures() > 0])))
@@ -149,7 +172,7 @@ class VertexContact(ContactPair):
         Returns:
             Of the nodes k, local, before the ranks are summed, shape (nodes * dim,).
         """
-        at_points = self._weights * np.einsum("fqi,fi->fq", self._psi, values)
+        at_points = np.einsum("fqi,fi->fq", self._psi, values)
         rows = np.einsum("fq,qk,fqd->fkd", at_points, self._shapes, directions)
         index_map = self._context.unknowns.V.dofmap.index_map
         result = np.zeros((index_map.size_local + index_map.num_ghosts, self._dim))
@@ -184,8 +207,7 @@ class VertexContact(ContactPair):
         d, index_map = self._dim, self.lam.function_space.dofmap.index_map
         near = with_ghosts(index_map, self._near[:, None].astype(float))[self._vertices, 0] > 0
         some = near.any(axis=1)
-        weighted = self._weights[some, :, None] * self._psi[some]
-        G = np.einsum("fqi,qk,fqd->fikd", weighted, self._shapes, normals[some])
+        G = np.einsum("fqi,qk,fqd->fikd", self._psi[some], self._shapes, normals[some])
         V = self._context.unknowns.V.dofmap.index_map
         nodes = V.local_to_global(self._nodes[some].ravel()).reshape(-1, self._nodes.shape[1])
         vertices = index_map.local_to_global(self._vertices[some].ravel()).reshape(-1, d)
@@ -228,7 +250,7 @@ class VertexContact(ContactPair):
         if isinstance(self.contact.obstacle, Plane):
             return np.empty(0)
         curvature = self.contact.obstacle.curvature(self._places()[which])
-        at_points = self._weights[which] * np.einsum("fqi,fi->fq", self._psi[which], pressures)
+        at_points = np.einsum("fqi,fi->fq", self._psi[which], pressures)
         return -np.einsum(
             "fq,qk,ql,fqde->fklde", at_points, self._shapes, self._shapes, curvature, optimize=True
         )
@@ -247,7 +269,7 @@ class VertexContact(ContactPair):
         """The derivative of that force by the unknowns, owned entries [N/m]. Collective."""
         pressures, active = self._trial()
         _, normals = self._point_gaps()
-        along = np.einsum("fq,fqi,fq->fi", self._weights, self._psi, normals @ way)
+        along = np.einsum("fqi,fq->fi", self._psi, normals @ way)
         softer = np.where(active, -self._eps / self._area_of, 0.0) * self._summed(along)
         row = self._spread(self._at_vertices(softer), normals)
         turns = self.contact.obstacle.curvature(self._places()) @ way
