@@ -265,8 +265,8 @@ class WeakForm:
 
     def stored(self, account: str) -> ufl.Form | None:
         """Energy stored in terms of an account [J]; None without any."""
-        terms = [term for term in self._terms if term.account == account]
-        return sum(forms_of(terms, "energy")) if terms else None
+        forms = forms_of([term for term in self._terms if term.account == account], "energy")
+        return sum(forms) if forms else None
 
     def damping(self, velocity: Expr | None = None) -> ufl.Form | None:
         """Virtual work against dashpots; None without any.
