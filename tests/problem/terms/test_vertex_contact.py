@@ -35,7 +35,7 @@ def everywhere(problem: Problem, *arrays: np.ndarray) -> list[np.ndarray]:
 
 
 def curved(path: Any, dim: int, h: float, order: int) -> None:
-    """An eighth of a ball, or half a disc's right half, of radius 1 that stands on 0; fine there."""
+    """An eighth of a ball, or a quarter of a disc, of radius 1 that stands on 0; fine there."""
     import gmsh
 
     gmsh.initialize()
