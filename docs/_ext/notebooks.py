@@ -64,7 +64,7 @@ def _cells(text: str) -> Iterator[tuple[str, str]]:
         if name:
             yield "code", _file(name, content)
         for command, _ in commands(content) if language == "console" else ():
-            yield "code", _command(command)
+            yield "code", command_cell(command)
             if (run := _RUN.fullmatch(command)) and not shown:
                 shown = True  # one viewer a notebook: each holds a megabyte
                 yield "code", f'show_report("{run[1]}_results")'
@@ -84,7 +84,7 @@ def _file(name: str, content: str) -> str:
     return f"%%writefile {name}\n{content}".rstrip("\n")
 
 
-def _command(command: str) -> str:
+def command_cell(command: str) -> str:
     """A command of the shell; Python that it would start is the cell itself."""
     if copied := _COPY.fullmatch(command):
         path = ROOT / copied[1]

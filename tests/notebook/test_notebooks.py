@@ -14,8 +14,8 @@ from mpi4py import MPI
 
 sys.path.append(str(ROOT / "docs/_ext"))
 
-from notebooks import TUTORIALS, notebook, write
-from tutorials import BLOCK, commands, pictures
+from notebooks import TUTORIALS, command_cell, notebook, write
+from tutorials import BLOCK, commands, pictures, shown, words
 
 PAGES = sorted(page for page in TUTORIALS.glob("*.md") if page.stem != "index")
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="runs programs of its own")
@@ -59,22 +59,31 @@ def test_its_cells_are_valid(tmp_path: Path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("page", [TUTORIALS / "tuning_fork.md"], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_its_cells_run(page: Path, tmp_path: Path):
-    """In their order, in one process: files, commands, viewer, picture and the number at the end.
+    """In their order: files, commands, viewer, pictures and the number at the end.
 
-    One stands for all, whose commands are those of their pages, which `test_tutorials.py` runs;
-    docker/test-notebook runs every one in Jupyter.
+    Every command ends with code 0 and prints what the page shows, numbers aside;
+    `docs/_ext/tutorials.py` writes what it prints now.  A process for each notebook stands for its
+    kernel; docker/test-notebook runs them in Jupyter itself, which the packages of the program do
+    not contain.
     """
-    (tmp_path / "page.ipynb").write_text(json.dumps(notebook(page)), encoding="utf-8")
+    file = tmp_path / "page.ipynb"
+    file.write_text(json.dumps(notebook(page)), encoding="utf-8")
     path = f"{ROOT / 'docker/bin'}:{clean_environment()['PATH']}"
     done = subprocess.run(
-        [sys.executable, ROOT / "tests/helpers/cells.py", "page.ipynb"],
+        [sys.executable, ROOT / "tests/helpers/cells.py", file.name],
         cwd=tmp_path,
         env={**clean_environment(), "PATH": path, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=400,
+        timeout=500,
         check=False,
     )
     assert done.returncode == 0, f"{done.stdout[-2000:]}\n{done.stderr[-4000:]}"
+    cells = iter(json.loads(file.read_text(encoding="utf-8"))["cells"])
+    for _, language, text in BLOCK.findall(page.read_text(encoding="utf-8")):
+        for command, recorded in commands(text) if language == "console" else ():
+            cell = next(one for one in cells if "".join(one["source"]) == command_cell(command))
+            printed = "".join(output["text"] for output in cell["outputs"])
+            assert words(shown(printed)) == words(recorded), command
