@@ -10,6 +10,7 @@ import gc
 import logging
 import os
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1")
 from mpi4py import MPI
 
 from dolfin_elastic import Problem
+from dolfin_elastic.results.scene.renderer import RENDERER
 
 pytest_plugins = ["suite.selection", "suite.ranks", "suite.cost"]
 pytest.register_assert_rewrite("helpers")
@@ -60,6 +62,22 @@ def _together(request: pytest.FixtureRequest):
         request.config.stash[_ENDED] = ended = request.config.stash.get(_ENDED, 0) + 1
         gc.collect(0 if ended % 50 else 2)
         MPI.COMM_WORLD.barrier()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _one_renderer() -> Iterator[None]:
+    """One process draws the pictures of all tests: its start takes 2 s, a picture 0.2 s."""
+    RENDERER.hold(pytest)
+    yield
+    RENDERER.release(pytest)
+
+
+@pytest.fixture
+def own_renderer(_one_renderer: None) -> Iterator[None]:
+    """For tests of the start and the end of that process, and of what it needs: none is running."""
+    RENDERER.release(pytest)
+    yield
+    RENDERER.hold(pytest)
 
 
 @pytest.fixture(autouse=True)

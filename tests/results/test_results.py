@@ -626,6 +626,7 @@ def test_many_pictures_are_listed_briefly(folder: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("own_renderer")
 def test_one_renderer_for_all_pictures(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It ends with the last output that draws; a second run gets a new one."""
     started, ended = [], []

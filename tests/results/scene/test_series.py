@@ -290,6 +290,7 @@ def test_films_that_cannot_be_made_are_output_errors(
 @pytest.mark.parametrize(
     ("script", "why"), [("exit 1", "Xvfb has ended"), ("exec sleep 60", "no display after")]
 )
+@pytest.mark.usefixtures("own_renderer")
 def test_a_display_that_does_not_come_up(
     folder: Path, script: str, why: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
