@@ -41,10 +41,21 @@ def comm() -> MPI.Comm:
 
 
 @pytest.fixture
-def folder(comm: MPI.Comm, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A fresh folder that all ranks share."""
-    name = tempfile.mkdtemp(dir=tmp_path_factory.getbasetemp()) if comm.rank == 0 else ""
-    return Path(comm.bcast(name))
+    return shared_folder(tmp_path_factory)
+
+
+@pytest.fixture(scope="module")
+def folder_of_module(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder for what all tests of a file read, on all ranks."""
+    return shared_folder(tmp_path_factory)
+
+
+def shared_folder(paths: pytest.TempPathFactory) -> Path:
+    """A fresh folder that all ranks share. Collective."""
+    comm = MPI.COMM_WORLD
+    return Path(comm.bcast(tempfile.mkdtemp(dir=paths.getbasetemp()) if comm.rank == 0 else ""))
 
 
 def pytest_collection_finish() -> None:

@@ -140,7 +140,7 @@ MEMORY = {
         "mesh.box: 4.8e.04 elements need",
     ),
     "local": (
-        'box = {size = [1, 1, 1], cells = [5, 5, 5]}\nrefine = [{on = "all", size = 0.04}]',
+        'box = {size = [1, 1, 1], cells = [4, 4, 4]}\nrefine = [{on = "all", size = 0.1}]',
         r"mesh.refine\[0\].size: .* elements need",
     ),
     "file": ('file = "box.vtu"', "mesh.file: .* elements need"),

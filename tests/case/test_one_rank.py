@@ -166,7 +166,7 @@ def test_all_ranks_end(body: str, tmp_path: Path) -> None:
     assert seconds_to_the_end(body, tmp_path) < LONGEST
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_all_ranks_end_without_a_case(solver: str, tmp_path: Path) -> None:
     """In the loop over the states of a solver that no case describes."""

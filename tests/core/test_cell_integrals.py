@@ -95,6 +95,7 @@ def check_values(problem: Problem, region: MaterialRegion, *, by_loop: bool, wit
     np.testing.assert_allclose(room, known, rtol=0.0, atol=off)
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_loads_and_springs_beside_them(degree):
     """Weight is an integral over cells, pressure and springs are not."""
@@ -119,6 +120,7 @@ def test_laws(name, degree):
     check(Problem(body, law, degree=degree, formulation="displacement"), within=within)
 
 
+@pytest.mark.sample(1)
 def test_several_materials():
     """One integral each, with cells of its own."""
     body = name_parts(
@@ -129,6 +131,7 @@ def test_several_materials():
     check(Problem(body, laws, degree=2, supports=[Support(on="left")]))
 
 
+@pytest.mark.sample(2)
 @pytest.mark.parametrize("nu", [0.499, 0.5])
 def test_pressures_beside_displacements(nu):
     """The unknowns of a cell are those of both, one by one."""

@@ -405,6 +405,7 @@ def test_the_default_size_follows_curvature(folder: Path) -> None:
     assert body.num_cells < 4000
 
 
+@pytest.mark.long
 def test_only_where_nobody_gives_a_size(folder: Path) -> None:
     """Neither beside `mesh.size` nor beside sizes or options of a file."""
     write(folder / "tray.step", tray)

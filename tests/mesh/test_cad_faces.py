@@ -41,10 +41,10 @@ def forms(body: Body) -> dict[str, int]:
     return {text: texts.count(text) for text in texts}
 
 
-@pytest.fixture(name="angle")
-def _angle(folder: Path) -> Body:
-    write(folder / "angle.step", angle)
-    return read_body(folder / "angle.step", size=3)
+@pytest.fixture(name="angle", scope="module")
+def _angle(folder_of_module: Path) -> Body:
+    write(folder_of_module / "angle.step", angle)
+    return read_body(folder_of_module / "angle.step", size=3)
 
 
 def test_kinds_radii_and_forms(folder: Path, angle: Body) -> None:

@@ -213,6 +213,14 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
         config.option.dist = "worksteal"
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Files that do not run on so many ranks are not read there, which took each rank seconds."""
+    if whole(config) and collection_path.suffix == ".py" and MPI.COMM_WORLD.size > 1:
+        file = collection_path.relative_to(TESTS).as_posix()
+        return None if runs_on(file, MPI.COMM_WORLD.size) else True
+    return None
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leaves the tests of the chosen set, and lets those that take longest begin first."""
     items.sort(key=lambda item: item.get_closest_marker("long") is None)
