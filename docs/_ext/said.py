@@ -10,7 +10,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import product
 from pathlib import Path
 from typing import TypeAlias
@@ -103,6 +103,7 @@ class _Function:
 Made: TypeAlias = "defaultdict[str, list[tuple[_Function, ast.Call]]]"
 
 
+@cache
 def messages() -> list[Message]:
     """Every message of an error, every reason of an audit, and every warning in the log."""
     functions = list(_functions())

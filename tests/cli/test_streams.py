@@ -143,7 +143,7 @@ HOMES = {
 }
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("home", HOMES)
 def test_services_without_a_home(home: str, tmp_path: Path) -> None:
     """Open MPI does not start without HOME; without a cache forms are compiled each time."""

@@ -280,7 +280,7 @@ CASES = [
 ]
 
 
-@pytest.mark.sample(16)
+@pytest.mark.sample(10)
 @pytest.mark.parametrize(("file", "sizes", "lanes"), CASES)
 def test_no_error_of_memory(file, sizes, lanes, tmp_path):
     text = text_of(file, sizes, lanes)
@@ -312,7 +312,7 @@ FAULTS = [
 """One entry beyond, read and written, and one undefined result."""
 
 
-@pytest.mark.sample(8)
+@pytest.mark.sample(5)
 @pytest.mark.parametrize(
     ("file", "text", "fault", "found", "lanes"),
     [
