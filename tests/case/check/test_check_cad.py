@@ -56,7 +56,7 @@ def test_a_unit_that_the_file_does_not_have_is_noted(folder: Path) -> None:
 def test_bare_numbers_are_in_the_unit_of_the_file(folder: Path) -> None:
     """Size, selectors, probes: 2, 0 and (4, 2, 5) are millimetres without `unit`."""
     write(folder / "stack.step", stack)
-    *_, state = run(case(folder, size="2 mm"), output=folder / "out")
+    *_, state = run(case(folder, size="2 mm", degree=1), output=folder / "out")
     assert state.numbers["tip_z"] < 0
 
 
