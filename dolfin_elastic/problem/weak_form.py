@@ -21,7 +21,11 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.model.discrete_gradient import StepLaw
-from dolfin_elastic.model.kinematics import WeightedMeasure, gradient_variation
+from dolfin_elastic.model.kinematics import (
+    WeightedMeasure,
+    gradient_variation,
+    second_from_first,
+)
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, SplitLaw
@@ -143,7 +147,7 @@ class WeakForm:
     def internal(self) -> ufl.Form:
         """Internal virtual work: the integral of P(F) : grad v, and the pressure's equation."""
         unknowns = self._unknowns
-        F, dF = self.F(unknowns.w), self._variation()
+        F, dF = self.F(unknowns.w), self._variation(ufl.TestFunction(unknowns.W))
         work = sum(
             ufl.inner(self.response(region, unknowns.w).stress(F), dF)
             * self.volume(region, self.rule(region))
@@ -154,17 +158,16 @@ class WeakForm:
         q = unknowns.auxiliary("pressure", ufl.TestFunction(unknowns.W))
         return work + sum(self._pressure_terms(region, F, q) for region in self._regions)
 
-    def _variation(self) -> Expr:
-        """The variation of F, 3x3."""
+    def _variation(self, dw: Expr) -> Expr:
+        """The variation of F, 3x3, with a test or trial function of all unknowns."""
         context, unknowns = self._context, self._unknowns
-        test = ufl.TestFunction(unknowns.W)
-        stretch = unknowns.auxiliary("stretch", test) if unknowns.has("stretch") else None
-        return gradient_variation(context.geometry, unknowns.v, context.X, stretch)
+        stretch = unknowns.auxiliary("stretch", dw) if unknowns.has("stretch") else None
+        return gradient_variation(context.geometry, unknowns.displacement(dw), context.X, stretch)
 
     @property
     def relaxing(self) -> ufl.Form:
         """Of the internal virtual work that part which relaxes."""
-        F, dF = self.F(self._unknowns.w), self._variation()
+        F, dF = self.F(self._unknowns.w), self._variation(ufl.TestFunction(self._unknowns.W))
         return sum(
             ufl.inner(self.relaxed[region.name].branch_stress(F), dF)
             * self.volume(region, self.rule(region))
@@ -294,6 +297,33 @@ class WeakForm:
     def tangent(self) -> ufl.Form:
         """Derivative of the residual with respect to all unknowns."""
         return ufl.derivative(self.residual, self._unknowns.w, ufl.TrialFunction(self._unknowns.W))
+
+    def geometric(self, base: fem.Function) -> ufl.Form:
+        """Geometric stiffness of the present stress, the integral of S : sym(grad v^T grad du).
+
+        The internal virtual work changes by it at fixed second Piola-Kirchhoff stress S.  A
+        pressure that is an unknown is a stress of its own: at fixed p the work of p g, see `Mixed`,
+        changes by p d2g(v, du).  Of g = J - 1 that is a divergence, so that a uniform pressure does
+        nothing to an enclosed body, where its level may be undetermined.
+
+        Source: Bonet & Wood (2008), sections 8.3 and 8.6.
+
+        Args:
+            base: All unknowns of the state in whose geometry d2g is taken.
+        """
+        W, w, result = self._unknowns.W, self._unknowns.w, ufl.Form([])
+        dv, du = self._variation(ufl.TestFunction(W)), self._variation(ufl.TrialFunction(W))
+        for region in self._regions:
+            response, volume = self.response(region, w), self.volume(region, self.rule(region))
+            if region.compliance is not None:
+                p = ufl.variable(self._unknowns.auxiliary("pressure", w))
+                P = self.response(region, base, pressure=p).stress(self.F(base))
+                work = p * ufl.inner(ufl.diff(P, p), dv) * volume
+                result += ufl.derivative(work, base, ufl.TrialFunction(W))
+                response = self.response(region, w, pressure=ufl.as_ufl(0.0))
+            S = second_from_first(response.stress(self.F(w)), self.F(w))
+            result += ufl.inner(S, ufl.sym(dv.T * du)) * volume
+        return result
 
     def inertia(self, a: Expr, v: Expr) -> ufl.Form:
         """Virtual work of the inertia forces, the integral of density a . v (consistent mass).

@@ -1,24 +1,24 @@
 """Load factors at which a body buckles, and how, by SLEPc.
 
-All loads and prescribed displacements of the problem grow with one factor s.  K(s) is the tangent
-along the path of equilibria; where it becomes singular the body buckles.  Linearised about a state
-s0 on the path,
+All loads and prescribed displacements of the problem grow with one factor.  About an equilibrium
+at the factor s0, at rest or under a preload,
 
-    (K(s0) + (factor - s0) dK/ds) u = 0,
+    (K + (factor - s0) (K_sigma + K_load)) u = 0.
 
-with dK/ds the geometric stiffness: the derivative of the tangent along the path, by the
-displacement du/ds = -K^-1 dR/ds and by loads that follow the body.  At s0 = 0 this is linear
-buckling about the undeformed body; the nearer s0 is to the factor, the less is left of what the
-linearisation leaves out.  Before, the body must be stable: then K is positive, and the eigenvalues
-1/(factor - s0) of -dK/ds u = value K u are real.
+K is the tangent there.  K_sigma is the geometric stiffness of the stress that a growing factor
+adds, which is that of the linear solution -K^-1 dR/ds, and K_load the stiffness that it adds to
+loads that follow the body.  Both are those of the geometry at s0: what the displacements before
+buckling do to the stiffness is left out.  The nearer s0 is to the factor, the less that is.
+Before, the body must be stable: then K is positive, and the eigenvalues 1/(factor - s0) of
+-(K_sigma + K_load) u = value K u are real.
 
 Of a linearisation about s0 > 0 only the factors beyond s0 are taken.  Those between 0 and s0 are
 none: there the way to s0 has led past, and the body was stable.  Those below 0 are farther from s0
 than from the state at rest, so reversed loads are linearised at rest, whatever s0 is.
 
-Sources: R. Cook et al., Concepts and Applications of Finite Element Analysis (2002), section 18.2;
-C. Felippa, Nonlinear Finite Element Methods, chapter 28 (linearised prebuckling); dK/ds by central
-differences along the path.
+Sources: R. Cook et al., Concepts and Applications of Finite Element Analysis (2002), chapter 18;
+Abaqus Analysis User's Guide, "Eigenvalue buckling prediction" (base state, load stiffness);
+CalculiX CrunchiX User's Manual, "*BUCKLE".
 """
 
 from __future__ import annotations
@@ -44,7 +44,9 @@ from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.kinematics import displacement_gradient
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Mode, State
-from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
+from dolfin_elastic.solvers.assembly.assembler import Assembler, Tangent, compiled, integral
+from dolfin_elastic.solvers.assembly.matrix import BilinearForm
+from dolfin_elastic.solvers.assembly.two_stage.form import tangent_of_external_terms
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_no_rigid_motion
 from dolfin_elastic.solvers.diagnostics.stability import FactorisedTangent
 from dolfin_elastic.solvers.eigen.critical_load import CriticalLoad
@@ -57,11 +59,11 @@ from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
 log = logging.getLogger("dolfin_elastic")
 
-STRAIN = 1e-3
-"""Displacement over the size of a cell across which the tangent is differentiated.
+STEP = 1e-5
+"""Displacement over the size of a cell across which the stress is differentiated.
 
-The strain is smaller still: at 1e-4 the error of the central difference is about 1e-8, and
-round-off 1e-12, of the stiffness per unit strain.
+The strain is smaller still: at 1e-6 the error of the central difference is about 1e-12, and
+round-off 1e-10, of the stress.
 """
 
 LARGE = 0.05
@@ -159,26 +161,26 @@ class Buckling(PreloadedAnalysis):
         self.choice.report()
         base = fem.Function(self.problem.V, name="displacement")
         base.x.array[:] = self.problem.u.x.array
-        path, buckled = _Path(self.problem, share), list[_Buckled]()
+        perturbation, buckled = Perturbation(self.problem, share), list[_Buckled]()
         try:
             with failing_together(self.problem.body.comm):
                 for sign in signs:
-                    pairs = self._pairs(path, share, sign)
-                    _warn_of_strains(pairs, path.strain_rate, share)
+                    pairs = self._pairs(perturbation, share, sign)
+                    _warn_of_strains(pairs, perturbation.strain_rate, share)
                     buckled += [(pair, base) for pair in pairs]
         finally:
-            path.destroy()
+            perturbation.destroy()
         return buckled
 
-    def _pairs(self, path: _Path, share: float, sign: int) -> list[Pair]:
+    def _pairs(self, perturbation: Perturbation, share: float, sign: int) -> list[Pair]:
         """Load factors and modes, beginning with the nearest."""
         wanted = self.settings.count
-        change = path.rate.copy()
+        change = perturbation.rate.copy()
         change.scale(-float(sign))
         try:
             pairs = CriticalLoad(
                 self.problem,
-                path.stiffness,
+                perturbation.stiffness,
                 change,
                 choice=self.choice,
                 users=self.of_modes(loaded=self.settings.preload > 0.0),
@@ -212,13 +214,13 @@ def _warn_of_strains(pairs: Sequence[Pair], strain_rate: float, share: float) ->
         )
 
 
-class _Path:
-    """Tangent of a state, and its derivative along the path of equilibria. Collective.
+class Perturbation:
+    """A state, and what the loads change in it when they grow. Collective.
 
     Attributes:
-        stiffness: K(s0), ones on the diagonal where displacements are prescribed.
-        rate: dK/ds, zero there.
-        strain_rate: Rate of the strain along the path, root of its mean square.
+        stiffness: K, ones on the diagonal where displacements are prescribed.
+        rate: K_sigma + K_load, zero there.
+        strain_rate: Rate of the strain with the load factor, root of its mean square.
     """
 
     def __init__(self, problem: Problem, share: float) -> None:
@@ -232,24 +234,36 @@ class _Path:
     def _make(self) -> None:
         problem, assembler = self._problem, self._assembler
         base = problem.w.x.array.copy()
-        self._put(base, self._share)
         along = self._velocity(base)
-        self.stiffness: PETSc.Mat = self._tangent(base, self._share).copy()
         top = largest(problem.body.comm, float(np.max(np.abs(along), initial=0.0)))
         if top == 0.0:
-            self.stiffness.destroy()
             raise InputError(
                 "no load deforms the body", where="load", expected="at least one that does"
             )
         self.strain_rate = self._strain_rate(along)
-        step = STRAIN * cell_size(problem.body) / top
-        self.rate: PETSc.Mat = self._tangent(base + step * along, self._share + step).copy()
-        before = self._tangent(base - step * along, self._share - step)
-        with stage("assemble"):
-            self.rate.axpy(-1.0, before, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-            self.rate.scale(0.5 / step)
+        self.stiffness: PETSc.Mat = assembler.tangent.matrix.copy()
+        self.rate = self._rate(base, along, STEP * cell_size(problem.body) / top)
         self._put(base, self._share)
         assembler.residual.assemble()
+
+    def _rate(self, base: FloatArray, along: FloatArray, step: float) -> PETSc.Mat:
+        """Difference quotient of the stiffness of stress and loads."""
+        problem, state = self._problem, fem.Function(self._problem.W)
+        state.x.array[:] = base
+        form = problem.weak_form.geometric(state)
+        form += ufl.replace(tangent_of_external_terms(problem), {problem.w: state})
+        tangent = Tangent(
+            self._assembler, BilinearForm(compiled(problem, [form])[0]), iterated=False
+        )
+        try:
+            rate = self._assembled(tangent, base + step * along, self._share + step).copy()
+            before = self._assembled(tangent, base - step * along, self._share - step)
+            with stage("assemble"):
+                rate.axpy(-1.0, before, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+                rate.scale(0.5 / step)
+        finally:
+            tangent.destroy()
+        return rate
 
     def _put(self, values: FloatArray, share: float) -> None:
         """Puts all unknowns, ghosts included, and the loads."""
@@ -258,20 +272,20 @@ class _Path:
         problem.w.x.array[:] = values
         problem.unknowns.w_to_u()
 
-    def _tangent(self, values: FloatArray, share: float) -> PETSc.Mat:
+    def _assembled(self, tangent: Tangent, values: FloatArray, share: float) -> PETSc.Mat:
         self._put(values, share)
-        self._assembler.tangent.invalidate()
+        tangent.invalidate()
         x = self._assembler.create_vector()
         self._assembler.get(x)
-        self._assembler.tangent.assemble(x)
+        tangent.assemble(x)
         x.destroy()
-        return self._assembler.tangent.matrix
+        return tangent.matrix
 
     def _velocity(self, base: FloatArray) -> FloatArray:
-        """dw/ds = -K^-1 dR/ds, ghosts included."""
+        """dw/ds = -K^-1 dR/ds, ghosts included; the tangent is left at the state."""
         assembler, problem = self._assembler, self._problem
         rates = [self._residual(base, self._share + h) for h in (SHARE, -SHARE)]
-        self._tangent(base, self._share)
+        self._assembled(assembler.tangent, base, self._share)
         stability = FactorisedTangent(assembler)
         if not stability.sound or stability.negative != 0:
             stability.destroy()

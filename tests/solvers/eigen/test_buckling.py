@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.buckling import arch, bedded, cylinder, ring
 from mpi4py import MPI
 
 from dolfin_elastic import (
     Body,
+    BodyForce,
     Buckling,
+    Force,
     LinearElastic,
     Modal,
     NeoHookean,
@@ -21,13 +25,16 @@ from dolfin_elastic import (
     Selector,
     StVenantKirchhoff,
     Support,
+    Symmetry,
     Traction,
+    box_body,
     name_parts,
     rectangle_body,
 )
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.problem.state import Mode, State
+from dolfin_elastic.solvers.eigen.buckling import Perturbation
 from dolfin_elastic.solvers.eigen.mode_shapes import at_rest
 from dolfin_elastic.solvers.eigen.settings import ModalSettings
 from dolfin_elastic.solvers.linear.choice import LinearSettings
@@ -60,21 +67,20 @@ def column(body: Body, law: Law | None = None, load: float = -EULER, **keys: Any
 
 
 def test_along_the_path(comm: MPI.Comm) -> None:
-    """About a loaded state the factor is that of the path, quadratically in what is left.
+    """About a loaded state the factor is that of the path, in proportion to what is left.
 
-    Linear buckling leaves out terms of second order in the strain before, 0.2 %; they are the
-    law's own.  At 0.95 of the load hardly anything is left out.
+    Linear buckling leaves out what displacements do to the stiffness, of first order in the strain
+    before, 0.2 %, times a number of the law.  At 0.99 of the load hardly anything is left out.
     """
-    problem = column(strip(comm, (20, 2)))
+    problem = column(strip(comm, (20, 2)), NeoHookean(**SOFT))
     linear, half, near = (
         factors(problem, count=1, preload=s, statics=StaticsSettings(steps=1))[0]
-        for s in (0.0, 0.5, 0.9)
+        for s in (0.0, 0.5, 0.99)
     )
-    assert linear == pytest.approx(near, rel=2e-3)
-    # Left out: (near - s)^2 of a quadratic change of the tangent.
-    assert (half - near) / (linear - near) == pytest.approx(0.25, abs=0.05)
+    assert linear == pytest.approx(near, rel=1e-2)
+    assert (half - near) / (linear - near) == pytest.approx(0.5, abs=0.07)
     # Frequencies vanish at the same load, by another eigenvalue problem.
-    loaded = column(strip(comm, (20, 2)), load=-0.97 * EULER * near)
+    loaded = column(strip(comm, (20, 2)), NeoHookean(**SOFT), load=-0.97 * EULER * near)
     rest, mode = (
         next(iter(Modal(loaded, at, statics=StaticsSettings(steps=1)).modes()))
         for at in (ModalSettings(count=1), ModalSettings(count=1, preload=True))
@@ -106,26 +112,32 @@ def test_preload_is_yielded(comm: MPI.Comm) -> None:
 
 
 def test_reversed(comm: MPI.Comm) -> None:
-    """A load the other way: the column is pulled, and buckles under its opposite."""
+    """A load the other way: the column is pulled, and buckles under its opposite only."""
     pushed = factors(column(strip(comm, (10, 1))), count=1)
-    pulled = factors(column(strip(comm, (10, 1)), load=EULER), count=1, negative=True)
-    assert [f for f in pulled if f < 0] == pytest.approx([-f for f in pushed], rel=1e-7)
-    assert len(pulled) == 2
-    assert pulled[0] > 100  # where the material itself gives way, if at all
+    pulled = column(strip(comm, (10, 1)), load=EULER)
+    assert factors(pulled, count=1, negative=True) == pytest.approx([-pushed[0]], rel=1e-7)
 
 
 @pytest.mark.parametrize("preload", [0.9, 0.98])
 def test_reversed_is_linearised_at_rest(preload: float, comm: MPI.Comm) -> None:
     """Whatever the preload: about it the stiffness vanishes elsewhere, too, and that says nothing.
 
-    About 0.98 of its load the column would "buckle" at less of it, where it has been stable.
+    Both ends are clamped, and a force between them presses one half and pulls the other: by
+    symmetry both directions of the load have one factor.
     """
-    problem = column(strip(comm, (10, 1)))
+    problem = Problem(
+        rectangle_body(size=[30, 1], cells=(12, 1), comm=comm),
+        StVenantKirchhoff(**SOFT),
+        supports=[Support(on=["left", "right"])],
+        loads=[BodyForce(value=[-EULER / 30, 0])],
+        degree=2,
+    )
     pushed, pulled = factors(problem, count=1, negative=True)
+    assert pulled == pytest.approx(-pushed, rel=1e-2)  # the triangles are not symmetric
     share = preload * pushed
     steps = StaticsSettings(steps=1)
     modes = list(Buckling(problem, count=1, negative=True, preload=share, statics=steps).modes())
-    assert [mode.load_factor for mode in modes] == pytest.approx([pushed, pulled], rel=3e-3)
+    assert modes[0].load_factor == pytest.approx(pushed, rel=5e-2)
     assert modes[1].load_factor == pytest.approx(pulled, rel=1e-7)
     tops = [comm.allreduce(np.abs(m.base.x.array).max(initial=0.0), op=MPI.MAX) for m in modes]
     assert tops[0] > 0  # about the pressed column
@@ -147,13 +159,17 @@ def test_pressed_by_displacement(comm: MPI.Comm) -> None:
 
 
 def test_mixed(comm: MPI.Comm) -> None:
-    """With a pressure as an unknown: the same factors where both formulations are good."""
+    """With a pressure as an unknown: the same factors where both formulations are good.
+
+    At fixed pressure, not at fixed stress, they differ by the strain, 0.2 and 1.7 %.
+    """
     law = NeoHookeanSplit(**SOFT)
     both = [
         factors(column(strip(comm, (20, 2)), law, formulation=kind), count=2)
         for kind in ("displacement", "mixed")
     ]
-    assert both[1] == pytest.approx(both[0], rel=4e-3)
+    assert both[1] == pytest.approx(both[0], rel=2e-2)
+    assert both[1][0] == pytest.approx(both[0][0], rel=2e-3)
 
 
 def test_a_stiff_layer_in_rubber_that_is_held_all_around(comm: MPI.Comm) -> None:
@@ -195,41 +211,24 @@ def test_a_stiff_layer_in_rubber_that_is_held_all_around(comm: MPI.Comm) -> None
     assert abs(off[1]) < 0.2 * abs(off[0])
 
 
-def test_strains_that_are_too_large_are_told(comm: MPI.Comm, caplog: Any) -> None:
-    """A bar that is pulled "buckles" where it is strained by a third; a column does at 0.3 %."""
-    told = []
-    for pull in (1e5, -1e5):
-        load = Traction(on="right", value=[pull, 0])
-        caplog.clear()
-        found = factors(
-            Problem(
-                strip(comm, (8, 1)),
-                NeoHookean(**SOFT),
-                supports=[Support(on="left")],
-                loads=[load],
-                degree=1,
-            ),
-            count=1,
-        )
-        mine = any("strained by" in record.message for record in caplog.records)
-        told.append(comm.bcast(mine))  # rank 0 says it
-        assert found[0] > 0
-    assert told == [True, False]
-
-
 def test_strains_are_told_of_either_way(comm: MPI.Comm, caplog: Any) -> None:
-    """That the reversed loads buckle the body sooner says nothing of these."""
+    """That the reversed loads buckle the body sooner says nothing of these.
+
+    A force along a strip between clamps presses one half or the other; one half is on rollers.
+    """
+    body = name_parts(strip(comm, (20, 1)), surfaces={"rolled": Selector(box=[[0, 0], [5, 0]])})
+    body.mesh.geometry.x[:, 0] *= 3
     problem = Problem(
-        strip(comm, (8, 1)),
+        body,
         NeoHookean(**SOFT),
-        supports=[Support(on="left")],
-        loads=[Traction(on="right", value=[1e5, 0])],
-        degree=1,
+        supports=[Support(on=["left", "right"]), Support(on="rolled", displacement=["free", 0])],
+        loads=[BodyForce(value=[-1e4, 0])],
+        degree=2,
     )
     found = factors(problem, count=1, negative=True)
-    assert abs(found[1]) < 0.1 * found[0]
+    assert abs(found[1]) < 0.5 * found[0]
     mine = [r.message for r in caplog.records if "strained by" in r.message]
-    told = comm.bcast(mine)
+    told = comm.bcast(mine)  # rank 0 says it
     assert len(told) == 1
     assert f"load factor {found[0]:.6g} " in told[0]
 
@@ -251,6 +250,133 @@ def test_strains_count_from_the_preload(comm: MPI.Comm, caplog: Any) -> None:
         mine = [r.message for r in caplog.records if "strained by" in r.message]
         told.append(comm.bcast(len(mine)))
     assert told == [1, 0]
+
+
+def test_geometric_stiffness_by_hand() -> None:
+    """In numpy, of linear tetrahedra: V grad N_a . sigma . grad N_b of the linear solution."""
+    E, nu, load = 2.0e5, 0.25, np.array([-30.0, 20.0, 10.0])
+    body = box_body(size=[2, 1, 1], cells=(2, 1, 1), comm=MPI.COMM_SELF)
+    problem = Problem(
+        body,
+        StVenantKirchhoff(E=E, nu=nu),
+        supports=[Support(on="left")],
+        loads=[BodyForce(value=load.tolist())],
+        degree=1,
+    )
+    at_rest(problem)
+    perturbation = Perturbation(problem, 0.0)
+    K, G = (np.array(matrix[:, :]) for matrix in (perturbation.stiffness, perturbation.rate))
+    perturbation.destroy()
+
+    X, cells = problem.V.tabulate_dof_coordinates(), problem.V.dofmap.list
+    lam, mu = E * nu / (1 + nu) / (1 - 2 * nu), E / 2 / (1 + nu)
+    elements = [(c, np.linalg.inv(np.c_[np.ones(4), X[c]])[1:].T) for c in cells]
+    volumes = [abs(np.linalg.det(np.c_[np.ones(4), X[c]])) / 6 for c in cells]
+    free = np.repeat(X[:, 0] > 0.5, 3)
+    stiffness, geometric, forces = np.zeros((len(X), 3) * 2), np.zeros_like(K), np.zeros_like(X)
+    for (c, g), V in zip(elements, volumes, strict=True):
+        forces[c] += V / 4 * load
+        pairs = lam * np.einsum("ai,bj->aibj", g, g) + mu * np.einsum("aj,bi->aibj", g, g)
+        pairs += mu * np.einsum("ak,bk,ij->aibj", g, g, np.eye(3))
+        for a, at in enumerate(c):
+            stiffness[at][:, c] += V * pairs[a]
+    stiffness = stiffness.reshape(K.shape)
+    u = np.zeros(len(free))
+    u[free] = np.linalg.solve(stiffness[np.ix_(free, free)], forces.ravel()[free])
+    for (c, g), V in zip(elements, volumes, strict=True):
+        H = u.reshape(-1, 3)[c].T @ g
+        sigma = lam * np.trace(H) * np.eye(3) + mu * (H + H.T)
+        block = np.kron(V * g @ sigma @ g.T, np.eye(3))
+        rows = (3 * c[:, None] + np.arange(3)).ravel()
+        geometric[np.ix_(rows, rows)] += block
+    both = np.ix_(free, free)
+    np.testing.assert_allclose(K[both], stiffness[both], rtol=0, atol=1e-12 * abs(K).max())
+    # Of the quotient across strains of 1e-6 at most.
+    np.testing.assert_allclose(G[both], geometric[both], rtol=0, atol=1e-9 * abs(G).max())
+    assert not G[~free].any()
+    assert not G[:, ~free].any()
+
+
+@pytest.mark.parametrize("geometry", ["space", "plane-stress", "axisymmetric"])
+def test_virial_of_the_stress(geometry: str, comm: MPI.Comm) -> None:
+    """u K_sigma u with u = x is the mean of tr sigma, which equilibrium gives: integral of t . x.
+
+    In a body of revolution u = r: the radial and the hoop stress.  Tractions, as formulas, are not
+    those of a uniform stress.
+    """
+    plane = geometry != "space"
+    rollers = [Symmetry(on="left"), Symmetry(on="bottom" if plane else "front")]
+    if plane:
+        body = rectangle_body(size=[1, 1], cells=(3, 2), comm=comm)
+        loads = [Traction(on="right", value=["-3*y", 0]), Traction(on="top", value=[0, "2*x"])]
+        exact = -3 / 2 + 2 / 2
+    else:
+        body = box_body(size=[1, 1, 1], cells=(2, 1, 1), comm=comm)
+        rollers.append(Symmetry(on="bottom"))
+        loads = [
+            Traction(on="right", value=["-3*y", 0, 0]),
+            Traction(on="top", value=[0, 0, "2*x*y"]),
+        ]
+        exact = -3 / 2 + 2 / 4
+    keys = {"geometry": geometry} if plane else {}
+    if geometry == "axisymmetric":
+        rollers, exact = [Support(on="bottom", displacement=["free", 0])], 2 * np.pi * -3 / 2
+    problem = Problem(
+        body, StVenantKirchhoff(E=1e5, nu=0.3), supports=rollers, loads=loads, degree=2, **keys
+    )
+    at_rest(problem)
+    perturbation = Perturbation(problem, 0.0)
+    x = perturbation.rate.createVecRight()
+    places = problem.places[:, : body.dim].copy()
+    if geometry == "axisymmetric":
+        places[:, 1] = 0.0
+    owned = places.ravel()[: len(problem.unknowns.displacement_dofs)]
+    values = np.zeros(x.getLocalSize())
+    values[problem.unknowns.displacement_dofs] = owned
+    x.array_w[:] = values
+    y = x.duplicate()
+    perturbation.rate.mult(x, y)
+    assert x.dot(y) == pytest.approx(exact, rel=1e-9)
+    x.destroy()
+    y.destroy()
+    perturbation.destroy()
+
+
+@pytest.mark.parametrize(
+    ("shell", "within"), [(ring, 0.01), (arch, 0.01), (cylinder, 0.015), (bedded, 0.02)]
+)
+def test_closed_forms(shell: Callable[[float], Problem], within: float) -> None:
+    """A ring and an arch under a pressure that follows; rings of a tube; a strip on springs."""
+    assert factors(shell(1.0), count=1)[0] == pytest.approx(1.0, rel=within)
+
+
+def test_loads_that_bend(comm: MPI.Comm) -> None:
+    """A steel column of 10 x 10 x 200 mm under 2 kN buckles at Euler's load, whatever bends it.
+
+    By symmetry the sign of what bends does not matter, so that the factor changes with its square:
+    the bending stress couples both sides of the column, by 3e-7 at 10 N.
+    """
+    E, nu, b, L = 210e9, 0.3, 0.01, 0.2
+    euler = np.pi**2 * E * b**4 / 12 / 4 / L**2
+    engesser = euler / (1 + euler / (5 / 6 * E / 2 / (1 + nu) * b**2))
+
+    def found(across: float) -> float:
+        problem = Problem(
+            rectangle_body(size=(L, b), cells=(40, 2), comm=comm),
+            StVenantKirchhoff(E=E, nu=nu),
+            geometry="plane-stress",
+            thickness=b,
+            degree=2,
+            supports=[Support(on="left")],
+            loads=[Force(on="right", value=[-2000, across])],
+        )
+        return factors(problem, count=1)[0]
+
+    straight = found(0.0)
+    assert straight == pytest.approx(engesser / 2000, rel=2e-3)  # the clamp holds the width, too
+    change = np.array([found(across) for across in (10.0, 100.0)]) / straight - 1
+    print(change)
+    assert np.all(np.abs(change) < [1e-6, 1e-5])
 
 
 def refused(comm: MPI.Comm, text: str, error: type[Exception] = InputError, **keys: Any) -> None:
@@ -288,6 +414,12 @@ def test_refused(comm: MPI.Comm) -> None:
     )
     refused(comm, "load: no load deforms the body", loads=[])
     refused(comm, "there is no support", supports=[])
+    refused(
+        comm,
+        "the loads make it only stiffer",
+        ConvergenceError,
+        loads=[Traction(on="right", value=[1, 0])],
+    )
     refused(
         comm,
         "solver.method: buckling needs a factorisation",
