@@ -304,7 +304,8 @@ class WeakForm:
         The internal virtual work changes by it at fixed second Piola-Kirchhoff stress S.  A
         pressure that is an unknown is a stress of its own: at fixed p the work of p g, see `Mixed`,
         changes by p d2g(v, du).  Of g = J - 1 that is a divergence, so that a uniform pressure does
-        nothing to an enclosed body, where its level may be undetermined.
+        nothing to an enclosed body, where its level may be undetermined.  Of linear laws d2g is
+        none, and p is part of S.
 
         Source: Bonet & Wood (2008), sections 8.3 and 8.6.
 
@@ -315,7 +316,7 @@ class WeakForm:
         dv, du = self._variation(ufl.TestFunction(W)), self._variation(ufl.TrialFunction(W))
         for region in self._regions:
             response, volume = self.response(region, w), self.volume(region, self.rule(region))
-            if region.compliance is not None:
+            if region.compliance is not None and not region.law.linear:
                 p = ufl.variable(self._unknowns.auxiliary("pressure", w))
                 P = self.response(region, base, pressure=p).stress(self.F(base))
                 work = p * ufl.inner(ufl.diff(P, p), dv) * volume

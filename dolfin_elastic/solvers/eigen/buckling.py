@@ -80,7 +80,7 @@ class Buckling(PreloadedAnalysis):
     """Finds the load factors at which a problem buckles, and the modes.
 
     Args:
-        problem: What is loaded, without curves over time; its materials must know large rotations.
+        problem: What is loaded, without curves over time.
         settings: See `BucklingSettings`; keyword arguments are its fields.
         statics: How the loaded state is found, with a `preload`.
         linear: How linear systems are solved: by factors.
@@ -101,7 +101,7 @@ class Buckling(PreloadedAnalysis):
         self.settings = settings_from(BucklingSettings, settings, fields)
         self._check_statics_keys("buckling.preload", self.settings.preload)
         refuse(problem, "buckling", loaded=True)
-        _check_laws(problem)
+        _check_laws(problem, self.settings.preload)
         _check_proportional(problem)
         if self.linear.method == "iterative":
             raise InputError(
@@ -335,12 +335,19 @@ class Perturbation:
         self.rate.destroy()
 
 
-def _check_laws(problem: Problem) -> None:
+def _check_laws(problem: Problem, preload: float) -> None:
+    """Refuses laws of small rotations where the body or its loads turn with the displacement."""
+    follows = [load.kind for load in problem.loads if load.follower and load.linearises]
+    if preload > 0.0:
+        reason = "its stiffness does not change under a preload"
+    elif problem.context.linear and follows:
+        reason = f"with it the {follows[0]} does not follow the body"
+    else:
+        return
     for region in problem.regions:
         if region.law.linear:
             raise InputError(
-                f"'{region.law.name()}' is a law of small rotations: its stiffness does not "
-                "change under load",
+                f"'{region.law.name()}' is a law of small rotations: {reason}",
                 where=f"materials.{region.name}.law",
                 expected="st-venant-kirchhoff, which takes the same constants, or another law for "
                 "large rotations",

@@ -172,6 +172,16 @@ def test_mixed(comm: MPI.Comm) -> None:
     assert both[1][0] == pytest.approx(both[0][0], rel=2e-3)
 
 
+@pytest.mark.parametrize("formulation", ["displacement", "mixed"])
+def test_small_strain_laws(formulation: str, comm: MPI.Comm) -> None:
+    """Linear buckling needs no more than Hooke's law: equal to St Venant and Kirchhoff's."""
+    hooke, large = (
+        factors(column(strip(comm, (10, 1)), law(**SOFT), formulation=formulation), count=2)
+        for law in (LinearElastic, StVenantKirchhoff)
+    )
+    assert hooke == pytest.approx(large, rel=1e-8)
+
+
 def test_a_stiff_layer_in_rubber_that_is_held_all_around(comm: MPI.Comm) -> None:
     """A layer buckles in an incompressible matrix whose pressure is known up to a constant.
 
@@ -396,8 +406,16 @@ def test_refused(comm: MPI.Comm) -> None:
     """What has no load factor."""
     refused(
         comm,
-        r"materials.body.law: 'linear-elastic' is a law of small rotations: .* st-venant-kirchhoff",
+        r"materials.body.law: 'linear-elastic' is a law of small rotations: its stiffness .* "
+        "st-venant-kirchhoff",
         law=LinearElastic(**SOFT),
+        settings={"preload": 0.5},
+    )
+    refused(
+        comm,
+        "rotations: with it the pressure does not follow",
+        law=LinearElastic(**SOFT),
+        loads=[Pressure(on="top", value=1)],
     )
     refused(
         comm,
