@@ -387,16 +387,6 @@ class Output(Record):
             check_name_of_folder(folder)
         return folder
 
-    @field_validator("fields")
-    @classmethod
-    def _known_fields(cls, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
-        for index, name in enumerate(names or ()):
-            if name not in FIELDS:
-                raise InputError(
-                    f"unknown field '{name}'", where=f"[{index}]", expected=FIELDS.nearest(name)
-                )
-        return names
-
     _known_formats = field_validator("formats")(staticmethod(check_formats))
 
     @field_validator("pictures", mode="before")
@@ -524,8 +514,10 @@ class Output(Record):
         """
 
         def given(name: str) -> bool:
-            field = FIELDS[name]
-            return motion is None or not (field.statics if motion else field.motion)
+            field = FIELDS.get(name)
+            if motion is None or field is None:  # one of the body is in all analyses
+                return True
+            return not (field.statics if motion else field.motion)
 
         pictures = [p for p in self.pictures if all(map(given, p.fields))]
         if modes:

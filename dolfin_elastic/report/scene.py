@@ -14,7 +14,7 @@ from dolfin_elastic.core.si_text import quantity, scaled_unit
 from dolfin_elastic.core.startup.elsewhere import elsewhere
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.results.derived.spectral import von_mises
-from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.fields import FIELDS, field_in_file
 from dolfin_elastic.results.scene.colour_bar import colour_map
 from dolfin_elastic.results.scene.scene import SAFEST as SAFE
 from dolfin_elastic.results.scene.scene import (
@@ -150,7 +150,7 @@ class Viewed:
 def _offered(frames: Sequence[Frame]) -> list[str]:
     """Names of the fields of all frames, the first ones first; none that is the same everywhere."""
     names = dict.fromkeys([*FIRST, *(name for one in frames for name in one.values)])
-    sizes = [n for n in names if n in FIELDS and not _NO_SIZES.fullmatch(n)]
+    sizes = [n for n in names if not _NO_SIZES.fullmatch(n)]
     known = [n for n in sizes if all(np.isfinite(f.values.get(n, np.nan)).any() for f in frames)]
     return [n for n in known if n in FIRST or _varies([one.values[n] for one in frames])]
 
@@ -174,7 +174,8 @@ def _titles(names: Sequence[str]) -> dict[str, str]:
 
 
 def _shown(name: str, title: str, viewed: Viewed) -> Shown:
-    unit, modes, limit = FIELDS[name].unit, viewed.modes, 0.0
+    row, modes, limit = field_in_file(name), viewed.modes, 0.0
+    unit = row.unit
     low, high = _range([one.values[name] for one in viewed.scene.frames])
     most = high
     if name in SMALL_MATTERS:
@@ -188,7 +189,7 @@ def _shown(name: str, title: str, viewed: Viewed) -> Shown:
     factor, shown = (largest or 1.0, "") if modes else scaled_unit(largest, unit)
     if modes:  # a mode has no size of its own
         title = f"{title} (scaled to 1)"
-    if FIELDS[name].shape == "tensor":
+    if row.shape == "tensor":
         title = f"{title} (norm)"
     return Shown(name, title, low, high, most, limit, factor, shown)
 
@@ -239,9 +240,8 @@ def node_values(grid: pyvista.UnstructuredGrid, allowable: float = 0.0) -> dict[
     cells = [name for name in (*FIELDS, *grid.cell_data.keys()) if name in grid.cell_data]
     averaged = grid.cell_data_to_point_data() if cells else grid
     for name in (*grid.point_data.keys(), *cells):
-        if name in FIELDS:
-            data = averaged.point_data if name in cells else grid.point_data
-            rows[name] = np.asarray(data[name], dtype=np.float64)
+        data = averaged.point_data if name in cells else grid.point_data
+        rows[name] = np.asarray(data[name], dtype=np.float64)
     result = {
         name: np.linalg.norm(values, axis=1) if values.ndim == 2 else values
         for name, values in rows.items()
@@ -319,7 +319,7 @@ def _judged(viewed: Viewed, shown: Shown) -> dict[str, object] | None:
     if known is None:
         return None
     near = nearest(viewed.scene, known.place) if np.isfinite(known.value) else -1
-    text = f"{quantity(known.value, FIELDS[shown.name].unit)} {known.error}".strip()
+    text = f"{quantity(known.value, field_in_file(shown.name).unit)} {known.error}".strip()
     return {"at": near, "text": text if near >= 0 else ""}
 
 

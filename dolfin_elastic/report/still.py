@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from dolfin_elastic.report.scene import FIRST, Shown, Viewed
-from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.fields import field_in_file
 from dolfin_elastic.results.scene.renderer import RENDERER
 from dolfin_elastic.results.scene.scene import Frame, Picture
 from dolfin_elastic.results.scene.series import Limits, draw_pictures, finished
@@ -62,7 +62,7 @@ def stills(viewed: Viewed, palette: Mapping[str, str]) -> tuple[list[tuple[str, 
 def _coloured(body: Picture, viewed: Viewed, shown: Shown) -> Picture:
     name = shown.name
     # A mode has no size of its own.
-    factor, unit = (shown.factor, "") if viewed.modes else (1.0, FIELDS[name].unit)
+    factor, unit = (shown.factor, "") if viewed.modes else (1.0, field_in_file(name).unit)
     values = np.asarray(viewed.frame.values[name] / factor, dtype=np.float64)
     frame = replace(viewed.frame, values={name: values})
     picture = replace(
@@ -70,7 +70,7 @@ def _coloured(body: Picture, viewed: Viewed, shown: Shown) -> Picture:
         scene=replace(body.scene, frames=(frame,)),
         field=name,
         unit=unit,
-        tensor=FIELDS[name].shape == "tensor",
+        tensor=field_in_file(name).shape == "tensor",
         allowable=shown.limit,
         reliable=viewed.reliable.get(name),
     )

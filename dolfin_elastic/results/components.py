@@ -29,25 +29,30 @@ from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.model.axes import JOINT, MATERIAL, LocalAxes, PlacedAxes
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import frame
-from dolfin_elastic.results.field import Component
+from dolfin_elastic.results.field import Component, FieldTable
 from dolfin_elastic.results.fields import FIELDS, fibre_of
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
 
-def check_axes(names: Iterable[str], axes: Mapping[str, LocalAxes | PlacedAxes]) -> None:
+def check_axes(
+    names: Iterable[str],
+    axes: Mapping[str, LocalAxes | PlacedAxes],
+    table: FieldTable = FIELDS,
+) -> None:
     """Checks that the axes of components exist, and have the directions that are asked for.
 
     Args:
-        names: Of fields; others are passed over, see `FIELDS`.
+        names: Of fields, see `field_table`; others are passed over.
         axes: Name to local axes; those of materials are not among them.
+        table: See `field_table`; by default without fields of a body.
 
     Raises:
         InputError: They do not.
     """
     for name in names:
-        component = FIELDS[name].component if name in FIELDS else None
+        component = table[name].component if name in table else None
         if component is None or component.axes == MATERIAL:
             continue
         if component.axes not in axes:

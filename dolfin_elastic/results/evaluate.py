@@ -17,11 +17,12 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.types import AnyArray, FloatArray
+from dolfin_elastic.problem.mesh_fields import fields_at_nodes
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
 from dolfin_elastic.results.components import check_axes, component_rows
 from dolfin_elastic.results.field import Component, RecoveredField
-from dolfin_elastic.results.fields import FIELDS, check_field_names
+from dolfin_elastic.results.fields import check_field_names, field_table
 from dolfin_elastic.results.grid import Grid
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.stress import NodalStress, StressRecovery
@@ -100,18 +101,23 @@ class Evaluator:
 
     Raises:
         InputError: An unknown field, or an energy density without an energy.
+
+    Attributes:
+        table: Name to field, those of the body among them.
     """
 
     def __init__(self, problem: Problem, names: Iterable[str]) -> None:
-        self.problem, self.names = problem, check_field_names(names)
-        check_axes(self.names, problem.axes)
-        wholes = {FIELDS[name].whole or name for name in self.names}
+        self.problem, self.names = problem, check_field_names(names, problem.body)
+        self.table = field_table(problem.body)
+        check_axes(self.names, problem.axes, self.table)
+        wholes = {self.table[name].whole or name for name in self.names}
         self.grid = Grid(problem.V, problem.places)
         self._w = unknowns_of_outputs(problem)
-        self.cell_names = tuple(name for name in self.names if _of_cells(name))
+        self.fields_at_nodes = fields_at_nodes(problem.body, problem.V)
+        self.cell_names = tuple(name for name in self.names if self._of_cells(name))
         self._kernels = [self._kernel(part) for part in problem.regions] if self.cell_names else []
         self._error = ErrorEstimator(problem) if "error" in self.names else None
-        recovered = any(FIELDS[name].recovered for name in self.names)
+        recovered = any(self.table[name].recovered for name in self.names)
         self._recovery = StressRecovery(problem) if recovered else None
         if {"reaction", "residual"} & wholes:
             _ = self.residual
@@ -123,9 +129,13 @@ class Evaluator:
         barycentre = np.full((1, dim), 1 / (dim + 1))
         return cell_kernel(self.problem, region, self._w, self.cell_names, barycentre)
 
+    def _of_cells(self, name: str) -> bool:
+        """Whether a field is evaluated by its formula, once per cell."""
+        return self.table[name].centre == "cell" and self.table[name].formula is not None
+
     @property
     def _widths(self) -> list[int]:
-        return [FIELDS[name].evaluated for name in self.cell_names]
+        return [self.table[name].evaluated for name in self.cell_names]
 
     @cached_property
     def normals(self) -> NodalNormals:
@@ -165,14 +175,9 @@ class Evaluator:
                 table[part.cells[:, None], kernel.columns] = kernel(part.cells)[:, 0]
         ends = np.cumsum(widths)
         return {
-            name: FIELDS[name].finished(table[:, end - width : end])
+            name: self.table[name].finished(table[:, end - width : end])
             for name, width, end in zip(self.cell_names, widths, ends, strict=True)
         }
-
-
-def _of_cells(name: str) -> bool:
-    """Whether a field is evaluated by its formula, once per cell."""
-    return FIELDS[name].centre == "cell" and FIELDS[name].formula is not None
 
 
 @dataclass(frozen=True)
@@ -195,7 +200,7 @@ class StateSource:
 
     def get(self, name: str) -> AnyArray:
         """This rank's rows of a field. Collective."""
-        field = FIELDS[name]
+        field = self.evaluator.table[name]
         return field.values(self) if field.values else self.cells[name]
 
     def nodal(self, name: Literal["u", "v", "a"]) -> AnyArray:
@@ -293,3 +298,12 @@ class StateSource:
         """See `FieldSource`."""
         grid = self.evaluator.grid
         return np.full((grid.own_cells, 1), grid.mesh.comm.rank, dtype=np.int32)
+
+    def of_body(self, name: str) -> AnyArray:
+        """See `FieldSource`."""
+        evaluator, field = self.evaluator, self.evaluator.problem.body.mesh_field(name)
+        if field.centre == "cell":
+            own = field.values[: evaluator.grid.own_cells]
+        else:
+            own = evaluator.fields_at_nodes(name)[: evaluator.grid.own_points]
+        return np.pad(own, ((0, 0), (0, int(field.columns == 2))))  # vectors have three components

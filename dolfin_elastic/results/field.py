@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 from ufl.core.expr import Expr
 
@@ -14,6 +14,9 @@ from dolfin_elastic.core.errors import nearest
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.model.axes import JOINT, MATERIAL
 from dolfin_elastic.model.materials.law import Law
+
+if TYPE_CHECKING:
+    from dolfin_elastic.mesh.fields import MeshField
 
 SHAPES = {"scalar": 1, "vector": 3, "tensor": 9}
 
@@ -71,6 +74,9 @@ class FieldSource(Protocol):
     def rank(self) -> AnyArray:
         """This rank for each cell, shape (cells, 1)."""
 
+    def of_body(self, name: str) -> AnyArray:
+        """A field of the body at the points or cells, vectors with three components."""
+
 
 @dataclass(frozen=True)
 class Component:
@@ -114,6 +120,7 @@ class Field:
         fixed: The same at every step: written once.
         current: How many of its indices, the first ones, belong to the current configuration.
         component: What it is a component of; `formula` is then that of the whole.
+        of_body: The field of the body that it is, or a component of that; None: of the results.
     """
 
     shape: Literal["scalar", "vector", "tensor"]
@@ -129,6 +136,7 @@ class Field:
     fixed: bool = False
     current: int = 0
     component: Component | None = None
+    of_body: MeshField | None = field(default=None, compare=False)
 
     @property
     def whole(self) -> str:
@@ -221,10 +229,12 @@ class FieldTable(Mapping[str, Field]):
         )
 
 
-def _indices_of(field: Field) -> int:
+def _indices_of(row: Field) -> int:
     """Number of indices of a tensor or vector; 0 of what has no components in local axes."""
-    vector = field.shape == "vector" and field.of_tensor is None  # principal values are none
-    return 2 if field.shape == "tensor" else int(vector)
+    if row.centre == "cell" and row.formula is None:
+        return 0
+    vector = row.shape == "vector" and row.of_tensor is None  # principal values are none
+    return 2 if row.shape == "tensor" else int(vector)
 
 
 def _in_axes(whole: Field, component: Component) -> Field | None:

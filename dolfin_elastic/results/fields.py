@@ -12,7 +12,7 @@ knows nothing.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import ufl
 from ufl.core.expr import Expr
@@ -25,6 +25,10 @@ from dolfin_elastic.model.materials.spatial import direction
 from dolfin_elastic.results.derived import spectral
 from dolfin_elastic.results.field import Field, FieldTable, RecoveredField
 from dolfin_elastic.results.verdict import SAFEST
+
+if TYPE_CHECKING:
+    from dolfin_elastic.mesh.body import Body
+    from dolfin_elastic.mesh.fields import MeshField
 
 
 @once
@@ -459,14 +463,78 @@ DEFAULT = ("displacement", "von_mises", "cauchy_stress")
 IN_MOTION = ("velocity",)
 
 
-def check_field_names(names: Iterable[str]) -> tuple[str, ...]:
-    """The names, each once, in their order.
+# --- fields of a body ---
+
+_SHAPES: dict[int, Literal["scalar", "vector", "tensor"]] = {
+    1: "scalar",
+    2: "vector",
+    3: "vector",
+    9: "tensor",
+}
+"""Components of a field of a body to what they are."""
+_TAKEN = {"points", "cells", "Points", "Connectivity", "Offsets", "Types", "vtkGhostType"}
+_TAKEN |= {"node", "cell", *_AXES}
+"""Arrays and columns that files of results have themselves."""
+_NOT_IN_NAMES = "\"'<>&/:;,"
+"""What separates names in HDF5, XML, CSV and the files of Gmsh."""
+
+
+def name_in_results(name: str) -> str:
+    """Name that a field of a body has in results: its own, unless results have one of this name."""
+    return f"{name}_of_mesh" if name in _TAKEN or name in FIELDS else name
+
+
+def field_table(body: Body) -> FieldTable:
+    """`FIELDS`, and the fields of a body that results can hold. Local."""
+    if not body.fields:
+        return FIELDS
+    rows = {
+        name_in_results(name): _of_body(name, given)
+        for name, given in body.fields.items()
+        if not _unfit(name, given)
+    }
+    return FieldTable({**_FIELDS, **rows})
+
+
+def field_in_file(name: str) -> Field:
+    """Row of a field that results hold; of one of the body no more is known than its name."""
+    return FIELDS.get(name) or Field("scalar", "node", "", "field of the body")
+
+
+def _of_body(name: str, given: MeshField) -> Field:
+    return Field(
+        _SHAPES[given.columns],
+        "cell" if given.centre == "cell" else "node",
+        "",
+        "field of the body, in the unit in which it is given",
+        values=lambda source: source.of_body(name),
+        fixed=True,
+        of_body=given,
+    )
+
+
+def _unfit(name: str, given: MeshField) -> str:
+    """Why results cannot hold a field of a body; empty: they can."""
+    if given.columns not in _SHAPES:
+        return f"has {given.columns} components"
+    plain = name.isprintable() and not {*name} & {*_NOT_IN_NAMES} and name.strip(". ")
+    return "" if plain else "has a name that files of results cannot hold"
+
+
+def check_field_names(names: Iterable[str], body: Body) -> tuple[str, ...]:
+    """The names, each once, in their order. Local.
 
     Raises:
-        InputError: There is no such field.
+        InputError: Neither results nor the body have such a field, or results cannot hold it.
     """
-    unique = tuple(dict.fromkeys(names))
+    table, unique = field_table(body), tuple(dict.fromkeys(names))
     for name in unique:
-        if name not in FIELDS:
-            raise InputError(f"there is no field '{name}'", expected=FIELDS.nearest(name))
+        if name not in table:
+            if name in body.fields:
+                raise InputError(
+                    f"the field '{name}' of the body {_unfit(name, body.fields[name])}",
+                    expected="1, 2, 3 or 9 components, and a name without any of "
+                    + " ".join(_NOT_IN_NAMES),
+                )
+            raise InputError(f"there is no field '{name}'", expected=table.nearest(name))
     return unique

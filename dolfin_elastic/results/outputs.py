@@ -17,7 +17,6 @@ from dolfin_elastic.core.shapes.shapes import Axis
 from dolfin_elastic.core.units import COMMON_UNITS
 from dolfin_elastic.mesh.criteria import BoundingBox
 from dolfin_elastic.mesh.selectors import Middle
-from dolfin_elastic.results.fields import check_field_names
 from dolfin_elastic.results.scene.scene import Up, View
 from dolfin_elastic.results.writer import Numbers, Output, Steps, Writer
 from dolfin_elastic.results.writers.history import HistoryWriter
@@ -127,7 +126,7 @@ class FieldFile(Output):
 
     Attributes:
         file: The file to open; the numbers go to a folder beside it, where it has one.
-        fields: Names from `FIELDS`; by default displacement, von Mises and Cauchy stress, and in
+        fields: Names of `field_table`; by default displacement, von Mises and Cauchy stress, and in
             motion velocity.
         every: The first state at or after each n-th step is written, and the last one.
         frames: If given, so many states evenly over the run are written instead.
@@ -144,11 +143,6 @@ class FieldFile(Output):
     @classmethod
     def _check_file(cls, file: str) -> str:
         return _check_suffix(file, Path(cls.model_fields["file"].default).suffix)
-
-    @field_validator("fields")
-    @classmethod
-    def _check_fields(cls, fields: Iterable[str] | None) -> tuple[str, ...] | None:
-        return fields if fields is None else check_field_names(fields)
 
     def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> SeriesWriter:
         """See `Output.open`."""
@@ -310,8 +304,8 @@ class Picture(Output):
     Attributes:
         file: The PNG file; where `every` is a number, the step's number is added to its name.  Of a
             film the .mp4 or .gif file.
-        field: Name from `FIELDS` whose value colours the surface, of a vector or tensor its norm;
-            or several names, which are seen side by side.
+        field: Name of `field_table` whose value colours the surface, of a vector or tensor its
+            norm; or several names, which are seen side by side.
         view: Direction from which the body is seen.
         up: Axis that is up; by default the one against which weight acts, else z.
         clip: Planes that take away a part of the body, or one.
@@ -353,15 +347,11 @@ class Picture(Output):
     @field_validator("field")
     @classmethod
     def _check_field(cls, field: str | list[str]) -> str | list[str]:
-        from dolfin_elastic.results.scene.pictures import check_drawable
-
         names = [field] if isinstance(field, str) else field
         if not 1 <= len(names) <= _MOST_FIELDS:
             raise InputError(
                 f"{len(names)} fields given", expected=f"one, or up to {_MOST_FIELDS} side by side"
             )
-        for name in names:
-            check_drawable(name)
         return field
 
     @field_validator("every")

@@ -32,7 +32,8 @@ from dolfin_elastic.results.derived.part_numbers import (
 )
 from dolfin_elastic.results.derived.reductions import reduction_of
 from dolfin_elastic.results.derived.sections import Section, SectionForces
-from dolfin_elastic.results.fields import FIELDS, component_names
+from dolfin_elastic.results.field import Field
+from dolfin_elastic.results.fields import FIELDS, check_field_names, component_names, field_table
 from dolfin_elastic.results.moments import ReferencePoints, columns_of_moments
 from dolfin_elastic.results.reactions import REACTION, ReactionSums
 from dolfin_elastic.results.recovery.patches import sampling_points
@@ -53,8 +54,8 @@ class ProbePoint(Record):
         at: The point's coordinates, bare numbers in the mesh's unit.
         on: Name of a surface, edge or point in place of coordinates.
         surface: The same for a surface.
-        fields: Names from `FIELDS`: displacement, velocity, acceleration and those of cells; with
-            `values` all of them.
+        fields: Names of `field_table`: displacement, velocity, acceleration, those of cells and
+            those of the body; with `values` all of them.
         values: Of a surface or region: which numbers of the fields are asked for, names of
             `REDUCTIONS` such as "max" or "percentile:95"; by default the mean.
     """
@@ -70,11 +71,6 @@ class ProbePoint(Record):
     def _short(cls, value: object) -> object:
         """A list of coordinates stands for a point where the displacement is evaluated."""
         return {"at": value} if isinstance(value, list | tuple) else value
-
-    @field_validator("fields")
-    @classmethod
-    def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        return names if all(name in FIELDS for name in names) else check_readable(names)
 
     @field_validator("values")
     @classmethod
@@ -100,12 +96,18 @@ class ProbePoint(Record):
                 where="values",
                 expected="on = the name of a surface or region, or no `values`",
             )
-        if not self.values:
-            try:
-                check_readable(self.fields)
-            except InputError as error:
-                raise error.at("fields") from None
         return self
+
+    def check_fields(self, body: Body) -> None:
+        """Checks that the fields exist, and can be evaluated there. Local.
+
+        Raises:
+            InputError: They cannot.
+        """
+        if self.values:
+            check_field_names(self.fields, body)
+        else:
+            check_readable(self.fields, body)
 
     @property
     def part(self) -> str | None:
@@ -180,19 +182,19 @@ def _samples(body: Body, kind: str, on: str, degree: int) -> FloatArray:
     return every
 
 
-def check_readable(names: Iterable[str]) -> tuple[str, ...]:
-    """Checks that a probe can evaluate these fields, and returns their names.
+def check_readable(names: Iterable[str], body: Body) -> tuple[str, ...]:
+    """Checks that a probe in a body can evaluate these fields, and returns their names. Local.
 
     Raises:
         InputError: It cannot: the field is of nodes, but for displacement, velocity, acceleration
-            and reaction.
+            and reaction, and is not one of the body.
     """
-    readable = (*NODAL, REACTION)
-    known = [name for name in FIELDS if name in readable or FIELDS[name].formula]
+    readable, table = (*NODAL, REACTION), field_table(body)
+    known = [n for n, row in table.items() if n in readable or row.formula or row.of_body]
     for name in (result := tuple(names)):
-        whole = FIELDS[name].whole if name in FIELDS else ""
+        whole = table[name].whole if name in table else ""
         if (whole or name) not in known or whole == REACTION:
-            raise InputError(f"a probe cannot read '{name}'", expected=FIELDS.nearest(name, known))
+            raise InputError(f"a probe cannot read '{name}'", expected=table.nearest(name, known))
     return result
 
 
@@ -234,10 +236,11 @@ class Probe:
         others: Sequence[Callable[[State], Mapping[str, float]]] = (),
     ) -> None:
         self.problem, self.dim = problem, problem.body.dim
+        self._table = field_table(problem.body)
         self._samples, self._parts, self._others = samples or {}, parts or {}, others
         of = fields if isinstance(fields, Mapping) else dict.fromkeys(points, tuple(fields))
-        asked = {name: check_readable(of[name]) for name in (*points, *self._samples)}
-        check_axes((name for row in asked.values() for name in row), problem.axes)
+        asked = {name: check_readable(of[name], problem.body) for name in (*points, *self._samples)}
+        check_axes((n for row in asked.values() for n in row), problem.axes, self._table)
         held: dict[str, str | Sequence[float]] = dict(reactions or {})
         held |= {name: place for name, place in points.items() if REACTION in asked[name]}
         self._reactions = ReactionSums(problem, held) if held else None
@@ -247,8 +250,8 @@ class Probe:
             self.fields |= {f"{name} {i}": _interpolated(asked[name]) for i in range(len(rows))}
         self.places = locate(problem.body, every, _materials(problem))
         self._at = every
-        names = dict.fromkeys(n for row in self.fields.values() for n in row if not _nodal(n))
-        of_cells = tuple(name for name in names if not FIELDS[name].recovered)
+        names = dict.fromkeys(name for row in self.fields.values() for name in row)
+        of_cells = tuple(name for name in names if self._of_cells(name))
         self._cells = _CellFields(problem, self.places, of_cells) if of_cells else None
         recovered = {
             name: place for name, place in self.places.items() if is_recovered(self.fields[name])
@@ -315,11 +318,13 @@ class Probe:
         def whole(name: str, field: str) -> FloatArray:
             if field in NODAL:
                 return self._nodal(state, field, self.places[name])
+            if self._table[field].of_body is not None:
+                return self._of_body(self._table[field], self.places[name])
             return stress[name].row(field)
 
         def value(name: str, field: str) -> FloatArray:
-            kind = FIELDS[field]
-            if not kind.recovered and not _nodal(field):
+            kind = self._table[field]
+            if self._of_cells(field):
                 return cells[name][field]
             if kind.component is None:
                 return whole(name, field)
@@ -346,6 +351,22 @@ class Probe:
         shape = element.tabulate(0, place.local[None])[0, 0, :, 0]
         nodes = function.function_space.dofmap.list[place.cell]
         return np.asarray(shape @ function.x.array.reshape(-1, self.dim)[nodes])
+
+    def _of_body(self, field: Field, place: LocatedPoint) -> FloatArray:
+        """A field of the body at a point, as `_nodal`."""
+        given, size = field.of_body, self.dim if field.shape == "vector" else field.columns
+        assert given is not None
+        result = np.zeros(size)
+        if place.cell >= 0:
+            cells = np.array([place.cell], dtype=np.int32)
+            values = given.at_each(self.problem.body.mesh, cells, place.local[None])[0, :size]
+            result[: len(values)] = values
+        return result
+
+    def _of_cells(self, name: str) -> bool:
+        """Whether a field is fitted inside the cells."""
+        row = self._table[name]
+        return not row.recovered and (row.whole or name) not in NODAL and row.of_body is None
 
     def numbers(self, state: State) -> dict[str, float]:
         """Column of the history to value, "POINT_x" ... of the displacement, else "POINT_FIELD".
@@ -375,11 +396,6 @@ class Probe:
         if twice := result.keys() & row(state).keys():
             raise duplicate_column(min(twice))
         return replace(state, numbers={**state.numbers, **result})
-
-
-def _nodal(field: str) -> bool:
-    """Whether a field, or the vector of a component, is a function of the state."""
-    return (FIELDS[field].whole or field) in NODAL
 
 
 def _interpolated(fields: Sequence[str]) -> tuple[str, ...]:

@@ -87,8 +87,9 @@ class Quantity:
         if self.name not in FIELDS:
             raise InputError(f"there is no field '{self.name}'", expected=FIELDS.nearest(self.name))
         if not isinstance(self.where, tuple):
-            names = component_names(self.name, FIELDS[self.name].columns)
-            bare = self.field == self.name and len(names) > 1 and not has_length(self.name)
+            field = FIELDS[self.name]
+            names = component_names(self.name, field.columns)
+            bare = self.field == self.name and len(names) > 1 and not has_length(self.name, field)
             if (
                 reduction_of(self.reduction)[0].factor is None
                 and bare

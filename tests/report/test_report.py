@@ -554,7 +554,7 @@ def test_fields_that_are_offered() -> None:
     grid.point_data["displacement"] = points * 1e-3
     grid.point_data["max_principal_stress"] = tension[:, 0]
     grid.cell_data["jacobian"] = np.array([1.0])  # everywhere the same
-    grid.point_data["no_field"] = np.arange(4.0)
+    grid.point_data["of_body"] = np.arange(4.0)
     grid.point_data["normal"] = points  # a direction has no size
     values = node_values(grid, 8e6)
     np.testing.assert_allclose(values["von_mises"], tension[:, 0], rtol=1e-12)
@@ -564,11 +564,12 @@ def test_fields_that_are_offered() -> None:
     scene = Viewed(Scene(points, triangles, triangles[:, :2], (frame,)))
     assert [shown.name for shown in scene.fields] == [
         *("von_mises", "displacement", "safety_factor"),
-        *("cauchy_stress", "max_principal_stress"),
+        *("cauchy_stress", "max_principal_stress", "of_body"),
     ]
-    assert [shown.title for shown in scene.fields][-2:] == [
+    assert [shown.title for shown in scene.fields][-3:] == [
         "Cauchy stress (norm)",
         "max principal stress",
+        "of body",
     ]
     assert scene.left_out == ()
     assert "safety_factor" not in node_values(grid)

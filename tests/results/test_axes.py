@@ -383,7 +383,7 @@ def test_wrong_fields_of_a_case(name: str) -> None:
 def test_names_of_no_field(name: str, expected: str) -> None:
     """Scalars and principal values have no components, nodes no axes of a material."""
     with pytest.raises(InputError, match="no field") as error:
-        check_field_names([name])
+        check_field_names([name], rectangle_body(size=[1, 1], cells=[1, 1]))
     assert expected in error.value.expected
     with pytest.raises(InputError, match="no field"):
         Quantity(name)

@@ -219,7 +219,7 @@ def test_extremes_and_their_places(degree: int) -> None:
 
 def test_unknown_fields_are_refused() -> None:
     with pytest.raises(InputError, match="did you mean 'von_mises'"):
-        check_field_names(["von_misses"])
+        check_field_names(["von_misses"], make_body(2))
     problem = Problem(make_body(2), Textbook(E=1.0, nu=NU), degree=1)
     with pytest.raises(InputError, match="no strain energy"):
         Evaluator(problem, ["energy_density"])

@@ -124,6 +124,7 @@ SHARED = {
     "results/checkpoint/test_checkpoints.py",
     "results/finished/test_finished.py",
     "results/test_axes.py",
+    "results/test_body_fields.py",
     "results/test_probes.py",
     "results/test_results.py",
     "results/test_scattered.py",

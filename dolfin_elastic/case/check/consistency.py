@@ -38,7 +38,7 @@ from dolfin_elastic.problem.material_regions import check_user_energies, volume_
 from dolfin_elastic.problem.mesh_fields import check_fields
 from dolfin_elastic.problem.problem import placed_axes
 from dolfin_elastic.results.components import check_axes
-from dolfin_elastic.results.fields import FIBRE_FIELDS, FIELDS, has_fibre
+from dolfin_elastic.results.fields import FIBRE_FIELDS, check_field_names, field_table, has_fibre
 from dolfin_elastic.solvers.dynamics import settings as dynamics
 from dolfin_elastic.solvers.statics import settings as statics
 
@@ -313,7 +313,25 @@ def _check_output(case: Case, body: Body) -> None:
     case.output.check_clips(body)
 
 
+def _check_field_names(case: Case, body: Body) -> None:
+    """Fields that are asked for exist, and can be written, drawn or evaluated there."""
+    with all_errors() as attempt:
+        for i, name in enumerate(case.output.fields or ()):
+            with attempt(), keyed(f"output.fields[{i}]"):
+                check_field_names([name], body)
+        for i, picture in enumerate(case.output.pictures):
+            from dolfin_elastic.results.scene.pictures import check_drawable
+
+            for name in picture.fields:
+                with attempt(), keyed(f"output.pictures[{i}].field"):
+                    check_drawable(name, body)
+        for key, probe in case.output.probes.items():
+            with attempt(), keyed(f"output.probes.{key_text(key)}.fields"):
+                probe.check_fields(body)
+
+
 def _check_fields(case: Case, body: Body) -> None:
+    table = field_table(body)
     fields = [(f"output.fields[{i}]", name) for i, name in enumerate(case.output.fields or ())]
     fields += [
         (f"output.pictures[{i}].field", name)
@@ -330,15 +348,17 @@ def _check_fields(case: Case, body: Body) -> None:
     placed_axes(case.axes, body, case.mesh.geometry)
     without_energy = [n for n, m in case.materials.items() if not m.law.has_energy]
     for where, name in fields:
+        if (field := table.get(name)) is None:
+            continue
         with keyed(where):
-            check_axes([name], case.axes)
-        if FIELDS[name].motion and case.dynamics is None:
+            check_axes([name], case.axes, table)
+        if field.motion and case.dynamics is None:
             raise CaseError(
                 f"there is no '{name}' in statics",
                 where=where,
                 expected="leave it out, or use [dynamics]",
             )
-        if FIELDS[name].statics and case.dynamics is not None:
+        if field.statics and case.dynamics is not None:
             raise CaseError(
                 f"there is no '{name}' in motion",
                 where=where,
@@ -350,7 +370,7 @@ def _check_fields(case: Case, body: Body) -> None:
                 where=where,
                 expected="leave the field out",
             )
-        component = FIELDS[name].component
+        component = field.component
         of_law = component is not None and component.axes == MATERIAL
         number = 0 if of_law else FIBRE_FIELDS.get(name)
         if number is not None and not any(
@@ -477,6 +497,7 @@ _CHECKS: tuple[tuple[Callable[[Case, Body], None], bool, tuple[str, ...]], ...] 
     (_check_components, False, ()),
     (_check_mesh_fields, False, ()),
     (_check_densities, False, ("materials", *_ANALYSIS)),
+    (_check_field_names, False, ()),
     (_check_fields, False, ("materials", "axes", "output", *_ANALYSIS)),
     (_check_materials, True, ("", "materials", "regions")),
     (_check_energies, True, ("materials",)),

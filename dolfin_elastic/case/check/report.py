@@ -60,6 +60,7 @@ from dolfin_elastic.problem.damping import check_damped
 from dolfin_elastic.problem.material_regions import locking_notes
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.derived.sections import SectionForces
+from dolfin_elastic.results.fields import name_in_results
 from dolfin_elastic.results.files import why_not_made
 from dolfin_elastic.results.moments import columns_of_moments
 from dolfin_elastic.results.probes import duplicate_column
@@ -315,7 +316,8 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
             *cell_notes(body),
         ),
         fields=tuple(
-            f"{name}: {body.fields[name].describe(body.comm)}" for name in sorted(body.fields)
+            f"{name}: {body.fields[name].describe(body.comm)}{_renamed(name)}"
+            for name in sorted(body.fields)
         ),
         materials=material_sizes(integrals),
         constants=tuple(material_constants(case)),
@@ -339,6 +341,12 @@ def _solver_choice(case: Case, problem: Problem) -> Choice | None:
         return solver.choice
     moving = case.dynamics is not None
     return None if case.explicit else choose(problem, case.solver, moving=moving)
+
+
+def _renamed(name: str) -> str:
+    """What a field of the body is called in results, if that is another name."""
+    renamed = name_in_results(name)
+    return "" if renamed == name else f"; in results '{renamed}'"
 
 
 def _thickness(case: Case, problem: Problem) -> float | None:

@@ -13,6 +13,7 @@ from dolfin_elastic.case.analysis import ANALYSES
 from dolfin_elastic.case.case import Case, in_order, locate_errors
 from dolfin_elastic.case.case import read_case as read_alone
 from dolfin_elastic.case.check.consistency import faults
+from dolfin_elastic.case.field_files import add_fields
 from dolfin_elastic.case.model_tables import READERS
 from dolfin_elastic.case.toml import key_parts, read_toml
 from dolfin_elastic.core.errors import MOST_ERRORS, InputError, joined
@@ -58,7 +59,9 @@ def with_the_rest(
             if case.mesh.generated_cells > _MOST_CELLS:
                 break
             body = case.read_mesh(comm) if body is None else body
-            more = faults(case, case.name_parts(body), rest.wrong)
+            named = case.name_parts(body)
+            add_fields(named, case.model_tables(), case.folder)
+            more = faults(case, named, rest.wrong)
             found += [rest.as_written(one) for one in more]
             break
         except InputError as others:

@@ -35,7 +35,8 @@ from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns
 from dolfin_elastic.results.derived.reduction import Samples
 from dolfin_elastic.results.derived.reductions import ending, reduction_of
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.field import Field
+from dolfin_elastic.results.fields import field_table
 
 if TYPE_CHECKING:
     from dolfin_elastic.mesh.body import Body
@@ -49,9 +50,9 @@ _TRIPLES = ("principal_stresses", "principal_stretches")
 _WHERE = "output.probes"
 
 
-def has_length(name: str) -> bool:
+def has_length(name: str, field: Field) -> bool:
     """Whether a field is a vector."""
-    return FIELDS[name].shape == "vector" and name not in _TRIPLES
+    return field.shape == "vector" and name not in _TRIPLES
 
 
 def nodal_function(state: State, field: str) -> fem.Function:
@@ -93,7 +94,7 @@ class PartNumbers:
     Args:
         kind: "surface" or "region".
         part: Its name; None: the whole body.
-        fields: Names from `FIELDS`.
+        fields: Names of `field_table`.
         statistics: Names of reductions, see `REDUCTIONS`.
 
     Attributes:
@@ -115,14 +116,14 @@ class PartNumbers:
     ) -> None:
         self.problem, self.kind, self.fields = problem, kind, tuple(fields)
         self._reductions = {name: reduction_of(name) for name in statistics}
-        self._w = unknowns_of_outputs(problem)
-        self._inside = tuple(name for name in fields if FIELDS[name].formula is not None)
+        self._w, self._table = unknowns_of_outputs(problem), field_table(problem.body)
+        self._inside = tuple(name for name in fields if self._table[name].formula is not None)
         # Of fields with a formula the values at nodes are needed for their extremes alone.
         sought = {"max", "min"} & {*statistics}
         others = [
             name
             for name in fields
-            if name not in self._inside or (sought and FIELDS[name].centre == "node")
+            if name not in self._inside or (sought and self._table[name].centre == "node")
         ]
         self._evaluator = Evaluator(problem, others) if others else None
         body, degree = problem.body, 2 * problem.context.order
@@ -195,7 +196,7 @@ class PartNumbers:
         nodal = {
             name: with_ghosts(self.problem.V.dofmap.index_map, values)
             for name, values in rows.items()
-            if grid is not None and FIELDS[name].centre == "node"
+            if grid is not None and self._table[name].centre == "node"
         }
         inside = [self._evaluated(piece) for piece in self.pieces]
         result: dict[str, FloatArray] = {}
@@ -209,7 +210,7 @@ class PartNumbers:
 
     def _evaluated(self, piece: Piece) -> dict[str, FloatArray]:
         """Fields with a formula at the points of a piece. Not collective."""
-        widths = [FIELDS[name].evaluated for name in self._inside]
+        widths = [self._table[name].evaluated for name in self._inside]
         shape = piece.weights.shape
         table = np.full((*shape, sum(widths)), np.nan)
         if piece.kernel is not None and len(piece.cells):
@@ -217,7 +218,7 @@ class PartNumbers:
         parts = np.split(table, np.cumsum(widths)[:-1], axis=2) if widths else []
         result = {}
         for name, part in zip(self._inside, parts, strict=True):
-            rows = FIELDS[name].finished(part.reshape(shape[0] * shape[1], part.shape[2]))
+            rows = self._table[name].finished(part.reshape(shape[0] * shape[1], part.shape[2]))
             result[name] = rows.reshape(*shape, rows.shape[1])
         return result
 
@@ -247,7 +248,7 @@ class PartNumbers:
             values: At the quadrature points of each piece.
             nodal: At the local nodes, of a field of nodes.
         """
-        width = FIELDS[name].columns
+        width = self._table[name].columns
         size = self._plane(name, width)
 
         def columns(table: FloatArray) -> FloatArray:
@@ -264,13 +265,13 @@ class PartNumbers:
             end = ending(statistic, "area" if self.kind == "surface" else "volume")
             numbers = reduction(samples, number)
             result[f"{name}_{end}"] = numbers[:size]
-            if has_length(name) and reduction.factor is None:
+            if has_length(name, self._table[name]) and reduction.factor is None:
                 result[f"{name}_length_{end}"] = numbers[size:]
         return result
 
     def _plane(self, name: str, width: int) -> int:
         """Number of components that are shown: vectors of a plane body have two."""
-        flat = FIELDS[name].shape == "vector" and FIELDS[name].formula is None
+        flat = self._table[name].shape == "vector" and self._table[name].formula is None
         return self.problem.body.dim if flat else width
 
 

@@ -172,7 +172,22 @@ class FinishedRun(Shown):
     @cached_property
     def units(self) -> dict[str, str]:
         """See the class."""
-        return {name: column_unit(name, timed=self.timed) for name in self.history}
+        from dolfin_elastic.results.fields import FIELDS
+
+        output = self.case.get("output") or {}
+        probes = probes if isinstance(probes := output.get("probes"), Mapping) else {}
+        asked = {n: row.get("fields") for n, row in probes.items() if isinstance(row, Mapping)}
+        # Fields of the body have no unit that is known; names of columns may suggest one.
+        of_body = tuple(
+            f"{name}_{field}_"
+            for name, fields in asked.items()
+            for field in (fields if isinstance(fields, list | tuple) else ())
+            if field not in FIELDS
+        )
+        return {
+            name: "" if f"{name}_".startswith(of_body) else column_unit(name, timed=self.timed)
+            for name in self.history
+        }
 
     @cached_property
     def model(self) -> Mapping[str, Any]:

@@ -15,7 +15,7 @@ from dolfin_elastic.core.ghosts import with_ghosts
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.fields import field_table
 from dolfin_elastic.results.grid import to_nodes
 from dolfin_elastic.results.recovery.stress import (
     StressRecovery,
@@ -34,7 +34,7 @@ class DrawnField:
     """A field as a picture shows it.  All of it is collective but `shown`.
 
     Args:
-        name: Name from `FIELDS`, one that a picture can show.
+        name: Name of `field_table`, one that a picture can show.
 
     Attributes:
         name: As given.
@@ -44,7 +44,7 @@ class DrawnField:
     """
 
     def __init__(self, problem: Problem, name: str) -> None:
-        field = FIELDS[name]
+        field = field_table(problem.body)[name]
         self.name, self._recovered = name, field.recovered and field.component is None
         self.linear = not self._recovered and name not in _SMOOTH
         self._recovery = StressRecovery(problem) if self._recovered else None
@@ -69,7 +69,7 @@ class DrawnField:
         values = self.values(state)
         if self.linear and values.shape[1] > 1:
             values = np.linalg.norm(values, axis=1, keepdims=True)
-        if FIELDS[self.name].centre == "cell":
+        if self._evaluate.table[self.name].centre == "cell":
             return to_nodes(V, values)
         return with_ghosts(V.dofmap.index_map, values)
 

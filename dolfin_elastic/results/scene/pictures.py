@@ -30,12 +30,11 @@ from dolfin_elastic.mesh.body import extent, span
 from dolfin_elastic.model.loads.forces import Gravity
 from dolfin_elastic.problem.material_regions import shear_modulus
 from dolfin_elastic.problem.state import Mode, State, plain
-from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.fields import check_field_names, field_table
 from dolfin_elastic.results.files import make_folder, writing
 from dolfin_elastic.results.recovery.error import ERROR, ErrorEstimate
 from dolfin_elastic.results.recovery.peaks import peaks_of
 from dolfin_elastic.results.scene.appearance import (
-    CATEGORIES,
     DEFAULT,
     Appearance,
     common_allowable,
@@ -50,6 +49,7 @@ from dolfin_elastic.results.scene.surface import gather_cells, gather_surface
 from dolfin_elastic.results.writer import LastState, Numbers, StepInterval
 
 if TYPE_CHECKING:
+    from dolfin_elastic.mesh.body import Body
     from dolfin_elastic.problem.problem import Problem
 
 log = logging.getLogger("dolfin_elastic")
@@ -61,6 +61,7 @@ _PEAKS = {
     "safety_factor": ("safety", "safety_elsewhere"),
 }
 """Fields whose largest values may be singular, and their attributes in `Peaks`."""
+_NOT_DRAWN = "rank"
 _SLEEP = 0.02
 """Seconds between two looks for the end of the drawing."""
 
@@ -83,19 +84,16 @@ class Film:
         return self.speed or (1.0 if state.timed else _STATICS)
 
 
-def check_drawable(name: str) -> str:
-    """Checks that a picture can show a field, and returns its name.
+def check_drawable(name: str, body: Body) -> str:
+    """Checks that a picture of a body can show a field, and returns its name. Local.
 
     Raises:
-        InputError: There is no such field, or it is the same in all states and has no names.
+        InputError: There is no such field, or it is that of the ranks.
     """
-    allowed = [
-        name for name, row in FIELDS.items() if name in CATEGORIES or row.formula or not row.fixed
-    ]
-    if name not in FIELDS:
-        raise InputError(f"there is no field '{name}'", expected=FIELDS.nearest(name, allowed))
-    if name not in allowed and FIELDS[name].component is None:
-        raise InputError(f"a picture cannot show '{name}'", expected=f"one of {', '.join(allowed)}")
+    check_field_names([name], body)
+    if name == _NOT_DRAWN:
+        known = ", ".join(other for other in field_table(body) if other != name)
+        raise InputError(f"a picture cannot show '{name}'", expected=f"one of {known}")
     return name
 
 
@@ -113,7 +111,7 @@ def picture(
 
     Args:
         file: The PNG file.
-        field: Name from `FIELDS`; of vectors and tensors the norm is shown; values of cells are
+        field: Name of `field_table`; of vectors and tensors the norm is shown; values of cells are
             averaged at the nodes, but for materials and regions.
         view: Axis along which the body is seen; plane bodies are always seen from the front.
         title: Text above the body, before load or time.
@@ -317,7 +315,7 @@ class Painter:
     """Draws states coloured by fields; compiles once.  All of it is collective but `close`.
 
     Args:
-        fields: Names from `FIELDS`, seen side by side.
+        fields: Names of `field_table`, seen side by side.
 
     Raises:
         InputError: A picture cannot show a field.
@@ -328,8 +326,11 @@ class Painter:
         self._failed, self._reach = False, Reach()
         weights = [g.acceleration(self.dim) for g in problem.loads if isinstance(g, Gravity)]
         self._up = up_against(weights) if self.dim == 3 else "z"
-        names = [check_drawable(name) for name in fields]
-        self._noise = {name: _round_off(problem, FIELDS[name].unit) for name in names}
+        names, table = [check_drawable(n, problem.body) for n in fields], field_table(problem.body)
+        self._noise = {
+            name: 0.0 if table[name].of_body else _round_off(problem, table[name].unit)
+            for name in names
+        }
         given = [part.law.allowable for part in problem.regions]
         known = [float(a.value) if isinstance(a, fem.Constant) else None for a in given]
         self._allowable = common_allowable(known)

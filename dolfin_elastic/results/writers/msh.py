@@ -25,7 +25,6 @@ from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.types import IntArray
 from dolfin_elastic.problem.state import State, plain
 from dolfin_elastic.results.checkpoint.mesh_order import node_numbers
-from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import missing_results, sync, writing
 from dolfin_elastic.results.hdf5 import Rows
 from dolfin_elastic.results.writer import Numbers
@@ -51,7 +50,7 @@ class MshWriter(SeriesWriter):
         if not self._end:
             self._write_mesh()
         for name, part in rows.items():
-            node = FIELDS[name].centre == "node"
+            node = self._evaluate.table[name].centre == "node"
             self._write_view(name, state, part, self._numbers[0] if node else self._numbers[1])
         return ""
 
@@ -101,7 +100,7 @@ class MshWriter(SeriesWriter):
         head += f"{rows.shape[1]}\n{rows.count}"
         own = numbers[: len(rows.values)]
         lines = lines_of(rows.values.astype(np.float64), own)
-        self._section(_SECTIONS[FIELDS[name].centre], head, lines)
+        self._section(_SECTIONS[self._evaluate.table[name].centre], head, lines)
 
     def _section(self, name: str, head: str, lines: str) -> None:
         """Adds a section. Collective.

@@ -7,6 +7,7 @@ a run that is killed loses the step that it is writing, and none before.
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 from abc import ABC, abstractmethod
@@ -24,7 +25,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.fields import DEFAULT, FIELDS, IN_MOTION
+from dolfin_elastic.results.fields import DEFAULT, IN_MOTION, name_in_results
 from dolfin_elastic.results.files import (
     make_folder,
     missing_results,
@@ -38,6 +39,8 @@ from dolfin_elastic.results.writer import LastState, Numbers, StepInterval
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
+
+log = logging.getLogger("dolfin_elastic")
 
 
 def add_text(comm: MPI.Comm, path: Path, text: str, start: int) -> int:
@@ -146,7 +149,7 @@ class SeriesWriter(ABC):
 
     Args:
         path: The file that users open.
-        fields: Names from `FIELDS`; None: displacement and stresses, in motion also velocity.
+        fields: Names of `field_table`; None: displacement and stresses, in motion also velocity.
         every: Steps between written states, see `StepInterval`; the last state is always written.
         frames: If given, so many states evenly over the run are written instead, and the last.
         saved: Its restart state: later steps are cut off.
@@ -185,6 +188,13 @@ class SeriesWriter(ABC):
         with stage("output"):
             self._evaluate = Evaluator(problem, fields or DEFAULT)
             if saved is None:
+                for name in fields or ():
+                    if name in problem.body.fields and (own := name_in_results(name)) != name:
+                        log.warning(
+                            "'%s' in results is that of the results; the field of the body is '%s'",
+                            name,
+                            own,
+                        )
                 on_root(self.comm, self._clear)
             else:
                 self._frames = self._resume(saved)
@@ -228,7 +238,7 @@ class SeriesWriter(ABC):
         grid = self._evaluate.grid
         default_in_motion = self.fields is None and state.v is not None
         values = self._evaluate(state, more=IN_MOTION if default_in_motion else ())
-        rows = {name: grid.rows(FIELDS[name].centre, v) for name, v in values.items()}
+        rows = {name: grid.rows(self._evaluate.table[name].centre, v) for name, v in values.items()}
         self._frames.append(self._add(state, rows))
         on_root(self.comm, self._commit)
 

@@ -23,7 +23,7 @@ import numpy as np
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.problem.state import State, plain
 from dolfin_elastic.results.checkpoint.mesh_order import node_numbers
-from dolfin_elastic.results.fields import FIELDS, component_names
+from dolfin_elastic.results.fields import component_names
 from dolfin_elastic.results.files import replace_text
 from dolfin_elastic.results.hdf5 import Rows
 from dolfin_elastic.results.writers.series import IndexedSeries, add_text, lines_of
@@ -44,7 +44,9 @@ class TableWriter(IndexedSeries):
     def _add(self, state: State, rows: Mapping[str, Rows]) -> str:
         files = []
         for centre, (numbers, places) in self._rows.items():
-            fields = {n: r.values for n, r in rows.items() if FIELDS[n].centre == centre}
+            fields = {
+                n: r.values for n, r in rows.items() if self._evaluate.table[n].centre == centre
+            }
             file = f"{len(self._frames):06d}_{centre}s.csv"
             if fields or centre == "node":
                 self._write_table(file, centre, numbers, {"": places, **fields})

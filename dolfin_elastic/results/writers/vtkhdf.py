@@ -29,7 +29,6 @@ from dolfin_elastic.core.files import hdf5
 from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.types import IntArray
 from dolfin_elastic.problem.state import State, plain
-from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import sync, writing
 from dolfin_elastic.results.grid import Grid
 from dolfin_elastic.results.hdf5 import Rows
@@ -155,7 +154,9 @@ class VtkhdfWriter(Hdf5Series):
         steps["CellOffsets"] = starts["Types"][mesh][:, None]
         steps["ConnectivityIdOffsets"] = starts["Connectivity"][mesh][:, None]
         for name in frames[0]["fields"]:
-            self._fill_field(root, name, meshes if FIELDS[name].fixed else frames, mesh)
+            self._fill_field(
+                root, name, meshes if self._evaluate.table[name].fixed else frames, mesh
+            )
 
     def _fill_field(
         self, root: h5py.Group, name: str, frames: Sequence[_Frame], mesh: IntArray
@@ -166,7 +167,7 @@ class VtkhdfWriter(Hdf5Series):
             frames: Those whose values are written: all, or of a fixed field one of each mesh.
             mesh: Number of the mesh of each state.
         """
-        field = FIELDS[name]
+        field = self._evaluate.table[name]
         group = "PointData" if field.centre == "node" else "CellData"
         columns, kind = frames[0]["fields"][name]
         parts = [

@@ -26,7 +26,6 @@ from dolfin_elastic.core.ghosts import with_ghosts
 from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.problem.state import State, plain
-from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.files import replace_text, writing
 from dolfin_elastic.results.hdf5 import Rows
 from dolfin_elastic.results.writers.series import IndexedSeries
@@ -75,7 +74,7 @@ class VtuWriter(IndexedSeries):
         points, cells = {}, {}
         used, _, _ = self._piece
         for name, part in rows.items():
-            if FIELDS[name].centre == "cell":
+            if self._evaluate.table[name].centre == "cell":
                 cells[name] = _plain_columns(part.values)
             else:
                 points[name] = _plain_columns(

@@ -34,7 +34,7 @@ from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.mesh.formats.xdmf_arrays import UNIT
 from dolfin_elastic.problem.state import State, plain
 from dolfin_elastic.results import hdf5
-from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.field import Field
 from dolfin_elastic.results.files import replace_text
 from dolfin_elastic.results.grid import Grid
 from dolfin_elastic.results.hdf5 import Rows
@@ -60,10 +60,10 @@ class Hdf5Series(IndexedSeries):
 
     def _add(self, state: State, rows: Mapping[str, Rows]) -> str:
         if not self.mesh_file:
-            fixed = {name: r for name, r in rows.items() if FIELDS[name].fixed}
+            fixed = {name: r for name, r in rows.items() if self._evaluate.table[name].fixed}
             self._write_mesh({**self._mesh_arrays(self._evaluate.grid), **fixed})
         file = f"{len(self._frames):06d}.h5"
-        moving = {name: r for name, r in rows.items() if not FIELDS[name].fixed}
+        moving = {name: r for name, r in rows.items() if not self._evaluate.table[name].fixed}
         hdf5.write(self.comm, self.data / file, moving)
         return self._entry(state, file, rows)
 
@@ -110,12 +110,14 @@ class XdmfWriter(Hdf5Series):
         return str(_MESH.findall(entry)[0])
 
     def _entry(self, state: State, file: str, rows: Mapping[str, Rows]) -> str:
-        files = {name: self.mesh_file if FIELDS[name].fixed else file for name in rows}
+        fields = {name: self._evaluate.table[name] for name in rows}
+        files = {name: self.mesh_file if row.fixed else file for name, row in fields.items()}
         if not self._mesh_text:
             place = f"{self.data.name}/{self.mesh_file}"
             self._mesh_text = mesh_xml(self._evaluate.grid, place)
         attributes = "".join(
-            _attribute(name, r, f"{self.data.name}/{files[name]}") for name, r in rows.items()
+            _attribute(name, fields[name], r, f"{self.data.name}/{files[name]}")
+            for name, r in rows.items()
         )
         return (
             f'<Grid Name="step {state.step}" GridType="Uniform">\n{self._mesh_text}'
@@ -182,8 +184,7 @@ def mesh_xml(grid: Grid, file: str) -> str:
     )
 
 
-def _attribute(name: str, rows: Rows, file: str) -> str:
-    field = FIELDS[name]
+def _attribute(name: str, field: Field, rows: Rows, file: str) -> str:
     return (
         f'<Attribute Name="{name}" AttributeType="{field.shape.capitalize()}" '
         f'Center="{field.centre.capitalize()}">{item(rows, f"{file}:/{name}")}'
