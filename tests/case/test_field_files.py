@@ -15,6 +15,8 @@ from mpi4py import MPI
 
 from dolfin_elastic import Body, Case, Statics
 from dolfin_elastic.case.check.consistency import check
+from dolfin_elastic.case.check.rest import read_case
+from dolfin_elastic.case.toml import toml_text
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh import box_body, read_body, rectangle_body
@@ -227,6 +229,29 @@ def test_results_of_a_run_are_fields(folder: Path) -> None:
     body = Case.from_dict(tables, folder).read_body()
     values = body.fields["displacement of results.xdmf"].values
     np.testing.assert_allclose(values[:, :2], body.mesh.geometry.x[:, :2], atol=1e-14)
+
+
+def test_fields_of_other_files_are_results(folder: Path) -> None:
+    """By the name that the body gives them, also where something else is wrong."""
+    written(folder / "fine.vtu", 7)
+    made = case(folder, kind="thermal", value={**T, "file": "fine.vtu"})
+    tables = {**made.to_dict(), "output": {"fields": ["T of fine.vtu"]}}
+    made = Case.from_dict(tables, folder)
+    body = made.read_body()
+    check(made, body)
+    problem = made.make_problem(body)
+    writer = FORMATS["xdmf"](fields=["T of fine.vtu"]).open(problem, folder)
+    writer.write(State(0, 0.0, problem.u, done=1.0))
+    writer.close()
+    again = read_body(folder / "results.xdmf")
+    known = 20 + linear(again.mesh.geometry.x)
+    found = again.fields["T of fine.vtu"].values[:, 0]
+    np.testing.assert_allclose(found, known, rtol=1e-13)
+    tables["support"] = [{"onn": "left"}]
+    on_root(COMM, lambda: (folder / "case.toml").write_text(toml_text(tables)))
+    with pytest.raises(InputError) as caught:
+        read_case(folder / "case.toml")
+    assert [error.where.partition(": ")[2] for error in caught.value.each] == ["support[0]"]
 
 
 MM = {"rectangle": {"size": [1000, 500], "cells": [2, 2]}, "unit": "mm"}
