@@ -14,12 +14,11 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dolfin_elastic.core import timing
 from dolfin_elastic.core.errors import ElasticError, InputError, SolveError
 from dolfin_elastic.core.si_text import counted, number
-from dolfin_elastic.core.units import stress_unit
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -324,30 +323,6 @@ def show_end(
     show_table(screen, table)
     # Not in the table: the line is longer than a column may be.
     screen.tell(f" time: {_times(seconds)}")
-
-
-def extreme_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Largest von Mises stress and smallest safety factor of a motion's last state, with places."""
-    from dolfin_elastic.results.verdict import factor_text
-
-    extremes, lines = summary.get("extremes", {}), []
-    if (stress := extremes.get("von_mises")) and stress["value"]:
-        factor, unit = stress_unit(stress["value"])
-        lines.append(
-            f"largest von Mises stress at the end  {stress['value'] / factor:.3g} {unit} "
-            f"{_at(stress, summary)}"
-        )
-    if safety := extremes.get("safety_factor"):
-        value = f"{factor_text(safety['value'])} {_at(safety, summary)}"
-        lines.append(f"smallest safety factor at the end    {value}")
-    return lines
-
-
-def _at(extreme: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
-    from dolfin_elastic.results.verdict import place_text  # imports MPI, which errors do not need
-
-    part = f" in '{extreme['part']}'" if extreme["part"] else ""
-    return f"at {place_text(extreme, summary)}{part}"
 
 
 def _end_rows(state: State, motion: bool, most: float = 0.0) -> list[tuple[str, str]]:

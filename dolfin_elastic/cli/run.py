@@ -220,12 +220,13 @@ def _compute(run: CaseRun, shown: _Shown, comm: MPI.Comm, summaries: dict[str, s
 
 
 def _show_verdict(folder: Path, *, motion: bool) -> None:
-    """Prints the verdict; of a motion its largest stress at the end, which statics logs."""
-    from dolfin_elastic.cli.console import TYPED, extreme_lines
+    """Prints the verdict; of a motion its largest stresses, which statics logs."""
+    from dolfin_elastic.cli.console import TYPED
+    from dolfin_elastic.results.finished.findings import lines_of_motion
 
     summary = loads(_summary(folder) or "{}")
-    for line in extreme_lines(summary) if motion else ():
-        print(f" {line}")
+    for line in lines_of_motion(summary) if motion else ():
+        print(f" {line.translate(TYPED)}")
     verdict = summary.get("verdict")
     if verdict and not (motion and verdict["kind"] == "result"):
         print(verdict["text"].translate(TYPED))

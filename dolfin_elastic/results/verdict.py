@@ -7,6 +7,7 @@ same, and that runs before there were verdicts get one.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
@@ -21,6 +22,8 @@ ENOUGH = 0.3
 SAFEST = 1000.0
 """Upper bound of the safety factor, which would be infinite without stress."""
 _LEAVES = "it buckles, tips over or snaps through"
+_LOADED, _NAMES = ("load", "support", "contact"), {"on", "kind", "name"}
+_TIMED = re.compile(r"\bt\b")
 ELSEWHERE = {"von_mises": "elsewhere", "safety_factor": "safety_factor_elsewhere"}
 """Key of an extreme value in the error of `summary.json` to that of the one where it is regular."""
 
@@ -157,6 +160,7 @@ def mode_text(row: Table, whole: Table) -> str:
 
 def _of_stress(summary: Table) -> Verdict:
     error, extremes = (_table(summary, key) for key in ("error", "extremes"))
+    error = error or _table(summary, "motion")
     safety = reliable(error, "safety_factor", extremes)
     stress = reliable(error, "von_mises", extremes)
     if safety is not None and _number(safety.get("value")) > 0:
@@ -182,27 +186,43 @@ def _of_load(found: Verdict, summary: Table) -> Verdict:
     end = _number(_table(_table(summary, "case"), "statics").get("end", 1.0))
     if load < 0.999 * end and kind == "holds":
         kind, text = "not known", f"{text}, but the run has ended early"
-    return _verdict(kind, f"{text}; with {percent(load)} of the load" if load < 0.999 else text)
+    return _verdict(kind, f"{text}; {_load_text(load, summary)}" if abs(load - 1) > 0.001 else text)
+
+
+def _load_text(load: float, summary: Table) -> str:
+    """Which load a state has: in percent, or where some of it follows t, as the load parameter."""
+    case = _table(summary, "case")
+    given = [case.get(key) for key in _LOADED]
+    rows = [row for x in given if isinstance(x, list) for row in x if isinstance(row, Mapping)]
+    values = str([[row[key] for key in row.keys() - _NAMES] for row in rows])
+    timed = any(row.get("curve") for row in rows) or _TIMED.search(values)
+    return f"at load parameter {number(load, 4)}" if timed else f"with {percent(load)} of the load"
 
 
 def reliable(error: Table, name: str, extremes: Table) -> Table | None:
     """The extreme value to judge by: where it is singular, that away from there.
 
     Args:
-        error: Of `summary.json`.
+        error: Of `summary.json`; of a motion its `motion`.
         name: One of `ELSEWHERE`.
         extremes: Of `summary.json`, where no error was estimated.
     """
     peak = error.get(name)
-    if not isinstance(peak, Mapping):  # of a motion, or unloaded
+    if not isinstance(peak, Mapping):  # unloaded, or of a motion before these were kept
         peak = extremes.get(name)
         return peak if isinstance(peak, Mapping) else None
     other, rival = error.get(ELSEWHERE[name]), error.get("may_be_larger")
     if peak.get("singular") and isinstance(other, Mapping):
-        peak = {**other, "apart": peak["singular"]}
+        peak = {**other, "apart": peak["singular"], "distance": _distance(other, peak)}
     if isinstance(rival, Mapping) and rival.get("unresolved"):
         peak = {**peak, "unresolved": peak.get("unresolved") or rival["unresolved"]}
     return peak
+
+
+def _distance(one: Table, other: Table) -> float:
+    """Between two places [m]; NaN where one is not known."""
+    a, b = _place(one), _place(other)
+    return math.dist(a, b) if len(a) == len(b) > 0 else math.nan
 
 
 def doubt(peak: Table) -> str:
@@ -248,7 +268,8 @@ def _unjudged(safety: Table, summary: Table) -> str:
     """What speaks against a part whose stress is known to be below the allowable one."""
     stability, most = _table(summary, "stability"), _table(summary, "largest")
     if "error" not in safety:
-        return "that is the end of the motion alone, with an unknown error"
+        alone = "" if "t" in safety else "that is the end of the motion alone, and "
+        return f"{alone}its error is not estimated in motion"
     if _table(summary, "audit").get("verdict") == "warn":
         return f"the audit has doubts: {_reasons(summary)}"
     if _number(summary.get("max_displacement")) < 0.99 * _number(most.get("max_displacement")):
@@ -283,10 +304,15 @@ def _allowable(peak: Table, summary: Table) -> float:
 
 
 def _where(peak: Table, summary: Table) -> str:
-    """Where, and which singular place does not count."""
-    place = place_text(peak, summary)
+    """Where, when in a motion, and how far from which singular place that does not count."""
+    place, t = place_text(peak, summary), _number(peak.get("t"))
     text = f", on ‘{peak['surface']}’" if peak.get("surface") else f", at {place}" if place else ""
-    return f"{text} (not at {peak['apart']}: singular)" if peak.get("apart") else text
+    text = text if math.isnan(t) else f"{text}, t = {quantity(t, 's')}"
+    if not peak.get("apart"):
+        return text
+    distance = _number(peak.get("distance"))
+    far = "" if math.isnan(distance) else f", {_unit(summary).length(distance)} away"
+    return f"{text} (not at {peak['apart']}{far}: singular)"
 
 
 def place_text(row: Table, summary: Table) -> str:
@@ -295,9 +321,15 @@ def place_text(row: Table, summary: Table) -> str:
     Args:
         row: With "place" [m].
     """
-    metres, given = (
-        _number(_table(_table(summary, "model"), "mesh").get("metres")),
-        row.get("place"),
-    )
-    place = [x for x in given if isinstance(x, int | float)] if isinstance(given, Sequence) else []
-    return LengthUnit.of(metres if metres > 0 else 1.0).point(place) if place else ""
+    place = _place(row)
+    return _unit(summary).point(place) if place else ""
+
+
+def _place(row: Table) -> list[float]:
+    given = row.get("place")
+    return [x for x in given if isinstance(x, int | float)] if isinstance(given, Sequence) else []
+
+
+def _unit(summary: Table) -> LengthUnit:
+    metres = _number(_table(_table(summary, "model"), "mesh").get("metres"))
+    return LengthUnit.of(metres if metres > 0 else 1.0)

@@ -14,7 +14,6 @@ from dolfin_elastic.cli.console import (
     ProgressLines,
     _times,
     console,
-    extreme_lines,
 )
 from dolfin_elastic.cli.console_materials import report_table
 from dolfin_elastic.model.point.checks import Finding
@@ -61,22 +60,6 @@ def test_results_stand_above_a_bar(capfd):
     handler.print_above_bar()
     handler.handle(record)
     assert capfd.readouterr() == ("", "254 kPa\n")
-
-
-def test_largest_values_of_a_motion():
-    """With place and part; nothing is said of a body without stress, or before the end."""
-    stress = {"value": 1.84e8, "place": [0.016, -1e-18], "part": "steel"}
-    safety = {"value": 1.36, "place": [0.016, 0.0], "part": ""}
-    found = {"extremes": {"von_mises": stress, "safety_factor": safety}}
-    assert extreme_lines({**found, "model": {"mesh": {"metres": 0.001}}}) == [
-        "largest von Mises stress at the end  184 MPa at (16, 0) mm in 'steel'",
-        "smallest safety factor at the end    1.36 at (16, 0) mm",
-    ]
-    (line,) = extreme_lines({"extremes": {"safety_factor": {**safety, "value": 1000.0}}})
-    assert "more than 1000 at" in line
-    assert "at (0.016, 0) m" in extreme_lines(found)[1]
-    assert extreme_lines({"extremes": {"von_mises": {**stress, "value": 0.0}}}) == []
-    assert extreme_lines({"extremes": {}}) == []
 
 
 LIBRARIES = {"openblas": "/a/libopenblas.so.0", "mkl": "/b/libmkl_rt.so.2", "slow": "/c/libblas.so"}

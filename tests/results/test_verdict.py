@@ -14,6 +14,7 @@ from dolfin_elastic.results.verdict import Verdict, verdict_of
 PEAK = {"value": 4.0, "place": [0.1, 0.0, 0.005], "part": "steel", "error": 0.1}
 PEAK |= {"surface": "fillet", "singular": "", "unresolved": ""}
 RIM = {**PEAK, "value": 0.8, "singular": "the edge of the support 'left'"}
+RIM["place"] = [0.1, 0.03, 0.045]
 CASE = {"materials": {"steel": {"allowable": "235 MPa"}}}
 
 
@@ -30,6 +31,8 @@ def of_safety(peak: dict[str, Any], **more: Any) -> dict[str, Any]:
 UNLOADED = {"max_displacement": 2.0, "step": 3}
 STRESS = {**PEAK, "value": 9.27e7}
 LAST = {"extremes": {"safety_factor": {"value": 3.0, "place": [0.0, 0.0, 0.0], "part": "steel"}}}
+IN_MOTION = {key: value for key, value in PEAK.items() if key not in ("error", "unresolved")}
+IN_MOTION |= {"value": 0.8, "t": 0.012, "step": 24}
 MODES = [
     {"kind": "rigid", "frequency": 0.0},
     {"kind": "elastic", "frequency": 208.6, "effective_x": 0.02, "effective_y": 0.33},
@@ -44,7 +47,7 @@ MODES = [
         (
             of_safety(RIM, safety_factor_elsewhere={**PEAK, "surface": ""}),
             "holds: 4 times below 235 MPa, ± 10 %, at (100, 0, 5) mm "
-            "(not at the edge of the support 'left': singular)",
+            "(not at the edge of the support 'left', 50 mm away: singular)",
         ),
         (of_safety(RIM), "not known: stress 0.8 times below 235 MPa, on ‘fillet’, but it is"),
         (
@@ -87,7 +90,25 @@ MODES = [
         (
             summary(**LAST),
             "not known: stress 3 times below 235 MPa, at (0, 0, 0) mm, but "
-            "that is the end of the motion",
+            "that is the end of the motion alone, and its error is not estimated in motion",
+        ),
+        (
+            summary(**LAST, motion={"safety_factor": {**IN_MOTION, "value": 1.2}}),
+            "not known: stress 1.2 times below 235 MPa, on ‘fillet’, t = 12 ms, but "
+            "its error is not estimated in motion",
+        ),
+        (
+            summary(**LAST, motion={"safety_factor": RIM, "safety_factor_elsewhere": IN_MOTION}),
+            "fails: von Mises stress 293.8 MPa is 1.2 times the allowable 235 MPa, on ‘fillet’, "
+            "t = 12 ms (not at the edge of the support 'left', 50 mm away: singular)",
+        ),
+        (
+            summary(**LAST, motion={"von_mises": {**IN_MOTION, "value": 9.27e7}}),
+            "not known: stress 3 times",
+        ),
+        (
+            summary(motion={"von_mises": {**IN_MOTION, "value": 9.27e7}}),
+            "largest von Mises stress 92.7 MPa, on ‘fillet’, t = 12 ms",
         ),
         (
             summary(error={"von_mises": STRESS}),
@@ -106,6 +127,17 @@ MODES = [
         (
             {**of_safety(PEAK), "load_factor": 0.5, "case": {**CASE, "statics": {"end": 0.5}}},
             "holds: 4 times below 235 MPa, ± 10 %, on ‘fillet’; with 50 % of the load",
+        ),
+        (
+            {**of_safety(PEAK), "load_factor": 2.0, "case": {**CASE, "statics": {"end": 2}}},
+            "holds: 4 times below 235 MPa, ± 10 %, on ‘fillet’; with 200 % of the load",
+        ),
+        *(
+            (
+                {**of_safety(PEAK), "load_factor": 2.0, "case": {**CASE, "load": [load]}},
+                "holds: 4 times below 235 MPa, ± 10 %, on ‘fillet’; at load parameter 2",
+            )
+            for load in ({"on": "t", "curve": [[0, 1], [2, 3]]}, {"value": ["5 - t", 0]})
         ),
         (
             {**of_safety(PEAK), "load_factor": 0.3, "case": {**CASE, "statics": {"end": 0.5}}},

@@ -123,6 +123,7 @@ SHARED = {
     "problem/test_problem.py",
     "results/checkpoint/test_checkpoints.py",
     "results/finished/test_finished.py",
+    "results/recovery/test_motion_peaks.py",
     "results/test_axes.py",
     "results/test_body_fields.py",
     "results/test_probes.py",

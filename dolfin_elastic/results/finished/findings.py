@@ -6,12 +6,23 @@ All of it follows from `summary.json`, whose types `FinishedRun` has checked, se
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from dolfin_elastic.core.si_text import percent, quantity
-from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.verdict import ELSEWHERE, Table, doubt, mode_text, place_text, reliable
+from dolfin_elastic.results.verdict import (
+    ELSEWHERE,
+    Table,
+    doubt,
+    factor_text,
+    mode_text,
+    place_text,
+    reliable,
+)
+
+if TYPE_CHECKING:
+    from dolfin_elastic.results.finished.run import FinishedRun
 
 _GOOD = 0.1
 """Estimated error of the largest stress up to which a mesh is good."""
@@ -91,37 +102,65 @@ _EXTREMES = {
     "max_jacobian": ("most expanded element", "of its volume"),
     "contact_pressure": ("largest contact pressure", "Pa"),
 }
+_LAST, _SINGULAR = " at the end", ", where it is singular"
+"""What the name of a value adds if it is that of the last state, or has a regular one beside it."""
 
 
 def extremes_of(summary: Table) -> list[Extreme]:
-    """The largest values of the last state; none of a run that has reached no step."""
+    """The largest values of all states of a motion, then of the last state; none before a step."""
     result: list[Extreme] = []
     if not summary.get("steps"):
         return result
-    several = len((summary.get("case") or {}).get("materials") or ()) != 1
+    motion, error = summary.get("motion") or {}, summary.get("error") or {}
+    when = _LAST if motion else ""
     for name, row in (summary.get("extremes") or {}).items():
-        title, unit = _EXTREMES.get(name, (str(name).replace("_", " "), ""))
-        value = Value.of(row.get("value"), unit)
-        if value is None:
-            continue
-        peak = _peak(summary, name)
-        peak = peak if peak.get("value") == row.get("value") else {}
-        here = row if several else {**row, "part": ""}
-        where, singular = _place(here, peak, summary), bool(peak.get("singular"))
-        trust = _trust(peak) if peak else ("", "")
-        mine = Extreme(name, title, value, where, *trust, singular)
-        other = _peak(summary, ELSEWHERE.get(name, ""))  # away from where it is unbounded
-        if (regular := Value.of(other.get("value"), unit)) is not None:
-            where = _place(other if several else {**other, "part": ""}, other, summary)
-            result.append(Extreme(name, title, regular, where, *_trust(other)))
-            mine = replace(mine, name=f"{title}, where it is singular")
-        result.append(mine)
+        if worst := motion.get(name):
+            result += _extremes(summary, name, worst, motion)
+        result += _extremes(summary, name, row, error, when)
     return result
 
 
-def _peak(summary: Table, name: str) -> Table:
-    estimate = (summary.get("error") or {}).get(name)
-    return estimate if isinstance(estimate, Mapping) else {}
+def _extremes(
+    summary: Table, name: str, row: Table, peaks: Table, when: str = ""
+) -> Iterator[Extreme]:
+    """A largest value; where it is singular, after the largest one elsewhere.
+
+    Args:
+        peaks: What is known of it, and of the one elsewhere.
+        when: Of which state it is; empty: of all, or of the only one.
+    """
+    title, unit = _EXTREMES.get(name, (str(name).replace("_", " "), ""))
+    several = len((summary.get("case") or {}).get("materials") or ()) != 1
+    title, value = f"{title}{when}", _value_of(name, row, unit)
+    if value is None:
+        return
+    peak, other = (peaks.get(key) or {} for key in (name, ELSEWHERE.get(name, "")))
+    peak = peak if peak.get("value") == row.get("value") else {}
+    here = row if several else {**row, "part": ""}
+    where, singular = _place(here, peak, summary), bool(peak.get("singular"))
+    trust = _trust(peak) if peak else ("", "")
+    mine = Extreme(name, title, value, where, *trust, singular)
+    if (regular := _value_of(name, other, unit)) is not None:
+        where = _place(other if several else {**other, "part": ""}, other, summary)
+        yield Extreme(name, title, regular, where, *_trust(other))
+        mine = replace(mine, name=f"{title}{_SINGULAR}")
+    yield mine
+
+
+def _value_of(name: str, row: Table, unit: str) -> Value | None:
+    value = Value.of(row.get("value"), unit)
+    bounded = value and name == "safety_factor"
+    return replace(value, text=factor_text(value.value)) if value and bounded else value
+
+
+def lines_of_motion(summary: Table) -> list[str]:
+    """Largest von Mises stresses and smallest safety factors of a motion, for people."""
+    return [
+        f"{row.name:<36} {row.value.text} at {row.place}"
+        + (f" ({row.remark})" if row.remark else "")
+        for row in extremes_of(summary)
+        if row.key in ELSEWHERE and row.value.value > 0 and _SINGULAR not in row.name
+    ]
 
 
 def _trust(peak: Table) -> tuple[str, str]:
@@ -141,7 +180,9 @@ def _trust(peak: Table) -> tuple[str, str]:
 def _place(row: Table, peak: Table, summary: Table) -> str:
     part = f", in ‘{row['part']}’" if row.get("part") else ""
     on = f", on ‘{peak['surface']}’" if peak.get("surface") else ""
-    return place_text(row, summary) + part + on
+    t = row.get("t")
+    when = f", t = {quantity(float(t), 's')}" if isinstance(t, int | float) else ""
+    return place_text(row, summary) + part + on + when
 
 
 def mesh_badge(summary: Table) -> tuple[str, str]:
@@ -180,7 +221,9 @@ def key_figures(run: FinishedRun) -> dict[str, KeyFigure]:
     """Largest values by which a part is judged, each by its key in the summary, and first modes."""
     rows, result = extremes_of(run.summary), dict[str, KeyFigure]()
     for key in ("safety_factor", "von_mises", "displacement"):
-        mine = sorted((row for row in rows if row.key == key), key=lambda row: row.singular)
+        every = [row for row in rows if row.key == key]
+        mine = [row for row in every if _LAST not in row.name] or every
+        mine.sort(key=lambda row: row.singular)
         for row in mine[:1]:
             other = "".join(f"{o.value.text} at {o.place}: singular" for o in mine[1:])
             bad = key == "safety_factor" and row.value.value < 1

@@ -8,7 +8,7 @@ from typing import Any
 from dolfin_elastic.core.errors import InputError
 
 _VALUE: dict[str, object] = {
-    **dict.fromkeys(("value", "error"), float),
+    **dict.fromkeys(("value", "error", "t", "step"), float),
     **dict.fromkeys(("part", "surface", "singular", "unresolved"), str),
     "place": [float],
 }
@@ -55,6 +55,9 @@ SUMMARY: dict[str, object] = {
         "energy_norm": float,
         "reservations": [str],
     },
+    "motion": dict.fromkeys(
+        ("von_mises", "elsewhere", "safety_factor", "safety_factor_elsewhere"), _VALUE
+    ),
     "modes": [_MODE],
     "restarts": [],
     "case": {

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from dolfinx import fem
@@ -18,7 +19,7 @@ from dolfin_elastic.results.recovery.error import ErrorEstimate
 from dolfin_elastic.results.recovery.locking import unseen_locking
 from dolfin_elastic.results.recovery.resolution import RESOLVED, largest_at_nodes, resolution
 from dolfin_elastic.results.recovery.singular import SingularPlaces, singular_places
-from dolfin_elastic.results.recovery.stress import von_mises
+from dolfin_elastic.results.recovery.stress import NodalStress, von_mises
 from dolfin_elastic.results.verdict import factor_text
 
 if TYPE_CHECKING:
@@ -245,18 +246,21 @@ def find_peaks(problem: Problem, estimate: ErrorEstimate) -> Peaks:
     Args:
         problem: The problem that is solved, in the state of the estimate.
     """
-    finder = _Finder(problem, estimate, singular_places(problem))
+    finder = _Judge(problem, estimate, singular_places(problem))
     stress = estimate.stress
     highest, elsewhere, rival = finder.pair(von_mises(stress.stress), stress.region)
     if all(region.law.allowable is None for region in problem.regions):
         return Peaks(highest, elsewhere, rival=rival, cut_off=estimate.cut_off)
-    # The share of the allowable stress is largest where the factor is smallest.
-    use = 1 / np.where(stress.safety > 0, stress.safety, np.nan)
     least, other = (
         None if peak is None or peak.value <= 0 else replace(peak, value=1 / peak.value)
-        for peak in finder.pair(use, stress.safety_region)[:2]
+        for peak in finder.pair(utilisation(stress), stress.safety_region)[:2]
     )
     return Peaks(highest, elsewhere, least, other, rival=rival, cut_off=estimate.cut_off)
+
+
+def utilisation(stress: NodalStress) -> FloatArray:
+    """Von Mises over allowable stress at the owned nodes, largest where the factor is smallest."""
+    return np.asarray(1 / np.where(stress.safety > 0, stress.safety, np.nan))
 
 
 def largest(
@@ -268,7 +272,7 @@ def largest(
         chosen: Which of the owned nodes count.
         places: Where the stress is singular.
     """
-    finder = _Finder(problem, estimate, places)
+    finder = _Judge(problem, estimate, places)
     values = von_mises(estimate.stress.stress)
     values = np.where(np.isfinite(values) & chosen, values, -np.inf)
     peak = finder.at_largest(values, estimate.stress.region, singular=True)
@@ -278,25 +282,15 @@ def largest(
     return finder.judged(peak, values, regular, regular, estimate.stress.region)[0]
 
 
-class _Finder:
+class PeakFinder:
     """Finds largest values among the owned nodes of all ranks.  All of it is collective.
 
     Args:
         places: Where the stress is singular.
     """
 
-    def __init__(self, problem: Problem, estimate: ErrorEstimate, places: SingularPlaces) -> None:
+    def __init__(self, problem: Problem, places: SingularPlaces) -> None:
         self._problem, self._places = problem, places
-        self._resolution = resolution(problem)
-        self._locking = unseen_locking(problem, estimate.relative)
-        own = problem.V.dofmap.index_map.size_local
-        nodes = problem.V.dofmap.list[: len(problem.body.owned_cells())]
-        of_cells = estimate.difference[nodes].max(axis=1, initial=0.0)
-        around = largest_at_nodes(problem.V, nodes, np.nan_to_num(of_cells)[:, None])[:, 0]
-        stress = von_mises(estimate.stress.stress)
-        error = np.fmax(estimate.stress_error, around) / np.where(stress > 0, stress, np.inf)
-        self._errors = np.hypot(np.nan_to_num(error), self._resolution.polygon)
-        assert len(self._errors) == own
 
     def pair(self, values: FloatArray, regions: IntArray) -> tuple[Peak, Peak | None, Peak | None]:
         """The largest value, where it is singular the largest elsewhere, and what may be larger.
@@ -349,31 +343,7 @@ class _Finder:
             every: Which count where a face is not resolved.
             regions: See `pair`.
         """
-        if not peak.place or peak.value <= 0:
-            return peak, None
-        if self._locking is not None:  # the recovered stress is that of a body that hardly moves
-            return replace(peak, error=np.nan, unresolved=self._locking.cause()), None
-        if peak.unresolved:
-            return replace(peak, error=np.nan), None
-        unresolved = self._resolution.unresolved
-        upper = values * (1 + self._errors)
-        may = np.where(unresolved, np.maximum(upper, values * self._resolution.factor), upper)
-        known, unknown = (
-            self._at_largest(np.where(where, may, -np.inf), values, regions)
-            for where in (regular & ~unresolved, every & unresolved)
-        )
-        bound = max(known[0], peak.value * (1 + peak.error))
-        error = bound / peak.value - 1
-        if unknown[0] > bound:
-            return replace(peak, error=np.nan), replace(unknown[1], error=np.nan)
-        apart = np.linalg.norm(np.subtract(known[1].place, peak.place)) if known[1].place else 0.0
-        same = known[0] <= bound * (1 - _EQUAL) or apart <= _SAME_PLACE * self._size_of_cells
-        small = error - peak.error < max(_MORE, _MORE_OF_ERROR * peak.error)
-        return replace(peak, error=error), None if same or small else known[1]
-
-    @cached_property
-    def _size_of_cells(self) -> float:
-        return cell_size(self._problem.body)
+        return peak, None
 
     def at_largest(self, values: FloatArray, regions: IntArray, *, singular: bool = False) -> Peak:
         """The largest value, with its own error.
@@ -406,23 +376,87 @@ class _Finder:
         best = largest_row(comm, by, lambda nodes: problem.places[nodes, :dim])
         if best is None or not np.isfinite(best.value):
             return -np.inf, Peak(0.0, (), "", 0.0)
-        node, own, surface = best.row, None, _surface_at(problem, best.row, best.rank)
+        node, own, surfaces = best.row, None, _surfaces(problem)
         if comm.rank == best.rank:
+            error, unresolved = self._trust(node)
             own = Peak(
                 float(values[node]),
                 best.place,
                 problem.regions[int(regions[node])].name,
-                float(self._errors[node]),
-                surface,
+                error,
+                next((name for _, name, nodes in surfaces if node in nodes), ""),
                 self._places.reason(node) if singular else "",
-                self._unresolved(node),
+                unresolved,
                 problem.body.unit,
             )
         peak: Peak = comm.bcast(own, root=best.rank)
         return best.value, peak
 
+    def _trust(self, node: int) -> tuple[float, str]:
+        """Error of an owned node's value, and why it is not resolved. Not collective."""
+        return np.nan, ""
+
+
+class _Judge(PeakFinder):
+    """Finds largest values with their estimated errors.
+
+    Args:
+        places: Where the stress is singular.
+    """
+
+    def __init__(self, problem: Problem, estimate: ErrorEstimate, places: SingularPlaces) -> None:
+        super().__init__(problem, places)
+        self._resolution = resolution(problem)
+        self._locking = unseen_locking(problem, estimate.relative)
+        own = problem.V.dofmap.index_map.size_local
+        nodes = problem.V.dofmap.list[: len(problem.body.owned_cells())]
+        of_cells = estimate.difference[nodes].max(axis=1, initial=0.0)
+        around = largest_at_nodes(problem.V, nodes, np.nan_to_num(of_cells)[:, None])[:, 0]
+        stress = von_mises(estimate.stress.stress)
+        error = np.fmax(estimate.stress_error, around) / np.where(stress > 0, stress, np.inf)
+        self._errors = np.hypot(np.nan_to_num(error), self._resolution.polygon)
+        assert len(self._errors) == own
+
+    def judged(
+        self,
+        peak: Peak,
+        values: FloatArray,
+        regular: BoolArray,
+        every: BoolArray,
+        regions: IntArray,
+    ) -> tuple[Peak, Peak | None]:
+        """See `PeakFinder`."""
+        if not peak.place or peak.value <= 0:
+            return peak, None
+        if self._locking is not None:  # the recovered stress is that of a body that hardly moves
+            return replace(peak, error=np.nan, unresolved=self._locking.cause()), None
+        if peak.unresolved:
+            return replace(peak, error=np.nan), None
+        unresolved = self._resolution.unresolved
+        upper = values * (1 + self._errors)
+        may = np.where(unresolved, np.maximum(upper, values * self._resolution.factor), upper)
+        known, unknown = (
+            self._at_largest(np.where(where, may, -np.inf), values, regions)
+            for where in (regular & ~unresolved, every & unresolved)
+        )
+        bound = max(known[0], peak.value * (1 + peak.error))
+        error = bound / peak.value - 1
+        if unknown[0] > bound:
+            return replace(peak, error=np.nan), replace(unknown[1], error=np.nan)
+        apart = np.linalg.norm(np.subtract(known[1].place, peak.place)) if known[1].place else 0.0
+        same = known[0] <= bound * (1 - _EQUAL) or apart <= _SAME_PLACE * self._size_of_cells
+        small = error - peak.error < max(_MORE, _MORE_OF_ERROR * peak.error)
+        return replace(peak, error=error), None if same or small else known[1]
+
+    @cached_property
+    def _size_of_cells(self) -> float:
+        return cell_size(self._problem.body)
+
+    def _trust(self, node: int) -> tuple[float, str]:
+        """See `PeakFinder`."""
+        return float(self._errors[node]), self._unresolved(node)
+
     def _unresolved(self, node: int) -> str:
-        """Why a node's stress is not resolved; empty where it is. Not collective."""
         r, unit = self._resolution, self._problem.body.unit
         if not r.unresolved[node]:
             return ""
@@ -433,17 +467,26 @@ class _Finder:
         return f"{text}: size = {size:.3g} {unit.name} resolves it"
 
 
-def _surface_at(problem: Problem, node: int, rank: int) -> str:
-    """Name of the smallest surface with a node of one rank; empty if there is none. Collective."""
-    body, names = problem.body, []
-    for name in sorted(body.surfaces):
-        facets = body.surfaces[name]
-        nodes = fem.locate_dofs_topological(problem.V, body.dim - 1, facets)
-        here = body.comm.rank == rank and node in nodes
-        on, size = total(body.comm, np.array([int(here), len(facets)]))
-        if on:
-            names.append((int(size), name))
-    return min(names)[1] if names else ""
+_SURFACES: WeakKeyDictionary[Problem, list[tuple[int, str, IntArray]]] = WeakKeyDictionary()
+"""Number of facets, name and this rank's nodes of each surface, the smallest surface first."""
+
+
+def _surfaces(problem: Problem) -> list[tuple[int, str, IntArray]]:
+    """See `_SURFACES`. Collective."""
+    if problem not in _SURFACES:
+        body, V = problem.body, problem.V
+        _SURFACES[problem] = sorted(
+            (
+                (
+                    int(total(body.comm, len(body.surfaces[name]))),
+                    name,
+                    fem.locate_dofs_topological(V, body.dim - 1, body.surfaces[name]),
+                )
+                for name in sorted(body.surfaces)
+            ),
+            key=lambda row: row[:2],
+        )
+    return _SURFACES[problem]
 
 
 def _local_maxima(V: fem.FunctionSpace, values: FloatArray) -> BoolArray:

@@ -30,6 +30,7 @@ from dolfin_elastic.results.files import make_folder, replace_text
 from dolfin_elastic.results.quantity import Extremes, Measured
 from dolfin_elastic.results.recovery.error import ErrorEstimate, ErrorEstimator
 from dolfin_elastic.results.recovery.locking import unseen_locking
+from dolfin_elastic.results.recovery.motion_peaks import MotionPeaks
 from dolfin_elastic.results.recovery.peaks import ERROR, peaks_of
 from dolfin_elastic.results.recovery.slender import may_buckle
 from dolfin_elastic.results.verdict import verdict_of
@@ -106,6 +107,7 @@ class SummaryWriter:
             self._restarts = [*self._restarts, {**again, "at": _now()}]
         self._last_state = LastState()
         self._audits = WorstAudit(before.get("audits", ()))
+        self._motion = MotionPeaks(problem, before.get("motion", {}))
         self._extremes: Extremes | None = None
         self._estimator: ErrorEstimator | None = None
         self._modes: list[Mode] = []
@@ -142,6 +144,8 @@ class SummaryWriter:
             self._audits.add(state)
             if state.v is None:
                 self._note_largest(state)
+            else:
+                self._motion.add(state)
             self._save_if_due()
 
     def _moved(self, state: State) -> bool:
@@ -203,6 +207,7 @@ class SummaryWriter:
             "timings": self._timings(),
             "restarts": self._restarts,
             "audits": self._audits.restart_state(),
+            "motion": self._motion.restart_state(),
         }
         return self.comm.bcast(content)  # clocks differ
 
@@ -285,6 +290,8 @@ class SummaryWriter:
         }
         if self._largest:
             content["largest"] = self._largest
+        if motion := self._motion.as_json():
+            content["motion"] = motion
         return {**self._last, **counts, **content, **self._of_modes()}
 
     def _of_modes(self) -> dict[str, object]:
