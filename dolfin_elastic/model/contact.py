@@ -1,4 +1,4 @@
-"""Contact: frictionless unilateral contact of surfaces with rigid obstacles.
+"""Contact: unilateral contact of surfaces with rigid obstacles, with Coulomb friction or without.
 
 The gap g of a point is its signed distance to the obstacle, positive outside, and n the obstacle's
 outward normal there: see `Shape.gap`.  An obstacle's motion is a displacement as that of a support,
@@ -33,7 +33,7 @@ from dolfin_elastic.model.values import OnSurfaces, amplitude_of, at_time, compo
 
 
 class Contact(OnSurfaces):
-    """Surfaces of the body that cannot penetrate a rigid obstacle, without friction.
+    """Surfaces of the body that cannot penetrate a rigid obstacle.
 
     A field that is a `Shape` is one that an obstacle may have: the row of that shape.
 
@@ -47,6 +47,7 @@ class Contact(OnSurfaces):
             number, a text with a unit, or a formula in t.
         direction: Along which a force may move it, of any length but zero.
         curve: Amplitude of the motion or force over time, as that of a support or load.
+        friction: Coulomb's coefficient: tangential over normal force where they slide; 0: none.
         gap_tolerance: Penetration that statics leaves [m]; 1e-3 of the cells' size there.
         stiffness: Pressure per depth [Pa/m]; about 10 (K + 4 mu/3)/h of the cells there.
 
@@ -61,6 +62,7 @@ class Contact(OnSurfaces):
     force: Any = None
     direction: Annotated[Direction, AfterValidator(nonzero)] | None = None
     curve: Curve | None = None
+    friction: float = Field(default=0.0, ge=0, allow_inf_nan=False)
     gap_tolerance: Length | None = Field(default=None, gt=0)
     stiffness: ForceDensity | None = Field(default=None, gt=0)
 
@@ -92,6 +94,12 @@ class Contact(OnSurfaces):
             )
         if self.push is None:
             return
+        if self.friction > 0:
+            raise InputError(
+                "an obstacle that a force moves has no friction",
+                where="friction",
+                expected="0, or a motion in place of the force",
+            )
         if self.motion:
             raise InputError(
                 "motion and force are given together",

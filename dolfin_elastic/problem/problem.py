@@ -46,6 +46,7 @@ from dolfin_elastic.problem.term import Resistance, Terms
 from dolfin_elastic.problem.terms.bolts import make_bolts
 from dolfin_elastic.problem.terms.cavities import make_cavities
 from dolfin_elastic.problem.terms.contact import ContactPair, placed_contacts
+from dolfin_elastic.problem.terms.friction import make_frictions
 from dolfin_elastic.problem.terms.loaded_obstacle import make_loaded_obstacles
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
 from dolfin_elastic.problem.terms.pressure_symmetry import follower_pressure_has_potential
@@ -240,6 +241,7 @@ class Problem(Shown):
             self.contact_pairs = make_contacts(contacts, self.context, self.thickness)
             self.terms += self.contact_pairs
             self.terms += make_loaded_obstacles(self.contact_pairs, self.context)
+            self.terms += make_frictions(self.contact_pairs, self.context)
         self.eigenstrains: dict[str, Expr] = {}
         shanks: dict[int, Shank] = {}
         if any(issubclass(kind, Eigenstrain) for kind in kinds):

@@ -58,6 +58,7 @@ class Term:
         follows_path: The equilibrium under a load depends on those before it.
         shift: Displacement of a rigid obstacle that its forces come from [m]; None of other terms,
             whose work is that over the displacement of the body.
+        dissipates: Its forces do work that is not stored, over the displacement beyond `shift`.
         account: Which of the stored energies that of its form is part of.
         memory: What its forces depend on beside displacement and time, by its name in restarts.
     """
@@ -66,7 +67,7 @@ class Term:
     linear = symmetric = True
     nodal = restrains = changes = opens = False
     at_rest = True
-    follows_path = False
+    follows_path = dissipates = False
     shift: fem.Constant | None = None
     account: str = ""
     memory: Mapping[str, fem.Function] = MappingProxyType({})
@@ -163,6 +164,9 @@ class Term:
         Its results have been asked for before.  In motion only the start is committed.
         """
         self._committed = [field.x.array.copy() for field in self.memory.values()]
+
+    def advance(self) -> None:
+        """A step of a motion is accepted: what depends on the path has passed it. Collective."""
 
     def rollback(self) -> None:
         """Goes back to what was committed last. Not collective."""
@@ -329,6 +333,12 @@ class Terms(list[Term]):
         return {name: field for term in self for name, field in term.memory.items()}
 
     @property
+    def past(self) -> dict[str, fem.Function]:
+        """What of it changes with each step of a motion, too."""
+        followers = Terms(term for term in self if term.follows_path)
+        return followers.memory
+
+    @property
     def opens(self) -> bool:
         """Forces of some begin and end."""
         return any(term.opens for term in self)
@@ -337,6 +347,11 @@ class Terms(list[Term]):
     def follows_path(self) -> bool:
         """See `Term`: of any."""
         return any(term.follows_path for term in self)
+
+    @property
+    def dissipates(self) -> bool:
+        """See `Term`: any does."""
+        return any(term.dissipates for term in self)
 
     @property
     def scalars(self) -> list[ScalarTerm]:
@@ -391,6 +406,11 @@ class Terms(list[Term]):
         for term in self:
             term.commit()
 
+    def advance(self) -> None:
+        """See `Term`."""
+        for term in self:
+            term.advance()
+
     def rollback(self) -> None:
         """See `Term`."""
         for term in self:
@@ -409,7 +429,7 @@ class Terms(list[Term]):
         """
         if not self.unsettled():
             return False
-        for term in self:
+        for term in reversed(self):  # friction by the pressure that was found
             term.augment()
         return True
 

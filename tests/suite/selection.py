@@ -110,6 +110,7 @@ SHARED = {
     "problem/terms/test_bolts.py",
     "problem/terms/test_contact.py",
     "problem/terms/test_edges_points.py",
+    "problem/terms/test_friction.py",
     "problem/terms/test_loaded_obstacle.py",
     "problem/terms/test_vertex_contact.py",
     "problem/test_connected_bodies.py",

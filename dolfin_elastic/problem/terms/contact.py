@@ -372,14 +372,14 @@ def _penalty(
     eps = np.zeros(len(cells))
     for region in context.regions:
         local = np.isin(cells, region.cells)
-        eps[local] = FACTOR * _modulus(region) / heights[local]
+        eps[local] = FACTOR * uniaxial_modulus(region) / heights[local]
     result.x.array[result.function_space.dofmap.list[cells, 0]] = eps if given is None else given
     # Material regions list owned cells only: ghosts beside the surface get theirs from owners.
     result.x.scatter_forward()
     return result
 
 
-def _modulus(region: MaterialRegion) -> float:
+def uniaxial_modulus(region: MaterialRegion) -> float:
     """K + 4 mu/3 of a material [Pa], K bounded."""
     mu = shear_modulus(region.typical)
     known = region.typical.small_strain()

@@ -7,6 +7,7 @@ obstacle is not asked for more than its nodes can do.
 from __future__ import annotations
 
 from functools import cached_property
+from typing import NamedTuple
 
 import ufl
 from dolfinx import fem
@@ -96,6 +97,31 @@ class NodalContact(ContactPair):
     def area(self) -> float:
         """See `ContactPair`."""
         return total(self.comm, float(fem.assemble_scalar(self._area)))
+
+
+class Touch(NamedTuple):
+    """What friction depends on, in UFL, and the area over which its forces are integrated.
+
+    Attributes:
+        normal: Of the obstacle at the present place.
+        pressure: Contact pressure on the reference area, not below 0 [Pa].
+        closed: 1 where the surface is in contact, also without a pressure; else 0.
+        area: Reference area, by the rule of the pressure.
+        nodal_penalty: That of Uzawa's update at the owned nodes [Pa/m].
+    """
+
+    normal: Expr
+    pressure: Expr
+    closed: Expr
+    area: WeightedMeasure
+    nodal_penalty: FloatArray
+
+
+def touch(pair: NodalContact) -> Touch:
+    """What friction needs of a contact. Not collective."""
+    closed = ufl.conditional(ufl.ge(pair._trial_pressure, -pair.penalty * pair._reach), 1.0, 0.0)
+    pressure = ufl.max_value(pair.pressure, 0.0)
+    return Touch(pair._gap[1], pressure, closed, pair._measure, pair._eps)
 
 
 class _ForceOfForm:

@@ -41,12 +41,14 @@ _BEGINNINGS = {
     "torque_": "N m",
     "penetration_": "m",
     "contact_area_": "m^2",
+    "friction_dissipation_": "J",
     "bolt_force_": "N",
     "obstacle_force_": "N",
     "obstacle_displacement_": "m",
     "shortening_": "m",
     "pressure_": "Pa",
     "volume_": "m^3",
+    "stick_share_": "",
 }
 _VECTORS = (
     "reaction_",

@@ -103,7 +103,8 @@ class _Packed:
         self._form = form
         self._packed = pack_coefficients(form._cpp_object)
         formulas = problem.context.formulas
-        moving = (problem.u, problem.context.velocity), () if formulas is None else formulas.moving
+        followed = (problem.u, problem.context.velocity, *problem.terms.past.values())
+        moving = followed, () if formulas is None else formulas.moving
         self._reads, self._timed = (
             [read for field in fields for read in _reads(form, field, self._packed)]
             for fields in moving

@@ -150,6 +150,10 @@ def _of_fields(newton: Newton, *, surely: bool) -> Inertia:
     exactly = newton.bordered is not None and bool(np.any(newton.bordered.scalars.signs < 0.0))
     if not newton.linear.direct or symmetric:
         return count_negative(newton, exactly=exactly)
+    if newton.assembler.problem.terms.dissipates:
+        # Where friction slides, the symmetric part is indefinite by the size of the penalty,
+        # however stable the body is: it says nothing.
+        return count_by_factors(newton)
     inertia = None if surely or exactly else count_by_factors(newton)
     if inertia is not None and inertia.negative == 0:
         return inertia

@@ -29,7 +29,7 @@ from dolfin_elastic.solvers.dynamics.residual import DynamicResidual, Forces
 Measures = tuple[dict[str, float], dict[str, FloatArray]]
 """Energies [J] by name, and momenta by name: "linear" [kg m/s], "angular" [kg m^2/s]."""
 
-_NAMES = ("external", "damping", "dashpots")
+_NAMES = ("external", "damping", "dashpots", "friction")
 
 _NOISE = 10.0
 """Round-off of the stored energy over eps mu V: up to 1.8 was found, of laws whose energy is a
@@ -104,6 +104,8 @@ class EnergyBalance:
     The work of a step is that of the forces in the middle of it on its displacement, of second
     order: forces of the stage where that is the middle, else the mean of those at both ends.
     Penalty energy of contacts counts as the body's, so obstacles do work only where they move.
+    Friction takes up the work over the motion past an obstacle: "friction" is what of it is lost,
+    and what springs of points that stick store.
     Moving supports do work against the inertia of their nodes, M dv . (v0 + v1)/2: the change of
     their kinetic energy, also of a support that is set going at once, with an unbounded force.
 
@@ -142,10 +144,13 @@ class EnergyBalance:
         moves = self._moving.displacement_dofs
         outside = forces.loads + forces.reactions + forces.restraints
         rows = (outside, forces.damping, -forces.dashpots)
-        local = np.array([np.dot(row[moves], du) for row in rows])
+        local = np.array([*(np.dot(row[moves], du) for row in rows), 0.0])
         before, self._shifts = self._shifts, self._shifts_now()
-        for push, shift in zip(forces.contact, self._shifts - before, strict=True):
-            local[0] += np.sum(push.reshape(-1, len(shift)) @ shift) - np.dot(push, du)
+        steps = zip(self._moving.obstacles, forces.contact, self._shifts - before, strict=True)
+        for term, push, shift in steps:
+            taken = np.sum(push.reshape(-1, len(shift)) @ shift) - np.dot(push, du)
+            local[0] += taken
+            local[3] += taken * term.dissipates
         if self._supports_move:
             local[0] += self._work_against_inertia(forces, du)
         sums = total(self._moving.comm, local)
@@ -179,6 +184,8 @@ class EnergyBalance:
             result["damping"] = self._sums["damping"]
         if self._moving.problem.dashpots:
             result["dashpots"] = self._sums["dashpots"]
+        if self._moving.problem.terms.dissipates:
+            result["friction"] = self._sums["friction"]
         if self._constant:  # minus forces times displacement
             a, moves = self._moving.assembler, self._moving.displacement_dofs
             work = np.dot(a.reactions.loads()[moves], a.problem.w.x.array[moves])
@@ -186,10 +193,9 @@ class EnergyBalance:
         if math.isfinite(stored):
             if self._initial is None:
                 self._initial = kinetic + stored
-            result["balance"] = (
-                kinetic + stored - self._initial + self._sums["damping"] - self._sums["external"]
-            )
-            moved = abs(self._sums["external"]) + self._sums["damping"]
+            lost = self._sums["damping"] + self._sums["friction"]
+            result["balance"] = kinetic + stored - self._initial + lost - self._sums["external"]
+            moved = abs(self._sums["external"]) + lost
             self.scale = max(self.scale, kinetic, abs(stored), moved)
         return result
 
@@ -217,7 +223,7 @@ class EnergyBalance:
     def restore(self, saved: Mapping[str, float | None]) -> None:
         """See `Restartable`; the problem has the state of that time already. Collective."""
         self.begin()
-        self._sums = {name: float(saved[name] or 0.0) for name in _NAMES}
+        self._sums = {name: float(saved.get(name) or 0.0) for name in _NAMES}
         self._initial, self.scale = saved["initial"], float(saved["scale"] or 0.0)
 
 
@@ -230,10 +236,21 @@ class _Path:
     Args:
         forces: Gives those at the present state, owned entries [N]; collective.
         shift: What they move instead of the body [m].
+        past: They are friction on what moves so; their work is what they take from the body's
+            motion past it.
+
+    Attributes:
+        past: See above.
     """
 
-    def __init__(self, forces: Callable[[], FloatArray], shift: fem.Constant | None = None) -> None:
-        self._forces, self._shift = forces, shift
+    def __init__(
+        self,
+        forces: Callable[[], FloatArray],
+        shift: fem.Constant | None = None,
+        *,
+        past: bool = False,
+    ) -> None:
+        self._forces, self._shift, self.past = forces, shift, past
         self._before: FloatArray = np.empty(0)
         self._place: FloatArray = self._before
 
@@ -251,7 +268,8 @@ class _Path:
         """
         if self._shift is not None:
             moved = self._shift.value - self._place
-            du, self._place = np.tile(moved, len(du) // len(moved)), self._place + moved
+            along, self._place = np.tile(moved, len(du) // len(moved)), self._place + moved
+            du = along - du if self.past else along
         now = self._forces()
         work = 0.5 * (np.dot(self._before, du) + np.dot(now, du))
         self._before[:] = now
@@ -272,6 +290,7 @@ class ExternalWork:
 
     Attributes:
         sum: The work at the last state asked for [J].
+        friction: What friction has taken up until then [J], see `EnergyBalance`.
         paths: Work that is summed up step by step.
     """
 
@@ -300,24 +319,36 @@ class ExternalWork:
         for term in problem.terms:
             if term.shift is not None and not term.at_rest:
                 self._add(term.form("work"), shift=term.shift)
+        self._rubs = problem.terms.dissipates
+        for term in problem.terms:
+            if term.dissipates:
+                self._add(term.form("work"), shift=term.shift, past=True)
         stored = forms_of(resting, "energy")
         self._springs = compiled(problem, [sum(stored)])[0] if stored else None
         self._constant: FloatArray = np.empty(0)
-        self._before = self._local = self.sum = 0.0
+        self._before = self._local = self._rubbed = self.sum = self.friction = 0.0
 
-    def _add(self, work: ufl.Form, points: float = 0.0, shift: fem.Constant | None = None) -> None:
+    def _add(
+        self,
+        work: ufl.Form,
+        points: float = 0.0,
+        shift: fem.Constant | None = None,
+        *,
+        past: bool = False,
+    ) -> None:
         dofmap = self._problem.V.dofmap
         vector = la.vector(dofmap.index_map, dofmap.index_map_bs)
         self._forces.append(NodalForces(self._problem, work, vector, points=points))
-        self.paths.append(_Path(self._forces[-1].assemble, shift))
+        self.paths.append(_Path(self._forces[-1].assemble, shift, past=past))
 
-    def begin(self, work: float = 0.0) -> None:
+    def begin(self, work: float = 0.0, friction: float = 0.0) -> None:
         """Takes in the state that the next step begins with. Collective.
 
         Args:
             work: Done so far [J].
+            friction: What friction has taken up so far [J].
         """
-        self.sum, self._local = work, 0.0
+        self.sum, self.friction, self._local, self._rubbed = work, friction, 0.0, 0.0
         if self._steady:
             self._constant = self._assembler.reactions.loads()
         self._before = self._of_state()
@@ -336,7 +367,7 @@ class ExternalWork:
         """
         for forces in self._forces:
             forces.pack_again()
-        self.begin(self.sum)
+        self.begin(self.sum, self.friction)
 
     def step(self, du: FloatArray) -> None:
         """Adds the work of a step that has led to the present state. Collective.
@@ -347,18 +378,24 @@ class ExternalWork:
             du: Change of the displacement in the step, owned entries [m].
         """
         for path in self.paths:
-            self._local += path.step(du)
+            if path.past:
+                self._rubbed += path.step(du)
+            else:
+                self._local += path.step(du)
 
     def close(self) -> float:
         """The work up to the present state [J]. Collective."""
-        now = self._of_state()
-        self.sum += total(self._problem.body.comm, self._local + now - self._before)
-        self._local, self._before = 0.0, now
+        now, comm = self._of_state(), self._problem.body.comm
+        self.sum += total(comm, self._local + now - self._before)
+        if self._rubs:
+            self.friction += total(comm, self._rubbed)
+        self._local, self._rubbed, self._before = 0.0, 0.0, now
         return self.sum
 
     def energies(self, kinetic: float, stored: float) -> dict[str, float]:
         """See `Work`. Collective."""
-        return {"external": self.close()}
+        result = {"external": self.close()}
+        return {**result, "friction": self.friction} if self._rubs else result
 
     def _of_state(self) -> float:
         """What of the work follows from the state, this rank's share but for a constant [J]."""

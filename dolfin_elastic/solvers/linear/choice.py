@@ -139,7 +139,8 @@ def choose(problem: Problem, settings: LinearSettings, *, moving: bool = False) 
     if direct:
         kind, options = "Cholesky-like LDL^T" if symmetric else "LU", factorising(symmetric)
         scalars = problem.terms.scalars or problem.cell is not None
-        if not (symmetric or moving or scalars or settings.petsc):
+        nearly = not problem.terms.dissipates  # friction is far from symmetric where it slides
+        if nearly and not (symmetric or moving or scalars or settings.petsc):
             kind, options = "LDL^T of the symmetric part", options | BY_SYMMETRIC_PART
         return Choice(True, options, f"{size}, direct solver", f"MUMPS, {kind}")
     krylov = "CG" if symmetric and not mixed else "GMRES"

@@ -170,9 +170,9 @@ class Statics(Marching):
             )
         if self.problem.terms.follows_path and self.settings.method == "arc-length":
             raise InputError(
-                "a bolt is locked at a load, which along a path may fall",
+                "friction and locked bolts depend on the loads before, which along a path may fall",
                 where="statics.method",
-                expected='"load", or no `locked_at`',
+                expected='"load", or neither `friction` nor `locked_at`',
             )
         if self.problem.history is not None and not self._preload:
             refuse_relaxing(self.settings)

@@ -297,6 +297,7 @@ class Explicit:
             "remaining": self.scheme.remaining,
             "every": self.every,
             "work": self.work.sum,
+            "friction": self.work.friction,
             "lookout": self._monitor.restart_state(),
             **self.size.restart_state(),
         }
@@ -304,6 +305,7 @@ class Explicit:
 
     def _fields(self) -> dict[str, fem.Function]:
         fields = {"displacement": self.problem.u, "velocity": self.v, "rates": self.size.field}
+        fields |= self.problem.terms.past
         if self.problem.dashpots:  # their velocity is that of half a step before
             fields["dashpots"] = self.problem.context.velocity
         return fields
@@ -317,7 +319,7 @@ class Explicit:
         self.size.restore(numbers)
         remaining = float(numbers.get("remaining", 0.0))  # older checkpoints are all of states
         self.scheme.resume(float(numbers["t"]), int(numbers["step"]), remaining)
-        self.work.begin(float(numbers["work"]))
+        self.work.begin(float(numbers["work"]), float(numbers.get("friction", 0.0)))
 
     def destroy(self) -> None:
         """Frees what it owns. Collective."""

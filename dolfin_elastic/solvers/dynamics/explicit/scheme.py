@@ -238,6 +238,7 @@ class ExplicitScheme(ABC):
         self.assemble_forces()
         if self._work.paths:
             self._work.step(du)
+        self.problem.terms.advance()
         timing.add("assemble", perf_counter() - middle)
 
     def _without_round_off(self, t: float) -> float:

@@ -325,6 +325,7 @@ class Implicit:
         forces = self.scheme.accept()
         if self.problem.history is not None:
             self.problem.history.commit()
+        self.problem.terms.advance()
         self._stop_at_goals()
         self.control.end_step()
         self.balance.add(forces.middle, forces.du)
@@ -533,6 +534,7 @@ class Implicit:
             "velocity": self.v,
             "acceleration": self.a,
             "acceleration_at_end": self.scheme.acceleration,
+            **self.problem.terms.past,
             **self.auxiliary.fields,
         }
 
