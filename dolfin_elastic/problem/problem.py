@@ -46,7 +46,7 @@ from dolfin_elastic.problem.term import Resistance, Terms
 from dolfin_elastic.problem.terms.bolts import make_bolts
 from dolfin_elastic.problem.terms.cavities import make_cavities
 from dolfin_elastic.problem.terms.contact import ContactPair, placed_contacts
-from dolfin_elastic.problem.terms.friction import make_frictions
+from dolfin_elastic.problem.terms.friction import CoulombFriction, make_frictions
 from dolfin_elastic.problem.terms.loaded_obstacle import make_loaded_obstacles
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
 from dolfin_elastic.problem.terms.pressure_symmetry import follower_pressure_has_potential
@@ -125,6 +125,7 @@ class Problem(Shown):
         regions: The materials, each on its cells.
         constraints: Prescribed displacements, and those that follow others.
         contact_pairs: The contacts on this body.
+        frictions: The friction of those that have some.
         cell: The macroscopic deformation of a periodic cell, or None.
         eigenstrains: Material's name to its growth Fg (UFL), of those that grow.
         terms: Springs, dashpots, contacts, loads at points, cavities, rigid surfaces, and what else
@@ -237,11 +238,13 @@ class Problem(Shown):
         resisting = [s for s in self.supports if isinstance(s, ResistingSupport)]
         self.terms = Terms(Resistance(s, self.context) for s in resisting)
         self.contact_pairs: tuple[ContactPair, ...] = ()
+        self.frictions: tuple[CoulombFriction, ...] = ()
         if contacts:
             self.contact_pairs = make_contacts(contacts, self.context, self.thickness)
             self.terms += self.contact_pairs
             self.terms += make_loaded_obstacles(self.contact_pairs, self.context)
-            self.terms += make_frictions(self.contact_pairs, self.context)
+            self.frictions = tuple(make_frictions(self.contact_pairs, self.context))
+            self.terms += self.frictions
         self.eigenstrains: dict[str, Expr] = {}
         shanks: dict[int, Shank] = {}
         if any(issubclass(kind, Eigenstrain) for kind in kinds):

@@ -19,6 +19,7 @@ from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.problem.mesh_fields import fields_at_nodes
 from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.terms.friction import SLIP
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
 from dolfin_elastic.results.components import check_axes, component_rows
 from dolfin_elastic.results.field import Component, RecoveredField
@@ -268,6 +269,24 @@ class StateSource:
         for pair in self.evaluator.problem.contact_pairs:
             nodes, pressures = pair.nodal_pressures()
             values[nodes, 0] += pressures
+        return values
+
+    def friction_traction(self) -> AnyArray:
+        """See `FieldSource`; as `contact_pressure`."""
+        problem = self.evaluator.problem
+        values = np.zeros((self.evaluator.grid.own_points, 3))
+        for friction in problem.frictions:
+            values[friction.nodes, : problem.body.dim] += friction.tractions()
+        return values
+
+    def contact_status(self) -> AnyArray:
+        """See `FieldSource`; as `contact_pressure`. What has no friction slides."""
+        problem = self.evaluator.problem
+        values = np.zeros((self.evaluator.grid.own_points, 1), dtype=np.int32)
+        for pair in problem.contact_pairs:
+            values[pair.nodes_of_displacement[pair.pressures() > 0.0], 0] = SLIP
+        for friction in problem.frictions:
+            values[friction.nodes, 0] = friction.status()
         return values
 
     def normal(self) -> AnyArray:

@@ -56,6 +56,12 @@ class FieldSource(Protocol):
     def component(self, component: Component, rows: AnyArray) -> AnyArray:
         """A component in local axes of rows of its field at the points, shape (points, 1)."""
 
+    def friction_traction(self) -> AnyArray:
+        """Tangential traction of obstacles at the points [Pa], shape (points, 3)."""
+
+    def contact_status(self) -> AnyArray:
+        """Whether points are open (0), stick (1) or slide (2), shape (points, 1)."""
+
     def contact_pressure(self) -> AnyArray:
         """Pressure of the obstacles on the body [Pa] at the points, shape (points, 1)."""
 

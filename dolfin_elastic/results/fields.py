@@ -417,6 +417,20 @@ _FIELDS: dict[str, Field] = {
         "pressure of obstacles on the body, per reference area; zero without contact",
         values=lambda source: source.contact_pressure(),
     ),
+    "friction_traction": Field(
+        "vector",
+        "node",
+        "Pa",
+        "tangential traction of obstacles on the body, per reference area; zero without friction",
+        values=lambda source: source.friction_traction(),
+    ),
+    "contact_status": Field(
+        "scalar",
+        "node",
+        "",
+        "0: not in contact; 1: sticks to an obstacle; 2: slides along it",
+        values=lambda source: source.contact_status(),
+    ),
     "region": Field(
         "scalar",
         "cell",

@@ -72,6 +72,9 @@ class CoulombFriction(Term):
     Args:
         pair: The contact, whose pressure and nodes it has; its coefficient is above 0.
         index: From 0, in the case.
+
+    Attributes:
+        nodes: Owned nodes of the surface in the displacement's space.
     """
 
     linear = symmetric = False
@@ -80,7 +83,7 @@ class CoulombFriction(Term):
     def __init__(self, pair: ContactPair, context: FormContext, index: int) -> None:
         self._pair, self._context, self._comm = pair, context, pair.comm
         self.label, self.shift, self.at_rest = pair.label, pair.shift, pair.at_rest
-        self._mu = context.constant(pair.contact.friction)
+        self.nodes, self._mu = pair.nodes_of_displacement, context.constant(pair.contact.friction)
         self._share = min(
             shear_modulus(region.typical) / uniaxial_modulus(region) for region in context.regions
         )
@@ -127,10 +130,7 @@ class CoulombFriction(Term):
         works = [one * v * at.area, self._pair.penalty * v * at.area]
         forms = compile_forms(self._comm, works, options(self._comm))
         dofs, dim = self._context.unknowns.displacement_dofs, self._context.body.dim
-        A, eps = (
-            assembled(form, space)[dofs].reshape(-1, dim)[self._pair.nodes_of_displacement, 0]
-            for form in forms
-        )
+        A, eps = (assembled(form, space)[dofs].reshape(-1, dim)[self.nodes, 0] for form in forms)
         least = 1e-9 * largest(self._comm, float(np.max(A, initial=0.0)))
         return np.divide(eps, A, out=at.nodal_penalty.copy(), where=least < A)
 
@@ -163,17 +163,17 @@ class CoulombFriction(Term):
     def _moved(self) -> FloatArray:
         """Displacement relative to the obstacle at the owned nodes, (n, dim) [m]."""
         u = self._context.unknowns.u.x.array.reshape(-1, self._context.body.dim)
-        return np.asarray(u[self._pair.nodes_of_displacement] - self._pair.shift.value)
+        return np.asarray(u[self.nodes] - self._pair.shift.value)
 
     def _of(self, field: fem.Function) -> FloatArray:
         """A vector field at the owned nodes of the surface, (n, dim)."""
         rows = field.x.array.reshape(-1, self._context.body.dim)
-        return np.asarray(rows[self._pair.nodes_of_displacement])
+        return np.asarray(rows[self.nodes])
 
     def _put(self, field: fem.Function, values: FloatArray) -> None:
         """Sets a vector field there. Collective."""
         rows = field.x.array.reshape(-1, self._context.body.dim)
-        rows[self._pair.nodes_of_displacement] = values
+        rows[self.nodes] = values
         field.x.scatter_forward()
 
     def _tractions(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -202,7 +202,7 @@ class CoulombFriction(Term):
         """See `Term`: points in contact are held along the obstacle as if they stuck."""
         gaps, normals = self._pair.gaps()
         within = gaps <= self._pair.reach
-        nodes, n = self._pair.nodes_of_displacement[within], normals[within]
+        nodes, n = self.nodes[within], normals[within]
         for axis in np.eye(self._context.body.dim):
             tangents = axis - n * (n @ axis)[:, None]
             lengths = np.linalg.norm(tangents, axis=1)

@@ -22,8 +22,9 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.problem.state import State
+from dolfin_elastic.problem.state import State, StateCopy
 from dolfin_elastic.problem.terms.friction import OPEN, SLIP, STICK, CoulombFriction
+from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 
@@ -147,8 +148,14 @@ def test_results_at_nodes():
     """Every status occurs where a block is pushed at its top and lifts its heel."""
     problem = pushed("0.02*t", floor(2, friction=0.9))
     seen: set[int] = set()
-    for _ in Statics(problem, steps=8).steps():
+    names = ["friction_traction", "contact_status"]
+    for state in Statics(problem, steps=8).steps():
         friction = friction_of(problem)
+        fields = Evaluator(problem, names)(state)
+        assert fields["friction_traction"][friction.nodes, :2] == pytest.approx(
+            friction.tractions()
+        )
+        assert fields["contact_status"][friction.nodes, 0].tolist() == friction.status().tolist()
         status, t = friction.status(), np.linalg.norm(friction.tractions(), axis=1)
         limit = 0.9 * problem.contact_pairs[0].pressures()
         assert np.all(t[status == OPEN] == 0.0)
@@ -254,3 +261,117 @@ def test_a_block_comes_to_rest(settings):
     # The scheme damps what vibrates when the block stops; the explicit ones let it swing.
     assert sums == pytest.approx([sums[0]] * len(sums), rel=0.02)
     assert states[-1][2]["stick_share_floor"] == 1.0
+
+
+@pytest.mark.parametrize("share", [0.9, 1.5])
+def test_a_block_on_an_incline(share):
+    """Gravity turns until the slope is a share of mu: it stays, or slides with g (sin - mu cos)."""
+    angle = np.arctan(share * MU)
+    along, across = G * np.sin(angle), G * np.cos(angle)
+    problem = Problem(
+        block(2, 0.5),
+        NeoHookean(E=1e7, nu=0.3, density=1000),
+        loads=[
+            Gravity(value=[0, -across]),
+            Gravity(value=[f"{along}*(1 - cos(5*pi*min(t, 0.2)))/2", 0]),
+        ],
+        contacts=[floor(2, friction=MU)],
+        degree=1,
+    )
+    fields = {**IMPLICIT, "dt": 1e-2, "spectral_radius": 0.0}
+    rows = []
+    for state in Dynamics(problem, end=0.6, preload=True, **fields).steps():
+        force = state.reactions["floor"]
+        rows.append((state.t, centre(state)[0], state.momenta["linear"][0] / 500, *force))
+        assert abs(force[0]) <= MU * force[1] * (1 + 1e-9)
+    t, x, v, *force = np.array(rows).T
+    late = t > 0.3
+    if share < 1:
+        assert np.ptp(x[late]) < 1e-5
+        assert state.numbers["stick_share_floor"] == 1.0
+    else:
+        slope = np.polyfit(t[late], v[late], 1)[0]
+        assert slope == pytest.approx(along - MU * across, rel=1e-3)
+        assert force[0][late] == pytest.approx(-MU * force[1][late], rel=1e-8)
+
+
+def states_of(solver: Any, saved: Any = None) -> list[dict[str, float]]:
+    return [
+        {
+            "t": state.t,
+            **{f"force_{i}": x for i, x in enumerate(state.reactions["floor"])},
+            **{f"at_{i}": x for i, x in enumerate(centre(state))},
+            **state.numbers,
+            **{key: value for key, value in state.energies.items() if key != "balance"},
+        }
+        for state in solver.steps(saved)
+    ]
+
+
+@pytest.mark.parametrize("kind", ["statics", "generalized-alpha", "symplectic-euler"])
+def test_a_run_goes_on(kind):
+    """From a state on the way, with another problem, as if it had not ended."""
+
+    def begun() -> Any:
+        if kind == "statics":
+            return Statics(pushed("0.02*sin(6*t)", floor(2, friction=MU)), steps=8)
+        if kind == "symplectic-euler":
+            return thrown(scheme=kind, end=0.1, every=5)
+        return thrown(**{**IMPLICIT, "end": 0.1, "dt": 0.01})
+
+    whole = states_of(begun())
+    first = begun()
+    for count, _ in enumerate(first.steps()):
+        if count == len(whole) // 2:
+            saved = StateCopy(first.restart_state())
+            break
+    rest = states_of(begun(), saved)
+    assert len(rest) == len(whole) - count - 1
+    assert rest[0]["friction_dissipation_floor"] > 0.0
+    for again, before in zip(rest, whole[-len(rest) :], strict=True):
+        assert again == pytest.approx(before, rel=1e-11, abs=1e-11)
+
+
+@pytest.mark.parametrize(("scheme", "close"), [("newmark", 1e-6), ("energy-momentum", 1e-10)])
+def test_books_of_a_block_that_sticks(scheme, close):
+    """It swings on its foot under a pull that comes at once: nothing is lost."""
+    problem = Problem(
+        block(2, 0.5),
+        NeoHookean(E=E, nu=0.3, density=1000),
+        loads=[Gravity(value=[0, -G]), Gravity(value=["2*min(1, 1e3*t)", 0])],
+        contacts=[floor(2, friction=1.0)],
+        degree=1,
+    )
+    motion = Dynamics(problem, scheme=scheme, dt=2e-3, end=0.1, preload=True)
+    for state in motion.steps():
+        size = max(state.energies["strain"], state.energies["kinetic"])
+        assert abs(state.energies["balance"]) <= close * size
+        assert state.audit is not None
+        assert state.audit.verdict == "pass", state.audit.reasons
+
+
+# --- mistakes ---
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"friction": -0.1}, "friction: -0.1"),
+        ({"friction": float("nan")}, "friction"),
+        ({"friction": float("inf")}, "friction"),
+        ({"friction": "rough"}, "friction"),
+        ({"friction": 0.1, "force": 1.0, "direction": [0, -1]}, "has no friction"),
+    ],
+)
+def test_friction_that_is_none(keys, said):
+    """One message, with the key."""
+    with pytest.raises(InputError, match=said) as caught:
+        floor(2, **keys)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_arc_length_with_friction():
+    """Along a path loads may fall, on which friction depends."""
+    problem = pushed("0.01*t", floor(2, friction=MU))
+    with pytest.raises(InputError, match=r"statics\.method"):
+        list(Statics(problem, method="arc-length").steps())
