@@ -46,12 +46,13 @@ from dolfin_elastic.problem.term import Resistance, Terms
 from dolfin_elastic.problem.terms.bolts import make_bolts
 from dolfin_elastic.problem.terms.cavities import make_cavities
 from dolfin_elastic.problem.terms.contact import ContactPair, placed_contacts
-from dolfin_elastic.problem.terms.friction import CoulombFriction, make_frictions
+from dolfin_elastic.problem.terms.friction import CoulombFriction
 from dolfin_elastic.problem.terms.loaded_obstacle import make_loaded_obstacles
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
 from dolfin_elastic.problem.terms.pressure_symmetry import follower_pressure_has_potential
 from dolfin_elastic.problem.terms.rigid_surfaces import RigidSurface, TurnedSurface
 from dolfin_elastic.problem.terms.vertex_contact import make_contacts
+from dolfin_elastic.problem.terms.vertex_friction import make_frictions
 from dolfin_elastic.problem.weak_form import (
     StepStart,
     WeakForm,

@@ -38,6 +38,11 @@ class Blocks:
     columns: IntArray
     values: FloatArray
 
+    def __add__(self, other: Blocks) -> Blocks:
+        """All of both."""
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Blocks(*(np.concatenate(pair) for pair in pairs))
+
 
 Acting = Callable[[float], tuple[float, Amplitude]]
 Kind = Literal["work", "energy", "bound", "drag"]
@@ -370,10 +375,7 @@ class Terms(list[Term]):
     def blocks(self) -> Blocks | None:
         """The blocks of all terms; None where no term has any. Collective."""
         result = [blocks for term in self if (blocks := term.blocks()) is not None]
-        if not result:
-            return None
-        parts = [(blocks.rows, blocks.columns, blocks.values) for blocks in result]
-        return Blocks(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+        return sum(result[1:], result[0]) if result else None
 
     @contextmanager
     def assumed(self, *, closed: bool) -> Iterator[None]:

@@ -276,7 +276,8 @@ class StateSource:
         problem = self.evaluator.problem
         values = np.zeros((self.evaluator.grid.own_points, 3))
         for friction in problem.frictions:
-            values[friction.nodes, : problem.body.dim] += friction.tractions()
+            nodes, tractions = friction.nodal_tractions()
+            values[nodes, : problem.body.dim] += tractions
         return values
 
     def contact_status(self) -> AnyArray:
@@ -284,9 +285,11 @@ class StateSource:
         problem = self.evaluator.problem
         values = np.zeros((self.evaluator.grid.own_points, 1), dtype=np.int32)
         for pair in problem.contact_pairs:
-            values[pair.nodes_of_displacement[pair.pressures() > 0.0], 0] = SLIP
+            nodes, pressures = pair.nodal_pressures()
+            values[nodes[pressures > 0.0], 0] = SLIP
         for friction in problem.frictions:
-            values[friction.nodes, 0] = friction.status()
+            nodes, status = friction.nodal_status()
+            values[nodes, 0] = status
         return values
 
     def normal(self) -> AnyArray:

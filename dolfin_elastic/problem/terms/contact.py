@@ -103,6 +103,7 @@ class ContactPair(Term):
         penalty: eps [Pa/m], one number a cell beside the surface.
         size: Mean height of the cells over the surface [m].
         tolerance: Penetration that statics leaves [m].
+        eps: Penalty at the owned vertices [Pa/m].
         nodes: Owned vertices of the surface in the space of `lam`.
         nodes_of_displacement: The same vertices in the displacement's space.
     """
@@ -124,8 +125,8 @@ class ContactPair(Term):
         self.penalty = _penalty(context, contact.stiffness, *heights)
         self.size = _mean(body, facets, heights)
         self.tolerance = contact.gap_tolerance or 1e-3 * self.size
-        self._eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
-        self._first = self.penalty.x.array.copy(), self._eps.copy()
+        self.eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
+        self._first = self.penalty.x.array.copy(), self.eps.copy()
         self.shift: fem.Constant = context.constant([0.0] * body.dim)
         self._slack, self._augments = SLACK * cell_size(body), True
         self._reach = context.constant(self._slack)
@@ -136,7 +137,7 @@ class ContactPair(Term):
         self._augments = not moving
         if self.contact.stiffness is None:
             self.penalty.x.array[:] = factor * self._first[0]
-            self._eps = factor * self._first[1]
+            self.eps = factor * self._first[1]
         if moving:
             self.lam.x.array[:] = 0.0
 
@@ -158,7 +159,7 @@ class ContactPair(Term):
 
     def pressures(self) -> FloatArray:
         """Pressure per reference area at the owned nodes of the surface [Pa]. Collective."""
-        return np.maximum(0.0, self.lam.x.array[self.nodes] - self._eps * self.pressing_gaps())
+        return np.maximum(0.0, self.lam.x.array[self.nodes] - self.eps * self.pressing_gaps())
 
     def pressing_gaps(self) -> FloatArray:
         """Gaps that the pressures at the owned nodes follow [m]. Collective."""
@@ -170,7 +171,7 @@ class ContactPair(Term):
 
     def clearances(self) -> FloatArray:
         """Gaps beyond those at which the pressure ends, at the owned nodes [m]. Collective."""
-        return self.pressing_gaps() - self.lam.x.array[self.nodes] / self._eps
+        return self.pressing_gaps() - self.lam.x.array[self.nodes] / self.eps
 
     def area(self) -> float:
         """Reference area on which there is pressure [m^2]. Collective."""

@@ -23,24 +23,17 @@ Contact Mechanics, 2nd ed., Springer 2006, sections 5.2.2 and 10.5.2.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterator
 
 import numpy as np
-import ufl
 from dolfinx import fem
-from ufl.core.expr import Expr
 
-from dolfin_elastic.core.ghosts import assembled
-from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import shear_modulus
-from dolfin_elastic.problem.term import Kind, Term
+from dolfin_elastic.problem.term import Term
 from dolfin_elastic.problem.terms.contact import ContactPair, uniaxial_modulus
-from dolfin_elastic.problem.terms.nodal_contact import touch
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -51,21 +44,6 @@ OPEN, STICK, SLIP = 0, 1, 2
 """Status of a point of the surface."""
 
 
-@dataclass(frozen=True)
-class _Law:
-    """In UFL.
-
-    Attributes:
-        traction: On the body [Pa].
-        lost: Work of the step's slip per reference area [J/m^2].
-        still: The condition of points that are below Coulomb's limit.
-    """
-
-    traction: Expr
-    lost: Expr
-    still: Expr
-
-
 class CoulombFriction(Term):
     """Friction of one contact. Collective to make.
 
@@ -74,7 +52,8 @@ class CoulombFriction(Term):
         index: From 0, in the case.
 
     Attributes:
-        nodes: Owned nodes of the surface in the displacement's space.
+        nodes: Owned nodes of the surface in the displacement's space at which points stick.
+        areas: Reference area around each of these, once a run has begun [m^2].
     """
 
     linear = symmetric = False
@@ -98,6 +77,7 @@ class CoulombFriction(Term):
         self._augments, self._moving = True, False
         # Known once a run begins: [Pa/m] at the nodes, and where they were accepted last [m].
         self._eps: FloatArray = np.empty(0)
+        self.areas: FloatArray = np.empty(0)
         self._accepted: FloatArray = np.empty(0)
 
     def begin(self, *, moving: bool) -> None:
@@ -111,7 +91,7 @@ class CoulombFriction(Term):
                 "steps",
                 self.label,
             )
-        self._eps = self._share * self._nodal_penalty()
+        self._eps = self._share * self._penalty()
         moved = self._moved()
         elsewhere = not (moving and self._moving) or not np.array_equal(moved, self._accepted)
         if largest(self._comm, float(elsewhere)):
@@ -119,49 +99,14 @@ class CoulombFriction(Term):
             self._put(self._stuck, moved)
         self._moving = moving
 
-    def _nodal_penalty(self) -> FloatArray:
-        """Of the contact at its nodes [Pa/m]: mean over the area around each. Collective.
-
-        So nodal forces are nodal tractions times nodal areas. A node without an area of its own, at
-        the vertex of a quadratic triangle, has the penalty of Uzawa's update.
-        """
-        space, at = self._context.unknowns.W, touch(self._pair)
-        v, one = sum(self._context.v), self._context.constant(1.0)
-        works = [one * v * at.area, self._pair.penalty * v * at.area]
-        forms = compile_forms(self._comm, works, options(self._comm))
-        dofs, dim = self._context.unknowns.displacement_dofs, self._context.body.dim
-        A, eps = (assembled(form, space)[dofs].reshape(-1, dim)[self.nodes, 0] for form in forms)
-        least = 1e-9 * largest(self._comm, float(np.max(A, initial=0.0)))
-        return np.divide(eps, A, out=at.nodal_penalty.copy(), where=least < A)
-
-    # --- forms ---
-
-    @cached_property
-    def _law(self) -> _Law:
-        at = touch(self._pair)
-        spring = self._share * self._pair.penalty
-        moved = self._context.u - self._pair.shift - self._stuck
-        trial = self._tau - spring * moved
-        trial -= ufl.dot(trial, at.normal) * at.normal
-        limit, square = self._mu * at.pressure, ufl.inner(trial, trial)
-        sticks = ufl.le(square, limit**2)
-        # Of points that stick the length is not asked for, and may be 0.
-        length = ufl.sqrt(ufl.conditional(sticks, 1.0, square))
-        share = at.closed * ufl.conditional(sticks, 1.0, limit / length)
-        lost = ufl.conditional(sticks, 0.0, limit * (length - limit) / spring)
-        still = ufl.lt(square, (ALL * limit) ** 2)
-        return _Law(share * trial, lost, still)
-
-    def form(self, kind: Kind) -> ufl.Form | None:
-        """See `Term`."""
-        if kind != "work":
-            return None
-        return ufl.inner(self._law.traction, self._context.v) * touch(self._pair).area
+    def _penalty(self) -> FloatArray:
+        """Of the pressure at the nodes [Pa/m]. Collective."""
+        raise NotImplementedError
 
     # --- numbers at the nodes ---
 
     def _moved(self) -> FloatArray:
-        """Displacement relative to the obstacle at the owned nodes, (n, dim) [m]."""
+        """Displacement relative to the obstacle at the owned nodes, (n, dim) [m]. Collective."""
         u = self._context.unknowns.u.x.array.reshape(-1, self._context.body.dim)
         return np.asarray(u[self.nodes] - self._pair.shift.value)
 
@@ -177,9 +122,9 @@ class CoulombFriction(Term):
         field.x.scatter_forward()
 
     def _tractions(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Traction and trial at the owned nodes, (n, dim) [Pa], and mu p, (n,) [Pa]."""
+        """Traction and trial at the owned nodes, (n, dim) [Pa], and mu p, (n,) [Pa]. Collective."""
         pair, eps = self._pair, self._eps / self._share
-        gaps, n = pair.gaps()
+        n, gaps = pair.gaps()[1], pair.pressing_gaps()
         limit = float(self._mu.value) * np.maximum(0.0, pair.lam.x.array[pair.nodes] - eps * gaps)
         trial = self._of(self._tau) - self._eps[:, None] * (self._moved() - self._of(self._stuck))
         trial -= np.sum(trial * n, axis=1)[:, None] * n
@@ -189,11 +134,22 @@ class CoulombFriction(Term):
         return share[:, None] * trial, trial, limit
 
     def tractions(self) -> FloatArray:
-        """Tangential traction per reference area at the owned nodes, (n, dim) [Pa]."""
+        """Per reference area at the owned nodes, (n, dim) [Pa]. Collective."""
         return self._tractions()[0]
 
+    def nodal_tractions(self) -> tuple[IndexArray, FloatArray]:
+        """Owned nodes of the surface, and tractions per reference area there, (n, dim) [Pa].
+
+        Collective.
+        """
+        return self.nodes, self.tractions()
+
+    def nodal_status(self) -> tuple[IndexArray, IndexArray]:
+        """Owned nodes of the surface, and `OPEN`, `STICK` or `SLIP` of each. Collective."""
+        return self.nodes, self.status()
+
     def status(self) -> IndexArray:
-        """`OPEN`, `STICK` or `SLIP` of the owned nodes. Not collective."""
+        """`OPEN`, `STICK` or `SLIP` of the owned nodes. Collective."""
         _, trial, limit = self._tractions()
         slips = np.linalg.norm(trial, axis=1) >= ALL * limit
         return np.where(limit > 0.0, np.where(slips, SLIP, STICK), OPEN).astype(np.int32)
@@ -230,15 +186,19 @@ class CoulombFriction(Term):
         unknowns = self._context.unknowns
         t, _, limit = self._tractions()
         back = (t - self._of(self._tau)) / self._eps[:, None] * (limit > 0.0)[:, None]
-        self._put(unknowns.u, self._of(unknowns.u) + back)
+        nodes, motion = self._with(back)
+        unknowns.u.x.array.reshape(-1, self._context.body.dim)[nodes] += motion
+        unknowns.u.x.scatter_forward()
         unknowns.u_to_w()
         self._put(self._tau, t)
 
+    def _with(self, motion: FloatArray) -> tuple[IndexArray, FloatArray]:
+        """Nodes that move with those at which points stick, and how. Collective."""
+        return self.nodes, motion
+
     def advance(self) -> None:
         """See `Term`: points that slip stick where they are now, under the present traction."""
-        lost = self._lost.x.array
-        own = assembled(self._lost_at_nodes, self._lost.function_space)
-        lost[: len(own)] += own
+        self._lost.x.array[self._pair.nodes] += self._step()[2]
         t, trial, limit = self._tractions()
         moves = np.linalg.norm(trial, axis=1) > limit
         moves |= limit == 0.0
@@ -254,33 +214,17 @@ class CoulombFriction(Term):
 
     # --- results ---
 
-    @cached_property
-    def _forms(self) -> list[fem.Form]:
-        """Area under pressure, and that sticks of it [m^2], and the work lost by the step [J]."""
-        at, law = touch(self._pair), self._law
-        pressed = ufl.conditional(ufl.gt(at.pressure, 0.0), 1.0, 0.0)
-        sums = pressed, ufl.conditional(law.still, pressed, 0.0), law.lost
-        return compile_forms(self._comm, [one * at.area for one in sums], options(self._comm))
+    def _step(self) -> tuple[float, float, FloatArray]:
+        """Area under pressure, what sticks of it [m^2], and the work that the step's slip has lost.
 
-    @cached_property
-    def _lost_at_nodes(self) -> fem.Form:
-        """The work lost by the step, dealt out to the nodes [J]."""
-        q = ufl.TestFunction(self._lost.function_space)
-        form = self._law.lost * q * touch(self._pair).area
-        return compile_forms(self._comm, [form], options(self._comm))[0]
+        On this rank; the work of each owned node [J]. Collective.
+        """
+        raise NotImplementedError
 
     def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
         """See `Term`: share of the area under pressure that sticks, and the work lost [J]."""
-        own = self._lost.x.index_map.size_local
-        local = [float(fem.assemble_scalar(form)) for form in self._forms]
-        local.append(float(self._lost.x.array[:own].sum()))
-        pressed, stuck, lately, before = total(self._comm, np.array(local))
-        result[f"stick_share_{self.label}"] = float(stuck / pressed) if pressed > 0.0 else 0.0
-        result[f"friction_dissipation_{self.label}"] = float(before + lately)
-
-
-def make_frictions(pairs: Sequence[ContactPair], context: FormContext) -> Iterator[CoulombFriction]:
-    """Those of the contacts with friction. Collective."""
-    for index, pair in enumerate(pairs):
-        if pair.contact.friction > 0.0:
-            yield CoulombFriction(pair, context, index)
+        pressed, stuck, lost = self._step()
+        before = self._lost.x.array[self._pair.nodes]
+        sums = total(self._comm, np.array([pressed, stuck, lost.sum() + before.sum()]))
+        result[f"stick_share_{self.label}"] = float(sums[1] / sums[0]) if sums[0] > 0.0 else 0.0
+        result[f"friction_dissipation_{self.label}"] = float(sums[2])

@@ -121,7 +121,7 @@ def touch(pair: NodalContact) -> Touch:
     """What friction needs of a contact. Not collective."""
     closed = ufl.conditional(ufl.ge(pair._trial_pressure, -pair.penalty * pair._reach), 1.0, 0.0)
     pressure = ufl.max_value(pair.pressure, 0.0)
-    return Touch(pair._gap[1], pressure, closed, pair._measure, pair._eps)
+    return Touch(pair._gap[1], pressure, closed, pair._measure, pair.eps)
 
 
 class _ForceOfForm:

@@ -362,7 +362,7 @@ def test_hertz(geometry, folder, comm):
     assert approach == pytest.approx(expected, rel=off)
     # Pressures at single nodes of a polygon: off by 6 % of the peak, found on the axis.
     gaps = touch.gaps()[0]
-    found = np.maximum(0, touch.lam.x.array[touch.nodes] - touch._eps * gaps)
+    found = np.maximum(0, touch.lam.x.array[touch.nodes] - touch.eps * gaps)
     places, found = (np.concatenate(comm.allgather(part)) for part in (touch.places()[:, 0], found))
     exact = peak * np.sqrt(np.maximum(0, 1 - (places / a) ** 2))
     inner = places < 0.9 * a

@@ -1,0 +1,240 @@
+"""`VertexFunctions`: functions of the vertices of a surface by which contact is weighted.
+
+A uniform pressure on a quadratic triangle has no nodal forces at the vertices, and the midside
+nodes of straight faces lie off a round surface: neither gaps at all nodes nor gaps at quadrature
+points give pressures that are right.  So pressures are sums of functions psi_I of the vertices that
+are linear on a face and biorthogonal to the vertices' hat functions l_J,
+
+    integral of psi_I l_J = delta_IJ A_I,    A_I = integral of l_I,
+
+so that the sum of the psi_I is 1, and what is compared is the mean (integral of psi_I f)/A_I of a
+quantity f at a vertex.  Integrals are over the reference surface.
+
+A straight face of a body that is round lacks what lies between it and the body's true surface,
+which may be more than the gap.  So on straight faces a quantity f(x) is that of the vertices,
+linear on a face, and what the midside displacements add to it: with the place x of a point and that
+of the same point on the face through the moved vertices, x',
+
+    f = sum of l_J f(x_J) + f(x) - f(x').
+
+Source: B. I. Wohlmuth, SIAM J. Numer. Anal. 38 (2000) 989 (dual functions); A. Popp, B. Wohlmuth,
+M. W. Gee & W. A. Wall, SIAM J. Sci. Comput. 34 (2012) B421 (quadratic faces); M. A. Puso & T. A.
+Laursen, Comput. Methods Appl. Mech. Eng. 193 (2004) 601 (weighted gaps).
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from dolfinx import fem
+
+from dolfin_elastic.core.ghosts import summed, with_ghosts
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.mesh.geometry.curved import facet_quadrature, facet_shape_functions
+from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets
+from dolfin_elastic.problem.constraints.ties.exchange import Owners
+from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.term import Blocks
+from dolfin_elastic.problem.terms.contact import ContactPair, nodal
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+class VertexFunctions:
+    """The functions of the surface of a contact. Collective to make.
+
+    Args:
+        pair: Whose multiplier is linear.
+        thickness: Of a plane body [m].
+
+    Attributes:
+        areas: A_I of the owned vertices [m^2].
+        X: Reference places of the points at which f is asked for, shape (facets, points, dim) [m].
+        psi: What f at each point counts for the vertices of its facet, integrals included, shape
+            (facets, points, vertices) [m^2].
+        shapes: Shape functions of the displacement at the points, shape (points, nodes).
+    """
+
+    def __init__(self, pair: ContactPair, context: FormContext, thickness: float) -> None:
+        mesh, d, order = context.body.mesh, context.body.dim, context.order
+        self._context, self._pair, self._dim = context, pair, d
+        own = pair.facets[pair.facets < mesh.topology.index_map(d - 1).size_local]
+        # The degree of a pressure, a displacement and, on curved faces, the area element.
+        rule = facet_quadrature(mesh, own, 1 + order + 2 * (order - 1), raised=False)
+        weights = thickness * rule.weights
+        if context.axisymmetric:
+            weights *= 2 * np.pi * rule.X[:, :, 0]
+        hats = facet_shape_functions(d, 1, rule.local)
+        means = np.einsum("fq,qi->fi", weights, hats)
+        masses = np.einsum("fq,qi,qj->fij", weights, hats, hats)
+        dual = means[:, :, None] * np.linalg.inv(masses)
+        self.psi = np.einsum("fq,fij,qj->fqi", weights, dual, hats)
+        self.shapes = facet_shape_functions(d, context.unknowns.degree, rule.local)
+        self.X = rule.X
+        if mesh.geometry.cmap.degree == 1:
+            self._measure_from_vertices(hats, means, mesh.geometry.x[rule.nodes][:, :, :d])
+        S, V = pair.lam.function_space, context.unknowns.V
+        beside = cells_beside_facets(mesh, own)
+        self._vertices, self._nodes = (_on_facets(space, *beside) for space in (S, V))
+        self._map, self._node_map = S.dofmap.index_map, V.dofmap.index_map
+        self._owners = Owners(pair.comm, self._map.local_range[0], self._map.size_local)
+        self.areas = self._summed(means[..., None])[:, 0]
+
+    def _measure_from_vertices(
+        self, hats: FloatArray, means: FloatArray, corners: FloatArray
+    ) -> None:
+        """Adds the points of straight faces, see the module: x' and the vertices.
+
+        Args:
+            hats: At the points of the quadrature, shape (points, d).
+            means: Integrals of the hats, shape (facets, d).
+            corners: Of the faces, shape (facets, d, d) [m].
+        """
+        d = self._dim
+        none = np.zeros((len(hats) + d, self.shapes.shape[1] - d))
+        flat = np.vstack([hats, np.eye(d)])
+        self.shapes = np.vstack([self.shapes, np.hstack([flat, none])])
+        self.psi = np.concatenate([self.psi, -self.psi, means[:, :, None] * np.eye(d)], axis=1)
+        self.X = np.concatenate([self.X, self.X, corners], axis=1)
+
+    def _summed(self, rows: FloatArray) -> FloatArray:
+        """Sums at the owned vertices of what facets have at theirs, shape (n, columns)."""
+        return summed(self._map, self._vertices, rows)[self._pair.nodes]
+
+    def displacements(self) -> FloatArray:
+        """Of the points, shape of `X` [m]. Not collective."""
+        u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
+        return np.asarray(np.einsum("qk,fkd->fqd", self.shapes, u[self._nodes]))
+
+    def means(self, values: FloatArray) -> FloatArray:
+        """Means at the owned vertices, shape (n, columns). Collective.
+
+        Args:
+            values: At the points, shape (facets, points, columns).
+        """
+        return self._summed(np.einsum("fqi,fqc->fic", self.psi, values)) / self.areas[:, None]
+
+    def at_points(self, values: FloatArray) -> FloatArray:
+        """psi_I times values, summed up, with integrals, shape (facets, points, columns).
+
+        Collective.
+
+        Args:
+            values: Of the owned vertices, shape (n, columns).
+        """
+        return np.asarray(np.einsum("fqi,fic->fqc", self.psi, self._beside(values)))
+
+    def _beside(self, values: FloatArray) -> FloatArray:
+        """Values of the owned vertices at the vertices of facets, shape (facets, d, columns)."""
+        every = np.zeros((self._map.size_local, values.shape[1]))
+        every[self._pair.nodes] = values
+        return with_ghosts(self._map, every)[self._vertices]
+
+    def spread(self, vectors: FloatArray) -> FloatArray:
+        """Vectors at the points times the shape functions, at the nodes of the displacement. Local.
+
+        Args:
+            vectors: Shape (facets, points, dim).
+
+        Returns:
+            Before the ranks are summed, shape (nodes * dim,).
+        """
+        result = np.zeros((self._node_map.size_local + self._node_map.num_ghosts, self._dim))
+        np.add.at(result, self._nodes, np.einsum("qk,fqd->fkd", self.shapes, vectors))
+        return result.reshape(-1)
+
+    def rows(
+        self, which: BoolArray, directions: FloatArray | None = None
+    ) -> tuple[IntArray, csr_array]:
+        """Rows of A_I times the means at some owned vertices. Collective.
+
+        Args:
+            which: Of the owned vertices; rows of all others are empty.
+            directions: At the points, shape (facets, points, dim): of the component along these;
+                None: of a scalar.
+
+        Returns:
+            Global nodes of the displacement, and by them the rows, all components of a node
+            together.
+        """
+        from scipy.sparse import csr_array
+
+        d, wanted = self._dim, self._beside(which[:, None].astype(float))[:, :, 0] > 0
+        some: BoolArray = np.asarray(wanted.any(axis=1))
+        if directions is None:
+            entries = np.einsum("fqi,qk->fik", self.psi[some], self.shapes)[..., None]
+        else:
+            entries = np.einsum("fqi,qk,fqd->fikd", self.psi[some], self.shapes, directions[some])
+        width = entries.shape[-1]
+        columns = self.nodes(some)[:, None, :, None] * width + np.arange(width)
+        rows = self._map.local_to_global(self._vertices[some].ravel()).reshape(-1, d, 1, 1)
+        kept = np.broadcast_to(wanted[some][:, :, None, None], entries.shape)
+        i, j = (np.broadcast_to(a, entries.shape)[kept] for a in (rows, columns))
+        size = self._node_map.size_global * width
+        matrix = self._owners.summed(i, j, entries[kept], size)[self._pair.nodes]
+        used, numbers = np.unique(matrix.indices // width, return_inverse=True)
+        local = numbers * width + matrix.indices % width
+        shape = (matrix.shape[0], len(used) * width)
+        return used.astype(np.int64), csr_array((matrix.data, local, matrix.indptr), shape=shape)
+
+    def nodes(self, which: BoolArray) -> IntArray:
+        """Global nodes of the displacement on some facets, shape (some, nodes)."""
+        some = self._nodes[which]
+        return np.asarray(self._node_map.local_to_global(some.ravel())).reshape(some.shape)
+
+    def at_nodes(self, values: FloatArray) -> tuple[IndexArray, FloatArray]:
+        """Owned nodes of the displacement on the surface, and values linear on each edge there.
+
+        Collective.
+
+        Args:
+            values: Of the owned vertices, shape (n, columns).
+        """
+        linear, (field, nodes, at) = fem.Function(self._pair.lam.function_space), self._every
+        result = np.empty((len(nodes), values.shape[1]))
+        for column, found in zip(values.T, result.T, strict=True):
+            linear.x.array[self._pair.nodes] = column
+            linear.x.scatter_forward()
+            field.interpolate(linear)
+            found[:] = field.x.array[nodes]
+        return at, result
+
+    @cached_property
+    def _every(self) -> tuple[fem.Function, IndexArray, IndexArray]:
+        return nodal(self._context, self._pair.facets, self._context.unknowns.degree)
+
+
+def diagonal(blocks: FloatArray) -> csr_array:
+    """A matrix of blocks, shape (n, rows, columns), along its diagonal."""
+    from scipy.sparse import bsr_array, csr_array
+
+    n, rows, columns = blocks.shape
+    parts = (blocks, np.arange(n), np.arange(n + 1))
+    return csr_array(bsr_array(parts, shape=(n * rows, n * columns)))
+
+
+def blocks_of(nodes: IntArray, matrix: csr_array, d: int) -> Blocks:
+    """A matrix of nodes as blocks.
+
+    Args:
+        nodes: Global numbers.
+        matrix: By the components of these.
+    """
+    product = matrix.tobsr((d, d))
+    first = np.repeat(np.arange(len(nodes)), np.diff(product.indptr))
+    return Blocks(nodes[first], nodes[product.indices], product.data)
+
+
+def _on_facets(space: fem.FunctionSpace, cells: IndexArray, local: IndexArray) -> IndexArray:
+    """Local nodes of a space on facets, shape (facets, nodes).
+
+    Args:
+        cells: Local cells beside the facets.
+        local: Number of each facet in its cell.
+    """
+    layout, d = space.dofmap.dof_layout, space.mesh.topology.dim
+    closure = np.array([layout.entity_closure_dofs(d - 1, i) for i in range(d + 1)], dtype=np.int32)
+    return np.asarray(space.dofmap.list[cells[:, None], closure[local]])
