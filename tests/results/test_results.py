@@ -458,13 +458,18 @@ def test_a_summary_that_its_writer_does_not_close(there: str, before: str, tmp_p
 # --- records ---
 
 
-def test_unknown_fields_and_files_are_refused() -> None:
+def test_unknown_fields_and_files_are_refused(folder: Path) -> None:
+    """Names of fields where the body is known, before anything is removed."""
+    problem = make_problem(2, 1)
+    before = [folder / name for name in ("results.xdmf", "picture.png")]
+    on_root(COMM, lambda: [file.touch() for file in before])
     with pytest.raises(InputError, match="did you mean 'von_mises'"):
-        Xdmf(fields=["von_mise"])  # type: ignore[arg-type]
+        Xdmf(fields=["von_mise"]).open(problem, folder)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="cannot show 'rank'; one of displacement, .*, material$"):
+        Picture(field="rank").open(problem, folder)
+    assert all(file.is_file() for file in before)
     with pytest.raises(InputError, match=r"does not end with \.xdmf"):
         Xdmf(file="results.vtu")
-    with pytest.raises(InputError, match="cannot show 'rank'; one of displacement, .*, material$"):
-        Picture(field="rank")
     with pytest.raises(InputError, match="every"):
         Picture(every=0)
     assert Xdmf(fields=["displacement"]).fields == ("displacement",)  # type: ignore[arg-type]

@@ -168,6 +168,8 @@ class PictureWriter:
             alone = every is None and self._film is None
             folder = None if alone else path.with_name(f".{path.stem}_frames")
             self._series = Series(appearance.limits, marks=appearance.marks, folder=folder)
+            for name in fields:  # before anything is removed
+                check_drawable(name, problem.body)
             on_root(problem.body.comm, self._clear)
             self._painter = Painter(problem, fields)
 
