@@ -226,10 +226,11 @@ class Perturbation:
     def __init__(self, problem: Problem, share: float) -> None:
         self._problem, self._share = problem, share
         self._assembler = Assembler(problem)
+        self._x = self._assembler.create_vector()
         try:
             self._make()
         finally:
-            self._assembler.destroy()
+            destroy(self._x, self._assembler)
 
     def _make(self) -> None:
         problem, assembler = self._problem, self._assembler
@@ -243,8 +244,7 @@ class Perturbation:
         self.strain_rate = self._strain_rate(along)
         self.stiffness: PETSc.Mat = assembler.tangent.matrix.copy()
         self.rate = self._rate(base, along, STEP * cell_size(problem.body) / top)
-        self._put(base, self._share)
-        assembler.residual.assemble()
+        self._residual(base, self._share)
 
     def _rate(self, base: FloatArray, along: FloatArray, step: float) -> PETSc.Mat:
         """Difference quotient of the stiffness of stress and loads."""
@@ -252,9 +252,8 @@ class Perturbation:
         state.x.array[:] = base
         form = problem.weak_form.geometric(state)
         form += ufl.replace(tangent_of_external_terms(problem), {problem.w: state})
-        tangent = Tangent(
-            self._assembler, BilinearForm(compiled(problem, [form])[0]), iterated=False
-        )
+        (compiled_form,) = compiled(problem, [form])
+        tangent = Tangent(self._assembler, BilinearForm(compiled_form), iterated=False)
         try:
             rate = self._assembled(tangent, base + step * along, self._share + step).copy()
             before = self._assembled(tangent, base - step * along, self._share - step)
@@ -266,19 +265,15 @@ class Perturbation:
         return rate
 
     def _put(self, values: FloatArray, share: float) -> None:
-        """Puts all unknowns, ghosts included, and the loads."""
-        problem = self._problem
-        problem.set_time(1.0, default=Amplitude(((0.0, share), (1.0, share))))
-        problem.w.x.array[:] = values
-        problem.unknowns.w_to_u()
+        """Sets the loads, and the vector of all unknowns."""
+        self._problem.set_time(1.0, default=Amplitude(((0.0, share), (1.0, share))))
+        self._problem.w.x.array[:] = values
+        self._assembler.get(self._x)
 
     def _assembled(self, tangent: Tangent, values: FloatArray, share: float) -> PETSc.Mat:
         self._put(values, share)
         tangent.invalidate()
-        x = self._assembler.create_vector()
-        self._assembler.get(x)
-        tangent.assemble(x)
-        x.destroy()
+        tangent.assemble(self._x)
         return tangent.matrix
 
     def _velocity(self, base: FloatArray) -> FloatArray:
@@ -320,12 +315,9 @@ class Perturbation:
 
     def _residual(self, values: FloatArray, share: float) -> FloatArray:
         self._put(values, share)
-        assembler = self._assembler
-        x, f = assembler.create_vector(), assembler.create_vector()
-        assembler.get(x)
-        assembler.residual.evaluate(x, f)
+        f = self._assembler.create_vector()
+        self._assembler.residual.evaluate(self._x, f)
         result = f.array_r.copy()
-        x.destroy()
         f.destroy()
         return result
 

@@ -14,6 +14,7 @@ from dolfin_elastic import (
     Body,
     BodyForce,
     Buckling,
+    Centrifugal,
     Force,
     LinearElastic,
     Modal,
@@ -32,6 +33,7 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.core.errors import ConvergenceError, InputError
+from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.problem.state import Mode, State
 from dolfin_elastic.solvers.eigen.buckling import Perturbation
@@ -307,49 +309,51 @@ def test_geometric_stiffness_by_hand() -> None:
     assert not G[:, ~free].any()
 
 
-@pytest.mark.parametrize("geometry", ["space", "plane-stress", "axisymmetric"])
-def test_virial_of_the_stress(geometry: str, comm: MPI.Comm) -> None:
-    """u K_sigma u with u = x is the mean of tr sigma, which equilibrium gives: integral of t . x.
+PULL = Traction(on="right", value=["-3*y", 0])
+LIFT = Traction(on="top", value=[0, "2*x"])
+SKEW = [
+    Traction(on="right", value=["-3*y", 0, 0]),
+    Traction(on="top", value=[0, 0, "2*x*y"]),
+]
+VIRIALS: list[tuple[str, list[Load], float]] = [
+    ("plane-stress", [PULL, LIFT], -3 / 2 + 2 / 2),
+    ("axisymmetric", [PULL], 2 * np.pi * -3 / 2),  # u = r: the radial and the hoop stress
+    ("space", SKEW, -3 / 2 + 2 / 4),
+    # With the load stiffness: of a pressure p d2V/V = 6 p beside 3 p, of what spins as much again.
+    ("space", [Pressure(on=["right", "back", "top"], value=7)], -3 * 7 + 6 * 7),
+    ("space", [*SKEW, Centrifugal(value=2, axis="z")], -3 / 2 + 2 / 4),
+]
 
-    In a body of revolution u = r: the radial and the hoop stress.  Tractions, as formulas, are not
-    those of a uniform stress.
+
+@pytest.mark.parametrize(("geometry", "loads", "exact"), VIRIALS)
+def test_virial_of_the_stress(
+    geometry: str, loads: list[Load], exact: float, comm: MPI.Comm
+) -> None:
+    """u K_sigma u with u = x is the integral of tr sigma, which equilibrium gives: of t . x.
+
+    Tractions are formulas, so that the stress is not uniform.
     """
-    plane = geometry != "space"
-    rollers = [Symmetry(on="left"), Symmetry(on="bottom" if plane else "front")]
-    if plane:
-        body = rectangle_body(size=[1, 1], cells=(3, 2), comm=comm)
-        loads = [Traction(on="right", value=["-3*y", 0]), Traction(on="top", value=[0, "2*x"])]
-        exact = -3 / 2 + 2 / 2
-    else:
+    if geometry == "space":
         body = box_body(size=[1, 1, 1], cells=(2, 1, 1), comm=comm)
-        rollers.append(Symmetry(on="bottom"))
-        loads = [
-            Traction(on="right", value=["-3*y", 0, 0]),
-            Traction(on="top", value=[0, 0, "2*x*y"]),
-        ]
-        exact = -3 / 2 + 2 / 4
-    keys = {"geometry": geometry} if plane else {}
+        supports: list[Any] = [Symmetry(on=name) for name in ("left", "front", "bottom")]
+        keys = {}
+    else:
+        body, keys = rectangle_body(size=[1, 1], cells=(3, 2), comm=comm), {"geometry": geometry}
+        supports = [Symmetry(on="left"), Symmetry(on="bottom")]
+    places = np.array([1.0, 1.0, 1.0])[: body.dim]
     if geometry == "axisymmetric":
-        rollers, exact = [Support(on="bottom", displacement=["free", 0])], 2 * np.pi * -3 / 2
-    problem = Problem(
-        body, StVenantKirchhoff(E=1e5, nu=0.3), supports=rollers, loads=loads, degree=2, **keys
-    )
+        supports, places = [Support(on="bottom", displacement=["free", 0])], np.array([1.0, 0.0])
+    law = StVenantKirchhoff(E=1e5, nu=0.3, density=5)
+    problem = Problem(body, law, supports=supports, loads=loads, degree=2, **keys)
     at_rest(problem)
     perturbation = Perturbation(problem, 0.0)
-    x = perturbation.rate.createVecRight()
-    places = problem.places[:, : body.dim].copy()
-    if geometry == "axisymmetric":
-        places[:, 1] = 0.0
-    owned = places.ravel()[: len(problem.unknowns.displacement_dofs)]
-    values = np.zeros(x.getLocalSize())
-    values[problem.unknowns.displacement_dofs] = owned
-    x.array_w[:] = values
-    y = x.duplicate()
+    x, y = perturbation.rate.createVecs()
+    dofs = problem.unknowns.displacement_dofs
+    x.array_w[dofs] = (problem.places[:, : body.dim] * places).ravel()[: len(dofs)]
     perturbation.rate.mult(x, y)
-    assert x.dot(y) == pytest.approx(exact, rel=1e-9)
-    x.destroy()
-    y.destroy()
-    perturbation.destroy()
+    assert x.dot(y) == pytest.approx(exact, rel=1e-8)
+    for thing in (x, y, perturbation):
+        thing.destroy()
 
 
 @pytest.mark.parametrize(
