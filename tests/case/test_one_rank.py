@@ -166,6 +166,7 @@ def test_all_ranks_end(body: str, tmp_path: Path) -> None:
     assert seconds_to_the_end(body, tmp_path) < LONGEST
 
 
+@pytest.mark.long
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_all_ranks_end_without_a_case(solver: str, tmp_path: Path) -> None:
@@ -175,6 +176,7 @@ def test_all_ranks_end_without_a_case(solver: str, tmp_path: Path) -> None:
     assert seconds_to_the_end(body, tmp_path) < LONGEST
 
 
+@pytest.mark.long
 @pytest.mark.sample(1)
 @pytest.mark.parametrize("solver", MODE_SOLVERS)
 def test_all_ranks_end_among_modes(solver: str, tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ from conftest import ROOT
 DEMOS = ROOT / "demos"
 SCRIPTS = sorted(DEMOS.glob("*/*.py"))
 CASES = sorted(DEMOS.glob("*/*.toml"))
-# Half a minute each on two cores: the other demos run the same paths in the quick set.
-LONG = {"bounce", "duck", "tipping", "turek_hron"}
+# They take longest: the other demos run the same paths in the quick set.
+LONG = {"bounce", "bridge", "duck", "tipping", "turek_hron"}
 MARKED = [
     pytest.param(path, marks=pytest.mark.long) if path.stem in LONG else path for path in SCRIPTS
 ]
@@ -87,7 +87,7 @@ def test_tetrahedron_on_three_ranks(tmp_path: Path) -> None:
     assert re.search(CHECKED["tetrahedron"], out)
 
 
-@pytest.mark.sample(2)
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("case", CASES, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_case(case: Path, tmp_path: Path) -> None:
     """What the command line says of it."""

@@ -27,11 +27,17 @@ TESTS = Path(__file__).resolve().parent.parent
 
 POINTS = {
     "case/reference/test_json_schema.py",
+    "case/test_one_rank.py",
+    "cli/test_cli.py",
     "cli/test_console.py",
+    "cli/test_streams.py",
     "cli/test_tools.py",
     "core/test_formula.py",
     "core/test_shapes.py",
     "core/test_units.py",
+    "demos/test_demos.py",
+    "hostile/test_current_folder.py",
+    "hostile/test_fuzzed_cases.py",
     "hostile/test_gmsh.py",
     "hostile/test_petsc_options.py",
     "hostile/test_terminal.py",
@@ -56,17 +62,21 @@ POINTS = {
     "test_tutorials.py",
     "verification/test_manufactured.py",
 }
-"""Tests of numbers and texts, and of rates, in which ranks take no part: on one rank only."""
+"""Tests of numbers and texts, and of rates, in which ranks take no part, and of programs that start
+ranks themselves: on one rank only."""
 LAWS = {
     "case/check/test_check_report.py",
+    "case/check/test_degree.py",
     "study/converge/test_converge.py",
     "mesh/test_selection.py",
     "model/materials/test_law_input.py",
     "model/materials/test_laws.py",
     "model/materials/test_user_energy.py",
+    "problem/test_coefficients.py",
     "problem/test_dimension.py",
     "solvers/diagnostics/test_diagnose.py",
     "solvers/dynamics/explicit/test_impact.py",
+    "solvers/dynamics/implicit/test_energy_momentum.py",
     "solvers/dynamics/implicit/test_implicit.py",
     "solvers/dynamics/implicit/test_incompressible_motion.py",
     "solvers/dynamics/test_energy_balance.py",

@@ -126,6 +126,7 @@ def test_turn_of_half_a_radian_a_step(comm: MPI.Comm) -> None:
     assert max(drifts(states)) < 1e-12
 
 
+@pytest.mark.long
 def test_second_order(comm: MPI.Comm) -> None:
     """Against a motion of quarter steps, once waves through the thickness are resolved."""
     ends = [
