@@ -116,6 +116,7 @@ def test_new_check_and_refuse(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "words", ["run case.toml", "restart {}", "report {}", "convert {}.msh b.xdmf", "new {}"]
 )
+@pytest.mark.sample(2)
 def test_names_that_no_file_can_have(folder: Path, words: str) -> None:
     """One line, of files that a case names as of those of the command line."""
     text = CASE.replace("box = {size = [2, 1, 1], cells = [4, 2, 2]}", f'file = "{"x" * 256}.geo"')

@@ -82,6 +82,7 @@ def _gmsh_cube(
 @pytest.mark.parametrize(
     ("version", "binary"), [(2.2, False), (2.2, True), (4.0, False), (4.1, False), (4.1, True)]
 )
+@pytest.mark.sample(4)
 def test_gmsh_files_keep_volume_and_names(
     folder: Path, version: float, binary: bool, order: int
 ) -> None:

@@ -59,6 +59,7 @@ def ends(strain: float, turn: float) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("strain", [0.1, 1e-2, 1e-4])
 @pytest.mark.parametrize("name", LAWS)
+@pytest.mark.sample(6)
 def test_work_is_the_change_of_energy(name: str, strain: float) -> None:
     """P : (F1 - F0) = psi(F1) - psi(F0) to the round-off of psi, 1e-16 of the modulus.
 
@@ -75,6 +76,7 @@ def test_work_is_the_change_of_energy(name: str, strain: float) -> None:
 
 
 @pytest.mark.parametrize("name", LAWS)
+@pytest.mark.sample(4)
 def test_no_moment_and_no_dependence_on_rotations(name: str) -> None:
     """P Fm^T is symmetric; a step that is turned has its stress turned."""
     law = LAWS[name]

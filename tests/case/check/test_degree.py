@@ -449,6 +449,7 @@ def meshed(folder: Path, geo: str, order: int) -> Iterator[Path]:
         (GEO + HOLE, 1, 1, ""),  # of the order of what linear elements err anyhow
     ],
 )
+@pytest.mark.sample(3)
 def test_shapes(geo: str, order: int, degree: int, said: str, folder: Path) -> None:
     """Finished meshes whose cells do not fit the surface, or the displacement."""
     with meshed(folder, geo, order):

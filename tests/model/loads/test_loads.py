@@ -158,6 +158,7 @@ def test_total_force_in_a_plane(geometry, thickness):
 @pytest.mark.parametrize(
     "geometry", ["solid", "edge", "points", "plane-strain", "plane-stress", "axisymmetric"]
 )
+@pytest.mark.sample(2)
 def test_what_is_fixed_bears_the_total_force(geometry):
     """In a plane that on the whole thickness, of a body of revolution on the whole ring."""
     plane = {"geometry": geometry, "thickness": 0.2} if geometry.startswith("plane") else {}

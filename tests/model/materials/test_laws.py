@@ -351,6 +351,7 @@ KINDS = {"svk": StVenantKirchhoff, "nh": NeoHookean, "fcr": FixedCorotated}
         ("fcr", 1.5, 0.869332099770, 4.428686154255e5),
     ],
 )
+@pytest.mark.sample(2)
 def test_uniaxial(comm, law, stretch, lateral, P11):
     """Free sides; svk: P11 = E s (s^2 - 1)/2, lateral^2 = 1 - nu (s^2 - 1)."""
     held = {**ROLLERS, "right": [(stretch - 1) * SIZE[0], FREE, FREE]}
@@ -393,6 +394,7 @@ def test_equibiaxial(comm, law, stretch, lateral, P11):
         ("fcr", 0.8, 1.081081081081, -2.381300219138e5),
     ],
 )
+@pytest.mark.sample(2)
 def test_plane_strain_tension(comm, law, stretch, lateral, P11):
     """A sheet that cannot get thinner: in two dimensions, with the same law."""
     held = {"left": [0, FREE], "bottom": [FREE, 0], "right": [stretch - 1, FREE]}

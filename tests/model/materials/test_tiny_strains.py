@@ -116,6 +116,7 @@ def test_strain_is_what_the_stress_follows_from(name):
 
 @pytest.mark.usefixtures("serial_only")
 @LAWS
+@pytest.mark.sample(4)
 def test_growth_as_tiny_as_the_strain(name):
     """Growth of 1e-18 within a strain of as much: that of their difference."""
     law, G = make(name), SHAPE[::-1]

@@ -380,6 +380,7 @@ article 105."""
 
 @pytest.mark.parametrize("finished", [False, True], ids=["from CAD", "finished mesh"])
 @pytest.mark.parametrize("cells", [12, 24])
+@pytest.mark.sample(2)
 def test_straight_cells_at_a_curved_face_are_part_of_the_error(
     folder: Path, cells: int, finished: bool
 ) -> None:

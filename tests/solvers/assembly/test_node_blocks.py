@@ -198,6 +198,7 @@ SUPPORTS: dict[str, list[Restraint]] = {
 
 
 @pytest.mark.parametrize("name", [*SUPPORTS, "linear", "ties", "mixed", "contact"])
+@pytest.mark.sample(3)
 def test_both_solvers_find_the_same(name: str) -> None:
     found = []
     for method in ("direct", "iterative"):

@@ -226,6 +226,7 @@ def test_squeezed_through_itself(law):
 
 
 @pytest.mark.sample(1)
+@pytest.mark.long
 def test_squeezed_through_itself_by_a_law_that_survives():
     """It goes on, with cells that are inverted, and says so."""
     state = last(squeezed(FixedCorotated(E=E, nu=NU), 1.2))

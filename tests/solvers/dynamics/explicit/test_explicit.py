@@ -116,6 +116,7 @@ def test_order_in_time(scheme, order):
 
 
 @BOTH
+@pytest.mark.sample(1)
 def test_energy_stays_in_a_band(scheme):
     """1000 steps: the energy swings by O(omega dt), and the band is the same at the end."""
     dt = 0.2 / OMEGA

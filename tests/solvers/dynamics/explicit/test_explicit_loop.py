@@ -308,6 +308,7 @@ def test_a_continued_run_is_the_same(kind, scheme):
 
 
 @BOTH
+@pytest.mark.sample(1)
 def test_states_between_change_nothing(scheme, monkeypatch):
     """In a run that can be stopped: the motion is bit by bit the same, and goes on from them."""
     settings = {"scheme": scheme, "end": 0.08, "every": "0.03 s", "dt": 4e-4}

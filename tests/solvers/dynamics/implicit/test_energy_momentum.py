@@ -209,6 +209,7 @@ SHAKEN = {
 
 @pytest.mark.parametrize("how", SHAKEN)
 @pytest.mark.parametrize("law", ["neo-hookean", "incompressible"])
+@pytest.mark.sample(2)
 def test_a_support_that_moves(comm: MPI.Comm, how: str, law: str) -> None:
     """What it does is the work of its reactions in the middle of steps, and so is what is kept."""
     made, degree, steps = NH, 1, 40

@@ -254,6 +254,7 @@ def test_rayleigh_mass_brakes_a_free_body():
 
 
 @pytest.mark.parametrize("scheme", ["generalized-alpha", "newmark", "implicit-euler", "alpha2"])
+@pytest.mark.sample(2)
 def test_times_are_met_exactly_and_all_that_is_asked_for_is_shown(scheme):
     """Also those that are no multiples of dt, and where steps add up to them but for round-off."""
 

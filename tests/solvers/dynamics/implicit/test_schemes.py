@@ -92,6 +92,7 @@ def known(settings: dict[str, Any], x: float, n: np.ndarray) -> np.ndarray:
     ids=lambda s: "-".join(str(round(v, 2) if isinstance(v, float) else v) for v in s.values()),
 )
 @pytest.mark.parametrize("x", [0.2, 3.0])
+@pytest.mark.sample(4)
 def test_every_step_is_the_one_of_the_formulas(settings, x):
     """30 steps at omega dt = 0.2, and at 3, far beyond where explicit schemes are stable.
 
