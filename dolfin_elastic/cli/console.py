@@ -21,6 +21,7 @@ from dolfin_elastic.core.errors import ElasticError, InputError, SolveError
 from dolfin_elastic.core.si_text import counted, number
 
 if TYPE_CHECKING:
+    from rich.padding import Padding
     from rich.table import Table
 
     from dolfin_elastic.case.described import Described
@@ -261,7 +262,7 @@ def error_text(error: ElasticError) -> str:
 # --- tables ---
 
 
-def show_table(screen: Screen, table: Table) -> None:
+def show_table(screen: Screen, table: Table | Padding) -> None:
     """Prints a table, in files without trailing blanks.
 
     Args:
@@ -276,12 +277,23 @@ def show_table(screen: Screen, table: Table) -> None:
         screen.print(line.rstrip(), soft_wrap=True)
 
 
-def show_described(screen: Screen, rows: Sequence[Described]) -> None:
-    """Prints what supports, loads, contacts and ties do; nothing of none.
+def show_tables(screen: Screen, tables: Sequence[Table]) -> None:
+    """Prints tables with a blank line before each and behind the last.
 
     Args:
         screen: Where to.
     """
+    from rich.padding import Padding
+
+    for table in tables:
+        table.show_edge = False
+        show_table(screen, Padding(table, (1, 0, 0, 1)))
+    if tables:
+        screen.print()
+
+
+def described_tables(rows: Sequence[Described]) -> list[Table]:
+    """What supports, loads, contacts and ties do, in a table; none of none."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
@@ -289,8 +301,7 @@ def show_described(screen: Screen, rows: Sequence[Described]) -> None:
     for row in rows:
         on = ", ".join(row.on) or "(whole body)"
         table.add_row(row.key, on, row.text.translate(TYPED))
-    if rows:
-        show_table(screen, table)
+    return [table] if rows else []
 
 
 def show_end(
@@ -336,6 +347,11 @@ def _end_rows(state: State, motion: bool, most: float = 0.0) -> list[tuple[str, 
     largest = _force_scale(state)
     for name, force in state.reactions.items():
         rows.append((f"reaction of {name}", vector_text(force, largest) + " N"))
+    for column, value in state.numbers.items():
+        if column.startswith(head := "obstacle_displacement_"):
+            rows.append(
+                (f"displacement of {column.removeprefix(head)}", state.unit.length(value, 5))
+            )
     rows += _section_rows(state, largest)
     if state.stability is not None and state.stability.verdict == "unstable":
         rows.append(("stability", str(state.stability)))

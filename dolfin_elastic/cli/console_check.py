@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from dolfin_elastic.cli.console import TYPED, console, show_described, show_table, vector_text
+from dolfin_elastic.cli.console import TYPED, console, described_tables, show_tables, vector_text
 from dolfin_elastic.cli.look.show import Lengths, parts_table
-from dolfin_elastic.cli.terminal import Screen
 from dolfin_elastic.core.units import LENGTHS
 
 if TYPE_CHECKING:
@@ -28,16 +27,18 @@ def show_check(report: Report) -> None:
     size = _lengths(report)
     for name, text in _head(report, size):
         screen.tell(f"  {name:<10} {text}")
+    tables = []
     for kind in ("surface", "edge", "point", "region", "material"):
         rows: Sequence[PartSize] = getattr(report, f"{kind}s")
         if rows:
             use = "law" if kind == "material" else "used by"
-            show_table(screen, parts_table(kind, rows, size, use=use))
-    show_described(screen, report.described)
-    if report.loads:
-        _show_loads(screen, report)
+            tables.append(parts_table(kind, rows, size, use=use))
+    tables += described_tables(report.described)
     if report.contacts:
-        show_table(screen, _contacts(report.contacts, size))
+        tables.append(_contacts(report.contacts, size))
+    show_tables(screen, [*tables, *([_loads(report)] if report.loads else [])])
+    if report.loads:
+        screen.tell(_about_loads(report))
     for field in report.fields:
         screen.tell(f"field {field}")
     for note in report.notes:
@@ -68,8 +69,11 @@ def _head(report: Report, size: Lengths) -> list[tuple[str, str]]:
     ]
     if whole.mass is not None:
         middle = f"{size.place(whole.centre_of_mass)} {size.unit}"
-        rows.append(("mass", f"{whole.mass:.4g} kg, centre of mass {middle}"))
-    rows += [("material", text.translate(TYPED)) for text in report.constants]
+        mounted = whole.mass - sum(row.mass or 0.0 for row in report.materials)
+        of = f", {mounted:.4g} kg of it mounted" if mounted > 1e-9 * whole.mass else ""
+        rows.append(("mass", f"{whole.mass:.4g} kg{of}, centre of mass {middle}"))
+    for text in report.constants:  # the source of a material is an indented line of its own
+        rows.append(("" if text.startswith(" ") else "material", text.translate(TYPED)))
     return [*rows, *(("body", _body(body, len(report.bodies))) for body in report.bodies[:5])]
 
 
@@ -81,7 +85,7 @@ def _body(body: FreeBody, bodies: int) -> str:
     return f"{name}{free}" + (f" (one of {bodies} that share no nodes)" if bodies > 1 else "")
 
 
-def _show_loads(screen: Screen, report: Report) -> None:
+def _loads(report: Report) -> Table:
     heads = ("load", "force [N]", "moment about the origin [N m]")
     table = Table(*heads, box=SIMPLE_HEAD, pad_edge=False)
     moving = report.analysis == "dynamics"
@@ -90,13 +94,16 @@ def _show_loads(screen: Screen, report: Report) -> None:
     for load in report.loads:
         time = [f"{load.time:.4g}"] if moving else []
         table.add_row(load.load, _resultant(load.force), _resultant(load.moment), *time)
-    show_table(screen, table)
+    return table
+
+
+def _about_loads(report: Report) -> str:
     at = f"at load parameter {max((load.time for load in report.loads), default=1.0):g}"
-    when = "when it is largest in the motion" if moving else at
+    when = "when it is largest in the motion" if report.analysis == "dynamics" else at
     text = f"Loads are summed up on the undeformed body, each {when}."
     if any(load.force is None for load in report.loads):
         text += " Those without numbers depend on more than that body."
-    screen.tell(text)
+    return text
 
 
 def _contacts(contacts: Sequence[ContactGap], size: Lengths) -> Table:

@@ -14,6 +14,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check.consistency import check
+from dolfin_elastic.case.check.report import report
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.mesh import Body, Cylinder, Selector, name_parts, read_body
@@ -200,6 +201,11 @@ def test_a_case_with_names_of_faces(folder: Path) -> None:
     assert area(body, "both") == pytest.approx(
         area(body, "hole r 1.5") + area(body, "fillet r 4"), rel=1e-12
     )
+    sizes = {part.name: part for part in report(case).surfaces}
+    assert [name for name in sizes if name != "both"] == ["face 1", "hole r 1.5"]
+    assert (sizes["face 1"].use, sizes["hole r 1.5"].use) == ("support", "bearing")
+    assert sizes["face 1"].faces == (1,)
+    assert sizes["hole r 1.5"].measure / MM**2 == pytest.approx(area(body, "hole r 1.5"))
     tables["support"][0]["on"] = "hole r 5"
     wrong = Case.from_dict(tables, folder)
     with pytest.raises(InputError, match=r"support\[0\].on: .*'hole r 5'.*r 1.5 mm, hole"):

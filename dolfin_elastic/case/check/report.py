@@ -43,6 +43,7 @@ from dolfin_elastic.case.check.plausibility import unit_information
 from dolfin_elastic.case.check.rest import read_body
 from dolfin_elastic.case.check.sizes import (
     PartSize,
+    faces_used,
     lower_sizes,
     material_sizes,
     references,
@@ -96,7 +97,7 @@ class Report:
         analysis: "statics", "modal", "buckling" or "dynamics"; of several, with commas.
         scheme: Of dynamics; else empty.
         linear_solver: Which linear solver, and why.
-        surfaces: The named surfaces.
+        surfaces: The named surfaces, and the CAD faces that the case uses without a name.
         edges: The named edges of a solid.
         points: The named points, but for sets of nodes that are surfaces.
         regions: The named regions.
@@ -297,7 +298,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
         analysis=case.analysis,
         scheme=case.dynamics.scheme if case.dynamics else "",
         linear_solver="none: explicit scheme" if choice is None else choice.why,
-        surfaces=surface_sizes(body, use),
+        surfaces=surface_sizes(body, use, faces_used(case, body)),
         edges=lower_sizes(body, "edge", use),
         points=lower_sizes(body, "point", use),
         regions=region_sizes(body, use, integrals),

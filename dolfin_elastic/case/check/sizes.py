@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,19 +59,23 @@ class PartSize:
     centre_of_mass: tuple[float, ...] = ()
 
 
-def surface_sizes(body: Body, use: Use) -> tuple[PartSize, ...]:
-    """All named surfaces. Collective."""
+def surface_sizes(body: Body, use: Use, faces: Iterable[str] = ()) -> tuple[PartSize, ...]:
+    """All named surfaces. Collective.
+
+    Args:
+        faces: Further ones without a name, see `faces_used`.
+    """
     prepare_facets(body.mesh)
     sizes = []
-    for name in sorted(body.surfaces.keys() - body.uncovered.keys()):
+    for name in (*sorted(body.surfaces.keys() - body.uncovered.keys()), *faces):
         facets = body.owned_facets(name)
         measure, centroid, normal = means(body, facet_quadrature(body.mesh, facets, 2))
-        faces: set[int] = set()
+        numbers: set[int] = set()
         if body.faces is not None:
             own = np.unique(body.faces.numbers_of(facets)).tolist()
-            faces = {int(n) for share in body.comm.allgather(own) for n in share if n}
+            numbers = {int(n) for share in body.comm.allgather(own) for n in share if n}
         result = PartSize(name, body.count(name), measure, use(name, "surface"), centroid, normal)
-        sizes.append(replace(result, faces=tuple(sorted(faces))))
+        sizes.append(replace(result, faces=tuple(sorted(numbers))))
     return tuple(sizes)
 
 
@@ -122,26 +126,37 @@ def references(case: Case, body: Body, name: str, kind: str) -> str:
         name: Of the part, as the mesh has it.
         kind: "region", "surface", "edge" or "point".
     """
+    users = _users(case, kind)
+    return ", ".join(user for user, names in users if name in _spelled(body, names))
 
-    def among(names: Iterable[str]) -> bool:
-        return any(spelling(body, other) == name for other in names)
 
-    loads = [load.kind for load in case.load if kind in load_kinds(load) and among(load.parts)]
+def faces_used(case: Case, body: Body) -> list[str]:
+    """CAD faces that the case names by number or size, as "face 3" and "hole r 6", sorted."""
+    names = {one for _, names in _users(case, "surface") for one in _spelled(body, names)}
+    return sorted(name for name in names - {*body.surfaces} if name in body.surfaces)
+
+
+def _spelled(body: Body, names: Iterable[str]) -> list[str]:
+    return [spelling(body, name) for name in names]
+
+
+def _users(case: Case, kind: str) -> Iterator[tuple[str, Sequence[str]]]:
+    """What refers to parts of a kind, each with their names as the case has them."""
+    loads = [(load.kind, load.parts) for load in case.load if kind in load_kinds(load)]
     if kind == "region":
-        return ", ".join([key for key, m in case.materials.items() if among(m.regions)] + loads)
-    supports = [
-        "support" if s.kind in ("displacement", "fixed") else s.kind
-        for s in case.support
-        if kind in s.part_kinds and among(s.surfaces)
-    ]
-    if kind != "surface":
-        return ", ".join(supports + loads)
-    contacts = ["contact" for c in case.contact if among(c.surfaces)]
-    contacts += ["tie" for tie in case.tie if among((*tie.surfaces, *tie.others))]
-    contacts += ["mass" for mass in case.mass if among(mass.surfaces)]
-    pairs = case.periodic.pairs if case.periodic else ()
-    periodic = ["periodic"] if any(map(among, pairs)) else []
-    return ", ".join(supports + contacts + loads + periodic)
+        yield from ((key, material.regions) for key, material in case.materials.items())
+        yield from loads
+        return
+    for one in case.support:
+        if kind in one.part_kinds:
+            yield "support" if one.kind in ("displacement", "fixed") else one.kind, one.surfaces
+    if kind == "surface":
+        yield from (("contact", contact.surfaces) for contact in case.contact)
+        yield from (("tie", (*tie.surfaces, *tie.others)) for tie in case.tie)
+        yield from (("mass", mass.surfaces) for mass in case.mass)
+        if case.periodic:
+            yield "periodic", [name for pair in case.periodic.pairs for name in pair]
+    yield from loads
 
 
 class _CellMoments:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from dolfin_elastic.cli.console import console, show_described, show_table
+from dolfin_elastic.cli.console import console, described_tables, show_tables
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.check.sizes import PartSize
@@ -28,13 +28,12 @@ def show_look(annotated: Look) -> None:
     screen.tell(f"  extent {extent}, {annotated.dim}D, {annotated.cells} elements")
     for text in annotated.information:
         screen.tell(f"  {text}")
-    if annotated.faces:
-        show_table(screen, _faces(annotated, size, annotated.faces))
+    tables = [_faces(annotated, size, annotated.faces)] if annotated.faces else []
     for kind in ("surface", "region", "edge", "point"):
         rows: Sequence[PartSize] = getattr(annotated, f"{kind}s")
         if rows:
-            show_table(screen, parts_table(kind, rows, size, directions=True))
-    show_described(screen, annotated.described)
+            tables.append(parts_table(kind, rows, size, directions=True))
+    show_tables(screen, [*tables, *described_tables(annotated.described)])
     if annotated.faces and not annotated.case:
         one = next((face for face in annotated.faces if face.form), annotated.faces[0])
         by_size = one.description.split(",")[0].replace(one.kind, one.form or one.kind, 1)

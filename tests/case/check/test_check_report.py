@@ -859,6 +859,19 @@ def test_a_contact_that_goes_into_held_nodes(tables, deep):
 # --- how it is shown ---
 
 
+def test_what_belongs_to_a_line_has_no_label() -> None:
+    """The source of a material; and what of the mass is mounted."""
+    found = report(
+        case(materials={"steel": {"material": "S235"}}, mass=[{"on": "top", "mass": "100 kg"}])
+    )
+    with redirect_stdout(io.StringIO()) as out:
+        show_check(found)
+    lines = out.getvalue().splitlines()
+    assert [line.split()[1] for line in lines if line.startswith("  material ")] == ["steel:"]
+    assert any(line.startswith("               source: steel S235") for line in lines)
+    assert any("  mass       4.72e+04 kg, 100 kg of it mounted, centre" in line for line in lines)
+
+
 def test_shown_and_as_json():
     """The screen keeps to 100 columns, and JSON has the same numbers."""
     loads = [{"kind": "gravity"}, {"kind": "traction", "on": "top", "value": [100, 0, 0]}]
@@ -867,6 +880,7 @@ def test_shown_and_as_json():
         show_check(found)
     text = out.getvalue()
     assert max(map(len, text.splitlines())) <= 100
+    assert "\n\n\n" not in text
     assert "mass       6000 kg, centre of mass (1, 0.5, 1.5) m" in text
     assert "all loads" in text
     assert "Loads are summed up on the undeformed body, each at load parameter 1." in text

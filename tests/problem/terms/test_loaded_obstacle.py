@@ -22,6 +22,7 @@ from dolfin_elastic import (
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check.report import report
 from dolfin_elastic.case.run import run
+from dolfin_elastic.cli.console import _end_rows
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.state import StateCopy
 from dolfin_elastic.results.finished.draw import obstacles_of
@@ -67,6 +68,8 @@ def test_a_stamp_carries_its_force_and_goes_as_far_as_one_that_is_moved(shape, d
     np.testing.assert_allclose(state.reactions["stamp"] @ unit, FORCE, rtol=1e-10)
     assert state.numbers["obstacle_force_stamp"] == pytest.approx(FORCE, rel=1e-10)
     assert state.audit.verdict == "pass"
+    shown = dict(_end_rows(state, motion=False))["displacement of stamp"]
+    assert shown == f"{way(state):.5g} m"
     moved = last(pressed(degree=degree, motion=(way(state) * unit).tolist(), **shape))
     np.testing.assert_allclose(moved.reactions["stamp"] @ unit, FORCE, rtol=1e-6)
     assert moved.max_displacement == pytest.approx(state.max_displacement, rel=1e-6)
