@@ -102,7 +102,7 @@ _EXTREMES = {
     "max_jacobian": ("most expanded element", "of its volume"),
     "contact_pressure": ("largest contact pressure", "Pa"),
 }
-_LAST, _SINGULAR = " at the end", ", where it is singular"
+_LAST, _SINGULAR = " at the end", ", singular"
 """What the name of a value adds if it is that of the last state, or has a regular one beside it."""
 
 
@@ -157,9 +157,8 @@ def lines_of_motion(summary: Table) -> list[str]:
     """Largest von Mises stresses and smallest safety factors of a motion, for people."""
     return [
         f"{row.name:<36} {row.value.text} at {row.place}"
-        + (f" ({row.remark})" if row.remark else "")
         for row in extremes_of(summary)
-        if row.key in ELSEWHERE and row.value.value > 0 and _SINGULAR not in row.name
+        if row.key in ELSEWHERE and row.value.value > 0
     ]
 
 
