@@ -21,7 +21,14 @@ from dolfin_elastic.mesh.faces import CadFaces
 from dolfin_elastic.mesh.fields import MeshField, from_array
 from dolfin_elastic.mesh.formats.cad.process import Permission
 from dolfin_elastic.mesh.geometry.boundary_shape import BoundaryShape, KnownSurface
-from dolfin_elastic.mesh.geometry.curved import edge_points, facet_quadrature, node_points
+from dolfin_elastic.mesh.geometry.curved import (
+    cell_volumes,
+    edge_points,
+    facet_areas,
+    facet_quadrature,
+    node_points,
+)
+from dolfin_elastic.mesh.geometry.simplices import boundary_facets
 
 T = TypeVar("T")
 _A = {"region": "a region", "surface": "a surface", "edge": "an edge", "point": "a point"}
@@ -483,6 +490,18 @@ def _centre(body: Body, weights: FloatArray, X: FloatArray) -> FloatArray:
 def cell_size(body: Body) -> float:
     """About the edge length of a cell [m]. Collective."""
     return span(body) / float(body.num_cells ** (1 / body.dim))
+
+
+def mean_thickness(body: Body) -> float:
+    """Twice the volume over the surface [m]: of a plate its thickness, of a square bar half a side.
+
+    Of a plane body twice the area over the boundary.  Collective.
+    """
+    mesh = body.mesh
+    volume = float(cell_volumes(mesh)[body.owned_cells()].sum())
+    area = float(facet_areas(mesh, boundary_facets(mesh)).sum())
+    volume, area = total(body.comm, np.array([volume, area]))
+    return 2 * float(volume / area)
 
 
 def connected_components(size: int, sets: IntArray | IndexArray) -> tuple[int, IntArray]:

@@ -6,6 +6,7 @@ Nothing but the case and the mesh is needed, so a run warns of the same.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from itertools import combinations, product
 
@@ -18,8 +19,8 @@ from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import first_of, total
 from dolfin_elastic.core.si_text import listed, quantity
 from dolfin_elastic.core.types import FloatArray, IndexArray
-from dolfin_elastic.core.units import MeshLength
-from dolfin_elastic.mesh.body import Body, cell_size, extent
+from dolfin_elastic.core.units import MeshLength, to_si
+from dolfin_elastic.mesh.body import Body, cell_size, extent, mean_thickness
 from dolfin_elastic.mesh.criteria import BoundingBox, bounding_box
 from dolfin_elastic.mesh.geometry.simplices import facet_nodes, outward_normals, prepare_facets
 from dolfin_elastic.mesh.point_selection import vertices_of
@@ -50,6 +51,10 @@ _STEPPED_OVER = 1.5
 """Time steps over the time between a record's rows from which peaks are missed."""
 _TIMES = 101
 """Times at which prescribed motions are evaluated."""
+_THICK = re.compile(
+    r"yield: (?P<standard>[^;]*), up to (?P<limit>[\d.]+ mm)(?: \((?P<more>[^)]*)\))?"
+)
+"""Up to which thickness a yield stress holds, in the source of a material."""
 _STRONG = 1e-6
 """Least strength over Young's modulus: of concrete in tension it is 1e-4."""
 _DENSITIES = 1.0, 30e3
@@ -96,6 +101,7 @@ def plausibility_notes(case: Case, body: Body) -> Iterator[str]:
     yield from _distance_notes(case, body)
     yield from _angle_notes(case)
     yield from _material_notes(case, body)
+    yield from _thickness_notes(case, body)
     yield from _growth_notes(case)
     yield from _record_notes(case)
     yield from _loads_on_supports(case, body)
@@ -378,6 +384,28 @@ def _allowable_notes(where: str, law: Law) -> Iterator[str]:
             f"{where}.allowable: {allowable:.4g} Pa beside a Young's modulus of "
             f"{quantity(modulus, 'Pa')}: {meant}"
         )
+
+
+def _thickness_notes(case: Case, body: Body) -> Iterator[str]:
+    """A yield stress of plates that are thinner than the part. Collective.
+
+    The limit stands in the source of the value.  The mean thickness is at most the largest one, so
+    that thin parts give no note, however they are bent; of several materials it is not known.
+    """
+    if body.dim < 3 or len(case.materials) > 1:
+        return
+    for name, material in case.materials.items():
+        credit, found = material.source.partition(":")[0], _THICK.search(material.source)
+        if found is None or "allowable" in credit or material.law.allowable is None:
+            continue
+        thick = mean_thickness(body)
+        if thick > to_si(found["limit"], "m"):
+            yield (
+                f"materials.{key_text(name)}.allowable: the yield stress of {found['standard']} is "
+                f"that of thicknesses up to {found['limit']}, and the part is about "
+                f"{body.unit.length(thick)} thick (twice its volume over its surface): "
+                f"{found['more'] or 'give that of this thickness'}"
+            )
 
 
 def _density_notes(where: str, law: Law) -> Iterator[str]:

@@ -859,6 +859,33 @@ def test_a_contact_that_goes_into_held_nodes(tables, deep):
 # --- how it is shown ---
 
 
+@pytest.mark.parametrize(
+    ("size", "keys", "told"),
+    [
+        ([300, 300, 20], {}, "is about 17.6 mm thick"),
+        ([300, 300, 16], {}, ""),
+        ([300, 300, 20], {"allowable": "225 MPa"}, ""),
+        ([300, 300, 20], {"material": "steel 42CrMo4+QT"}, ""),
+        ([300, 300, 20], {"source": "yield: mine, up to 10 mm"}, "give that of this thickness"),
+    ],
+)
+def test_yield_stress_of_thinner_plates(size: list[int], keys: dict[str, str], told: str) -> None:
+    """2 V/A of a plate is 2/(2/300 + 2/300 + 2/20) * 2 mm; thin ones give no note."""
+    mesh = {"box": {"size": size, "cells": [2, 2, 1]}, "unit": "mm"}
+    one = Case.from_dict(
+        {"mesh": mesh, "materials": {"steel": {"material": "S235", **keys}}, "support": []}
+    )
+    notes = [note for note in check(one, one.read_body()) if "thick" in note]
+    assert len(notes) == bool(told)
+    for note in notes:
+        assert told in note
+        assert note.startswith("materials.steel.allowable: the yield stress of ")
+        assert keys or "up to 16 mm" in note
+        assert keys or note.endswith(
+            ": 225 MPa up to 40 mm, 215 MPa up to 100 mm, 195 MPa up to 150 mm"
+        )
+
+
 def test_what_belongs_to_a_line_has_no_label() -> None:
     """The source of a material; and what of the mass is mounted."""
     found = report(
