@@ -62,7 +62,7 @@ def described_problem(problem: Problem) -> tuple[Described, ...]:
         "tie": [] if ties is None else ties.given,
         "mass": problem.context.mounted,
     }
-    return tuple(_rows(lists, Setting(problem.body.unit.metres, problem.context.linear)))
+    return tuple(_rows(lists, Setting(linear=problem.context.linear)))  # all is in metres
 
 
 def described_tables(tables: Mapping[str, object], setting: Setting) -> tuple[Described, ...]:
@@ -87,6 +87,7 @@ def _rows(lists: Mapping[str, Sequence[object]], setting: Setting) -> Iterator[D
 def _read(
     key: str, record: Restraint | Load | Contact | Tie | PointMass, setting: Setting
 ) -> Described:
+    record = record.in_metres(setting.metres)
     if not isinstance(record, Load):
         return Described(key, record.label, record.surfaces, record.describe(setting))
     label = str(getattr(record, "label", "+".join(record.parts)))

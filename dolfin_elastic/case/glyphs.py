@@ -63,7 +63,7 @@ def _loads(case: Case, body: Body, sums: Sequence[LoadSum]) -> Iterator[Glyphs]:
         if inside := not len(rows):
             x = _middle(body, load)[None]
             if isinstance(load, ConcentratedLoad):
-                x = np.atleast_2d(load.samples()[0])
+                x = load.in_metres(body.unit.metres).samples()[0]
             rows = np.pad(x, ((0, 0), (0, 6 - x.shape[1])))
         x, normals = rows[:, :3], rows[:, 3:]
         along = np.tile(force, (len(rows), 1))

@@ -41,7 +41,7 @@ from pydantic_core import ErrorDetails, core_schema
 
 from dolfin_elastic.core.errors import MOST_ERRORS, InputError, joined, nearest
 from dolfin_elastic.core.help.records import help_text, signature
-from dolfin_elastic.core.units import Quantity, members_of
+from dolfin_elastic.core.units import Quantity, members_of, metres
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
@@ -90,6 +90,27 @@ class Record(BaseModel, metaclass=_RecordType):
     """Keys that belong elsewhere, and what to write instead."""
     keys_beside: ClassVar[tuple[str, ...]] = ()
     """Other keys of its table, which may be meant by one that is unknown."""
+    lengths: ClassVar[tuple[str, ...]] = ()
+    """Places and lengths beside a mesh: bare numbers in its unit, or texts with a unit."""
+
+    def in_metres(self, scale: float) -> Self:
+        """The same record with all its `lengths` in metres.
+
+        Args:
+            scale: Metres per unit of length of the mesh.
+        """
+        result: dict[str, object] = {
+            key: tuple(metres(x, scale) for x in value)
+            if isinstance(value, tuple)
+            else metres(value, scale)
+            for key, value in self.given_lengths().items()
+        }
+        return self.model_copy(update=result) if result else self
+
+    def given_lengths(self) -> dict[str, Any]:
+        """Those of its `lengths` that are given, as they are written."""
+        every = {key: getattr(self, key) for key in self.lengths}
+        return {key: value for key, value in every.items() if value is not None}
 
     @model_validator(mode="wrap")
     @classmethod

@@ -503,8 +503,14 @@ def no_switch(value: object) -> object:
 
 def finite_length(value: float | str) -> float | str:
     """For pydantic: a length in the mesh's unit, or a text with a unit."""
-    if not math.isfinite(metres(value, 1.0)):
-        raise ValueError("a finite number is needed")
+    try:
+        if not math.isfinite(metres(value, 1.0)):
+            raise ValueError("a finite number is needed")
+    except UnitError as error:
+        if error.expected != _expected("m"):
+            raise
+        wanted = 'expected a number in the unit of the mesh, or a length such as "2 mm"'
+        raise UnitError(error.what, expected=wanted) from None
     return value
 
 

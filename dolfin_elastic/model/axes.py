@@ -19,7 +19,6 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record, quoted
 from dolfin_elastic.core.shapes.shapes import Axis, Direction, Point, nonzero
 from dolfin_elastic.core.types import FloatArray, Scalar
-from dolfin_elastic.core.units import metres
 from dolfin_elastic.model.materials.spatial import unit_axis
 
 MATERIAL = "material"
@@ -108,13 +107,10 @@ class LocalAxes(Record):
     kind: str
     letters: ClassVar[str]
 
-    def placed(
-        self, scale: float, size: float, dim: int, *, axisymmetric: bool = False
-    ) -> PlacedAxes:
-        """The axes on a body.
+    def placed(self, size: float, dim: int, *, axisymmetric: bool = False) -> PlacedAxes:
+        """The axes, in metres, on a body.
 
         Args:
-            scale: Metres per unit of the mesh.
             size: Diagonal of the body's bounding box [m].
             dim: Dimension of the body, 2 or 3.
 
@@ -137,15 +133,14 @@ class CylindricalAxes(LocalAxes):
 
     kind: Literal["cylindrical"] = "cylindrical"
     letters: ClassVar[str] = "rtz"
+    lengths: ClassVar[tuple[str, ...]] = ("point",)
     axis: Annotated[Axis | Direction, AfterValidator(nonzero)] = "z"
     point: Point = (0.0, 0.0, 0.0)
 
-    def placed(
-        self, scale: float, size: float, dim: int, *, axisymmetric: bool = False
-    ) -> PlacedAxes:
+    def placed(self, size: float, dim: int, *, axisymmetric: bool = False) -> PlacedAxes:
         """See `LocalAxes.placed`."""
         axis = np.array(unit_axis(self.axis))
-        point = tuple(metres(x, scale) for x in self.point)
+        point = self.point
         if dim == 3 and len(point) == 2:
             raise InputError("2 components given", where="point", expected="three coordinates")
         around = axisymmetric and not (axis[0] or axis[2] or point[0])
@@ -177,9 +172,7 @@ class RectangularAxes(LocalAxes):
     x: Annotated[Direction, AfterValidator(nonzero)]
     y: Annotated[Direction, AfterValidator(nonzero)]
 
-    def placed(
-        self, scale: float, size: float, dim: int, *, axisymmetric: bool = False
-    ) -> PlacedAxes:
+    def placed(self, size: float, dim: int, *, axisymmetric: bool = False) -> PlacedAxes:
         """See `LocalAxes.placed`."""
         x, y = np.array(unit_axis(self.x)), np.array(unit_axis(self.y))
         if abs(x @ y) > _NOT_SQUARE:

@@ -155,7 +155,7 @@ class Contact(OnSurfaces):
 
     def describe(self, setting: Setting = ALONE) -> str:
         """What its surfaces may touch."""
-        shape = self.obstacle.in_metres(setting.metres)
+        shape = self.obstacle
         keys = shape.model_dump(exclude_unset=True, exclude_none=True)
         told = (f"{k} {given(v, 'm' if k in shape.lengths else '')}" for k, v in keys.items())
         return f"may touch a rigid {self.shape} ({', '.join(told)}){other_keys(self, self.shape)}"

@@ -11,7 +11,7 @@ from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.units import Quantity
 from dolfin_elastic.model.materials.spatial import units_of
 
-_UNITS = dict.fromkeys(("point", "at", "start", "end", "motion", "displacement", "origin"), "m")
+_UNITS = dict.fromkeys(("motion", "displacement"), "m")
 _UNITS["force"] = "N"
 """Of keys whose lists stay as they are written, formulas and all."""
 
@@ -34,13 +34,14 @@ ALONE = Setting()
 
 
 def other_keys(record: Record, *told: str) -> str:
-    """What else a record gives, as "; key value" each, with units.
+    """What else a record in metres gives, as "; key value" each, with units.
 
     Args:
         told: Keys that its sentence has said already.
     """
     table = record.model_dump(exclude_unset=True, exclude_none=True, by_alias=True)
-    units = {**_UNITS, **units_of(type(record)), **_units_in_lists(type(record))}
+    units = {**_UNITS, **dict.fromkeys(record.lengths, "m")}
+    units |= {**units_of(type(record)), **_units_in_lists(type(record))}
     return "".join(
         f"; {key.replace('_', ' ')} {given(value, units.get(key, ''))}"
         for key, value in table.items()

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import ClassVar, Self
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.shapes.shapes import PositiveLength
 from dolfin_elastic.core.si_text import listed
-from dolfin_elastic.core.units import Length
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.values import OnSurfaces
 
@@ -25,7 +25,7 @@ class Tie(OnSurfaces):
     Attributes:
         on: Name of a surface whose nodes are tied, or several; best the finer or the smaller side.
         to: Name of the surface that they follow, or several.
-        tolerance: Largest distance between the two that is tied [m]; a tenth of the facets' size
+        tolerance: Largest distance between the two that is tied; a tenth of the facets' size
             there by default.  The initial gap remains.
 
     Example:
@@ -33,7 +33,8 @@ class Tie(OnSurfaces):
     """
 
     to: str | list[str]
-    tolerance: Length | None = Field(default=None, gt=0)
+    tolerance: PositiveLength | None = None
+    lengths: ClassVar[tuple[str, ...]] = ("tolerance",)
 
     @model_validator(mode="after")
     def _two_sides(self) -> Self:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import copy
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import ufl
 from dolfinx.fem import Constant, Function
@@ -16,6 +16,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core import jit
 from dolfin_elastic.core.errors import InputError, all_errors, keyed, nearest
 from dolfin_elastic.core.help.notebook import Shown
+from dolfin_elastic.core.schema import Record
 from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude, Share
 from dolfin_elastic.model.axes import LocalAxes, PlacedAxes, check_name
@@ -45,7 +46,7 @@ from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Resistance, Terms
 from dolfin_elastic.problem.terms.bolts import make_bolts
 from dolfin_elastic.problem.terms.cavities import make_cavities
-from dolfin_elastic.problem.terms.contact import ContactPair, placed_contacts
+from dolfin_elastic.problem.terms.contact import ContactPair, check_contacts
 from dolfin_elastic.problem.terms.friction import CoulombFriction
 from dolfin_elastic.problem.terms.loaded_obstacle import make_loaded_obstacles
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
@@ -78,10 +79,13 @@ def placed_axes(
         for name, one in axes.items():
             with attempt(), keyed(f"axes.{name}"):
                 check_name(name)
-                result[name] = one.placed(
-                    body.unit.metres, size, body.dim, axisymmetric=geometry == "axisymmetric"
+                result[name] = one.in_metres(body.unit.metres).placed(
+                    size, body.dim, axisymmetric=geometry == "axisymmetric"
                 )
     return result
+
+
+Placed = TypeVar("Placed", bound=Record)
 
 
 class _Parameters(dict[str, Constant]):
@@ -99,8 +103,7 @@ class Problem(Shown):
             cover every cell exactly once.
         supports: Prescribed displacements, springs and dashpots; where a displacement is
             prescribed twice, the later one counts.
-        contacts: Contact of surfaces with rigid obstacles; bare numbers of these are in the mesh's
-            unit.
+        contacts: Contact of surfaces with rigid obstacles, see `Contact`.
         ties: Surfaces with different meshes that move together.
         masses: What is mounted on surfaces and has a mass, but no stiffness.
         degree: Degree of the displacement on tetrahedra or triangles, 1 or 2; explicit schemes
@@ -112,8 +115,9 @@ class Problem(Shown):
             "axisymmetric" (x is the radius, y the axis).
         thickness: Of a plane body [m].
         periodic: Faces that are one, and the macroscopic deformation of the cell they bound.
-        axes: Name to local axes in which results are asked for; bare numbers are in the mesh's
-            unit.
+        axes: Name to local axes in which results are asked for.
+
+    Bare numbers of places are in the mesh's unit; in the attributes all lengths are in metres.
 
     Attributes:
         u: The displacement [m]; solvers change it through `w`.
@@ -165,12 +169,15 @@ class Problem(Shown):
         axes: Mapping[str, LocalAxes] | None = None,
     ) -> None:
         self.body, self.degree, self.thickness = body, degree, thickness
+        supports, loads = _in_metres(body, supports), _in_metres(body, loads)
+        contacts, ties = _in_metres(body, contacts), _in_metres(body, ties)
         self.supports, self.loads = _all_supports(supports, loads), tuple(_on_parts(body, loads))
         self.geometry = checked_geometry(geometry, thickness, body)
         self.axes = placed_axes(axes, body, self.geometry) if axes else {}
         order = max(degree, int(body.mesh.geometry.cmap.degree))
         axisymmetric = self.geometry == "axisymmetric"
-        contacts = placed_contacts(contacts, body, turned=axisymmetric) if contacts else ()
+        if contacts:
+            check_contacts(contacts, body, turned=axisymmetric)
         _check_normals(body, self.supports, self.loads, contacts)
         self.cell: Cell | None = None
         if periodic is not None:
@@ -508,6 +515,11 @@ def configuration_of_moments(problem: Problem) -> str:
     if problem.geometry == "axisymmetric" or (any(linear) and not all(linear)):
         return "none"
     return "reference" if all(linear) else "current"
+
+
+def _in_metres(body: Body, records: Sequence[Placed]) -> list[Placed]:
+    """Records with all lengths in metres, of which bare numbers are in the mesh's unit. Local."""
+    return [record.in_metres(body.unit.metres) for record in records]
 
 
 def _all_supports(supports: Sequence[Restraint], loads: Sequence[Load]) -> tuple[Restraint, ...]:

@@ -324,7 +324,8 @@ MISTAKES = {
     "box unit": (
         "size = [2, 1, 1]",
         'size = [2, 1, "1 kg"]',
-        "mesh.box.size[2]: '1 kg' has the wrong unit; expected a number in m, for example \"2 mm\"",
+        "mesh.box.size[2]: '1 kg' has the wrong unit; expected a number in the unit of the mesh, "
+        'or a length such as "2 mm"',
     ),
     "cells float": (
         "cells = [2, 1, 1]",
@@ -366,8 +367,8 @@ MISTAKES = {
     "region unit": (
         '"1 mm"',
         '"1 s"',
-        "regions.core.box[1][0]: '1 s' has the wrong unit; expected a number in m, for "
-        'example "2 mm"',
+        "regions.core.box[1][0]: '1 s' has the wrong unit; expected a number in the unit of the "
+        'mesh, or a length such as "2 mm"',
     ),
     "density dyn": (
         "[statics]\nsteps = 2",

@@ -129,8 +129,8 @@ class Ring(Shape):
 
     lengths: ClassVar[tuple[str, ...]] = ("center", "wide", "radius")
     center: Point
-    wide: Radius
-    radius: Radius
+    wide: PositiveLength
+    radius: PositiveLength
 
     def distance(self, x: Sequence[Scalar], number: Constant, root: Root) -> Distance:
         """See `Shape.distance`."""

@@ -127,7 +127,7 @@ def test_on_the_axis_the_angle_is_zero() -> None:
     P = np.einsum("nia,nab,njb->nij", Q, rows["first_piola"].reshape(-1, 3, 3), Q)
     found = np.column_stack([rows[name] for name in names])
     assert at(found - P[:, :2, :2].reshape(-1, 4)) < 1e-15
-    along_x = CylindricalAxes(axis="x").placed(1.0, 1.0, 3)
+    along_x = CylindricalAxes(axis="x").placed(1.0, 3)
     assert np.allclose(along_x.at(np.zeros((1, 3)))[0], [[0, 1, 0], [0, 0, 1], [1, 0, 0]])
 
 
@@ -434,7 +434,7 @@ def test_axes_in_two_dimensions() -> None:
         (False, RectangularAxes(x=(1, 0, 0), y=(0, 0, 1)), "two components"),
     ):
         with pytest.raises(InputError, match="plane of the body") as error:
-            one.placed(1.0, 1.0, 2, axisymmetric=kind)
+            one.placed(1.0, 2, axisymmetric=kind)
         assert expected in error.value.expected
-    hoop = about_y.placed(1.0, 1.0, 2, axisymmetric=True).at(np.array([[2.0, 1.0], [0.0, 1.0]]))
+    hoop = about_y.placed(1.0, 2, axisymmetric=True).at(np.array([[2.0, 1.0], [0.0, 1.0]]))
     assert np.array_equal(hoop, [[[1, 0, 0], [0, 0, -1], [0, 1, 0]]] * 2)

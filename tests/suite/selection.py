@@ -131,6 +131,7 @@ SHARED = {
     "problem/test_parameters.py",
     "problem/constraints/periodic/test_periodic.py",
     "problem/test_point_mass.py",
+    "problem/test_positions.py",
     "problem/test_problem.py",
     "results/checkpoint/test_checkpoints.py",
     "results/finished/test_finished.py",

@@ -15,7 +15,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
@@ -27,13 +26,13 @@ _ROUND_OFF = 1e-6
 """Volume per displacement that is none, over that of an edge across the cavity."""
 
 
-def cavity_notes(case: Case, problem: Problem) -> Iterator[str]:
+def cavity_notes(problem: Problem) -> Iterator[str]:
     """Open cavities whose pressure is prescribed: they have no volume to report. Collective.
 
     Raises:
         InputError: An open cavity whose volume is prescribed.
     """
-    for index, load in enumerate(case.load):
+    for index, load in enumerate(problem.loads):
         if not isinstance(load, Cavity) or not _open(load, problem):
             continue
         reason = (
@@ -59,8 +58,7 @@ def _open(load: Cavity, problem: Problem) -> bool:
     body, dim = problem.body, problem.body.dim
     if problem.constraints.skewed or problem.cell is not None:
         return False
-    origin = np.zeros(dim)
-    origin[: len(load.origin_components)] = [float(x or 0.0) for x in load.origin_components]  # type: ignore[arg-type]
+    origin = np.array(load.origin or (0.0,) * dim)
     held = np.zeros(len(problem.constraints.values.x.array), dtype=bool)
     held[problem.constraints.dofs] = True
     axisymmetric, open_edges = problem.geometry == "axisymmetric", 0

@@ -25,7 +25,7 @@ from dolfin_elastic.mesh.criteria import BoundingBox, bounding_box
 from dolfin_elastic.mesh.geometry.simplices import facet_nodes, outward_normals, prepare_facets
 from dolfin_elastic.mesh.point_selection import vertices_of
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
-from dolfin_elastic.model.loads import ConcentratedLoad, Load, RemoteForce
+from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.records import RATES, RecordFormula
 from dolfin_elastic.model.supports.displacement import (
@@ -76,8 +76,6 @@ _SOFT = 1e3
 """Young's modulus [Pa] below which a case may be in numbers without dimensions."""
 _NEAR = 0.01
 """Distance over the body's diagonal up to which a point counts as in the body."""
-_REMOTE = 10.0
-"""The same up to which a remote force acts near the body."""
 _SMALL_UNIT = 0.1
 """Longest unit of a mesh [m] for which a place may have been meant in metres."""
 _BESIDE = 0.1
@@ -96,7 +94,6 @@ def plausibility_notes(case: Case, body: Body) -> Iterator[str]:
         body: Its mesh, with all names.
     """
     yield from size_notes(case, body)
-    yield from _point_notes(case, body)
     yield from _mesh_place_notes(case, body)
     yield from _distance_notes(case, body)
     yield from _angle_notes(case)
@@ -216,39 +213,6 @@ def _size(value: Component) -> float:
     return abs(value) if isinstance(value, int | float) else 0.0
 
 
-def _point_notes(case: Case, body: Body) -> Iterator[str]:
-    """Points far from the body that would lie in it if given in the mesh's unit. Collective."""
-    low, high = bounding_box(body.mesh)
-    size, scale = float(np.linalg.norm(high - low)), body.unit.metres
-
-    def distance(point: FloatArray) -> float:
-        """From the bounding box [m]."""
-        return float(np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0.0)))
-
-    for key, values, near in _points(case):
-        if len(values) != body.dim or scale == 1.0:
-            continue
-        point = np.array([float(value or 0.0) for value in values])  # type: ignore[arg-type]
-        if distance(point) > size and distance(scale * point) <= near * size:
-            shown = ", ".join(f"{x:.4g}" for x in point)
-            yield (
-                f"{key}: ({shown}) m is far from the body, in {body.unit.name} it would be near: "
-                "is a unit missing?"
-            )
-
-
-def _points(case: Case) -> Iterator[tuple[str, tuple[Component, ...], float]]:
-    """Keys of points in metres, and how far off the body they may be, over its size."""
-    for i, load in enumerate(case.load):
-        if isinstance(load, ConcentratedLoad):
-            yield from ((f"load[{i}].{key}", point, _NEAR) for key, point in load.points.items())
-        elif isinstance(load, RemoteForce) and load.point is not None:
-            yield f"load[{i}].point", load.vectors["point"], _REMOTE
-    for i, support in enumerate(case.support):
-        if isinstance(support, Rotation | Rigid):
-            yield f"support[{i}].point", support.centre, _NEAR
-
-
 def _mesh_place_notes(case: Case, body: Body) -> Iterator[str]:
     """Bare places beside the origin that would lie in the body if they were in metres. Collective.
 
@@ -278,6 +242,10 @@ def _mesh_places(case: Case) -> Iterator[tuple[str, Sequence[MeshLength]]]:
     for name, probe in case.output.probes.items():
         if probe.at is not None:
             yield f"output.probes.{key_text(name)}", probe.at
+    for key in ("support", "load"):
+        for i, row in enumerate(getattr(case, key)):
+            places = {k: v for k, v in row.given_lengths().items() if isinstance(v, tuple)}
+            yield from ((f"{key}[{i}].{name}", place) for name, place in places.items())
 
 
 def _distance_notes(case: Case, body: Body) -> Iterator[str]:
@@ -532,12 +500,11 @@ def _contradictions(case: Case, body: Body) -> Iterator[str]:
     yield from _contradictions_along_normals(case, body)
     for (i, one, first), (j, two, second) in combinations(supports, 2):
         shared = np.intersect1d(first, second)
-        x = np.asarray(body.mesh.geometry.x[shared])
         differs = np.zeros(len(shared), dtype=bool)
         tolerance = 1e-9 * max(extent(body))
         for k in {*one.prescribed_components(body.dim)} & {*two.prescribed_components(body.dim)}:
-            difference = _final_value(case, one, k, x) - _final_value(case, two, k, x)
-            differs |= np.abs(difference) > tolerance
+            a, b = (_final_value(case, body, s, k, shared) for s in (one, two))
+            differs |= np.abs(a - b) > tolerance
         yield from _told_of_both(body, i, j, shared[differs])
 
 
@@ -570,11 +537,10 @@ def _contradictions_along_normals(case: Case, body: Body) -> Iterator[str]:
         for j, two, held in others:
             here = np.isin(nodes.ravel(), held)
             at, n = nodes.ravel()[here], normals[here]
-            x = np.asarray(body.mesh.geometry.x[at])
             u, known = np.zeros((len(at), dim)), np.zeros(dim, dtype=bool)
             for k in two.prescribed_components(dim):
-                u[:, k], known[k] = _final_value(case, two, k, x), True
-            off = np.abs(np.sum(u * n, axis=1) - _final_value(case, one, NORMAL, x))
+                u[:, k], known[k] = _final_value(case, body, two, k, at), True
+            off = np.abs(np.sum(u * n, axis=1) - _final_value(case, body, one, NORMAL, at))
             off[np.abs(n[:, ~known]).max(axis=1, initial=0.0) > 1e-9] = 0.0  # free along n
             least = 1e-9 * max(extent(body))
             across = 0.0 if flat else 0.5 * np.linalg.norm(u, axis=1)
@@ -606,12 +572,14 @@ def _told_of_both(body: Body, i: int, j: int, nodes: IndexArray) -> Iterator[str
 
 
 def _final_value(
-    case: Case, support: PrescribingSupport, component: int, x: FloatArray
+    case: Case, body: Body, support: PrescribingSupport, component: int, nodes: IndexArray
 ) -> FloatArray:
-    """Displacement that a support prescribes at the end of the analysis, shape (points,) [m]."""
+    """Displacement that a support prescribes at the end of the analysis, shape (nodes,) [m]."""
     motion = case.dynamics
     t, default = (case.final_load, PROPORTIONAL) if motion is None else (motion.end, CONSTANT)
-    return np.asarray(np.broadcast_to(support.at(component, x, t, default), len(x)))
+    x = np.asarray(body.mesh.geometry.x[nodes])
+    value = support.in_metres(body.unit.metres).at(component, x, t, default)
+    return np.asarray(np.broadcast_to(value, len(x)))
 
 
 def _vertices(body: Body, support: Restraint) -> IndexArray:

@@ -184,7 +184,7 @@ def _report(case: Case, body: Body) -> Report:
         notes = (*notes, *contact_notes(case, problem), *tie_notes(case, problem))
         notes = (*notes, *touching_notes(problem))
         with locate_errors(case.file):
-            notes = (*notes, *_solver_notes(case, problem), *cavity_notes(case, problem))
+            notes = (*notes, *_solver_notes(case, problem), *cavity_notes(problem))
             return _make_report(case, body, problem, notes)
     except InputError as error:
         for note in (*body.notes, *notes):

@@ -24,9 +24,9 @@ from dolfin_elastic.core.units import MeshLength, Size, metres
 
 if TYPE_CHECKING:  # floats where they are computed with, in what `in_metres` returns
     Coordinate: TypeAlias = float
-    Radius: TypeAlias = float
+    PositiveLength: TypeAlias = float
 else:
-    Coordinate, Radius = MeshLength, Size
+    Coordinate, PositiveLength = MeshLength, Size
 Point = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=3)]
 Direction = Annotated[tuple[float, ...], Field(min_length=2, max_length=3)]
 Axis = Literal["x", "y", "z"]
@@ -50,33 +50,13 @@ def nonzero(value: Axis | tuple[float, ...]) -> Axis | tuple[float, ...]:
 class Shape(Record):
     """A body with a smooth surface."""
 
-    lengths: ClassVar[tuple[str, ...]] = ()
-    """Fields that are places or radii: bare numbers in the mesh's unit, or texts with a unit."""
     anchor: ClassVar[tuple[str, str]] = ("", "")
     """Key of the point that says where it is, if it may be left out, and what is expected there."""
 
-    def in_metres(self, scale: float) -> Self:
-        """The same shape with all its lengths in metres.
-
-        Args:
-            scale: Metres per unit of length of the mesh.
-        """
-        result: dict[str, object] = {
-            key: tuple(metres(x, scale) for x in value)
-            if isinstance(value, tuple)
-            else metres(value, scale)
-            for key, value in self._given_lengths()
-        }
-        return self.model_copy(update=result)
-
     def bare_lengths(self) -> list[float]:
         """Numbers without a unit, which are in the mesh's."""
-        rows = [v if isinstance(v, tuple) else (v,) for _, v in self._given_lengths()]
+        rows = [v if isinstance(v, tuple) else (v,) for v in self.given_lengths().values()]
         return [float(x) for row in rows for x in row if isinstance(x, int | float)]
-
-    def _given_lengths(self) -> list[tuple[str, Radius | tuple[Coordinate, ...]]]:
-        every = [(key, getattr(self, key)) for key in self.lengths]
-        return [(key, value) for key, value in every if value is not None]
 
     def selecting(self, scale: float, dim: int, where: str) -> Self:
         """The shape in metres, by which parts of a body are selected, of which `where` is the key.
@@ -87,7 +67,7 @@ class Shape(Record):
             key: point_of(value, scale, dim, f"{where}.{key}")
             if isinstance(value, tuple)
             else metres(value, scale)
-            for key, value in self._given_lengths()
+            for key, value in self.given_lengths().items()
         }
         return self.model_copy(update=result)
 
@@ -122,7 +102,7 @@ class Shape(Record):
         Raises:
             InputError: A vector has the wrong length, or the shape is none in this plane.
         """
-        for key, value in self._given_lengths():
+        for key, value in self.given_lengths().items():
             if isinstance(value, tuple):
                 check_components(value, dim, key)
 
@@ -260,7 +240,7 @@ class Sphere(Shape):
     lengths: ClassVar[tuple[str, ...]] = ("center", "radius")
     anchor: ClassVar[tuple[str, str]] = ("center", "for example [0, 0, 0]")
     center: Point | None = None
-    radius: Radius
+    radius: PositiveLength
 
     def check(self, dim: int, *, axisymmetric: bool) -> None:
         """See `Shape.check`."""
@@ -324,7 +304,7 @@ class Cylinder(Shape):
     anchor: ClassVar[tuple[str, str]] = ("point", "a point of the axis, for example [0, 0, 0]")
     axis: Annotated[Axis | Direction, AfterValidator(nonzero)] | None = None
     point: Point | None = None
-    radius: Radius
+    radius: PositiveLength
 
     @property
     def direction(self) -> tuple[float, ...]:

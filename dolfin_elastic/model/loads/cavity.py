@@ -6,17 +6,17 @@ from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import ufl
-from pydantic import model_validator
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.shapes.shapes import Point, check_components
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.loads.base import Load, LoadContext
 from dolfin_elastic.model.loads.pressure import area_vector
-from dolfin_elastic.model.values import Component, at_time, component, components
+from dolfin_elastic.model.values import Component, at_time, component
 
 UNITS = {"pressure": "Pa", "volume": "m^3", "volume_ratio": "", "added": "m^3"}
 
@@ -41,7 +41,7 @@ class Cavity(Load):
             grows.
         volume_ratio: The same, over the initial volume.
         added: The same, beside the initial volume.
-        origin: A point in all planes of symmetry [m]; zero by default.
+        origin: A point in all planes of symmetry, in the mesh's unit; zero by default.
         curve: Amplitude over time of the pressure, or of the change of volume.
         name: Its name in results; the surfaces' names by default.
 
@@ -56,17 +56,13 @@ class Cavity(Load):
     volume: Any = None
     volume_ratio: Any = None
     added: Any = None
-    origin: list[Any] | None = None
+    origin: Point | None = None
     name: str = ""
     along_normal: ClassVar[bool] = True
     follower: ClassVar[bool] = True
     linearises: ClassVar[bool] = True
     conservative: ClassVar[bool] = False
-
-    @model_validator(mode="after")
-    def _one_of(self) -> Cavity:
-        _ = self.origin_components
-        return self
+    lengths: ClassVar[tuple[str, ...]] = ("origin",)
 
     @property
     def label(self) -> str:
@@ -114,22 +110,10 @@ class Cavity(Load):
             )
         return (parts,)
 
-    @cached_property
-    def origin_components(self) -> tuple[Component, ...]:
-        """The origin [m]; empty if it is zero."""
-        if self.origin is None:
-            return ()
-        parts = components(self.origin, "m", key="origin")
-        if any(isinstance(item, Formula) for item in parts):
-            raise InputError(
-                "the origin of a cavity does not move", where="origin", expected="numbers"
-            )
-        return parts
-
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:
         """See `Load`."""
-        return {"origin": self.origin_components} if self.origin_components else {}
+        return {} if self.origin is None else {"origin": self.origin}
 
     @property
     def conservative_if_edge_fixed(self) -> bool:
@@ -178,18 +162,15 @@ class Cavity(Load):
             InputError: The origin does not fit the body.
         """
         dim = len(context.v)
-        if self.origin_components and len(self.origin_components) != dim:
-            raise InputError(
-                f"{len(self.origin_components)} components given, the body has {dim}",
-                where="origin",
-            )
-        if context.axisymmetric and self.origin_components and self.origin_components[0] != 0.0:
+        origin = self.origin or (0.0,) * dim
+        check_components(origin, dim, "origin")
+        if context.axisymmetric and origin[0] != 0.0:
             raise InputError(
                 "a body of revolution has its planes of symmetry across the axis",
                 where="origin[0]",
                 expected="0: a point on the axis",
             )
-        o = context.constant([float(x or 0.0) for x in self.origin_components or (0.0,) * dim])  # type: ignore[arg-type]
+        o = context.constant(origin)
         d = 3 if context.axisymmetric else dim
         areas = context.areas(self.parts)
         if linear:

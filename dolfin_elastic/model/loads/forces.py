@@ -13,11 +13,12 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.shapes.shapes import Point, check_components
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints
 from dolfin_elastic.model.loads.point_loads import LineForce, PointForce
-from dolfin_elastic.model.materials.spatial import Axis, axis_vector
+from dolfin_elastic.model.materials.spatial import Axis, unit_axis
 from dolfin_elastic.model.values import (
     PLACE,
     Component,
@@ -257,7 +258,7 @@ class Centrifugal(Load):
     Attributes:
         value: Speed omega [rad/s], a number, a text such as "3000 rpm" or a formula in t.
         axis: x, y, z or a direction of any length; z by default, of a body of revolution y.
-        point: A point on the axis [m]; the origin by default.
+        point: A point on the axis, in the mesh's unit; the origin by default.
 
     Source: Goldstein, Poole & Safko, Classical Mechanics (2002), (4.91).
 
@@ -267,14 +268,15 @@ class Centrifugal(Load):
 
     kind: Literal["centrifugal"] = "centrifugal"
     value: Any
-    axis: Axis | list[Any] | None = None
-    point: list[Any] | None = None
+    axis: Axis | list[float] | None = None
+    point: Point | None = None
     on: str | list[str] | None = None
     unit: ClassVar[str] = "rad/s"
     sentence: ClassVar[str] = "centrifugal force of a rotation with {}"
     needs_density: ClassVar[bool] = True
     follower: ClassVar[bool] = True
     linearises: ClassVar[bool] = True
+    lengths: ClassVar[tuple[str, ...]] = ("point",)
 
     @cached_property
     def values(self) -> tuple[Component, ...]:
@@ -283,30 +285,18 @@ class Centrifugal(Load):
             speed = component(self.value, self.unit)
             if isinstance(speed, Formula) and speed.names & PLACE:
                 raise InputError("a body spins with one speed", expected="a formula in t only")
-        for key in ("axis", "point"):
-            self._numbers(key)
+        _ = self._axis(axisymmetric=False)  # fails now, not when it is used
         return (speed,)
 
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:
         """The point; the axis is left out, it has three components also in a plane."""
-        return {} if self.point is None else {"point": tuple(self._numbers("point"))}
-
-    def _numbers(self, key: str) -> list[float]:
-        """The axis or the point as numbers; empty if it is not given."""
-        written = axis_vector(getattr(self, key))
-        with keyed(key):
-            parts = () if written is None else components(written, "" if key == "axis" else "m")
-            if not all(isinstance(item, float) for item in parts):
-                raise InputError("a formula cannot stand here", expected="expected numbers")
-            if key == "axis" and parts and not any(parts):
-                raise InputError("the axis has no length", expected='for example "z" or [0, 0, 1]')
-        return [float(item) for item in parts]  # type: ignore[arg-type]
+        return {} if self.point is None else {"point": self.point}
 
     def virtual_work(self, context: LoadContext) -> ufl.Form:
         """See the class."""
         dim = len(context.v)
-        a, c = self._axis(context.axisymmetric), self._centre(context)
+        a, c = self._axis(context.axisymmetric), self._centre(dim, context.axisymmetric)
         place = context.X if context.linear else context.X + context.u
         r = ufl.as_vector([place[i] for i in range(dim)]) - context.constant(c)
         axis = context.constant(a[:dim])
@@ -320,17 +310,16 @@ class Centrifugal(Load):
         assert points.density is not None
         dim = points.X.shape[-1]
         a = np.array(self._axis(points.axisymmetric)[:dim])
-        r = points.X - np.array(self._numbers("point") or [0.0] * dim)
+        r = points.X - np.array(self._centre(dim, points.axisymmetric))
         (speed,) = self.values
         omega = speed.evaluate(t=points.t) if isinstance(speed, Formula) else float(speed or 0.0)
         across = r - (r @ a)[..., None] * a
         return np.asarray(points.density[..., None] * omega**2 * across)
 
-    def _centre(self, context: LoadContext) -> list[float]:
-        c, dim = self._numbers("point") or [0.0] * len(context.v), len(context.v)
-        if len(c) != dim:
-            raise InputError(f"{len(c)} components given, the body has {dim}", where="point")
-        if context.axisymmetric and c[0]:
+    def _centre(self, dim: int, axisymmetric: bool) -> tuple[float, ...]:
+        c = self.point or (0.0,) * dim
+        check_components(c, dim, "point")
+        if axisymmetric and c[0]:
             raise InputError(
                 "a body of revolution spins about y only",
                 where="point",
@@ -338,13 +327,11 @@ class Centrifugal(Load):
             )
         return c
 
-    def _axis(self, axisymmetric: bool) -> list[float]:
+    def _axis(self, axisymmetric: bool) -> tuple[float, ...]:
         """Unit vector of the axis, three components."""
-        given = self._numbers("axis") or ([0.0, 1.0, 0.0] if axisymmetric else [0.0, 0.0, 1.0])
-        a = [*given, 0.0][:3]
+        a = unit_axis(("y" if axisymmetric else "z") if self.axis is None else self.axis)
         if axisymmetric and (a[0] or a[2]):
             raise InputError(
                 "a body of revolution spins about y only", where="axis", expected='"y"'
             )
-        length = sum(item * item for item in a) ** 0.5
-        return [item / length for item in a]
+        return a

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
-from typing import Any, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
-from dolfin_elastic.core.errors import InputError, keyed
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.shapes.shapes import Point, PositiveLength
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import Length
 from dolfin_elastic.model.loads.base import Load
-from dolfin_elastic.model.values import Component, components
-
-Point = tuple[float, ...]
+from dolfin_elastic.model.values import Component
 
 
 class ConcentratedLoad(Load):
@@ -25,11 +22,11 @@ class ConcentratedLoad(Load):
 
     Attributes:
         on: Names of points or edges of the mesh, in place of coordinates.
-        tolerance: How far off the body the point may lie [m]; None: 1e-3 of the body's diagonal.
+        tolerance: How far off the body the point may lie; None: 1e-3 of the body's diagonal.
     """
 
     on: str | list[str] | None = None
-    tolerance: Length | None = Field(default=None, ge=0)
+    tolerance: PositiveLength | None = None
     concentrated: ClassVar[bool] = True
     takes_fields: ClassVar[bool] = True
     key_hints: ClassVar[Mapping[str, str]] = {
@@ -38,6 +35,7 @@ class ConcentratedLoad(Load):
     }
     shared: ClassVar[bool] = False
     """The value is that of all nodes together, or of the whole edge."""
+    lengths: ClassVar[tuple[str, ...]] = ("tolerance",)
     places: ClassVar[tuple[str, ...]] = ()
     """Keys of coordinates."""
     named: ClassVar[str] = ""
@@ -58,7 +56,7 @@ class ConcentratedLoad(Load):
                 raise InputError(
                     "this key is missing",
                     where=missing[0],
-                    expected=f"coordinates [m], or on with the name of {self.named}",
+                    expected=f"coordinates, or on with the name of {self.named}",
                 )
         elif self.tolerance is not None:
             raise InputError(
@@ -68,25 +66,17 @@ class ConcentratedLoad(Load):
             )
         return self
 
-    def place(self, key: str) -> Point:
-        """The point of a key [m], 2 or 3 coordinates.
-
-        Raises:
-            InputError: It is no list of numbers.
-        """
-        with keyed(key):
-            parts = components(getattr(self, key), "m")
-            if not all(isinstance(item, float) for item in parts):
-                raise InputError("a formula cannot stand here", expected="expected numbers")
-        return tuple(float(item) for item in parts)  # type: ignore[arg-type]
-
     @property
     def points(self) -> dict[str, Point]:
         """Key to point: the one where the force acts, or both ends of the line; none by name."""
-        raise TypeError(f"{type(self).__name__} has no points")
+        points = {key: getattr(self, key) for key in self.places}
+        return {} if None in points.values() else points
 
     def samples(self) -> tuple[FloatArray, FloatArray]:
-        """Quadrature points [m], shape (n, dim), and weights [1 or m], shape (n,), by place."""
+        """Quadrature points [m], shape (n, dim), and weights [1 or m], shape (n,), by place.
+
+        Of a load `in_metres`.
+        """
         return np.array([*self.points.values()]), np.ones(len(self.points))
 
     @property
@@ -99,7 +89,7 @@ class PointForce(ConcentratedLoad):
     """A force [N] at a point; the stress there grows without bound under refinement.
 
     Attributes:
-        at: The undeformed place [m]; the force goes with its material point.
+        at: The undeformed place, in the mesh's unit; the force goes with its material point.
         on: Named points, each of whose nodes bears the force.
 
     Example:
@@ -107,25 +97,21 @@ class PointForce(ConcentratedLoad):
     """
 
     kind: Literal["point-force", "force"] = "point-force"
-    at: list[Any] | None = None
+    at: Point | None = None
     unit: ClassVar[str] = "N"
     sentence: ClassVar[str] = "force of {} at a point"
     part_kinds: ClassVar[tuple[str, ...]] = ("point",)
+    lengths: ClassVar[tuple[str, ...]] = ("at", "tolerance")
     places: ClassVar[tuple[str, ...]] = ("at",)
     named: ClassVar[str] = "a point"
-
-    @cached_property
-    def points(self) -> dict[str, Point]:
-        """See `ConcentratedLoad.points`."""
-        return {} if self.at is None else {"at": self.place("at")}
 
 
 class LineForce(ConcentratedLoad):
     """A force per undeformed length [N/m] along a straight line, or along edges of a solid.
 
     Attributes:
-        start: Where the line begins [m].
-        end: Where it ends [m].
+        start: Where the line begins, in the mesh's unit.
+        end: Where it ends.
         on: Named edges in place of both.
 
     Example:
@@ -133,23 +119,22 @@ class LineForce(ConcentratedLoad):
     """
 
     kind: Literal["line-force", "force"] = "line-force"
-    start: list[Any] | None = None
-    end: list[Any] | None = None
+    start: Point | None = None
+    end: Point | None = None
     unit: ClassVar[str] = "N/m"
     sentence: ClassVar[str] = "force of {} along a line"
     part_kinds: ClassVar[tuple[str, ...]] = ("edge",)
+    lengths: ClassVar[tuple[str, ...]] = ("start", "end", "tolerance")
     places: ClassVar[tuple[str, ...]] = ("start", "end")
     named: ClassVar[str] = "an edge"
 
-    @cached_property
+    @property
     def points(self) -> dict[str, Point]:
         """See `ConcentratedLoad.points`."""
-        if self.start is None or self.end is None:
-            return {}
-        start, end = self.place("start"), self.place("end")
-        if start == end or len(start) != len(end):
+        points = super().points
+        if points and (points["start"] == points["end"] or len({*map(len, points.values())}) > 1):
             raise InputError("the line has no length", where="end", expected="another point")
-        return {"start": start, "end": end}
+        return points
 
     def samples(self) -> tuple[FloatArray, FloatArray]:
         """Gauss points of the whole line."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import ufl
@@ -12,11 +12,12 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints
-from dolfin_elastic.model.loads.bearing import in_space, plain
+from dolfin_elastic.model.loads.bearing import in_space
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.values import (
     Component,
@@ -40,7 +41,8 @@ class RemoteForce(Load):
     In a plane the moment is one number about z, and both are those of the whole thickness.
 
     Attributes:
-        point: The point p, where they act [m]; the centroid of the surface by default.
+        point: The point p, where they act, in the mesh's unit; the centroid of the surface
+            by default.
         force: One number, text with a unit, or formula in t a component; none by default.
         moment: The same, about the axes through the point.
         coupling: How the surface takes them up.
@@ -53,11 +55,12 @@ class RemoteForce(Load):
     kind: Literal["remote-force"] = "remote-force"
     value: list[object] = Field(default=[])
     on: str | list[str]
-    point: list[float | str] | None = None
+    point: Point | None = None
     force: list[float | str] | None = None
     moment: float | str | list[float | str] | None = None
     coupling: Literal["averaging", "rigid"] = "averaging"
     name: str = ""
+    lengths: ClassVar[tuple[str, ...]] = ("point",)
 
     @cached_property
     def values(self) -> tuple[Component, ...]:
@@ -90,16 +93,10 @@ class RemoteForce(Load):
                 )
         return force, moment
 
-    @cached_property
-    def _point(self) -> tuple[Component, ...]:
-        if self.point is None:
-            return ()
-        return plain(components(self.point, "m", key="point"), "point", "three numbers")
-
     @property
     def vectors(self) -> dict[str, tuple[Component, ...]]:
         """See `Load.vectors`."""
-        given = {"force": self.components[0], "point": self._point}
+        given = {"force": self.components[0], "point": self.point or ()}
         return {key: values for key, values in given.items() if values}
 
     @property
@@ -129,7 +126,7 @@ class RemoteForce(Load):
         """See `Load.intensity`; None without weights."""
         if points.weights is None:
             return None
-        dim, share = points.X.shape[-1], _Sharing(points, self._point)
+        dim, share = points.X.shape[-1], _Sharing(points, self.point)
         force, moment = (_in_space(v) for v in self.components)
         F, M = (
             np.array([number_at(f, np.zeros((1, 3)), points.t)[0] for f in vector])
@@ -142,7 +139,7 @@ class RemoteForce(Load):
     def virtual_work(self, context: LoadContext) -> ufl.Form:
         """See the class."""
         points, area = context.surface(self.parts)
-        share, dim = _Sharing(points, self._point), len(context.v)
+        share, dim = _Sharing(points, self.point), len(context.v)
         self._check(dim)
         F, M = (self._vector(context, _in_space(values)) for values in self.components)
         about = context.constant(share.inverse) * (M + ufl.cross(context.constant(share.arm), F))
@@ -153,7 +150,7 @@ class RemoteForce(Load):
     def _check(self, dim: int) -> None:
         """As many components as the body has dimensions, or rotations."""
         sizes = {"force": dim, "moment": 2 * dim - 3, "point": dim}
-        given = (*self.components, self._point)
+        given = (*self.components, self.point or ())
         for (key, size), values in zip(sizes.items(), given, strict=True):
             if values and len(values) != size:
                 raise InputError(
@@ -185,7 +182,7 @@ class _Sharing:
         inverse: From the moment about the centroid to b [1/m^4], see `RemoteForce`; shape (3, 3).
     """
 
-    def __init__(self, points: LoadPoints, at: tuple[Component, ...]) -> None:
+    def __init__(self, points: LoadPoints, at: Point | None) -> None:
         assert points.weights is not None
         if points.axisymmetric:
             raise InputError(

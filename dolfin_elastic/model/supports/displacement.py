@@ -11,6 +11,7 @@ from pydantic import model_validator
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.si_text import given, listed
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import is_quantity, to_si
@@ -355,7 +356,7 @@ class Rotation(PrescribingSupport):
     J. Math. Pures Appl. 5 (1840) 380.
 
     Attributes:
-        point: A point c on the axis, in the reference configuration [m].
+        point: A point c on the axis of the undeformed body, in the mesh's unit.
         axis: x, y, z or a direction; in a plane body z.
         angle: "90 deg", a number in rad, or a formula in t; right-handed about the axis.
         displacement: Translation d [m]: numbers, texts with units, or formulas in t.
@@ -366,15 +367,16 @@ class Rotation(PrescribingSupport):
     """
 
     kind: Literal["rotation"] = "rotation"
-    point: list[Any]
+    point: Point
     axis: Axis | list[float] | None = None
     angle: Any
     displacement: list[Any] | None = None
     curve: Curve | None = None
+    lengths: ClassVar[tuple[str, ...]] = ("point",)
 
     @model_validator(mode="after")
     def _read(self) -> Rotation:
-        _ = self.centre, self.rotation_angle, self.translation, self.direction
+        _ = self.rotation_angle, self.translation, self.direction
         return self
 
     def describe(self, setting: Setting = ALONE) -> str:
@@ -387,27 +389,17 @@ class Rotation(PrescribingSupport):
         )
 
     @cached_property
-    def centre(self) -> tuple[Component, ...]:
-        """The point as numbers."""
-        return self._vector("point", self.point, ())
-
-    @cached_property
     def translation(self) -> tuple[Component, ...]:
         """The translation d as numbers and formulas; empty if it is zero."""
-        return self._vector("displacement", self.displacement, ("t",))
-
-    def _vector(
-        self, key: str, written: list[Any] | None, allowed: tuple[str, ...]
-    ) -> tuple[Component, ...]:
-        if written is None:
+        if self.displacement is None:
             return ()
-        parts = components(written, "m", key=key)
-        for item in parts:
-            if isinstance(item, Formula) and not set(item.names) <= set(allowed):
-                wanted = "numbers or formulas in t" if allowed else "numbers"
-                raise InputError(
-                    "a rigid motion is the same at all points", where=key, expected=wanted
-                )
+        parts = components(self.displacement, "m", key="displacement")
+        if any(isinstance(item, Formula) and not item.names <= {"t"} for item in parts):
+            raise InputError(
+                "a rigid motion is the same at all points",
+                where="displacement",
+                expected="numbers or formulas in t",
+            )
         return parts
 
     @cached_property
@@ -426,7 +418,7 @@ class Rotation(PrescribingSupport):
             default: Amplitude where the support has no curve.
         """
         result = np.zeros(3)
-        result[: len(self.centre)] = [float(x or 0.0) for x in self.centre]  # type: ignore[arg-type]
+        result[: len(self.point)] = self.point
         for i, item in enumerate(self.translation):
             value = np.asarray(_evaluated(item, np.zeros((1, 3)), t)).item()
             result[i] += self._scale(item, t, default) * value
@@ -440,7 +432,7 @@ class Rotation(PrescribingSupport):
     @property
     def vectors(self) -> Mapping[str, tuple[Component, ...]]:
         """See `Restraint`."""
-        return {"point": self.centre, "displacement": self.translation}
+        return {"point": self.point, "displacement": self.translation}
 
     @property
     def time_functions(self) -> tuple[tuple[Component, ...], ...]:
@@ -465,7 +457,7 @@ class Rotation(PrescribingSupport):
             raise InputError(
                 "a plane body turns about z only", where=where, expected="leave it out"
             )
-        _check_length(self, "point", self.centre, dim)
+        _check_length(self, "point", self.point, dim)
         if self.translation:
             _check_length(self, "displacement", self.translation, dim)
         return tuple(range(dim))
@@ -480,7 +472,7 @@ class Rotation(PrescribingSupport):
     ) -> FloatArray | float:
         """See `PrescribingSupport`."""
         angle = self._scale(self.rotation_angle, t, default) * at_time(self.rotation_angle, t)
-        r = x - np.array([*map(float, self.centre), 0.0])[:3]  # type: ignore[arg-type]
+        r = x - np.array([*self.point, 0.0])[:3]
         Kr = np.cross(self.direction, r)
         KKr = np.cross(self.direction, Kr)
         # 1 - cos(a) = 2 sin^2(a/2): small angles lose no digits.

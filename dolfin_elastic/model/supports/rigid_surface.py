@@ -10,6 +10,7 @@ from pydantic import model_validator
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.units import is_quantity
 from dolfin_elastic.model.amplitude import Amplitude, Curve
@@ -39,7 +40,7 @@ class Rigid(Restraint):
     it is the moment about that axis.
 
     Attributes:
-        point: The reference point c [m]; the middle of the surface by default.
+        point: The reference point c, in the mesh's unit; the middle of the surface by default.
         displacement: One entry a component of d [m]: a number, a text with a unit, a formula in t,
             or "free".  By default free where a force is given, else 0.
         rotation: The same for the rotation vector theta [rad]; in a plane one entry, about z.
@@ -52,7 +53,7 @@ class Rigid(Restraint):
     """
 
     kind: Literal["rigid"] = "rigid"
-    point: list[Any] | None = None
+    point: Point | None = None
     displacement: list[Any] | None = None
     rotation: Any = None
     force: list[Any] | None = None
@@ -60,10 +61,10 @@ class Rigid(Restraint):
     curve: Curve | None = None
 
     part_kinds: ClassVar[tuple[str, ...]] = ("surface",)
+    lengths: ClassVar[tuple[str, ...]] = ("point",)
 
     @model_validator(mode="after")
     def _read(self) -> Rigid:
-        _ = self.centre
         for key in ("displacement", "rotation"):
             self._check_pair(key, {"displacement": "force", "rotation": "moment"}[key])
         return self
@@ -93,16 +94,6 @@ class Rigid(Restraint):
         return f"moves as a rigid plate{f': {told}' if told else ', which is fixed'}" + other_keys(
             self, *units
         )
-
-    @cached_property
-    def centre(self) -> tuple[Component, ...]:
-        """The reference point [m]; empty: the centroid of the surface."""
-        parts = self._components("point", self.point, "m", free=False)
-        if any(isinstance(item, Formula) for item in parts):
-            raise InputError(
-                "a point of reference does not move", where="point", expected="numbers"
-            )
-        return parts
 
     @cached_property
     def _parsed(self) -> dict[str, tuple[Component, ...]]:
@@ -142,7 +133,7 @@ class Rigid(Restraint):
     @property
     def vectors(self) -> Mapping[str, tuple[Component, ...]]:
         """See `Restraint`."""
-        given = {"point": self.centre, **self._parsed}
+        given = {"point": self.point or (), **self._parsed}
         return {key: given[key] for key in ("point", "displacement", "force") if given[key]}
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.shapes.shapes import check_components
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body, centre_of
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
@@ -38,13 +38,8 @@ class RigidMotion:
         self.names = [f"u{x}" for x in "xyz"[: body.dim]]
         self.names += ["rx", "ry", "rz"] if body.dim == 3 else ["rz"]
         self.centre = np.zeros(3)
-        if support.centre and len(support.centre) != body.dim:
-            raise InputError(
-                f"{len(support.centre)} components given, the body has {body.dim}",
-                where=f"support '{support.label}'.point",
-            )
-        point = np.array(support.centre, dtype=np.float64)
-        self.centre[: body.dim] = point if len(point) else centre_of(body, support.surfaces)
+        check_components(support.point, body.dim, f"support '{support.label}'.point")
+        self.centre[: body.dim] = support.point or centre_of(body, support.surfaces)
 
     def all_at(self, t: float, default: Amplitude) -> FloatArray:
         """All degrees of freedom at time t [m, rad].

@@ -313,21 +313,19 @@ def nearest_node(pair: ContactPair) -> tuple[float, tuple[float, ...]]:
     return min(near, key=lambda row: row[1], default=(np.inf, ()))
 
 
-def placed_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> list[Contact]:
-    """Contacts with their obstacles in metres, all of which fit the body. Not collective.
+def check_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> None:
+    """Checks that contacts, in metres, fit the body. Not collective.
 
     Raises:
         InputError: With the key.
     """
-    placed = [contact.in_metres(body.unit.metres) for contact in contacts]
-    for index, contact in enumerate(placed):
+    for index, contact in enumerate(contacts):
         try:
             contact.check(body.dim, axisymmetric=turned)
             for name in contact.surfaces:
                 body.surface(name)
         except InputError as error:
             raise error.at(f"contact[{index}]") from None
-    return placed
 
 
 def _deepest_held(

@@ -769,17 +769,20 @@ def test_memory_of_a_tangent_that_is_not_symmetric(petsc, size, measured):
 
 
 def test_places_in_another_unit():
-    """Beside the error that a point is off the body, and by itself where any point will do."""
+    """Numbers that would lie in the body if they were in metres."""
     box = {"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}, "unit": "mm", "degree": 1}
-    push = {"kind": "line-force", "start": [0, 0, 3], "end": [2, 0, 3], "value": [0, 0, 1]}
-    with pytest.raises(InputError, match=r"load\[0\]\.end: on the line \(.*off the body") as caught:
-        report(case(mesh=box, load=[push]))
-    start, end = caught.value.__notes__
-    assert start.startswith("note: load[0].start: (0, 0, 3) m is far from the body, in mm it would")
-    assert "load[0].end: (2, 0, 3)" in end
-    turn = {"on": "top", "kind": "rotation", "point": [1, 0, 3], "axis": [0, 0, 1], "angle": 0.1}
-    (note,) = report(case(mesh=box, support=[{"on": "bottom"}, turn])).notes
-    assert note.startswith("support[1].point: (1, 0, 3) m is far")
+    push = {"kind": "line-force", "start": [0, 0, 0.003], "end": [0.002, 0, 0.003]}
+    (start, end) = report(case(mesh=box, load=[{**push, "value": [0, 0, 1]}])).notes
+    assert start == (
+        "load[0].start: (0, 0, 0.003) mm is beside the origin: is it in m? Numbers are in mm"
+    )
+    assert "load[0].end: (0.002, 0, 0.003) mm" in end
+    turn = {"on": "top", "kind": "rotation", "axis": [0, 0, 1], "angle": 0.1}
+    for point, said in (([0.001, 0, 0.003], 1), ([1, 0, 3], 0), (["1 mm", 0, 0.003], 0)):
+        supports = [{"on": "bottom"}, {**turn, "point": point}]
+        notes = report(case(mesh=box, support=supports)).notes
+        found = [note for note in notes if note.startswith("support[1].point: (0.001, 0, 0.003)")]
+        assert len(found) == len(notes) == said
     floor = {"on": "bottom", "plane": {"axis": "z", "at": -0.001}}
     found = report(case(mesh=box, contact=[floor]))
     (beside,) = (n for n in found.notes if n.startswith("contact 'bottom': its"))

@@ -119,7 +119,7 @@ def test_work_and_reactions_with_large_strains():
         ({}, "force: nothing is given"),
         ({"value": [1, 0, 0]}, "value: a remote force has no value"),
         ({"force": ["x", 0, 0]}, "force: a force at one point is the same everywhere"),
-        ({"force": [1, 0, 0], "point": ["t", 0, 0]}, "point: a formula cannot stand here"),
+        ({"force": [1, 0, 0], "point": ["t", 0, 0]}, "point[0]: 't' is not a number"),
         ({"moment": "5 N"}, "moment"),
         ({"force": [1, 0, 0], "coupling": "loose"}, "coupling"),
         ({"force": [1, 0]}, "load[0].force: 2 components given"),

@@ -581,7 +581,7 @@ ROWS = [
     ),
     (
         {"kind": "rotation", "on": "left", "point": ["x", 0, 0], "angle": 1},
-        r"support\[0\]\.point: a rigid motion is the same at all points",
+        r"support\[0\]\.point\[0\]: .x. is not a number; expected a number in the unit of",
     ),
     (
         {"kind": "rotation", "on": "left", "point": [0, 0, 0], "axis": [0, 0, 0], "angle": 1},

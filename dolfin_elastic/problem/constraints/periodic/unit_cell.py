@@ -202,7 +202,7 @@ class Cell:
 def make_cell(
     body: Body,
     periodic: Periodic,
-    others: Mapping[str, Sequence[object]],
+    others: Mapping[str, object],
     *,
     geometry: str,
     depth: float,
