@@ -12,7 +12,8 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import smallest, total
 from dolfin_elastic.core.shapes.box import Box, point_of
-from dolfin_elastic.core.shapes.shapes import Axis, Plane
+from dolfin_elastic.core.shapes.directions import Axis
+from dolfin_elastic.core.shapes.shapes import Plane
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.core.units import MeshLength, metres
 from dolfin_elastic.mesh.body import Body

@@ -7,7 +7,7 @@ import numpy as np
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.parallel import largest, total
-from dolfin_elastic.core.shapes.shapes import Axis
+from dolfin_elastic.core.shapes.directions import Axis
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray
 from dolfin_elastic.core.units import MeshLength
 from dolfin_elastic.mesh.body import Body, span

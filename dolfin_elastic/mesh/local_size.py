@@ -19,6 +19,7 @@ from pydantic import model_validator
 from dolfin_elastic.core.errors import InputError, MeshError, nearest
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.shapes.box import Box
+from dolfin_elastic.core.shapes.directions import vector_of
 from dolfin_elastic.core.shapes.shapes import Point, Sphere
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import LengthUnit, Size, metres
@@ -285,7 +286,7 @@ def _fits(face: CadFace, selector: Selector, space: BoundingBox) -> bool:
         return True
     n: FloatArray = np.array(face.normals).reshape(-1, 3)[:, :dim]
     n = n[np.linalg.norm(n, axis=1) > 0.5]
-    wanted = np.array(selector.normal[:dim])
+    wanted = np.array(vector_of(selector.normal)[:dim])
     cosine = n @ (wanted / np.linalg.norm(wanted))
     limit = np.cos(np.radians(selector.angle or _ANGLE))
     return len(n) > 0 and bool((cosine >= limit).all())

@@ -9,6 +9,8 @@ from dolfinx.mesh import Mesh
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import first_of, total
+from dolfin_elastic.core.schema import quoted
+from dolfin_elastic.core.shapes.directions import vector_of
 from dolfin_elastic.core.types import IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.criteria import (
@@ -223,10 +225,10 @@ def _normal_test(
 ) -> Criterion:
     assert selector.normal is not None
     dim = len(space.low)
-    wanted = np.array(selector.normal[:dim])
+    wanted = np.array(vector_of(selector.normal)[:dim])
     if len(wanted) < dim or not wanted.any():
         raise MeshError(
-            f"a direction in {dim}D is needed, not {list(selector.normal)}",
+            f"a direction in {dim}D is needed, not {quoted(selector.normal)}",
             where="normal",
             expected=f"for example {[1, 0, 0][:dim]}",
         )

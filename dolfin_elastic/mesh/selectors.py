@@ -28,14 +28,12 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.shapes.directions import Axis, Direction
 from dolfin_elastic.core.shapes.shapes import (
-    Axis,
     Cylinder,
-    Direction,
     Point,
     Shape,
     Sphere,
-    nonzero,
 )
 from dolfin_elastic.core.units import Size, finite_length, no_switch
 
@@ -158,7 +156,7 @@ class Selector(Place):
         Selector(plane="z", at="min")
     """
 
-    normal: Annotated[Direction, AfterValidator(nonzero)] | None = None
+    normal: Direction | None = None
     angle: Annotated[float, Field(gt=0, le=180)] | None = None
     faces: Annotated[tuple[FaceNumber, ...], Field(min_length=1)] | None = None
     kind: FaceKind | None = None

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import ufl
-from pydantic import AfterValidator
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record, quoted
-from dolfin_elastic.core.shapes.shapes import Axis, Direction, Point, nonzero
+from dolfin_elastic.core.shapes.directions import Direction, unit_vector
+from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.types import FloatArray, Scalar
-from dolfin_elastic.model.materials.spatial import unit_axis
 
 MATERIAL = "material"
 """Name of the axes that each material brings along."""
@@ -134,12 +133,12 @@ class CylindricalAxes(LocalAxes):
     kind: Literal["cylindrical"] = "cylindrical"
     letters: ClassVar[str] = "rtz"
     lengths: ClassVar[tuple[str, ...]] = ("point",)
-    axis: Annotated[Axis | Direction, AfterValidator(nonzero)] = "z"
+    axis: Direction = "z"
     point: Point = (0.0, 0.0, 0.0)
 
     def placed(self, size: float, dim: int, *, axisymmetric: bool = False) -> PlacedAxes:
         """See `LocalAxes.placed`."""
-        axis = np.array(unit_axis(self.axis))
+        axis = np.array(unit_vector(self.axis))
         point = self.point
         if dim == 3 and len(point) == 2:
             raise InputError("2 components given", where="point", expected="three coordinates")
@@ -151,7 +150,7 @@ class CylindricalAxes(LocalAxes):
                 expected='"z", or "y" with a point at x = 0' if axisymmetric else '"z"',
             )
         first = np.eye(3)[int(np.argmin(np.abs(axis)))]
-        first = np.array(unit_axis([*(first - (first @ axis) * axis)]))
+        first = np.array(unit_vector([*(first - (first @ axis) * axis)]))
         triad = np.array([first, np.cross(axis, first), axis])
         return PlacedAxes(self.letters, triad, (*point, 0.0)[:3], _ON_AXIS * size)
 
@@ -169,19 +168,19 @@ class RectangularAxes(LocalAxes):
 
     kind: Literal["rectangular"] = "rectangular"
     letters: ClassVar[str] = "xyz"
-    x: Annotated[Direction, AfterValidator(nonzero)]
-    y: Annotated[Direction, AfterValidator(nonzero)]
+    x: Direction
+    y: Direction
 
     def placed(self, size: float, dim: int, *, axisymmetric: bool = False) -> PlacedAxes:
         """See `LocalAxes.placed`."""
-        x, y = np.array(unit_axis(self.x)), np.array(unit_axis(self.y))
+        x, y = np.array(unit_vector(self.x)), np.array(unit_vector(self.y))
         if abs(x @ y) > _NOT_SQUARE:
             raise InputError(
                 f"x and y are at {np.degrees(np.arccos(np.clip(x @ y, -1, 1))):.4g} degrees",
                 where="y",
                 expected="a direction at a right angle to x",
             )
-        y = np.array(unit_axis([*(y - (x @ y) * x)]))
+        y = np.array(unit_vector([*(y - (x @ y) * x)]))
         triad = np.array([x, y, np.cross(x, y)])
         if dim == 2 and (x[2] or y[2]):
             raise InputError(

@@ -8,21 +8,19 @@ in metres; or a force drives it along a direction, and how far it moves is an un
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.shapes.directions import Direction, check_components, unit_vector
 from dolfin_elastic.core.shapes.shapes import (
     CylinderObstacle,
-    Direction,
     Plane,
     Shape,
     SphereObstacle,
-    check_components,
-    nonzero,
 )
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
@@ -45,7 +43,7 @@ class Contact(OnSurfaces):
         motion: Displacement of the obstacle [m]: numbers, texts with units, or formulas in t.
         force: In place of a motion the force on the obstacle [N], positive along `direction`: a
             number, a text with a unit, or a formula in t.
-        direction: Along which a force may move it, of any length but zero.
+        direction: Along which a force may move it: x, y, z, -x, ... or components.
         curve: Amplitude of the motion or force over time, as that of a support or load.
         friction: Coulomb's coefficient: tangential over normal force where they slide; 0: none.
         gap_tolerance: Penetration that statics leaves [m]; 1e-3 of the cells' size there.
@@ -60,7 +58,7 @@ class Contact(OnSurfaces):
     cylinder: CylinderObstacle | None = None
     motion: list[Any] = Field(default=[])
     force: Any = None
-    direction: Annotated[Direction, AfterValidator(nonzero)] | None = None
+    direction: Direction | None = None
     curve: Curve | None = None
     friction: float = Field(default=0.0, ge=0, allow_inf_nan=False)
     gap_tolerance: Length | None = Field(default=None, gt=0)
@@ -130,12 +128,10 @@ class Contact(OnSurfaces):
         """
         return default.of(amplitude_of(self.push, self.curve), t) * at_time(self.push, t)
 
-    @property
-    def way(self) -> FloatArray:
-        """Unit vector along which a force moves the obstacle, as many components as given."""
+    def way(self, dim: int) -> FloatArray:
+        """Unit vector along which a force moves the obstacle, shape (dim,)."""
         assert self.direction is not None
-        way = np.array(self.direction, dtype=np.float64)
-        return np.asarray(way / np.linalg.norm(way))
+        return np.array(unit_vector(self.direction)[:dim])
 
     @cached_property
     def values(self) -> tuple[float | Formula, ...]:
@@ -196,7 +192,7 @@ class Contact(OnSurfaces):
                 expected="0",
             )
         check_components(self.direction, dim, "direction")
-        if axisymmetric and self.direction is not None and self.direction[0] != 0.0:
+        if axisymmetric and self.direction is not None and self.way(dim)[0] != 0.0:
             raise InputError(
                 "an obstacle about the axis moves along it only",
                 where="direction[0]",

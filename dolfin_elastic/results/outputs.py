@@ -13,7 +13,7 @@ from pydantic import Field, StrictBool, field_validator, model_validator
 
 from dolfin_elastic.core.errors import InputError, nearest
 from dolfin_elastic.core.schema import Record
-from dolfin_elastic.core.shapes.shapes import Axis
+from dolfin_elastic.core.shapes.directions import Axis
 from dolfin_elastic.core.units import COMMON_UNITS
 from dolfin_elastic.mesh.criteria import BoundingBox
 from dolfin_elastic.mesh.selectors import Middle

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,20 @@ import ufl
 from conftest import ROOT
 from helpers.processes import of_copy
 
+from dolfin_elastic import (
+    Bearing,
+    Bolt,
+    Centrifugal,
+    Contact,
+    CylindricalAxes,
+    Guccione,
+    RectangularAxes,
+    Rotation,
+    Selector,
+)
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.shapes.box import Box
+from dolfin_elastic.core.shapes.directions import check_components, unit_vector, vector_of
 from dolfin_elastic.core.shapes.shapes import (
     Cylinder,
     CylinderObstacle,
@@ -101,6 +115,49 @@ def test_lengths_beside_a_mesh() -> None:
     assert Sphere(radius=2).in_metres(0.5) == Sphere(radius=1)
     found = [one.thickness for one in (shape.in_metres(1.0), SOLID[3], SOLID[0])]
     assert found == [4e-3, np.inf, np.inf]
+
+
+DIRECTIONS: dict[str, Callable[[Any], Any]] = {
+    "bearing": lambda d: Bearing(on="a", value=[1, 0, 0], axis=d).axis,
+    "bolt": lambda d: Bolt(on="a", value=1, axis=d).axis,
+    "centrifugal": lambda d: Centrifugal(value=1, axis=d).axis,
+    "rotation": lambda d: Rotation(on="a", point=[0, 0, 0], angle=1, axis=d).axis,
+    "force on an obstacle": lambda d: (
+        Contact(on="a", plane={"axis": "z", "at": 0}, force=1, direction=d).direction
+    ),
+    "normal of a plane": lambda d: Plane(point=[0, 0, 0], normal=d).normal,
+    "axis of an obstacle": lambda d: CylinderObstacle(point=[0, 0, 0], axis=d, radius=1).axis,
+    "normal of facets": lambda d: Selector(normal=d).normal,
+    "cylindrical axes": lambda d: CylindricalAxes(axis=d).axis,
+    "rectangular axes": lambda d: RectangularAxes(x=d, y=[1, 0, 0]).x,
+    "law": lambda d: Guccione(C=1, bf=1, bt=1, bfs=1, K=10, fibre=d).fibre,
+}
+
+
+@pytest.mark.parametrize("read", DIRECTIONS.values(), ids=DIRECTIONS)
+def test_a_direction_is_a_word_or_components(read: Callable[[Any], Any]) -> None:
+    """Wherever one is asked for; of two components it lies in the plane."""
+    for written, unit in (("y", (0, 1, 0)), ("-z", (0, 0, -1)), ([0, -2], (0, -1, 0))):
+        assert unit_vector(read(written)) == unit
+    np.testing.assert_allclose(unit_vector(read([3, 0, -4])), [0.6, 0, -0.8], rtol=1e-15)
+    for wrong in ("w", "y-", [0, 0, 0], [1], [1, 0, 0, 0]):
+        with pytest.raises(InputError):
+            read(wrong)
+
+
+def test_directions_of_a_body() -> None:
+    """An axis must be one of the body, and components as many."""
+    assert vector_of("-y") == (0, -1, 0)
+    assert vector_of([0, 3]) == (0, 3)
+    for right in ("-y", [0, 1], None):
+        check_components(right, 2, "axis")
+    for wrong, said in (("-z", "axis: a plane body has no axis '-z'"), ([0, 0, 1], "axis: 3 comp")):
+        with pytest.raises(InputError, match=said):
+            check_components(wrong, 2, "axis")
+    flat = CylinderObstacle(axis=[0, 0, 2], point=[0, 0], radius=1)
+    flat.check(2, axisymmetric=False)
+    with pytest.raises(InputError, match="meets no cylinder"):
+        flat.check(2, axisymmetric=True)
 
 
 def test_box() -> None:

@@ -10,14 +10,15 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, ClassVar, Self, TypeAlias
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError, MeshError
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.shapes.box import Box, point_of
+from dolfin_elastic.core.shapes.directions import Along, Direction, check_components, unit_vector
 from dolfin_elastic.core.shapes.triangles import ROUND, WIDE, Triangles, across, revolved, whole
 from dolfin_elastic.core.types import FloatArray, Scalar
 from dolfin_elastic.core.units import MeshLength, Size, metres
@@ -28,8 +29,6 @@ if TYPE_CHECKING:  # floats where they are computed with, in what `in_metres` re
 else:
     Coordinate, PositiveLength = MeshLength, Size
 Point = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=3)]
-Direction = Annotated[tuple[float, ...], Field(min_length=2, max_length=3)]
-Axis = Literal["x", "y", "z"]
 Constant = Callable[[float], Scalar]
 """A number as a constant of a form, or as it is."""
 Root = Callable[[Scalar], Scalar]
@@ -38,13 +37,6 @@ _DEEP = 0.04
 """Depth of a drawn line over the diagonal of the body beside."""
 Distance = tuple[Scalar, list[Scalar]]
 """Signed distance [m], and components of the unit normal along which it grows."""
-
-
-def nonzero(value: Axis | tuple[float, ...]) -> Axis | tuple[float, ...]:
-    """For pydantic: a direction that is one."""
-    if not isinstance(value, str) and not any(value):
-        raise ValueError("a direction cannot be zero")
-    return value
 
 
 class Shape(Record):
@@ -179,7 +171,7 @@ class Plane(Shape):
     lengths: ClassVar[tuple[str, ...]] = ("point", "at")
     point: Point | None = None
     normal: Direction | None = None
-    axis: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
+    axis: Along | None = None
     at: Coordinate | None = None
 
     @model_validator(mode="after")
@@ -190,29 +182,23 @@ class Plane(Shape):
                 "a plane needs point and normal, or axis and at",
                 expected='{point = [0, 0, 0], normal = [0, 0, 1]} or {axis = "z", at = 0}',
             )
-        if self.normal is not None and not any(self.normal):
-            raise InputError("a normal cannot be zero", where="normal", expected="[0, 0, 1]")
         return self
 
     def check(self, dim: int, *, axisymmetric: bool) -> None:
         """See `Shape.check`."""
-        if self.axis is not None and self.axis[-1] not in "xyz"[:dim]:
-            raise InputError(
-                f"a plane body has no axis '{self.axis}'", where="axis", expected="x or y"
-            )
         super().check(dim, axisymmetric=axisymmetric)
+        check_components(self.axis, dim, "axis")
         check_components(self.normal, dim, "normal")
 
     def frame(self, dim: int) -> tuple[Sequence[float], Sequence[float]]:
         """A point of the surface and the unit normal, of a plane in metres."""
         if self.axis is not None:
             assert self.at is not None
-            unit = [1.0 if axis == self.axis[-1] else 0.0 for axis in "xyz"[:dim]]
-            sign = -1.0 if self.axis.startswith("-") else 1.0
-            return [self.at * item for item in unit], [sign * item for item in unit]
+            normal = unit_vector(self.axis)[:dim]
+            return [self.at * abs(item) for item in normal], normal
         assert self.point is not None
         assert self.normal is not None
-        return self.point, _unit(self.normal)
+        return self.point, unit_vector(self.normal)[:dim]
 
     def distance(self, x: Sequence[Scalar], number: Constant, root: Root) -> Distance:
         """See `Shape.distance`: (x - point) . n."""
@@ -302,17 +288,14 @@ class Cylinder(Shape):
 
     lengths: ClassVar[tuple[str, ...]] = ("point", "radius")
     anchor: ClassVar[tuple[str, str]] = ("point", "a point of the axis, for example [0, 0, 0]")
-    axis: Annotated[Axis | Direction, AfterValidator(nonzero)] | None = None
+    axis: Direction | None = None
     point: Point | None = None
     radius: PositiveLength
 
     @property
     def direction(self) -> tuple[float, ...]:
         """Unit vector along the axis, three components."""
-        axis = self.axis or "z"
-        if isinstance(axis, str):
-            return tuple(1.0 if one == axis else 0.0 for one in "xyz")
-        return (*_unit(axis), 0.0)[:3]
+        return unit_vector(self.axis or "z")
 
     def selecting(self, scale: float, dim: int, where: str) -> Self:
         """See `Shape.selecting`.
@@ -332,7 +315,8 @@ class Cylinder(Shape):
     def check(self, dim: int, *, axisymmetric: bool) -> None:
         """See `Shape.check`."""
         super().check(dim, axisymmetric=axisymmetric)
-        if dim == 2 and self.axis != ("y" if axisymmetric else "z"):
+        along = 1 if axisymmetric else 2
+        if dim == 2 and any(a for i, a in enumerate(self.direction) if i != along):
             raise InputError(
                 f"{'an axisymmetric' if axisymmetric else 'a plane'} body meets no cylinder along "
                 f"{self.axis}",
@@ -345,7 +329,7 @@ class Cylinder(Shape):
                 where="point",
                 expected="[0, 0]",
             )
-        if dim == 3 and not isinstance(self.axis, str):
+        if dim == 3:
             check_components(self.axis, dim, "axis")
 
     def distance(self, x: Sequence[Scalar], number: Constant, root: Root) -> Distance:
@@ -382,15 +366,9 @@ class CylinderObstacle(Cylinder):
         inside: The body is inside: the obstacle is a bore.
     """
 
-    axis: Axis | Direction = "z"
+    axis: Direction = "z"
     point: Point
     inside: bool = False
-
-    @model_validator(mode="after")
-    def _has_direction(self) -> CylinderObstacle:
-        if not isinstance(self.axis, str) and not any(self.axis):
-            raise InputError("a direction cannot be zero", where="axis", expected="[0, 0, 1]")
-        return self
 
 
 def _round(arm: list[Scalar], radius: Scalar, root: Root) -> Distance:
@@ -402,18 +380,3 @@ def _round(arm: list[Scalar], radius: Scalar, root: Root) -> Distance:
 
 def _disc(centre: Sequence[float], radius: float) -> Triangles:
     return revolved(whole(centre), np.eye(3)[2], np.zeros(2), np.array([radius, 0.0]))
-
-
-def _unit(vector: Sequence[float]) -> tuple[float, ...]:
-    length = math.hypot(*vector)
-    return tuple(item / length for item in vector)
-
-
-def check_components(vector: Sequence[float] | None, dim: int, where: str) -> None:
-    """Raises where a vector, if there is one, has not `dim` components. See `Shape.check`."""
-    if vector is not None and len(vector) != dim:
-        raise InputError(
-            f"{len(vector)} components given",
-            where=where,
-            expected=f"the body is {dim}-dimensional, expected {dim}",
-        )

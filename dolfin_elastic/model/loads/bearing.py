@@ -10,9 +10,9 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.shapes.directions import Direction, unit_vector
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints
-from dolfin_elastic.model.materials.spatial import Axis, unit_axis
 from dolfin_elastic.model.values import Component, checked_area, components
 
 _TILT = 0.03
@@ -50,7 +50,7 @@ class Bearing(Load):
 
     kind: Literal["bearing"] = "bearing"
     on: str | list[str]
-    axis: Axis | list[float] | None = None
+    axis: Direction | None = None
     unit: ClassVar[str] = "N"
     along_normal: ClassVar[bool] = True
     sentence: ClassVar[str] = "bearing force of {}, half-cosine pressure on the pressed side"
@@ -62,13 +62,7 @@ class Bearing(Load):
 
     @cached_property
     def _axis(self) -> FloatArray | None:
-        return None if self.axis is None else np.array(unit_axis(self.axis))
-
-    @property
-    def vectors(self) -> dict[str, tuple[Component, ...]]:
-        """See `Load.vectors`."""
-        _ = self._axis  # fails now, not when it is used
-        return super().vectors
+        return None if self.axis is None else np.array(unit_vector(self.axis))
 
     @property
     def _reverses(self) -> bool:

@@ -12,12 +12,12 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.shapes.directions import Direction, unit_vector
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import Amplitude, amplitude
 from dolfin_elastic.model.kinematics import deformation_from
 from dolfin_elastic.model.loads.base import LoadContext, ScalarLoad
 from dolfin_elastic.model.loads.eigenstrain import Eigenstrain
-from dolfin_elastic.model.materials.spatial import Axis, unit_axis
 from dolfin_elastic.model.values import Component, Parts, at_time, component
 
 
@@ -51,7 +51,7 @@ class Bolt(ScalarLoad, Eigenstrain):
 
     kind: Literal["bolt"] = "bolt"
     on: str | list[str]
-    axis: Axis | list[float]
+    axis: Direction
     locked_at: float | None = Field(default=None, gt=0)
     name: str = ""
     unit: ClassVar[str] = "N"
@@ -60,7 +60,6 @@ class Bolt(ScalarLoad, Eigenstrain):
 
     @model_validator(mode="after")
     def _read_lock(self) -> Bolt:
-        _ = self.direction
         if self.locked_at is not None:
             if self.curve is not None:
                 raise InputError(
@@ -97,7 +96,7 @@ class Bolt(ScalarLoad, Eigenstrain):
     @cached_property
     def direction(self) -> FloatArray:
         """Unit vector of the axis, shape (3,)."""
-        return np.array(unit_axis(self.axis))
+        return np.array(unit_vector(self.axis))
 
     def force(self, t: float, default: Amplitude) -> float:
         """The preload at load parameter t [N].

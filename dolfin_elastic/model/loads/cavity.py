@@ -10,7 +10,8 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
-from dolfin_elastic.core.shapes.shapes import Point, check_components
+from dolfin_elastic.core.shapes.directions import check_components
+from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys

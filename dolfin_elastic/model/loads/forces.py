@@ -13,12 +13,12 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
-from dolfin_elastic.core.shapes.shapes import Point, check_components
+from dolfin_elastic.core.shapes.directions import Direction, check_components, unit_vector
+from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.loads.base import Load, LoadContext, LoadPoints
 from dolfin_elastic.model.loads.point_loads import LineForce, PointForce
-from dolfin_elastic.model.materials.spatial import Axis, unit_axis
 from dolfin_elastic.model.values import (
     PLACE,
     Component,
@@ -268,7 +268,7 @@ class Centrifugal(Load):
 
     kind: Literal["centrifugal"] = "centrifugal"
     value: Any
-    axis: Axis | list[float] | None = None
+    axis: Direction | None = None
     point: Point | None = None
     on: str | list[str] | None = None
     unit: ClassVar[str] = "rad/s"
@@ -285,7 +285,6 @@ class Centrifugal(Load):
             speed = component(self.value, self.unit)
             if isinstance(speed, Formula) and speed.names & PLACE:
                 raise InputError("a body spins with one speed", expected="a formula in t only")
-        _ = self._axis(axisymmetric=False)  # fails now, not when it is used
         return (speed,)
 
     @property
@@ -329,7 +328,7 @@ class Centrifugal(Load):
 
     def _axis(self, axisymmetric: bool) -> tuple[float, ...]:
         """Unit vector of the axis, three components."""
-        a = unit_axis(("y" if axisymmetric else "z") if self.axis is None else self.axis)
+        a = unit_vector(("y" if axisymmetric else "z") if self.axis is None else self.axis)
         if axisymmetric and (a[0] or a[2]):
             raise InputError(
                 "a body of revolution spins about y only", where="axis", expected='"y"'

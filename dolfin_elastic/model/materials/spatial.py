@@ -9,12 +9,11 @@ array with a value for each cell.  What a name means is known only on a body, to
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args
 
 import annotated_types
 import numpy as np
@@ -29,6 +28,7 @@ from dolfin_elastic.core.errors import InputError, all_errors, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.formula_functions import CONSTANTS, FUNCTIONS
 from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.shapes.directions import AXES, unit_vector
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import (
     Quantity,
@@ -240,17 +240,19 @@ def _unit(info: FieldInfo) -> str | None:
 
 
 class _Direction:
-    """Reads ``[1, 0, 0]``, ``["cos(z)", "sin(z)", 0]`` or ``{field = "fibre"}``."""
+    """Reads ``"x"``, ``[1, 0, 0]``, ``["cos(z)", "sin(z)", 0]`` or ``{field = "fibre"}``."""
 
     def read(self, value: object) -> tuple[float, ...] | SpatialValue:
         if isinstance(value, SpatialValue):
             return value
         if isinstance(value, Mapping):
             return _field(value, "")
+        if isinstance(value, str) and value in AXES:
+            return unit_vector(value)
         if not isinstance(value, list | tuple) or len(value) not in (2, 3):
             raise InputError(
                 f"{value!r} is not a direction",
-                expected='expected [1, 0, 0], or formulas, or {field = "fibre"}',
+                expected='expected "x", [1, 0, 0], formulas, or {field = "fibre"}',
             )
         items = tuple(self._component(i, item) for i, item in enumerate([*value, 0.0][:3]))
         if any(isinstance(item, SpatialFormula) for item in items):
@@ -277,34 +279,6 @@ if TYPE_CHECKING:
 else:
     Direction = Annotated[tuple, _Direction()]
     """A unit vector of three components; laws name such fields in `Law.directions`."""
-
-
-Axis = Literal["x", "y", "z"]
-
-
-def axis_vector(axis: object) -> object:
-    """The unit vector of "x", "y" or "z"; any other value unchanged."""
-    return [float(name == axis) for name in "xyz"] if isinstance(axis, str) else axis
-
-
-def unit_axis(axis: object) -> tuple[float, float, float]:
-    """The unit vector of an axis as a user wrote it: "x", "y", "z" or a direction.
-
-    Raises:
-        InputError: It is none of these, or has no length.
-    """
-    given = axis_vector(axis)
-    parts = list(given) if isinstance(given, list | tuple) else []
-    if len(parts) in (2, 3) and all(isinstance(item, int | float) for item in parts):
-        x, y, z = (float(item) for item in [*parts, 0.0][:3])
-        length = math.hypot(x, y, z)
-        if 0.0 < length < math.inf:
-            return x / length, y / length, z / length
-    raise InputError(
-        f"{axis!r} is not an axis",
-        where="axis",
-        expected='"x", "y", "z" or a direction, for example [0, 0, 1]',
-    )
 
 
 def direction(value: Expr | Sequence[float]) -> Expr:

@@ -11,13 +11,13 @@ from pydantic import model_validator
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.shapes.directions import Direction, unit_vector
 from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.si_text import given, listed
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import is_quantity, to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
-from dolfin_elastic.model.materials.spatial import Axis, unit_axis
 from dolfin_elastic.model.records import RATES
 from dolfin_elastic.model.values import (
     Component,
@@ -368,7 +368,7 @@ class Rotation(PrescribingSupport):
 
     kind: Literal["rotation"] = "rotation"
     point: Point
-    axis: Axis | list[float] | None = None
+    axis: Direction | None = None
     angle: Any
     displacement: list[Any] | None = None
     curve: Curve | None = None
@@ -376,7 +376,7 @@ class Rotation(PrescribingSupport):
 
     @model_validator(mode="after")
     def _read(self) -> Rotation:
-        _ = self.rotation_angle, self.translation, self.direction
+        _ = self.rotation_angle, self.translation
         return self
 
     def describe(self, setting: Setting = ALONE) -> str:
@@ -427,7 +427,7 @@ class Rotation(PrescribingSupport):
     @cached_property
     def direction(self) -> tuple[float, ...]:
         """Unit vector of the axis."""
-        return unit_axis("z" if self.axis is None else self.axis)
+        return unit_vector("z" if self.axis is None else self.axis)
 
     @property
     def vectors(self) -> Mapping[str, tuple[Component, ...]]:

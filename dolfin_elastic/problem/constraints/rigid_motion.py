@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dolfin_elastic.core.shapes.shapes import check_components
+from dolfin_elastic.core.shapes.directions import check_components
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import Body, centre_of
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude

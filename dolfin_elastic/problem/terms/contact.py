@@ -215,7 +215,8 @@ class ContactPair(Term):
         gaps, normals = self.gaps()
         within = gaps <= (self.size if near else self.reach)
         if self.contact.push is not None:
-            normals -= np.outer(normals @ self.contact.way, self.contact.way)
+            way = self.contact.way(normals.shape[1])
+            normals -= np.outer(normals @ way, way)
             lengths = np.linalg.norm(normals, axis=1)
             within &= lengths > _ALONG
             normals /= np.where(within, lengths, 1.0)[:, None]

@@ -61,7 +61,7 @@ class LoadedObstacle(ScalarTerm):
     def __init__(self, pair: ContactPair, context: FormContext, index: int) -> None:
         self._pair, self._context, self._where = pair, context, f"contact[{index}]"
         self._comm, self.label, self.size = context.body.comm, pair.label, 1
-        self._way = pair.contact.way
+        self._way = pair.contact.way(context.body.dim)
         self.steps, self.signs = np.array([_STEP * pair.size]), np.ones(1)
         self.prescribing = np.zeros(1, dtype=bool)
         self._s = self._stiffness = self._most = 0.0

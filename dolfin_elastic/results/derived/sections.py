@@ -28,7 +28,8 @@ from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.schema import Record
-from dolfin_elastic.core.shapes.shapes import Axis, Point
+from dolfin_elastic.core.shapes.directions import Axis
+from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 from dolfin_elastic.core.units import MeshLength, metres
 from dolfin_elastic.mesh.body import centre_of

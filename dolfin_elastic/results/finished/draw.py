@@ -252,6 +252,6 @@ def obstacles_of(run: FinishedRun, t: float) -> list[tuple[str, Shape, FloatArra
         moved = run.history.get(f"obstacle_displacement_{one.label}")
         if moved is None:
             return np.array(one.displacement_at(t, default, run.dim))
-        return np.asarray(np.interp(t, run.history["t"], moved) * one.way)
+        return np.asarray(np.interp(t, run.history["t"], moved) * one.way(run.dim))
 
     return [(one.label, one.obstacle, shift(one)) for one in contacts]

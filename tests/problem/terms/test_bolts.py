@@ -232,9 +232,9 @@ def test_surfaces_that_cut_no_shank(keys: dict[str, Any], where: str, said: str)
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ({"axis": [0, 0, 0]}, "is not an axis"),
-        ({"axis": [1]}, "is not an axis"),
-        ({"axis": [0, 0, 1, 5]}, "is not an axis"),
+        ({"axis": [0, 0, 0]}, "axis: a direction cannot be zero"),
+        ({"axis": [1]}, r"axis: \[1\] is wrong; expected"),
+        ({"axis": [0, 0, 1, 5]}, r"axis: \[0, 0, 1, 5\] is wrong; expected"),
         ({"locked_at": 0.5, "curve": "ramp"}, "given together"),
         ({"value": "x"}, "one preload"),
         ({"value": "3 MPa"}, "N"),

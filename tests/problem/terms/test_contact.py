@@ -553,7 +553,7 @@ def test_shapes_that_are_none():
     both = wrong(plane={"axis": "z", "at": 0}, sphere={"center": [0, 0, 0], "radius": 1})
     assert "plane and sphere are given" in both
     assert "needs point and normal" in wrong(plane={"point": [0, 0, 0]})
-    assert "a normal cannot be zero" in wrong(plane={"point": [0, 0], "normal": [0, 0]})
+    assert "normal: a direction cannot be zero" in wrong(plane={"point": [0, 0], "normal": [0, 0]})
     assert "did you mean 'radius'?" in wrong(sphere={"center": [0, 0, 0], "radios": 1})
     assert "motion depends on t only" in wrong(plane={"axis": "z", "at": 0}, motion=[0, 0, "x*t"])
     assert "above 0" in wrong(plane={"axis": "z", "at": 0}, gap_tolerance=0)

@@ -125,7 +125,7 @@ def test_a_block_between_a_floor_and_a_stamp():
 
     assert way(last(block(Contact(**floor)))) == pytest.approx(GAP + FORCE / E, rel=1e-9)
     with pytest.raises(InputError, match="can move along y"):
-        last(block(Contact(**floor, force=FORCE, direction=[0, 1])))
+        last(block(Contact(**floor, force=FORCE, direction="y")))
 
 
 def test_a_rigid_plate_under_a_stamp():
@@ -140,7 +140,7 @@ def test_a_rigid_plate_under_a_stamp():
                 name="stamp",
                 plane={"axis": "-z", "at": 1 + GAP},
                 force="30 kN",
-                direction=[0, 0, -1],
+                direction="-z",
                 **TIGHT,
             )
         ],

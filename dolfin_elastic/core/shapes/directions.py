@@ -1,0 +1,60 @@
+"""Directions as users write them: along an axis, or by components."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, Literal, get_args
+
+from pydantic import AfterValidator, Field
+
+from dolfin_elastic.core.errors import InputError
+
+Axis = Literal["x", "y", "z"]
+Along = Literal["x", "y", "z", "-x", "-y", "-z"]
+AXES = get_args(Along)
+
+
+def _nonzero(value: str | tuple[float, ...]) -> str | tuple[float, ...]:
+    if not isinstance(value, str) and not any(value):
+        raise ValueError("a direction cannot be zero")
+    return value
+
+
+Direction = Annotated[
+    Along | Annotated[tuple[float, ...], Field(min_length=2, max_length=3)],
+    AfterValidator(_nonzero),
+]
+"""A pydantic field type: x, y, z, -x, -y or -z, or two or three components of any length but 0."""
+
+
+def vector_of(direction: str | Sequence[float]) -> tuple[float, ...]:
+    """Components of a direction, of the length that they are written with; of an axis three."""
+    if not isinstance(direction, str):
+        return tuple(direction)
+    sign = -1.0 if direction.startswith("-") else 1.0
+    return tuple(sign if name == direction[-1] else 0.0 for name in "xyz")
+
+
+def unit_vector(direction: str | Sequence[float]) -> tuple[float, float, float]:
+    """Unit vector of a direction that is not zero; of two components it lies in the plane."""
+    x, y, z = (*vector_of(direction), 0.0)[:3]
+    length = math.hypot(x, y, z)
+    return x / length, y / length, z / length
+
+
+def check_components(vector: str | Sequence[float] | None, dim: int, where: str) -> None:
+    """Raises where a vector or direction, if there is one, is none of a body.
+
+    Args:
+        dim: Of the body, and so many components.
+        where: Key of the vector, which errors name where it is wrong.
+    """
+    if isinstance(vector, str) and vector[-1] not in "xyz"[:dim]:
+        raise InputError(f"a plane body has no axis '{vector}'", where=where, expected="x or y")
+    if vector is not None and not isinstance(vector, str) and len(vector) != dim:
+        raise InputError(
+            f"{len(vector)} components given",
+            where=where,
+            expected=f"the body is {dim}-dimensional, expected {dim}",
+        )
