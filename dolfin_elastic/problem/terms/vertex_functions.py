@@ -47,7 +47,7 @@ class VertexFunctions:
     """The functions of the surface of a contact. Collective to make.
 
     Args:
-        pair: Whose multiplier is linear.
+        pair: The contact that weights its gaps; its multiplier is linear on each facet.
         thickness: Of a plane body [m].
 
     Attributes:

@@ -32,7 +32,7 @@ class MotionPeaks:
     of an implicit step, and nothing where outputs write the stress, too.
 
     Args:
-        saved: Its restart state.
+        saved: Its restart state: peaks of earlier states stay the worst ones.
     """
 
     def __init__(self, problem: Problem, saved: Mapping[str, Mapping[str, Any]]) -> None:
