@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from dolfin_elastic.problem.state import State, plain
 from dolfin_elastic.results.recovery.peaks import Peak, PeakFinder, utilisation
 from dolfin_elastic.results.recovery.singular import singular_places
 from dolfin_elastic.results.recovery.stress import StressRecovery, von_mises
-from dolfin_elastic.results.verdict import ELSEWHERE
+from dolfin_elastic.results.verdict import ELSEWHERE, Table
 
 if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
@@ -32,10 +32,10 @@ class MotionPeaks:
     of an implicit step, and nothing where outputs write the stress, too.
 
     Args:
-        saved: Its restart state: peaks of earlier states stay the worst ones.
-    """
+            saved: The worst stresses before the checkpoint from which the run continues.
+        """
 
-    def __init__(self, problem: Problem, saved: Mapping[str, Mapping[str, Any]]) -> None:
+    def __init__(self, problem: Problem, saved: Mapping[str, Table]) -> None:
         self._problem = problem
         self._limited = any(region.law.allowable is not None for region in problem.regions)
         self._worst = dict(saved)
@@ -46,16 +46,16 @@ class MotionPeaks:
     def _stress(self) -> StressRecovery:
         return StressRecovery(self._problem)
 
-    def restart_state(self) -> Mapping[str, Mapping[str, Any]]:
+    def restart_state(self) -> Mapping[str, Table]:
         """The worst so far, as JSON data."""
         return self._worst
 
-    def as_json(self) -> dict[str, Mapping[str, Any] | None]:
+    def as_json(self) -> dict[str, Table | None]:
         """As the `error` of `summary.json`, each with its time, but without an error.
 
         Where the worst is singular, "elsewhere" has the worst of all states away from there.
         """
-        result: dict[str, Mapping[str, Any] | None] = {}
+        result: dict[str, Table | None] = {}
         for name, other in ELSEWHERE.items():
             if (peak := self._worst.get(name)) is not None:
                 result |= {name: peak, other: self._worst.get(other) if peak["singular"] else None}
