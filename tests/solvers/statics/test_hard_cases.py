@@ -225,7 +225,6 @@ def test_squeezed_through_itself(law):
     assert states[-1].load_factor < 1 / 1.2
 
 
-@pytest.mark.sample(1)
 @pytest.mark.long
 def test_squeezed_through_itself_by_a_law_that_survives():
     """It goes on, with cells that are inverted, and says so."""
