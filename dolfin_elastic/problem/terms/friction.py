@@ -38,7 +38,11 @@ from dolfin_elastic.problem.terms.contact import ContactPair, uniaxial_modulus
 log = logging.getLogger("dolfin_elastic")
 
 ALL = 1 - 1e-9
-"""Share of mu p from which on a traction is that of slip: both sides of it are but round-off."""
+"""Share of mu p from which on a traction is told as that of slip: the rest is but round-off.
+
+Up to mu p over it points stick in the law: those that slid in the last step do so at the start of
+the next, as if the load turned round; else the tangent there would have no stiffness against it.
+"""
 
 OPEN, STICK, SLIP = 0, 1, 2
 """Status of a point of the surface."""
@@ -129,7 +133,7 @@ class CoulombFriction(Term):
         trial = self._of(self._tau) - self._eps[:, None] * (self._moved() - self._of(self._stuck))
         trial -= np.sum(trial * n, axis=1)[:, None] * n
         length = np.linalg.norm(trial, axis=1)
-        share = np.divide(limit, length, out=np.ones_like(limit), where=length > limit)
+        share = np.divide(limit, length, out=np.ones_like(limit), where=length > limit / ALL)
         share[limit == 0.0] = 0.0
         return share[:, None] * trial, trial, limit
 
@@ -200,7 +204,7 @@ class CoulombFriction(Term):
         """See `Term`: points that slip stick where they are now, under the present traction."""
         self._lost.x.array[self._pair.nodes] += self._step()[2]
         t, trial, limit = self._tractions()
-        moves = np.linalg.norm(trial, axis=1) > limit
+        moves = np.linalg.norm(trial, axis=1) > limit / ALL
         moves |= limit == 0.0
         spring, stuck = self._eps[:, None], self._of(self._stuck)
         stuck[moves] = (self._moved() + (t - self._of(self._tau)) / spring)[moves]

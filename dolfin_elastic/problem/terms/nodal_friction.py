@@ -66,7 +66,7 @@ class NodalFriction(CoulombFriction):
         trial = self._tau - spring * moved
         trial -= ufl.dot(trial, at.normal) * at.normal
         limit, square = self._mu * at.pressure, ufl.inner(trial, trial)
-        sticks = ufl.le(square, limit**2)
+        sticks = ufl.le(square, (limit / ALL) ** 2)
         # Of points that stick the length is not asked for, and may be 0.
         length = ufl.sqrt(ufl.conditional(sticks, 1.0, square))
         share = at.closed * ufl.conditional(sticks, 1.0, limit / length)

@@ -15,7 +15,7 @@ from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Blocks
 from dolfin_elastic.problem.terms.contact import ContactPair
-from dolfin_elastic.problem.terms.friction import OPEN, SLIP, STICK, CoulombFriction
+from dolfin_elastic.problem.terms.friction import ALL, OPEN, SLIP, STICK, CoulombFriction
 from dolfin_elastic.problem.terms.nodal_contact import NodalContact
 from dolfin_elastic.problem.terms.nodal_friction import NodalFriction
 from dolfin_elastic.problem.terms.vertex_contact import VertexContact
@@ -84,7 +84,7 @@ class VertexFriction(CoulombFriction):
 
         n, d = pair.gaps()[1], self._dim
         length = np.linalg.norm(trial, axis=1)
-        slides = active & (length > limit)
+        slides = active & (length > limit / ALL)
         size = np.where(slides, length, 1.0)
         m = trial / size[:, None]
         one, P = np.eye(d), np.eye(d) - n[:, :, None] * n[:, None, :]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 import numpy as np
@@ -383,3 +384,15 @@ def test_no_arc_length_with_friction():
     problem = pushed("0.01*t", floor(2, friction=MU))
     with pytest.raises(InputError, match=r"statics\.method"):
         list(Statics(problem, method="arc-length").steps())
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_slide_that_turns_round(degree, caplog):
+    """What slid at the end of a step sticks first when the load turns: no trial fails."""
+    way = "4e-3*sin(2*pi*t)"
+    problem = pushed(way, floor(2, friction=0.02), degree=degree)
+    with caplog.at_level(logging.INFO, "dolfin_elastic"):
+        forces = [s.reactions["floor"][0] for s in Statics(problem, steps=8).steps()]
+    assert min(forces) < 0 < max(forces)
+    assert "smaller step" not in caplog.text
+    assert "line search" not in caplog.text
