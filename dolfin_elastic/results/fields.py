@@ -493,9 +493,16 @@ _NOT_IN_NAMES = "\"'<>&/:;,"
 """What separates names in HDF5, XML, CSV and the files of Gmsh."""
 
 
-def name_in_results(name: str) -> str:
-    """Name that a field of a body has in results: its own, unless results have one of this name."""
-    return f"{name}_of_mesh" if name in _TAKEN or name in FIELDS else name
+def name_in_results(name: str, body: Body) -> str:
+    """Name that a field of a body has in results: its own, unless results have one of this name.
+
+    Then it is one that no other field of the body has, such as one of the results of another run.
+    """
+    if name not in _TAKEN and name not in FIELDS:
+        return name
+    while name in FIELDS or name in _TAKEN or name in body.fields:
+        name = f"{name}_of_mesh"
+    return name
 
 
 def field_table(body: Body) -> FieldTable:
@@ -503,7 +510,7 @@ def field_table(body: Body) -> FieldTable:
     if not body.fields:
         return FIELDS
     rows = {
-        name_in_results(name): _of_body(name, given)
+        name_in_results(name, body): _of_body(name, given)
         for name, given in body.fields.items()
         if not _unfit(name, given)
     }

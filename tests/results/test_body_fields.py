@@ -232,6 +232,10 @@ def test_names_that_results_cannot_hold() -> None:
         with pytest.raises(InputError, match=message):
             check_field_names([name], body)
     assert field_table(body)["rank_of_mesh"].centre == "node"
+    body.fields["rank_of_mesh"] = MeshField("point", np.ones((own, 1)))  # of an earlier run
+    found = {name: row.of_body for name, row in field_table(body).items() if "rank_" in name}
+    assert found["rank_of_mesh"] is body.fields["rank_of_mesh"]
+    assert found["rank_of_mesh_of_mesh"] is body.fields["rank"]
     with pytest.raises(InputError, match="a probe cannot read 'rank'"):
         Probe(Problem(body, LAW, degree=1), {"at": [0, 0]}, ["rank"])
 

@@ -317,7 +317,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
             *cell_notes(body),
         ),
         fields=tuple(
-            f"{name}: {body.fields[name].describe(body.comm)}{_renamed(name)}"
+            f"{name}: {body.fields[name].describe(body.comm)}{_renamed(name, body)}"
             for name in sorted(body.fields)
         ),
         materials=material_sizes(integrals),
@@ -344,9 +344,9 @@ def _solver_choice(case: Case, problem: Problem) -> Choice | None:
     return None if case.explicit else choose(problem, case.solver, moving=moving)
 
 
-def _renamed(name: str) -> str:
+def _renamed(name: str, body: Body) -> str:
     """What a field of the body is called in results, if that is another name."""
-    renamed = name_in_results(name)
+    renamed = name_in_results(name, body)
     return "" if renamed == name else f"; in results '{renamed}'"
 
 

@@ -188,8 +188,9 @@ class SeriesWriter(ABC):
         with stage("output"):
             self._evaluate = Evaluator(problem, fields or DEFAULT)
             if saved is None:
+                body = problem.body
                 for name in fields or ():
-                    if name in problem.body.fields and (own := name_in_results(name)) != name:
+                    if name in body.fields and (own := name_in_results(name, body)) != name:
                         log.warning(
                             "'%s' in results is that of the results; the field of the body is '%s'",
                             name,
