@@ -259,10 +259,14 @@ def input_error(record: type[BaseModel], error: ValidationError, given: object) 
         given: Of what, as the user wrote it.
     """
     keys: dict[str, list[tuple[str, ErrorDetails]]] = {}
-    for fault in error.errors():
+    faults = error.errors()
+    around = {fault["loc"][:n] for fault in faults for n in range(len(fault["loc"]))}
+    for fault in faults:
+        if fault["type"] == "too_short" and fault["loc"] in around:
+            continue  # pydantic counts only the items that are right
         path, key = dotted_path(record, fault["loc"])
         keys.setdefault(key, []).append((path, fault))
-    return joined(_one_error(faults, given) for faults in keys.values())
+    return joined(_one_error(rows, given) for rows in keys.values())
 
 
 def _one_error(faults: Sequence[tuple[str, ErrorDetails]], given: object) -> InputError:

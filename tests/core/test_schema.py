@@ -85,3 +85,23 @@ def test_a_default_needs_no_schema_before_it_is_written():
     record = WithDefault()
     assert not Untouched.__pydantic_complete__
     assert record.model_dump() == {"usual": {"count": 1}}
+
+
+class Place(Record):
+    """Has at least two numbers."""
+
+    at: tuple[float, ...] = Field(min_length=2)
+
+
+@pytest.mark.parametrize(
+    ("at", "said"),
+    [
+        ([1, "x"], 'at[1]: "x" is wrong; expected a number'),
+        ([1], "at: [1] is wrong; expected a list of 2"),
+    ],
+)
+def test_an_item_that_is_wrong_does_not_make_a_list_too_short(at, said):
+    """One fault, one message: the list has as many items as it needs."""
+    with pytest.raises(InputError) as caught:
+        Place(at=at)
+    assert str(caught.value) == said
