@@ -132,7 +132,13 @@ class LineForce(ConcentratedLoad):
     def points(self) -> dict[str, Point]:
         """See `ConcentratedLoad.points`."""
         points = super().points
-        if points and (points["start"] == points["end"] or len({*map(len, points.values())}) > 1):
+        if len({len(point) for point in points.values()}) > 1:
+            raise InputError(
+                f"{len(points['end'])} components given",
+                where="end",
+                expected=f"{len(points['start'])}, as start has",
+            )
+        if points and points["start"] == points["end"]:
             raise InputError("the line has no length", where="end", expected="another point")
         return points
 

@@ -405,6 +405,7 @@ def test_a_centrifugal_axis_with_a_name(name, row):
         ("point-force", {"value": [1, 0, 0]}, "at: this key is missing"),
         ("point-force", {"value": [1, 0, 0], "at": [0, "t", 0]}, "at[1]: 't' is not a number"),
         ("line-force", {"value": [1, 0], "start": [0, 0], "end": [0, 0]}, "end: the line has no"),
+        ("line-force", {"value": [1, 0], "start": [0, 0], "end": [0, 0, 1]}, "end: 3 components"),
     ],
 )
 def test_what_is_no_load(kind, keys, says):
