@@ -333,7 +333,7 @@ def _check_laws(problem: Problem, preload: float) -> None:
     if preload > 0.0:
         reason = "its stiffness does not change under a preload"
     elif problem.context.linear and follows:
-        reason = f"with it the {follows[0]} does not follow the body"
+        reason = f"with it the load '{follows[0]}' does not follow the body"
     else:
         return
     for region in problem.regions:

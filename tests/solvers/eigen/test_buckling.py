@@ -389,7 +389,6 @@ def test_loads_that_bend(comm: MPI.Comm) -> None:
     straight = found(0.0)
     assert straight == pytest.approx(engesser / 2000, rel=2e-3)  # the clamp holds the width, too
     change = np.array([found(across) for across in (10.0, 100.0)]) / straight - 1
-    print(change)
     assert np.all(np.abs(change) < [1e-6, 1e-5])
 
 
@@ -417,7 +416,7 @@ def test_refused(comm: MPI.Comm) -> None:
     )
     refused(
         comm,
-        "rotations: with it the pressure does not follow",
+        "rotations: with it the load 'pressure' does not follow",
         law=LinearElastic(**SOFT),
         loads=[Pressure(on="top", value=1)],
     )
