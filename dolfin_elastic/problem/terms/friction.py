@@ -10,7 +10,8 @@ the tangential penalty eps_t, a multiplier tau and the place s at which the poin
 that is accepted moves s to where it makes the trial equal to t: so t is the trial of the next step
 if nothing moves, turned with the normal; points that stick keep s, and do not creep.  In statics
 tau <- t together with the multiplier of the pressure (Uzawa) until points that stick are within
-the gap's tolerance of s; in motion tau = 0.
+the gap's tolerance of s, and where points have slipped: these stick where they are.  In motion
+tau = 0.
 
 Slip over a step ds = s - s(before) does the work -t . ds per area, which is lost.  While points
 slide the tangent is not symmetric: the traction depends on the pressure, but not the other way
@@ -206,9 +207,13 @@ class CoulombFriction(Term):
         t, trial, limit = self._tractions()
         moves = np.linalg.norm(trial, axis=1) > limit / ALL
         moves |= limit == 0.0
-        spring, stuck = self._eps[:, None], self._of(self._stuck)
-        stuck[moves] = (self._moved() + (t - self._of(self._tau)) / spring)[moves]
+        tau, stuck = self._of(self._tau), self._of(self._stuck)
+        if self._augments:  # s is the place, to which Uzawa's updates would draw what sticks next
+            tau[moves] = t[moves]
+            self._put(self._tau, tau)
+        stuck[moves] = (self._moved() + (t - tau) / self._eps[:, None])[moves]
         self._put(self._stuck, stuck)
+        self._accepted = np.empty(0)  # a run that begins where an earlier one did is none after it
 
     def commit(self) -> None:
         """See `Term`."""

@@ -131,6 +131,24 @@ def test_a_block_sticks(dim):
     assert last.numbers.keys() & {"stick_share_floor"} == set()
 
 
+def test_what_has_slid_sticks_where_it_is():
+    """Turned back by less than it gives way a foot stays, within the tolerance of the gap."""
+    way = "0.1*max(0, min(t, 0.25) - 0.125) - 0.008*max(0, t - 0.25)"
+    side = Support(on=["left", "right"], displacement=[FREE, "-0.1*y*min(1, 8*t)"])
+    top = Support(on="top", displacement=[way, "-0.01*min(1, 8*t)"])
+    body, law = rectangle_body(size=(1, 0.1), cells=(3, 1)), LinearElastic(E=E, nu=0.0)
+    rub = floor(2, friction=0.5)
+    problem = Problem(body, law, supports=[top, side], contacts=[rub], degree=2)
+    feet = [
+        (state.u.x.array.reshape(-1, 2)[friction_of(problem).nodes, 0], dict(state.numbers))
+        for state in Statics(problem, steps=3, end=0.375).steps()
+    ]
+    stuck = [numbers["stick_share_floor"] for _, numbers in feet]
+    assert stuck[-2] == 0.0
+    assert stuck[-1] == 1.0
+    assert feet[-1][0] == pytest.approx(feet[-2][0], abs=1e-4)
+
+
 def test_friction_alone_holds_a_block():
     """On a slope below mu, with no other support; without friction it is refused."""
     slope = 0.9 * MU
