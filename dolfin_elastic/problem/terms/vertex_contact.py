@@ -112,7 +112,7 @@ class VertexContact(ContactPair):
         self.near |= active
         nodes, G = self.functions.rows(self.near, self.normals())
         stiffness = np.where(active, self.eps / self.functions.areas, 0.0)
-        result = blocks_of(nodes, G.T @ diags_array(stiffness) @ G, self._dim)
+        result = blocks_of(nodes, G.T @ diags_array(stiffness) @ G, G, self._dim)
         return result if self.flat else result + self._turning(pressures)
 
     @property
@@ -133,7 +133,7 @@ class VertexContact(ContactPair):
     def _turning(self, pressures: FloatArray) -> Blocks:
         """Minus the derivative of the forces by the turn of the normals. Collective."""
         at_points = self.functions.at_points(pressures[:, None])[..., 0]
-        some = (at_points != 0.0).any(axis=1)
+        some: BoolArray = np.asarray(self.functions.beside(self.near).any(axis=1))
         curvature = self.contact.obstacle.curvature(self._places()[some])
         shapes, nodes = self.functions.shapes, self.functions.nodes(some)
         values = -np.einsum(

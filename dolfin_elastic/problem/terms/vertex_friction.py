@@ -99,7 +99,7 @@ class VertexFriction(CoulombFriction):
             y = self._of(self._tau) - self._eps[:, None] * (self._moved() - self._of(self._stuck))
             turn = np.sum(n * y, axis=1)[:, None, None] * one + n[:, :, None] * y[:, None, :]
             rows += diagonal(by_trial @ turn @ pair.curvatures()) @ self._at_own(nodes)
-        return blocks_of(nodes, csr_array(H.T @ rows), d)
+        return blocks_of(nodes, csr_array(H.T @ rows), h, d)
 
     def _at_own(self, nodes: IntArray) -> csr_array:
         """Picks the displacement of each vertex out of those of nodes, by components.

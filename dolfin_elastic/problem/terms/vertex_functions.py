@@ -107,7 +107,7 @@ class VertexFunctions:
     def displacements(self) -> FloatArray:
         """Of the points, shape of `X` [m]. Not collective."""
         u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
-        return np.asarray(np.einsum("qk,fkd->fqd", self.shapes, u[self._nodes]))
+        return np.asarray(self.shapes @ u[self._nodes])
 
     def means(self, values: FloatArray) -> FloatArray:
         """Means at the owned vertices, shape (n, columns). Collective.
@@ -115,7 +115,7 @@ class VertexFunctions:
         Args:
             values: At the points, shape (facets, points, columns).
         """
-        return self._summed(np.einsum("fqi,fqc->fic", self.psi, values)) / self.areas[:, None]
+        return self._summed(self.psi.swapaxes(1, 2) @ values) / self.areas[:, None]
 
     def at_points(self, values: FloatArray) -> FloatArray:
         """psi_I times values, summed up, with integrals, shape (facets, points, columns).
@@ -125,13 +125,21 @@ class VertexFunctions:
         Args:
             values: Of the owned vertices, shape (n, columns).
         """
-        return np.asarray(np.einsum("fqi,fic->fqc", self.psi, self._beside(values)))
+        return np.asarray(self.psi @ self._beside(values))
 
     def _beside(self, values: FloatArray) -> FloatArray:
         """Values of the owned vertices at the vertices of facets, shape (facets, d, columns)."""
         every = np.zeros((self._map.size_local, values.shape[1]))
         every[self._pair.nodes] = values
         return with_ghosts(self._map, every)[self._vertices]
+
+    def beside(self, which: BoolArray) -> BoolArray:
+        """Which vertices of facets are some of the owned vertices, shape (facets, d). Collective.
+
+        Args:
+            which: Of the owned vertices.
+        """
+        return np.asarray(self._beside(which[:, None].astype(float))[:, :, 0] > 0)
 
     def spread(self, vectors: FloatArray) -> FloatArray:
         """Vectors at the points times the shape functions, at the nodes of the displacement. Local.
@@ -143,7 +151,7 @@ class VertexFunctions:
             Before the ranks are summed, shape (nodes * dim,).
         """
         result = np.zeros((self._node_map.size_local + self._node_map.num_ghosts, self._dim))
-        np.add.at(result, self._nodes, np.einsum("qk,fqd->fkd", self.shapes, vectors))
+        np.add.at(result, self._nodes, self.shapes.T @ vectors)
         return result.reshape(-1)
 
     def rows(
@@ -162,7 +170,7 @@ class VertexFunctions:
         """
         from scipy.sparse import csr_array
 
-        d, wanted = self._dim, self._beside(which[:, None].astype(float))[:, :, 0] > 0
+        d, wanted = self._dim, self.beside(which)
         some: BoolArray = np.asarray(wanted.any(axis=1))
         if directions is None:
             entries = np.einsum("fqi,qk->fik", self.psi[some], self.shapes)[..., None]
@@ -216,16 +224,27 @@ def diagonal(blocks: FloatArray) -> csr_array:
     return csr_array(bsr_array(parts, shape=(n * rows, n * columns)))
 
 
-def blocks_of(nodes: IntArray, matrix: csr_array, d: int) -> Blocks:
-    """A matrix of nodes as blocks.
+def blocks_of(nodes: IntArray, matrix: csr_array, rows: csr_array, d: int) -> Blocks:
+    """A matrix of nodes as blocks, of zeros, too: products of sparse matrices leave zeros out.
 
     Args:
         nodes: Global numbers.
         matrix: By the components of these.
+        rows: Of vertices, by the nodes or their components; all pairs of nodes of a row have a
+            block, and no others.
     """
+    from scipy.sparse import csr_array
+
+    n, width = len(nodes), rows.shape[1] // max(len(nodes), 1)
+    parts = (np.ones(len(rows.indices)), rows.indices // max(width, 1), rows.indptr)
+    touched = csr_array(parts, shape=(rows.shape[0], n))
+    pairs = csr_array(touched.T @ touched).tocoo()
+    numbers = np.sort(pairs.coords[0].astype(np.int64) * n + pairs.coords[1])
     product = matrix.tobsr((d, d))
-    first = np.repeat(np.arange(len(nodes)), np.diff(product.indptr))
-    return Blocks(nodes[first], nodes[product.indices], product.data)
+    first = np.repeat(np.arange(n), np.diff(product.indptr))
+    values = np.zeros((len(numbers), d, d))
+    values[np.searchsorted(numbers, first * n + product.indices)] = product.data
+    return Blocks(nodes[numbers // max(n, 1)], nodes[numbers % max(n, 1)], values)
 
 
 def _on_facets(space: fem.FunctionSpace, cells: IndexArray, local: IndexArray) -> IndexArray:
