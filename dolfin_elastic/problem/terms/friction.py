@@ -186,11 +186,13 @@ class CoulombFriction(Term):
         """Uzawa's update tau <- t. Collective.
 
         The body goes back by what the springs gave way, from where Newton's method starts again:
-        else all points whose traction is beyond half of its limit would seem to slide.
+        else all points whose traction is beyond half of its limit would seem to slide.  It goes along
+        the obstacle only, for the gaps have their own update: tau is of an earlier normal.
         """
-        unknowns = self._context.unknowns
+        unknowns, n = self._context.unknowns, self._pair.gaps()[1]
         t, _, limit = self._tractions()
         back = (t - self._of(self._tau)) / self._eps[:, None] * (limit > 0.0)[:, None]
+        back -= np.sum(back * n, axis=1)[:, None] * n
         nodes, motion = self._with(back)
         unknowns.u.x.array.reshape(-1, self._context.body.dim)[nodes] += motion
         unknowns.u.x.scatter_forward()
