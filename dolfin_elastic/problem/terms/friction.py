@@ -186,8 +186,8 @@ class CoulombFriction(Term):
         """Uzawa's update tau <- t. Collective.
 
         The body goes back by what the springs gave way, from where Newton's method starts again:
-        else all points whose traction is beyond half of its limit would seem to slide.  It goes along
-        the obstacle only, for the gaps have their own update: tau is of an earlier normal.
+        else all points whose traction is beyond half of its limit would seem to slide.  It goes
+        along the obstacle only: tau is of an earlier normal, and gaps have an update of their own.
         """
         unknowns, n = self._context.unknowns, self._pair.gaps()[1]
         t, _, limit = self._tractions()
