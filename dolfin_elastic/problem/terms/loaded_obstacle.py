@@ -168,8 +168,8 @@ class LoadedObstacle(ScalarTerm):
         """What leads an obstacle that touches nothing back to the body [N]. Collective.
 
         -(F + k g) with the penalty k of the whole surface and the gap g beyond the one at which the
-        pressure ends: so it goes on where the force that is carried ends.  Where nodes are inside,
-        but no point of the quadrature is, -F^2/(F - k g): as steep, and never 0.
+        pressure ends: so it goes on where the force that is carried ends.  Where a gap
+        is below that, but no pressure is found, -F^2/(F - k g): as steep, and never 0.
 
         Args:
             given: The force F [N].

@@ -107,21 +107,19 @@ class Touch(NamedTuple):
         pressure: Contact pressure on the reference area, not below 0 [Pa].
         closed: 1 where the surface is in contact, also without a pressure; else 0.
         area: Reference area, by the rule of the pressure.
-        nodal_penalty: That of Uzawa's update at the owned nodes [Pa/m].
     """
 
     normal: Expr
     pressure: Expr
     closed: Expr
     area: WeightedMeasure
-    nodal_penalty: FloatArray
 
 
 def touch(pair: NodalContact) -> Touch:
     """What friction needs of a contact. Not collective."""
     closed = ufl.conditional(ufl.ge(pair._trial_pressure, -pair.penalty * pair._reach), 1.0, 0.0)
     pressure = ufl.max_value(pair.pressure, 0.0)
-    return Touch(pair._gap[1], pressure, closed, pair._measure, pair.eps)
+    return Touch(pair._gap[1], pressure, closed, pair._measure)
 
 
 class _ForceOfForm:

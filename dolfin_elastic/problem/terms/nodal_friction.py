@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
 import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.ghosts import assembled
 from dolfin_elastic.core.jit import compile_forms, options
-from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Kind
@@ -45,8 +43,7 @@ class NodalFriction(CoulombFriction):
     def _penalty(self) -> FloatArray:
         """Of the contact at its nodes [Pa/m]: mean over the area around each. Collective.
 
-        So nodal forces are nodal tractions times nodal areas. A node without an area of its own, at
-        the vertex of a quadratic triangle, has the penalty of Uzawa's update.
+        So nodal forces are nodal tractions times nodal areas.
         """
         space, at = self._context.unknowns.W, self._touch
         v, one = sum(self._context.v), self._context.constant(1.0)
@@ -55,8 +52,7 @@ class NodalFriction(CoulombFriction):
         dofs, dim = self._context.unknowns.displacement_dofs, self._context.body.dim
         A, eps = (assembled(form, space)[dofs].reshape(-1, dim)[self.nodes, 0] for form in forms)
         self.areas = A
-        least = 1e-9 * largest(self._comm, float(np.max(A, initial=0.0)))
-        return np.divide(eps, A, out=at.nodal_penalty.copy(), where=least < A)
+        return eps / A
 
     @cached_property
     def _law(self) -> _Law:

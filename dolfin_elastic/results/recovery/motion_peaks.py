@@ -33,7 +33,7 @@ class MotionPeaks:
 
     Args:
             saved: The worst stresses before the checkpoint from which the run continues.
-        """
+    """
 
     def __init__(self, problem: Problem, saved: Mapping[str, Table]) -> None:
         self._problem = problem

@@ -137,6 +137,7 @@ def _has_checked_stiffness(problem: Problem) -> bool:
 
 LINEAR = "laws of small strains know no buckling; 'st-venant-kirchhoff' takes the same constants"
 _SINGULAR = "its tangent is singular"
+_SLIDES = "with friction its tangent is not symmetric, and an iterative solver has no factors of it"
 
 
 def _of_fields(newton: Newton, *, surely: bool) -> Inertia:
@@ -147,13 +148,13 @@ def _of_fields(newton: Newton, *, surely: bool) -> Inertia:
         if symmetric or below is None:
             return Inertia(below, reason=_SINGULAR if below is None else "")
         return count_by_factors(newton, below)
-    exactly = newton.bordered is not None and bool(np.any(newton.bordered.scalars.signs < 0.0))
-    if not newton.linear.direct or symmetric:
-        return count_negative(newton, exactly=exactly)
     if newton.assembler.problem.terms.dissipates:
         # Where friction slides, the symmetric part is indefinite by the size of the penalty,
         # however stable the body is: it says nothing.
-        return count_by_factors(newton)
+        return count_by_factors(newton) if newton.linear.direct else Inertia(None, reason=_SLIDES)
+    exactly = newton.bordered is not None and bool(np.any(newton.bordered.scalars.signs < 0.0))
+    if not newton.linear.direct or symmetric:
+        return count_negative(newton, exactly=exactly)
     inertia = None if surely or exactly else count_by_factors(newton)
     if inertia is not None and inertia.negative == 0:
         return inertia
