@@ -36,7 +36,7 @@ import numpy as np
 from dolfinx import fem, la
 
 from dolfin_elastic.core.ghosts import summed, with_ghosts
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import boundary_shape, cell_size
 from dolfin_elastic.mesh.geometry.boundary_shape import EDGE
@@ -61,6 +61,8 @@ RE_ENTRANT = "a re-entrant edge"
 FORCE = "a force at a point or along a line"
 INTERFACE = "an edge where materials meet"
 _NORMAL_BIT = 8
+_ROUND_OFF = 1e-9
+"""Force at a node over the largest one up to which it is none: a point at a vertex loads that."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,9 @@ def singular_places(problem: Problem) -> SingularPlaces:
         table[_nodes_of_edges_and_points(problem, names), 3 + column] = 1.0
     if problem.nodal_loads is not None:
         forces = problem.nodal_loads.nodal_forces().reshape(len(table), problem.body.dim)
-        table[:, 0] = np.abs(forces).max(axis=1, initial=0.0) > 0
+        sizes = np.abs(forces).max(axis=1, initial=0.0)
+        most = largest(problem.body.comm, float(sizes.max(initial=0.0)))
+        table[:, 0] = sizes > _ROUND_OFF * most
     marks.scatter_reverse(la.InsertMode.add)
     marks.scatter_forward()
     return SingularPlaces(tuple(reasons), _with_neighbours(V, table))

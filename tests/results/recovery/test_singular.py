@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 from dolfin_elastic import (
     Contact,
     LinearElastic,
+    PointForce,
     Problem,
     Selector,
     Spring,
@@ -202,6 +203,25 @@ def test_edges_in_space_the_same_on_any_ranks() -> None:
     assert found[0][11:17] == pytest.approx([0, 0, 0, 1, 1, 0.25])
     for other in found[1:]:
         assert other == pytest.approx(found[0])
+
+
+def pulled_at_a_vertex(comm: MPI.Comm) -> Any:
+    """A force at the corner of a block, a vertex of several cells: nodes near it."""
+    body = box_body(comm=comm, size=(0.01, 0.002, 0.002), cells=(6, 2, 2))
+    force = PointForce(at=[0.01, 0.002, 0.002], value=[0, 0, 4])
+    problem = Problem(body, LinearElastic(E=1e3, nu=0.3), degree=1, loads=[force])
+    problem.set_time(1.0)
+    places = singular_places(problem)
+    near = places.near[:, places.reasons.index("a force at a point or along a line")]
+    x = np.concatenate(comm.allgather(problem.places[: len(near)][near]))
+    return [len(x), *x.min(axis=0)]
+
+
+def test_a_force_at_a_vertex_does_not_reach_its_cells_other_nodes() -> None:
+    """But for round-off: singular are the nodes of the cells at this vertex, on any ranks."""
+    for count in SIZES:
+        _, *low = on_ranks(count, pulled_at_a_vertex)
+        assert low == pytest.approx([0.05 / 6, 0.001, 0.001])
 
 
 def block(**more: Any) -> Problem:
