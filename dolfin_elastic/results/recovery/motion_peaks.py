@@ -53,12 +53,15 @@ class MotionPeaks:
     def as_json(self) -> dict[str, Table | None]:
         """As the `error` of `summary.json`, each with its time, but without an error.
 
-        Where the worst is singular, "elsewhere" has the worst of all states away from there.
+        Where the worst is singular, "elsewhere" has the worst of all states away from there.  It is
+        None where a worse state has no place that is regular, as on a coarse mesh.
         """
         result: dict[str, Table | None] = {}
         for name, other in ELSEWHERE.items():
             if (peak := self._worst.get(name)) is not None:
-                result |= {name: peak, other: self._worst.get(other) if peak["singular"] else None}
+                regular = self._worst.get(other, peak)
+                known = peak["singular"] and not regular["singular"]
+                result |= {name: peak, other: regular if known else None}
         return result
 
     def add(self, state: State) -> None:
@@ -108,8 +111,8 @@ class MotionPeaks:
 
 
 def _pairs(name: str, first: Peak, other: Peak | None) -> Iterator[tuple[str, Peak]]:
-    """The largest value, and the largest one that is regular."""
-    regular = other if first.singular else first
+    """The largest value, and the largest one that is regular; without any the singular one."""
+    regular = first if other is None else other
     for key, peak in ((name, first), (ELSEWHERE[name], regular)):
-        if peak is not None and peak.place:
+        if peak.place:
             yield key, peak

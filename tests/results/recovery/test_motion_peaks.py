@@ -8,10 +8,12 @@ from typing import Any
 import pytest
 from helpers.runs import begun, finished, history, summary
 
-from dolfin_elastic import Case, run
+from dolfin_elastic import Case, LinearElastic, Problem, rectangle_body, run
 from dolfin_elastic.core.si_text import number
 from dolfin_elastic.results.finished.findings import extremes_of, key_figures, lines_of_motion
 from dolfin_elastic.results.finished.run import FinishedRun
+from dolfin_elastic.results.recovery.motion_peaks import MotionPeaks, _pairs
+from dolfin_elastic.results.recovery.peaks import Peak
 
 STRETCH = 1e-3
 SLOW = 1e-6
@@ -135,3 +137,14 @@ def test_every_state_counts(folder: Path, scheme: str) -> None:
         begun(case, folder / "again", rows[rows.index(worst) + 1]["step"])
         finished(folder / "again")
         check_same(summary(folder / "again")["motion"], summary(folder / "whole")["motion"])
+
+
+def test_a_worse_state_without_regular_places() -> None:
+    """Then the value elsewhere is not known: that of a state that is hardly loaded is not it."""
+    weak, worse = Peak(1.0, (0.5, 0.0), "", 0.0), Peak(9.0, (0.0, 0.0), "", 0.0, singular="edge")
+    rows = dict(_pairs("von_mises", weak, None)) | dict(_pairs("von_mises", worse, None))
+    assert rows == {"von_mises": worse, "elsewhere": worse}
+    problem = Problem(rectangle_body(size=[1, 1], cells=[1, 1]), LinearElastic(E=1, nu=0))
+    for peak, known in ((worse, None), (weak, weak.as_json())):
+        saved = {"von_mises": worse.as_json(), "elsewhere": peak.as_json()}
+        assert MotionPeaks(problem, saved).as_json()["elsewhere"] == known
