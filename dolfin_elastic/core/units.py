@@ -486,11 +486,14 @@ def metres(value: float | str, scale: float) -> float:
     """A length beside the mesh in metres.
 
     Args:
-        value: A number in the mesh's unit, or a text with a unit.
+        value: A number in the mesh's unit, also as a text, or a text with a unit.
         scale: Metres per unit of length of the mesh.
     """
     if isinstance(value, str):
-        return to_si(value, "m")
+        try:
+            value = float(value)
+        except ValueError:
+            return to_si(value, "m")
     return value * scale
 
 

@@ -15,6 +15,7 @@ from dolfin_elastic.core.units import (
     COMMON_UNITS,
     _registry,
     is_quantity,
+    metres,
     to_base,
     to_si,
 )
@@ -266,3 +267,8 @@ def test_units_that_mean_more():
     assert to_si("2 kHz", "Hz") == 2000.0
     assert to_si("80 degC", "K") == to_si("80 K", "K") == 80.0
     assert to_si("12 ppm/K", "1/K") == pytest.approx(12e-6, rel=1e-15)
+
+
+def test_lengths_beside_a_mesh():
+    """Numbers, also in quotes, are in its unit; texts with a unit are not."""
+    assert [metres(value, 1e-3) for value in (3, "3", "3 mm", "3 m")] == [3e-3, 3e-3, 3e-3, 3.0]

@@ -105,7 +105,7 @@ class LoadedObstacle(ScalarTerm):
         """
         for t in np.linspace(0.0, 1.0, _TIMES):
             self._check_push(float(t))
-        if not self._touch():
+        if not self._touch() or not self._approaches():
             raise InputError(
                 f"in its direction the obstacle of '{self.label}' meets nothing: its force would "
                 "move it on and on",
@@ -113,6 +113,14 @@ class LoadedObstacle(ScalarTerm):
                 expected="a direction from the obstacle towards the surfaces of `on`",
             )
         return ""
+
+    def _approaches(self) -> bool:
+        """Whether the obstacle, which touches the body, goes on into it. Collective."""
+        gap, start = self._nearest(), self.get()
+        self.put(start + self._pair.tolerance)
+        nearer = self._nearest() < gap
+        self.put(start)
+        return nearer
 
     def _touch(self) -> bool:
         """Moves the obstacle up to the first touch; whether there is one. Collective.

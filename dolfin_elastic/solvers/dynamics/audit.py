@@ -200,7 +200,13 @@ class MotionAuditor(EquilibriumAuditor):
 
     def _energy(self, off: float) -> Violations:
         if off > MAX_ENERGY_GAIN:
-            what = f"{100 * off:.3g} % of the energy has come from nowhere: a smaller dt is needed"
+            damped = (self._parameters.spectral_radius or 0.0) <= 0.5
+            rubs = self._problem.terms.dissipates and not damped
+            radius = ", or where surfaces slide spectral_radius = 0.5," if rubs else ""
+            what = (
+                f"{100 * off:.3g} % of the energy has come from nowhere: a smaller dt{radius} is "
+                "needed"
+            )
             return {"energy": Violation(what, off, fails=off > FAILING_GAIN)}
         if off < -MAX_ENERGY_LOSS and not self._parameters.damps:
             radius = ", or a larger spectral_radius," if self._parameters.can_damp_less else ""

@@ -170,10 +170,12 @@ def test_arc_length_follows_the_same_path():
     assert way(by_length) == pytest.approx(way(by_load), rel=1e-7)
 
 
+@pytest.mark.parametrize("gap", [GAP, 0.0])
 @pytest.mark.parametrize("direction", [[0, 1], [1, 0]])
-def test_an_obstacle_that_meets_nothing(direction):
+def test_an_obstacle_that_meets_nothing(direction, gap):
+    plate = {"axis": "-y", "at": 1 + gap}
     with pytest.raises(InputError, match="'stamp' meets nothing") as caught:
-        last(pressed(**PLATE, force=1.0, direction=direction))
+        last(pressed(plane=plate, force=1.0, direction=direction))
     assert caught.value.where == "contact[0].direction"
 
 
