@@ -146,11 +146,11 @@ def test_what_one_lacks_is_found_before_any_is_computed(folder: Path, comm: MPI.
     """A law that knows no buckling, and a material without density, beside statics that run."""
     soft = {"law": "linear-elastic", "E": "2 GPa", "nu": 0.3, "density": 1000}
     light = {"law": "st-venant-kirchhoff", "E": "2 GPa", "nu": 0.3}
-    for kind, steel, said in (
-        ("buckling", soft, "materials.steel.law: .* its stiffness does not change"),
-        ("modal", light, "materials.steel: weight and motion need a density"),
+    for kind, keys, steel, said in (
+        ("buckling", {"preload": 0.5}, soft, "materials.steel.law: .* its stiffness does not"),
+        ("modal", {}, light, "materials.steel: weight and motion need a density"),
     ):
-        several = case(statics={}, materials={"steel": steel}, **{kind: {"count": 1}})
+        several = case(statics={}, materials={"steel": steel}, **{kind: {"count": 1, **keys}})
         with pytest.raises(InputError, match=said):
             list(run(several, output=folder / kind, comm=comm))
         assert on_root(comm, lambda kind=kind: not (folder / kind / "statics").exists())

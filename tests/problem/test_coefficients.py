@@ -462,7 +462,8 @@ def test_a_case_over_fields_of_a_file(folder: Path) -> None:
         told = report(case)
         assert told.cells == 162
         assert [text.split(":")[0] for text in told.fields] == ["fibre", "rho", "warm"]
-        assert told.fields[0] == "fibre: cells, 3 components"
+        # Results have a field of that name, the direction of fibres.
+        assert told.fields[0] == "fibre: cells, 3 components; in results 'fibre_of_mesh'"
         assert told.fields[2] == "warm: points, 18 to 24"
         *_, state = run(case, output=folder / "out")
         return np.array(state.reactions["foot"])

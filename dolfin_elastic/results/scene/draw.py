@@ -334,6 +334,7 @@ def _panel(plot: pv.Plotter, picture: Picture) -> AnyArray:
     """Pixels of a picture, shape (height, width, 3)."""
     plot.suppress_rendering = True  # until the scene is complete
     plot.clear()
+    plot.hide_axes()  # those of an earlier picture are no actors, and stay
     plot.enable_lightkit()
     _aim(plot, picture)  # before the mark, whose text stands so many pixels beside it
     mapper = _add_body(plot, picture)
