@@ -16,7 +16,7 @@ DEMOS = ROOT / "demos"
 SCRIPTS = sorted(DEMOS.glob("*/*.py"))
 CASES = sorted(DEMOS.glob("*/*.toml"))
 # They take longest: the other demos run the same paths in the quick set.
-LONG = {"bounce", "bridge", "duck", "tipping", "turek_hron"}
+LONG = {"bounce", "bridge", "duck", "inverted", "tipping", "turek_hron"}
 MARKED = [
     pytest.param(path, marks=pytest.mark.long) if path.stem in LONG else path for path in SCRIPTS
 ]

@@ -306,6 +306,7 @@ def swinging(n: int, **keys: Any) -> list[State]:
     return list(motion.steps())
 
 
+@pytest.mark.sample(1)
 @pytest.mark.parametrize("scheme", ["generalized-alpha", "energy-momentum", "newmark"])
 def test_motion_to_second_order(scheme: str) -> None:
     """Of the energy, and of the balance of energy with the work on the branches."""

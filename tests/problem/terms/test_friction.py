@@ -187,6 +187,7 @@ def test_results_at_nodes():
     assert set().union(*problem.body.comm.allgather(seen)) == {OPEN, STICK, SLIP}
 
 
+@pytest.mark.long
 def test_a_belt_on_a_drum():
     """Euler and Eytelwein: a belt that slides over a quarter pulls exp(mu pi/2) as much.
 

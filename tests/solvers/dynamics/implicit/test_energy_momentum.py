@@ -257,6 +257,7 @@ def test_what_is_not_conserved_is_told(comm: MPI.Comm, caplog: pytest.LogCapture
     assert on_root(comm, lambda: "energy-momentum" not in caplog.text)
 
 
+@pytest.mark.long
 def test_a_scheme_that_makes_energy_is_named(comm: MPI.Comm) -> None:
     """The trapezoidal rule feeds the block until nothing is in balance; the law is not to blame."""
     problem = block(comm, SVK)
