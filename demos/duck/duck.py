@@ -73,9 +73,10 @@ def main():
         print(f"largest stress {kilopascal:.0f} kPa +- {100 * stress['error']:.0f} %")
     # Newton's tolerance is 1e-8 of the forces, in the norm over some ten thousand nodes.
     assert imbalance < 1e-6 * abs(plate)
-    # A thousandth of a cell, 3 mm there.
-    assert deepest < 1e-5
-    assert abs(top - (HEIGHT - DOWN)) < 1e-5
+    # Mean gaps at the vertices vanish.  Nodes of a curved face, 3 mm wide on a head of 20 mm
+    # radius, are up to 3^2/(12 * 20) mm off that mean.
+    assert deepest < 5e-5
+    assert abs(top - (HEIGHT - DOWN)) < 5e-5
     # Inside the head, and neither singular nor larger elsewhere.
     assert np.linalg.norm(np.subtract(stress["place"], (0.026, 0.0, 0.085))) < 0.002
     assert stress["error"] < 0.1

@@ -150,8 +150,11 @@ class ContactPair(Term):
 
     def gaps(self) -> tuple[FloatArray, FloatArray]:
         """Gaps [m] and obstacle's normals at the owned nodes, (n,) and (n, dim). Not collective."""
+        return self._gaps_at(self.places(), self.nodes_of_displacement)
+
+    def _gaps_at(self, X: FloatArray, nodes: IndexArray) -> tuple[FloatArray, FloatArray]:
         u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
-        x = self.places() + u[self.nodes_of_displacement] - self.shift.value
+        x = X + u[nodes] - self.shift.value
         distance, normal = self.contact.obstacle.gap(list(x.T), float, np.sqrt)
         gaps = np.asarray(distance, dtype=np.float64)
         normals = [np.broadcast_to(item, gaps.shape) for item in normal]
@@ -160,6 +163,10 @@ class ContactPair(Term):
     def pressures(self) -> FloatArray:
         """Pressure per reference area at the owned nodes of the surface [Pa]. Collective."""
         return np.maximum(0.0, self.lam.x.array[self.nodes] - self.eps * self.pressing_gaps())
+
+    def every_gap(self) -> FloatArray:
+        """Gaps of all owned nodes of the surface [m]. Not collective."""
+        return self.gaps()[0]
 
     def pressing_gaps(self) -> FloatArray:
         """Gaps that the pressures at the owned nodes follow [m]. Collective."""
@@ -293,8 +300,7 @@ class ContactPair(Term):
     @stage("contact")
     def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
         """See `Term`: largest penetration [m] and area under pressure [m^2]."""
-        gaps = np.minimum(self.gaps()[0], self.pressing_gaps())
-        depth = largest(self.comm, float(np.max(-gaps, initial=0.0)))
+        depth = largest(self.comm, float(np.max(-self.every_gap(), initial=0.0)))
         first, second = f"penetration_{self.label}", f"contact_area_{self.label}"
         result[first] = max(result.get(first, 0.0), depth)
         result[second] = result.get(second, 0.0) + self.area()

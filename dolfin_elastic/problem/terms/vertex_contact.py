@@ -64,6 +64,12 @@ class VertexContact(ContactPair):
         gaps = np.asarray(distance, dtype=np.float64)
         return gaps, np.stack([np.broadcast_to(n, gaps.shape) for n in normal], axis=-1)
 
+    def every_gap(self) -> FloatArray:
+        """See `ContactPair`: those of midside nodes, too."""
+        _, _, nodes = self.functions.every
+        X = self._context.unknowns.V.tabulate_dof_coordinates()[nodes, : self._dim]
+        return self._gaps_at(X, nodes)[0]
+
     def pressing_gaps(self) -> FloatArray:
         """See `ContactPair`: mean gaps."""
         return self.functions.means(self._at_points()[0][..., None])[:, 0]

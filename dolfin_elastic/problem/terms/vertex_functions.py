@@ -201,7 +201,7 @@ class VertexFunctions:
         Args:
             values: Of the owned vertices, shape (n, columns).
         """
-        linear, (field, nodes, at) = fem.Function(self._pair.lam.function_space), self._every
+        linear, (field, nodes, at) = fem.Function(self._pair.lam.function_space), self.every
         result = np.empty((len(nodes), values.shape[1]))
         for column, found in zip(values.T, result.T, strict=True):
             linear.x.array[self._pair.nodes] = column
@@ -211,7 +211,10 @@ class VertexFunctions:
         return at, result
 
     @cached_property
-    def _every(self) -> tuple[fem.Function, IndexArray, IndexArray]:
+    def every(self) -> tuple[fem.Function, IndexArray, IndexArray]:
+        """A scalar field of the displacement's degree, and its owned nodes on the surface, in its
+        space and in that of the displacement.
+        """
         return nodal(self._context, self._pair.facets, self._context.unknowns.degree)
 
 
