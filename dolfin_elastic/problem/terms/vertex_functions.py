@@ -212,8 +212,9 @@ class VertexFunctions:
 
     @cached_property
     def every(self) -> tuple[fem.Function, IndexArray, IndexArray]:
-        """A scalar field of the displacement's degree, and its owned nodes on the surface, in its
-        space and in that of the displacement.
+        """A scalar field of the displacement's degree, and its owned nodes on the surface.
+
+        These in its space, and in that of the displacement.
         """
         return nodal(self._context, self._pair.facets, self._context.unknowns.degree)
 
