@@ -128,14 +128,6 @@ class Shape(Record):
         """
         return np.zeros((*x.shape, x.shape[-1]))
 
-    def _round_curvature(self, x: FloatArray, across: FloatArray) -> FloatArray:
-        """(A - n n)/r, r the distance from centre or axis, A what leaves out the axis."""
-        distance, normal = self.distance(list(np.moveaxis(x, -1, 0)), float, np.sqrt)
-        n = np.stack([np.asarray(item) for item in normal], axis=-1)
-        r = np.asarray(distance) + float(getattr(self, "radius", 0.0))
-        result = (across - n[..., :, None] * n[..., None, :]) / r[..., None, None]
-        return -result if self.hollow else result
-
     def off(self, x: FloatArray) -> FloatArray:
         """Signed distances of points, shape (..., dim), of a shape in metres."""
         return np.asarray(self.distance(list(np.moveaxis(x, -1, 0)), float, np.sqrt)[0])
@@ -246,7 +238,7 @@ class Sphere(Shape):
 
     def curvature(self, x: FloatArray) -> FloatArray:
         """See `Shape.curvature`."""
-        return self._round_curvature(x, np.eye(x.shape[-1]))
+        return _round_curvature(self, x, np.eye(x.shape[-1]))
 
     def triangles(self, near: Box, dim: int) -> Triangles:
         """See `Shape.triangles`."""
@@ -344,7 +336,7 @@ class Cylinder(Shape):
     def curvature(self, x: FloatArray) -> FloatArray:
         """See `Shape.curvature`."""
         a = np.array(self.direction[: x.shape[-1]])
-        return self._round_curvature(x, np.eye(len(a)) - np.outer(a, a))
+        return _round_curvature(self, x, np.eye(len(a)) - np.outer(a, a))
 
     def triangles(self, near: Box, dim: int) -> Triangles:
         """See `Shape.triangles`."""
@@ -376,6 +368,15 @@ def _round(arm: list[Scalar], radius: Scalar, root: Root) -> Distance:
     # keeps derivatives finite; elsewhere it is below round-off.
     length = root(sum(item * item for item in arm) + 1e-16 * radius * radius)
     return length - radius, [item / length for item in arm]
+
+
+def _round_curvature(shape: Sphere | Cylinder, x: FloatArray, across: FloatArray) -> FloatArray:
+    """(A - n n)/r, r the distance from centre or axis, A what leaves out the axis."""
+    distance, normal = shape.distance(list(np.moveaxis(x, -1, 0)), float, np.sqrt)
+    n = np.stack([np.asarray(item) for item in normal], axis=-1)
+    r = np.asarray(distance) + shape.radius
+    result = (across - n[..., :, None] * n[..., None, :]) / r[..., None, None]
+    return -result if shape.hollow else result
 
 
 def _disc(centre: Sequence[float], radius: float) -> Triangles:

@@ -6,6 +6,7 @@ from itertools import combinations
 from math import factorial
 
 import numpy as np
+from dolfinx.fem import FunctionSpace
 from dolfinx.mesh import Mesh, exterior_facet_indices
 
 from dolfin_elastic.core.types import FloatArray, IndexArray
@@ -96,6 +97,21 @@ def cells_beside_facets(mesh: Mesh, facets: IndexArray) -> tuple[IndexArray, Ind
     around = mesh.topology.connectivity(d, d - 1).array.reshape(-1, d + 1)[cells]
     local = np.argmax(around == np.asarray(facets)[:, None], axis=1)
     return cells, local.astype(np.int32)
+
+
+def dofs_on_facets(V: FunctionSpace, facets: IndexArray) -> IndexArray:
+    """Local nodes of a space on local facets, vertices first.  Local, after `prepare_facets`.
+
+    Args:
+        facets: Shape (n,).
+
+    Returns:
+        Shape (n, nodes of a facet).
+    """
+    layout, d = V.dofmap.dof_layout, V.mesh.topology.dim
+    closure = np.array([layout.entity_closure_dofs(d - 1, i) for i in range(d + 1)], dtype=np.int32)
+    cells, local = cells_beside_facets(V.mesh, facets)
+    return np.asarray(V.dofmap.list[cells[:, None], closure[local]])
 
 
 def facet_nodes(mesh: Mesh, facets: IndexArray) -> IndexArray:

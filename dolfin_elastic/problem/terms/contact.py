@@ -27,6 +27,7 @@ from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.mesh.geometry.simplices import (
     cell_corners,
     cells_beside_facets,
+    dofs_on_facets,
     facet_corners,
     prepare_facets,
     signed_volumes,
@@ -119,6 +120,8 @@ class ContactPair(Term):
         facets = np.unique(np.concatenate([body.surface(name) for name in contact.surfaces]))
         self.facets = facets.astype(np.int32)
         self.lam, self.nodes, self.nodes_of_displacement = nodal(context, facets, 1)
+        every = self.lam.function_space.tabulate_dof_coordinates()
+        self._places: FloatArray = np.asarray(every[self.nodes, : body.dim])
         self.memory, self._index = {f"contact_{index}": self.lam}, index
         self.at_rest = not contact.values and contact.push is None
         heights = _heights(body, facets)
@@ -145,8 +148,7 @@ class ContactPair(Term):
 
     def places(self) -> FloatArray:
         """Reference places of the owned nodes of the surface, shape (n, dim)."""
-        X = self.lam.function_space.tabulate_dof_coordinates()
-        return np.asarray(X[self.nodes, : self._dim])
+        return self._places
 
     def gaps(self) -> tuple[FloatArray, FloatArray]:
         """Gaps [m] and obstacle's normals at the owned nodes, (n,) and (n, dim). Not collective."""
@@ -154,11 +156,14 @@ class ContactPair(Term):
 
     def _gaps_at(self, X: FloatArray, nodes: IndexArray) -> tuple[FloatArray, FloatArray]:
         u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
-        x = X + u[nodes] - self.shift.value
-        distance, normal = self.contact.obstacle.gap(list(x.T), float, np.sqrt)
+        return self._measured(X + u[nodes] - self.shift.value)
+
+    def _measured(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Gaps and normals at places as the obstacle sees them, of their shape (..., dim)."""
+        obstacle = self.contact.obstacle
+        distance, normal = obstacle.gap(list(np.moveaxis(x, -1, 0)), float, np.sqrt)
         gaps = np.asarray(distance, dtype=np.float64)
-        normals = [np.broadcast_to(item, gaps.shape) for item in normal]
-        return gaps, np.stack(normals, axis=1)
+        return gaps, np.stack([np.broadcast_to(item, gaps.shape) for item in normal], axis=-1)
 
     def pressures(self) -> FloatArray:
         """Pressure per reference area at the owned nodes of the surface [Pa]. Collective."""
@@ -440,12 +445,9 @@ def _at_nodes(
 
     The softest counts most: a step of the multiplier that is too long would not converge.
     """
-    d = body.dim
-    own = facets[facets < body.mesh.topology.index_map(d - 1).size_local]
-    beside, local = cells_beside_facets(body.mesh, own)
+    own = facets[facets < body.mesh.topology.index_map(body.dim - 1).size_local]
+    beside, _ = cells_beside_facets(body.mesh, own)
     eps = penalty.x.array[penalty.function_space.dofmap.list[beside, 0]]
-    closure = [S.dofmap.dof_layout.entity_closure_dofs(d - 1, i) for i in range(d + 1)]
-    nodes = S.dofmap.list[beside[:, None], np.array(closure, dtype=np.int32)[local]]
     rows = np.column_stack([np.ones(len(own)), 1 / eps])[:, None]
-    count, inverse = summed(S.dofmap.index_map, nodes, rows).T
+    count, inverse = summed(S.dofmap.index_map, dofs_on_facets(S, own), rows).T
     return np.asarray(np.divide(count, inverse, out=np.ones_like(count), where=inverse > 0))

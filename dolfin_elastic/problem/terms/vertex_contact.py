@@ -23,6 +23,7 @@ from dolfin_elastic.core.shapes.shapes import Plane
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Blocks
 from dolfin_elastic.problem.terms.contact import ContactPair
 from dolfin_elastic.problem.terms.nodal_contact import NodalContact
@@ -52,17 +53,14 @@ class VertexContact(ContactPair):
 
     # --- gaps and pressures ---
 
-    def _places(self) -> FloatArray:
+    def places_of_points(self) -> FloatArray:
         """The points of the functions as the obstacle sees them, (facets, points, dim) [m]."""
         moved = self.functions.displacements() - self.shift.value
         return np.asarray(self.functions.X + moved)
 
     def _at_points(self) -> tuple[FloatArray, FloatArray]:
         """Gaps and normals there, shapes (facets, points) and (facets, points, dim)."""
-        x = self._places()
-        distance, normal = self.contact.obstacle.gap(list(np.moveaxis(x, -1, 0)), float, np.sqrt)
-        gaps = np.asarray(distance, dtype=np.float64)
-        return gaps, np.stack([np.broadcast_to(n, gaps.shape) for n in normal], axis=-1)
+        return self._measured(self.places_of_points())
 
     def every_gap(self) -> FloatArray:
         """See `ContactPair`: those of midside nodes, too."""
@@ -72,11 +70,17 @@ class VertexContact(ContactPair):
 
     def pressing_gaps(self) -> FloatArray:
         """See `ContactPair`: mean gaps."""
-        return self.functions.means(self._at_points()[0][..., None])[:, 0]
+        return self._mean(self._at_points()[0])
+
+    def _mean(self, gaps: FloatArray) -> FloatArray:
+        return self.functions.means(gaps[..., None])[:, 0]
 
     def state(self) -> tuple[FloatArray, BoolArray]:
         """Pressures at the owned vertices, and which of these are in contact. Collective."""
-        trial = self.lam.x.array[self.nodes] - self.eps * self.pressing_gaps()
+        return self._state_of(self.pressing_gaps())
+
+    def _state_of(self, gaps: FloatArray) -> tuple[FloatArray, BoolArray]:
+        trial = self.lam.x.array[self.nodes] - self.eps * gaps
         active = trial >= -self.eps * self.reach
         return np.where(active, trial, 0.0), active
 
@@ -93,12 +97,13 @@ class VertexContact(ContactPair):
 
     def add_forces(self, forces: FloatArray) -> None:
         """See `Term`."""
-        forces += self._forces()
+        forces += self.forces()
 
-    def _forces(self) -> FloatArray:
-        pressures, _ = self.state()
-        at_points = self.functions.at_points(pressures[:, None])
-        return self.functions.spread(at_points * self.normals())
+    def forces(self) -> FloatArray:
+        """Nodal forces on the body before the ranks are summed, (nodes * dim,) [N]. Collective."""
+        gaps, normals = self._at_points()
+        pressures, _ = self._state_of(self._mean(gaps))
+        return self.functions.spread(self.functions.at_points(pressures[:, None]) * normals)
 
     def energy(self) -> float:
         """See `Term`: the potential has the multiplier at rest."""
@@ -114,9 +119,10 @@ class VertexContact(ContactPair):
         """
         from scipy.sparse import diags_array
 
-        pressures, active = self.state()
+        gaps, normals = self._at_points()
+        pressures, active = self._state_of(self._mean(gaps))
         self.near |= active
-        nodes, G = self.functions.rows(self.near, self.normals())
+        nodes, G = self.functions.rows(self.near, normals)
         stiffness = np.where(active, self.eps / self.functions.areas, 0.0)
         result = blocks_of(nodes, G.T @ diags_array(stiffness) @ G, G, self._dim)
         return result if self.flat else result + self._turning(pressures)
@@ -140,7 +146,7 @@ class VertexContact(ContactPair):
         """Minus the derivative of the forces by the turn of the normals. Collective."""
         at_points = self.functions.at_points(pressures[:, None])[..., 0]
         some: BoolArray = np.asarray(self.functions.beside(self.near).any(axis=1))
-        curvature = self.contact.obstacle.curvature(self._places()[some])
+        curvature = self.contact.obstacle.curvature(self.places_of_points()[some])
         shapes, nodes = self.functions.shapes, self.functions.nodes(some)
         values = -np.einsum(
             "fq,qk,ql,fqde->fklde", at_points[some], shapes, shapes, curvature, optimize=True
@@ -151,47 +157,37 @@ class VertexContact(ContactPair):
 
     def along(self, way: FloatArray) -> _ForceOfVertices:
         """See `ContactPair`."""
-        return _ForceOfVertices(self, way)
-
-    def force_along(self, way: FloatArray) -> float:
-        """The obstacle's force on the body along a unit vector [N]. Collective."""
-        return total(self.comm, float(np.sum(self._forces().reshape(-1, self._dim) @ way)))
-
-    def row_along(self, way: FloatArray) -> FloatArray:
-        """The derivative of that force by the unknowns, owned entries [N/m]. Collective."""
-        (pressures, active), normals = self.state(), self.normals()
-        along = self.functions.means((normals @ way)[..., None])[:, 0]
-        softer = self.functions.at_points(np.where(active, -self.eps * along, 0.0)[:, None])
-        turns = self.contact.obstacle.curvature(self._places()) @ way
-        at_points = softer * normals + self.functions.at_points(pressures[:, None]) * turns
-        unknowns, own = self._context.unknowns, self._context.unknowns.V.dofmap.index_map
-        vector = la.vector(own, self._dim)
-        vector.array[:] = self.functions.spread(at_points)
-        vector.scatter_reverse(la.InsertMode.add)
-        entries = unknowns.mixed_dofs(np.arange(own.size_local * self._dim, dtype=np.int32))
-        result = np.zeros(unknowns.W.dofmap.index_map.size_local * unknowns.W.dofmap.index_map_bs)
-        result[entries] = vector.array[: len(entries)]
-        return result
-
-    @property
-    def stiffness(self) -> float:
-        """Force per depth where all of the surface is in contact [N/m]. Collective."""
-        return total(self.comm, float(np.sum(self.functions.areas * self.eps)))
+        return _ForceOfVertices(self, self._context.unknowns, way)
 
 
 class _ForceOfVertices:
     """See `ForceAlong`."""
 
-    def __init__(self, pair: VertexContact, way: FloatArray) -> None:
-        self._pair, self._way, self.stiffness = pair, way, pair.stiffness
+    def __init__(self, pair: VertexContact, unknowns: Unknowns, way: FloatArray) -> None:
+        self._pair, self._unknowns, self._way = pair, unknowns, way
+        self.stiffness = total(pair.comm, float(np.sum(pair.functions.areas * pair.eps)))
 
     def value(self) -> float:
         """See `ForceAlong`."""
-        return self._pair.force_along(self._way)
+        forces = self._pair.forces().reshape(-1, len(self._way))
+        return total(self._pair.comm, float(np.sum(forces @ self._way)))
 
     def row(self) -> FloatArray:
         """See `ForceAlong`."""
-        return self._pair.row_along(self._way)
+        pair, functions, dim = self._pair, self._pair.functions, len(self._way)
+        (pressures, active), normals = pair.state(), pair.normals()
+        along = functions.means((normals @ self._way)[..., None])[:, 0]
+        softer = functions.at_points(np.where(active, -pair.eps * along, 0.0)[:, None])
+        turns = pair.contact.obstacle.curvature(pair.places_of_points()) @ self._way
+        at_points = softer * normals + functions.at_points(pressures[:, None]) * turns
+        W, nodes = self._unknowns.W.dofmap, self._unknowns.V.dofmap.index_map
+        vector = la.vector(nodes, dim)
+        vector.array[:] = functions.spread(at_points)
+        vector.scatter_reverse(la.InsertMode.add)
+        entries = self._unknowns.mixed_dofs(np.arange(nodes.size_local * dim, dtype=np.int32))
+        result = np.zeros(W.index_map.size_local * W.index_map_bs)
+        result[entries] = vector.array[: len(entries)]
+        return result
 
 
 def make_contacts(

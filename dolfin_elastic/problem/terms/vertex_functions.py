@@ -33,7 +33,7 @@ from dolfinx import fem
 from dolfin_elastic.core.ghosts import summed, with_ghosts
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.curved import facet_quadrature, facet_shape_functions
-from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets
+from dolfin_elastic.mesh.geometry.simplices import dofs_on_facets
 from dolfin_elastic.problem.constraints.ties.exchange import Owners
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Blocks
@@ -77,8 +77,7 @@ class VertexFunctions:
         if mesh.geometry.cmap.degree == 1:
             self._measure_from_vertices(hats, means, mesh.geometry.x[rule.nodes][:, :, :d])
         S, V = pair.lam.function_space, context.unknowns.V
-        beside = cells_beside_facets(mesh, own)
-        self._vertices, self._nodes = (_on_facets(space, *beside) for space in (S, V))
+        self._vertices, self._nodes = dofs_on_facets(S, own), dofs_on_facets(V, own)
         self._map, self._node_map = S.dofmap.index_map, V.dofmap.index_map
         self._owners = Owners(pair.comm, self._map.local_range[0], self._map.size_local)
         self.areas = self._summed(means[..., None])[:, 0]
@@ -249,15 +248,3 @@ def blocks_of(nodes: IntArray, matrix: csr_array, rows: csr_array, d: int) -> Bl
     values = np.zeros((len(numbers), d, d))
     values[np.searchsorted(numbers, first * n + product.indices)] = product.data
     return Blocks(nodes[numbers // max(n, 1)], nodes[numbers % max(n, 1)], values)
-
-
-def _on_facets(space: fem.FunctionSpace, cells: IndexArray, local: IndexArray) -> IndexArray:
-    """Local nodes of a space on facets, shape (facets, nodes).
-
-    Args:
-        cells: Local cells beside the facets.
-        local: Number of each facet in its cell.
-    """
-    layout, d = space.dofmap.dof_layout, space.mesh.topology.dim
-    closure = np.array([layout.entity_closure_dofs(d - 1, i) for i in range(d + 1)], dtype=np.int32)
-    return np.asarray(space.dofmap.list[cells[:, None], closure[local]])

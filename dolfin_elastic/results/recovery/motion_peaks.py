@@ -32,7 +32,7 @@ class MotionPeaks:
     of an implicit step, and nothing where outputs write the stress, too.
 
     Args:
-            saved: The worst stresses before the checkpoint from which the run continues.
+        saved: The worst stresses before the checkpoint from which the run continues.
     """
 
     def __init__(self, problem: Problem, saved: Mapping[str, Table]) -> None:

@@ -25,7 +25,7 @@ from dolfin_elastic.core.parallel import RankExchange
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import boundary_shape
 from dolfin_elastic.mesh.geometry.simplices import (
-    cells_beside_facets,
+    dofs_on_facets,
     facet_corners,
     longest_edges,
 )
@@ -68,15 +68,12 @@ class Resolution:
 
 def resolution(problem: Problem) -> Resolution:
     """Of the mesh of a problem. Collective."""
-    shape, V, d = boundary_shape(problem.body), problem.V, problem.body.dim
+    shape, V = boundary_shape(problem.body), problem.V
     turn, bend = shape.turn, shape.bend
     length = longest_edges(facet_corners(problem.body.mesh, shape.facets))
     sharp = np.maximum(_LEAST, _SHARP * np.maximum(-bend * length, 0.0) ** _EXPONENT)
     unresolved = (turn > MOST * (1 + 1e-6)) & (bend < 0)
-    layout = V.dofmap.dof_layout
-    closure = np.array([layout.entity_closure_dofs(d - 1, i) for i in range(d + 1)], dtype=np.int32)
-    _, local = cells_beside_facets(problem.body.mesh, shape.facets)
-    nodes = V.dofmap.list[shape.cells[:, None], closure[local]]
+    nodes = dofs_on_facets(V, shape.facets)
     straight = problem.body.mesh.geometry.cmap.degree == 1
     result = largest_at_nodes(
         V,

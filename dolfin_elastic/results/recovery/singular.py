@@ -42,7 +42,7 @@ from dolfin_elastic.mesh.body import boundary_shape, cell_size
 from dolfin_elastic.mesh.geometry.boundary_shape import EDGE
 from dolfin_elastic.mesh.geometry.curved import facet_areas
 from dolfin_elastic.mesh.geometry.ridges import Ridges
-from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets
+from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets, dofs_on_facets
 from dolfin_elastic.model.supports.displacement import PrescribingSupport, Restraint
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.supports.springs import Spring
@@ -270,18 +270,13 @@ def _pressed(
     Args:
         facets: Local boundary facets.
     """
-    body, V = problem.body, problem.V
-    named = np.unique(np.concatenate([body.surface(name) for name in pair.contact.surfaces]))
+    V = problem.V
     work = la.vector(V.dofmap.index_map, 1)
     nodes, pressures = pair.nodal_pressures()
     work.array[nodes[pressures > 0]] = 1.0
     work.scatter_forward()
-    cells, local = cells_beside_facets(body.mesh, facets)
-    layout, d = V.dofmap.dof_layout, body.dim
-    closure = np.array([layout.entity_closure_dofs(d - 1, i) for i in range(d + 1)], dtype=np.int32)
-    nodes = V.dofmap.list[cells[:, None], closure[local]]
-    touching = np.isin(facets, named)
-    return touching, touching & (work.array[nodes] > 0).all(axis=1)
+    touching = np.isin(facets, pair.facets)
+    return touching, touching & (work.array[dofs_on_facets(V, facets)] > 0).all(axis=1)
 
 
 def _nu(problem: Problem, cells: IndexArray) -> FloatArray:

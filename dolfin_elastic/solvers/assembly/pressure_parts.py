@@ -18,7 +18,7 @@ from dolfin_elastic.core.parallel import RankExchange, largest, total
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.body import connected_components
 from dolfin_elastic.mesh.geometry.curved import facet_quadrature, facet_shape_functions
-from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets, prepare_facets
+from dolfin_elastic.mesh.geometry.simplices import dofs_on_facets, prepare_facets
 from dolfin_elastic.problem.constraints.rows import Rows
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
@@ -204,12 +204,8 @@ def normal_integrals(problem: Problem, facets: IndexArray) -> tuple[IndexArray, 
     """
     mesh, dim, V = problem.body.mesh, problem.body.dim, problem.V
     points = facet_quadrature(mesh, facets, 2 * problem.context.order)
-    cells, sides = cells_beside_facets(mesh, facets)
     table = facet_shape_functions(dim, problem.degree, points.local)
-    closure = np.array(
-        [V.dofmap.dof_layout.entity_closure_dofs(dim - 1, side) for side in range(dim + 1)]
-    )
-    nodes = np.take_along_axis(np.asarray(V.dofmap.list)[cells], closure[sides], axis=1)
+    nodes = dofs_on_facets(V, facets)
     weights = points.weights * ring(problem, points.X)
     assert points.N is not None
     shares = np.einsum("pk,fpi->fki", table, weights[..., None] * points.N)
