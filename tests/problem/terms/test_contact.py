@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
+from helpers.tangents import against_differences
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -479,30 +480,11 @@ def test_tangent(shape):
     )
     assert problem.symmetric
     assert not problem.linear
-    assembler = Assembler(problem)
-    x, f, d = (assembler.create_vector() for _ in range(3))
-    places = problem.V.tabulate_dof_coordinates()[: assembler.size // 2, :2]
-    x.array_w[:] = 0.01 * np.sin(3 * places + places[:, ::-1]).ravel()
-    d.array_w[:] = np.cos(5 * places + 1 + places[:, ::-1]).ravel()
     problem.contact_pairs[0].lam.x.array[:] = 1e4
-    step, found = 1e-7, []
-    start = x.array_r.copy()
-    for sign in (1, -1):
-        x.array_w[:] = start + sign * step * d.array_r
-        assembler.residual.evaluate(x, f)
-        found.append(f.array_r.copy())
-    x.array_w[:] = start
-    assembler.tangent.assemble(x)
-    assembler.tangent.matrix.mult(d, f)
-    difference = (found[0] - found[1]) / (2 * step) - f.array_r
-    comm = problem.body.comm
-    norms = np.sqrt([comm.allreduce(float(v @ v)) for v in (difference, f.array_r)])
-    # Cancellation: 1e-16 of the forces over 1e-7 of the place.
-    assert norms[0] < 1e-7 * norms[1]
-    assert assembler.tangent.matrix.isSymmetric(1e-9 * norms[1])
-    for vector in (x, f, d):
-        vector.destroy()
-    assembler.destroy()
+    with against_differences(problem) as (assembler, off, size):
+        # Cancellation: 1e-16 of the forces over 1e-7 of the place.
+        assert off < 1e-7 * size
+        assert assembler.tangent.matrix.isSymmetric(1e-9 * size)
 
 
 # --- motion ---

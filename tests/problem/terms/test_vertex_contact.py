@@ -1,4 +1,4 @@
-"""Contact of quadratic faces: the patch test, Hertz, conforming faces, the tangent and motion."""
+"""Contact of quadratic faces: Hertz, the tangent and motion; patch tests are in test_contact."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.tangents import against_differences
 
 from dolfin_elastic import (
     Contact,
@@ -19,7 +20,6 @@ from dolfin_elastic import (
     read_body,
     rectangle_body,
 )
-from dolfin_elastic.solvers.assembly.assembler import Assembler
 
 FREE = "free"
 E, NU = 1e6, 0.3
@@ -141,32 +141,13 @@ def test_tangent(dim, shape):
         contacts=[Contact.model_validate({"on": on, "name": "it", shape: row})],
         degree=2,
     )
-    assembler = Assembler(problem)
-    x, f, d = (assembler.create_vector() for _ in range(3))
-    places = problem.V.tabulate_dof_coordinates()[: assembler.size // dim, :dim]
-    x.array_w[:] = 0.01 * np.sin(3 * places + places[:, ::-1]).ravel()
-    d.array_w[:] = np.cos(5 * places + 1 + places[:, ::-1]).ravel()
-    pair = problem.contact_pairs[0]
+    pair, comm = problem.contact_pairs[0], problem.body.comm
     pair.lam.x.array[:] = 1e4
-    step, found = 1e-7, []
-    start = x.array_r.copy()
-    for sign in (1, -1):
-        x.array_w[:] = start + sign * step * d.array_r
-        assembler.residual.evaluate(x, f)
-        found.append(f.array_r.copy())
-    x.array_w[:] = start
-    assembler.tangent.assemble(x)
-    assembler.tangent.matrix.mult(d, f)
-    difference = (found[0] - found[1]) / (2 * step) - f.array_r
-    comm = problem.body.comm
-    norms = np.sqrt([comm.allreduce(float(v @ v)) for v in (difference, f.array_r)])
-    assert comm.allreduce(int(np.sum(pair.pressures() > 0))) > 0
-    # Cancellation: 1e-16 of the forces over 1e-7 of the place.
-    assert norms[0] < 1e-7 * norms[1]
-    assert assembler.tangent.matrix.isSymmetric(1e-9 * norms[1])
-    for vector in (x, f, d):
-        vector.destroy()
-    assembler.destroy()
+    with against_differences(problem) as (assembler, off, size):
+        assert comm.allreduce(int(np.sum(pair.pressures() > 0))) > 0
+        # Cancellation: 1e-16 of the forces over 1e-7 of the place.
+        assert off < 1e-7 * size
+        assert assembler.tangent.matrix.isSymmetric(1e-9 * size)
 
 
 @pytest.mark.sample(1)
