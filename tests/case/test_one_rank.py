@@ -6,10 +6,12 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import pytest
-from helpers.processes import started
+from helpers.processes import started, until
 from helpers.runs import case
 from mpi4py import MPI
 
@@ -30,6 +32,12 @@ def fail():
         file.write(str(time.time()))
     raise KeyError("a fault of the user")
 case = read_case("case.toml")
+"""
+AWAIT_LOAD = """\
+    import os, time
+    open("about", "w").close()
+    while not os.path.exists("loaded"):
+        time.sleep(0.01)
 """
 LOOP = """
 for state in run(case):
@@ -194,24 +202,38 @@ def test_all_ranks_end_amid_a_step(solver: str, tmp_path: Path) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("body", [LOOP, OTHERS_WAIT, ENERGY])
 def test_all_ranks_end_under_load(body: str, tmp_path: Path) -> None:
-    """Where four other processes want each core of this machine."""
-    busy = [sys.executable, "-c", "while True: pass"]
-    others = [subprocess.Popen(busy) for _ in range(4 * len(os.sched_getaffinity(0)))]
+    """Where four other processes want each core of this machine, from just before the exception."""
+    assert seconds_to_the_end(body, tmp_path, load=True) < LONGEST
+
+
+@contextmanager
+def busy_cores() -> Iterator[None]:
+    busy = [sys.executable, "-uc", "print()\nwhile True: pass"]
+    number = 4 * len(os.sched_getaffinity(0))
+    others = [subprocess.Popen(busy, stdout=subprocess.PIPE) for _ in range(number)]
     try:
-        assert seconds_to_the_end(body, tmp_path) < LONGEST
+        for other in others:
+            assert other.stdout is not None
+            other.stdout.readline()
+        yield
     finally:
         for other in others:
             other.kill()
-            other.wait()
+            other.communicate()
 
 
-def seconds_to_the_end(body: str, folder: Path) -> float:
+def seconds_to_the_end(body: str, folder: Path, load: bool = False) -> float:
     """Time from the exception on one rank to the end of the launcher [s]."""
     small(folder)
-    (folder / "script.py").write_text(HEAD + body)
+    head = HEAD.replace("    import time\n", AWAIT_LOAD) if load else HEAD
+    (folder / "script.py").write_text(head + body)
     with started([sys.executable, "script.py"], folder, 2) as process:
-        _, err = process.communicate(timeout=120)
-    end = time.time()
+        if load:
+            until((folder / "about").exists, process)
+        with busy_cores() if load else nullcontext():
+            (folder / "loaded").touch()
+            _, err = process.communicate(timeout=120)
+            end = time.time()
     assert process.returncode != 0
     assert "KeyError: 'a fault of the user'" in err
     assert "in fail" in err

@@ -9,13 +9,12 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers.processes import PROGRAM, cli, ranks_of, started
+from helpers.processes import PROGRAM, cli, ranks_of, started, until
 from helpers.runs import begun, case, check_same, check_same_frames, history, summary
 from mpi4py import MPI
 
@@ -44,15 +43,6 @@ def write_case(folder: Path, steps: int, **checkpoint: Any) -> None:
 def rows_written(folder: Path) -> int:
     file = folder / "case_results/history.csv"
     return max(file.read_text().count("\n") - 1, 0) if file.exists() else 0
-
-
-def until(met: Callable[[], bool], process: Any) -> None:
-    """Waits; a process that ends before is a failure."""
-    end = time.monotonic() + 120
-    while not met():
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 @pytest.mark.long

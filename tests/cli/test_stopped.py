@@ -8,13 +8,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers.processes import PROGRAM, cli, ranks_of, started
+from helpers.processes import PROGRAM, cli, ranks_of, started, until
 from helpers.runs import case, summary
 from mpi4py import MPI
 
@@ -85,16 +84,6 @@ def modes(kind: str, **settings: Any) -> Case:
     if kind == "modal":
         del tables["load"]
     return Case.from_dict(tables)
-
-
-def until(met: Callable[[], bool], process: Any) -> None:
-    """Waits; a process that ends before is a failure."""
-    end = time.monotonic() + 120
-    while not met():
-        if process.poll() is not None or time.monotonic() > end:
-            process.kill()
-            raise AssertionError(process.communicate())
-        time.sleep(0.01)
 
 
 def stopped(process: Any, signals: int, number: int = signal.SIGTERM) -> tuple[str, str]:

@@ -6,6 +6,8 @@ import os
 import re
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 PROGRAM = [sys.executable, "-m", "dolfin_elastic"]
@@ -28,6 +30,16 @@ def started(command: list[str], folder: Path, ranks: int) -> subprocess.Popen[st
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
+
+
+def until(met: Callable[[], bool], process: subprocess.Popen[str]) -> None:
+    """Waits; a process that ends before is a failure."""
+    end = time.monotonic() + 120
+    while not met():
+        if process.poll() is not None or time.monotonic() > end:
+            process.kill()  # else the end of a `with` waits for it
+            raise AssertionError(process.communicate())
+        time.sleep(0.01)
 
 
 def cli(*words: str, folder: Path, ranks: int = 1) -> tuple[int, str, str]:

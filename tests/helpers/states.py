@@ -1,4 +1,4 @@
-"""A problem and a state of it with given displacements, to be written to files."""
+"""A problem and a state of it with given displacements, to be written to files; solved problems."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from dolfinx.mesh import create_box, create_rectangle
 from mpi4py import MPI
 
-from dolfin_elastic import NeoHookean
+from dolfin_elastic import NeoHookean, Statics
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.problem.problem import Problem
@@ -50,3 +50,9 @@ def bend(problem: Problem) -> None:
     problem.u.interpolate(u)
     problem.unknowns.u_to_w()
     problem.w.x.scatter_forward()
+
+
+def last(problem: Problem, **settings: Any) -> Any:
+    """The state at the end of statics."""
+    *_, state = Statics(problem, **settings).steps()
+    return state

@@ -9,6 +9,7 @@ import pytest
 from dolfinx import fem
 from dolfinx.mesh import locate_entities_boundary
 from helpers.bodies import turned
+from helpers.states import last
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -47,11 +48,6 @@ from dolfin_elastic.solvers.linear.choice import LinearSettings
 
 E, NU = 1e6, 0.3
 FREE = "free"
-
-
-def last(problem: Problem, **settings: Any) -> Any:
-    *_, state = Statics(problem, **settings).steps()
-    return state
 
 
 def rows(problem: Problem) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import ufl
 from dolfinx import fem
+from helpers.states import last
 from helpers.tangents import against_differences
 from mpi4py import MPI
 
@@ -40,11 +41,6 @@ from dolfin_elastic.solvers.statics.retry import RetryStrategy
 FREE = "free"
 E, NU = 1e6, 0.3
 FLOOR = Contact(on="bottom", plane={"axis": "y", "at": 0}, name="floor")
-
-
-def last(problem: Problem, **settings: Any) -> Any:
-    *_, state = Statics(problem, **settings).steps()
-    return state
 
 
 def summed(problem: Problem, integrand: Any, index: int = 0) -> float:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.states import last
 
 from dolfin_elastic import (
     Contact,
@@ -46,11 +47,6 @@ def pressed(law: Any = None, degree: int = 1, **contact: Any) -> Problem:
         contacts=[Contact(**{"on": "top", "name": "stamp", **TIGHT, **contact})],
         degree=degree,
     )
-
-
-def last(problem: Problem, **settings: Any) -> Any:
-    *_, state = Statics(problem, **settings).steps()
-    return state
 
 
 def way(state: Any) -> float:

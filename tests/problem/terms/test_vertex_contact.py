@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.states import last
 from helpers.tangents import against_differences
 
 from dolfin_elastic import (
@@ -14,7 +15,6 @@ from dolfin_elastic import (
     LinearElastic,
     NeoHookean,
     Problem,
-    Statics,
     Support,
     box_body,
     read_body,
@@ -23,11 +23,6 @@ from dolfin_elastic import (
 
 FREE = "free"
 E, NU = 1e6, 0.3
-
-
-def last(problem: Problem, **settings: Any) -> Any:
-    *_, state = Statics(problem, **settings).steps()
-    return state
 
 
 def everywhere(problem: Problem, *arrays: np.ndarray) -> list[np.ndarray]:

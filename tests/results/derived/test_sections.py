@@ -12,6 +12,7 @@ import pytest
 from dolfinx import la
 from dolfinx.mesh import locate_entities
 from helpers.bodies import soft_and_hard
+from helpers.states import last
 
 from dolfin_elastic import (
     Case,
@@ -22,7 +23,6 @@ from dolfin_elastic import (
     Problem,
     Section,
     SectionForces,
-    Statics,
     Support,
     Traction,
     box_body,
@@ -60,11 +60,6 @@ def bar(dim: int = 3) -> Body:
     )
 
 
-def last(problem: Problem, **settings: Any) -> Any:
-    *_, state = Statics(problem, **{"rtol": 1e-12, **settings}).steps()
-    return state
-
-
 SECTIONS = {
     "cut": Section(on="cut"),
     "mid": Section(plane="x", at=6.4),
@@ -93,7 +88,7 @@ def test_a_bent_bar(law, degree):
         supports=[Support(on="left")],
         loads=[Force(on="right", value=[*force])],
     )
-    state = last(problem)
+    state = last(problem, rtol=1e-12)
     found = SectionForces(problem, SECTIONS)(state)
     held = state.moments["left"].about_point([0, 1, 1], state.reactions["left"])
     for section in found.values():
@@ -123,7 +118,7 @@ def test_the_weight_beyond(dim):
     )
     asked = {"cut": Section(on="cut"), "plane": Section(plane="x", at=5.0)}
     asked["soft"] = Section(on="cut", side="soft")
-    found = SectionForces(problem, asked)(last(problem))
+    found = SectionForces(problem, asked)(last(problem, rtol=1e-12))
     half = 7.0 * 20.0
     for name, sign in {"cut": 1, "plane": 1, "soft": -1}.items():
         force, moment = found[name].force, found[name].moment.value
@@ -157,7 +152,7 @@ def test_a_closed_curved_surface():
         supports=[Support(on=["left", "right"])],
         loads=[BodyForce(value=[0, -3.0])],
     )
-    state = last(problem)
+    state = last(problem, rtol=1e-12)
     found = SectionForces(problem, {"round": Section(on="round", side="core")})(state)["round"]
     cells = body.mesh.comm.allreduce(int(owned["core"].sum()))
     expected = [0, -3.0 * cells * (2 / 16) ** 2 / 2]
@@ -177,7 +172,7 @@ def test_a_body_of_revolution():
         loads=[Traction(on="bottom", value=[0, -10.0])],
     )
     sections = SectionForces(problem, {"waist": Section(plane="y", at=1.4)})
-    numbers = sections.numbers(state := last(problem))
+    numbers = sections.numbers(state := last(problem, rtol=1e-12))
     assert numbers == {"section_force_waist_y": pytest.approx(10.0 * 3 * pi, rel=ROUND_OFF)}
     assert numbers["section_force_waist_y"] == pytest.approx(state.reactions["top"][1], rel=1e-10)
 
@@ -288,7 +283,9 @@ def test_loads_of_neither_side():
     held = Problem(bar(), LinearElastic(E=1e6, nu=0.3), supports=[spring])
     with pytest.raises(InputError, match="acts on the section itself"):
         SectionForces(held, {"s": Section(on="cut")})
-    force = SectionForces(problem, {"s": Section(plane="x", at=2.5)})(last(problem))["s"].force
+    force = SectionForces(problem, {"s": Section(plane="x", at=2.5)})(last(problem, rtol=1e-12))[
+        "s"
+    ].force
     np.testing.assert_allclose(force, [4.0, 0, 0], atol=ROUND_OFF * 4)
 
 

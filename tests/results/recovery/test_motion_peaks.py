@@ -14,6 +14,7 @@ from dolfin_elastic.results.finished.findings import extremes_of, key_figures, l
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.recovery.motion_peaks import MotionPeaks, _pairs
 from dolfin_elastic.results.recovery.peaks import Peak
+from dolfin_elastic.results.verdict import SAFEST
 
 STRETCH = 1e-3
 SLOW = 1e-6
@@ -148,3 +149,25 @@ def test_a_worse_state_without_regular_places() -> None:
     for peak, known in ((worse, None), (weak, weak.as_json())):
         saved = {"von_mises": worse.as_json(), "elsewhere": peak.as_json()}
         assert MotionPeaks(problem, saved).as_json()["elsewhere"] == known
+
+
+def test_largest_values_of_a_motion() -> None:
+    """With place and part; nothing is said of a body without stress, or before the end."""
+    stress = {"value": 1.84e8, "place": [0.016, -1e-18], "part": "steel"}
+    safety = {"value": 1.36, "place": [0.016, 0.0], "part": ""}
+    found = {"steps": 3, "extremes": {"von_mises": stress, "safety_factor": safety}}
+    materials = {"steel": {}, "rubber": {}}
+    assert lines_of_motion(
+        {**found, "case": {"materials": materials}, "model": {"mesh": {"metres": 0.001}}}
+    ) == [
+        f"{'largest von Mises stress':<36} 184 MPa at (16, 0) mm, in ‘steel’",
+        f"{'smallest safety factor':<36} 1.36 at (16, 0) mm",
+    ]
+    of_one = lines_of_motion({**found, "case": {"materials": {"steel": {}}}})
+    assert [line[37:] for line in of_one] == ["184 MPa at (0.016, 0) m", "1.36 at (0.016, 0) m"]
+    unbounded = {**safety, "value": SAFEST}
+    (line,) = lines_of_motion({**found, "extremes": {"safety_factor": unbounded}})
+    assert "more than 1000 at" in line
+    assert lines_of_motion({**found, "extremes": {"von_mises": {**stress, "value": 0.0}}}) == []
+    assert lines_of_motion({**found, "steps": 0}) == []
+    assert lines_of_motion({**found, "extremes": {}}) == []

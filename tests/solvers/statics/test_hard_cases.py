@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import ufl
+from helpers.states import last
 
 from dolfin_elastic import (
     Contact,
@@ -33,11 +34,6 @@ from dolfin_elastic.problem.state import State
 E, NU = 1e6, 0.3
 FREE = "free"
 NH = NeoHookean(E=E, nu=NU)
-
-
-def last(problem: Problem, **settings: Any) -> State:
-    *_, state = Statics(problem, **settings).steps()
-    return state
 
 
 def failure(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import displacement_at
+from helpers.states import last
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -34,11 +35,6 @@ from dolfin_elastic.solvers.nonlinear.newton import Newton
 
 FREE = "free"
 E, NU = 1e6, 0.3
-
-
-def last(problem: Problem, **settings: Any) -> Any:
-    *_, state = Statics(problem, **settings).steps()
-    return state
 
 
 # --- bending against beam theory and an independent code ---

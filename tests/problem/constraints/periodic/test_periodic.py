@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import displacement_at
+from helpers.states import last
 from mpi4py import MPI
 
 from dolfin_elastic import (
@@ -47,11 +48,6 @@ E, NU = 1e6, 0.3
 SHEARED = [[1.3, 0.2, 0.0], [0.1, 0.9, 0.05], [0.0, -0.1, 1.1]]
 PLANE = [[1.2, 0.1], [0.0, 0.95]]
 STRESS = [[FREE, FREE], [FREE, 2e4]]
-
-
-def last(problem: Problem, **settings: Any) -> Any:
-    *_, state = Statics(problem, **settings).steps()
-    return state
 
 
 def stress(state: Any, dim: int) -> np.ndarray:
