@@ -7,8 +7,9 @@ Where the command line names files, all of their tests run, whatever set they be
                    a `sample(k)` k parameters      that run on n ranks, if it is neither `long` nor
                                                    SLOW; where a file runs on 2 and 3, every second
                                                    one of the others runs on 3
-    all (--all)    every test                      every test and parameter of these files, on three
-                                                   none that is ENDURING
+    all (--all)    every test                      every test of these files that is not ENDURING:
+                                                   where they run on 2 and on 3, each parameter on
+                                                   one of both; where on 2, so many as MOST says
 
 and the rest (--rest) is all but the quick set.
 """
@@ -169,8 +170,11 @@ SLOW = ("picture", "colour", "adaptive", "second_order", "no_cycles", "block_bou
 """In names of tests of drawings, which one rank makes, and of many small steps: such tests take
 long where ranks wait for each other, and belong to the rest there."""
 ENDURING = ("fifty_periods", "second_order")
-"""In names of tests of orders and periods in time, thousands of small steps, which would take three
-ranks on two cores ten minutes each: on one rank and two."""
+"""In names of tests of orders and periods in time, thousands of small steps, in which ranks
+that wait for each other take minutes each: on one rank only; the steps are the same on several."""
+MOST, MOST_OF_LAWS = 8, 2
+"""Parameters of each test of a file that runs on two ranks, not on three, and of one of LAWS:
+longer lists are of laws, bodies and words, in which ranks take no part; all run on one rank."""
 
 
 def runs_on(file: str, ranks: int) -> bool:
@@ -241,8 +245,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     mine, ranks = items, MPI.COMM_WORLD.size
     if whole(config):
         mine = [item for item in mine if ranks in asked(config) and runs_on(_file(item), ranks)]
-        if ranks > 2:
+        if ranks > 1:
             mine = [item for item in mine if not any(word in item.name for word in ENDURING)]
+            some = {id(item) for group in _alike(mine) for item in _on_ranks(group, ranks)}
+            mine = [item for item in mine if id(item) in some]
         if not config.getoption("all"):
             quick = set(map(id, _quick(mine, ranks)))
             rest = config.getoption("rest")
@@ -272,6 +278,15 @@ def _quick(items: Iterable[pytest.Item], ranks: int) -> list[pytest.Item]:
         most = 1 if ranks > 1 else sample.args[0] if sample else len(group)
         found += _spread(group, most)
     return found
+
+
+def _on_ranks(group: list[pytest.Item], ranks: int) -> list[pytest.Item]:
+    """Parameters of one test for so many of several ranks; the first on any number of them."""
+    file = _file(group[0])
+    if file not in SHARED:
+        return _spread(group, MOST_OF_LAWS if file in LAWS else MOST)
+    on_three = _spread(group, (len(group) + 1) // 2)
+    return on_three if ranks > 2 else [group[0], *(one for one in group if one not in on_three)]
 
 
 def _alike(items: Iterable[pytest.Item]) -> Iterable[list[pytest.Item]]:
