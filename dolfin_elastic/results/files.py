@@ -57,6 +57,10 @@ def _cause(error: OSError) -> str:
 def open_together(comm: MPI.Comm, path: Path) -> MPI.File:
     """Opens a file that is there, for all ranks to write into. Collective.
 
+    Open MPI would prepare a file pointer that ranks share, which nobody uses, with a semaphore
+    named after the file, one for all runs of a machine: a run that is killed while it has it leaves
+    it taken, and whoever opens a file of that name waits for ever (`sharedfp_sm_file_open.c`).
+
     Args:
         comm: The ranks.
         path: The file, on a file system that all ranks see.
@@ -64,6 +68,7 @@ def open_together(comm: MPI.Comm, path: Path) -> MPI.File:
     Raises:
         OutputError: On all ranks, when one of them cannot open it.
     """
+    os.environ.setdefault("OMPI_MCA_sharedfp", "individual")  # read when the first file is opened
     error, file = None, MPI.FILE_NULL
     try:
         with writing(path):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import random
 import re
 import signal
 import socket
+import subprocess
 import sys
 import time
 from contextlib import closing
@@ -268,6 +270,24 @@ def test_killed_again_and_again(tmp_path: Path) -> None:
     check_same(history(folder), history(tmp_path / "whole"), near=1e-7)
     check_same_frames(folder, tmp_path / "whole")
     assert len(summary(folder)["restarts"]) == KILLS
+
+
+def test_a_semaphore_that_a_killed_run_has_left(tmp_path: Path) -> None:
+    """Open MPI's, named after a file, and taken: it stops no other run from opening such a file."""
+    file, library = tmp_path / f"{tmp_path.name}-{os.getpid()}.h5", ctypes.CDLL(None)
+    file.touch()
+    name = f"OMPIO_{file.name}".encode()
+    library.sem_open.restype = ctypes.c_void_p
+    assert library.sem_open(name, os.O_CREAT, 0o600, 0)
+    opens = (
+        "import sys; from pathlib import Path; from mpi4py import MPI\n"
+        "from dolfin_elastic.results.files import open_together\n"
+        "open_together(MPI.COMM_WORLD, Path(sys.argv[1])).Close()"
+    )
+    try:
+        subprocess.run([sys.executable, "-c", opens, file], timeout=60, check=True)
+    finally:
+        library.sem_unlink(name)
 
 
 def _newest_step(folder: Path) -> int:
