@@ -142,49 +142,47 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 TABLE = re.compile(r"\b(?:SCHEMES|SUPPORTS)\b")
 
 
-def command(folder: Path, *words: str) -> str:
-    """What the copy prints, code 0."""
-    said = of_copy(folder, *words)
-    assert said.startswith("0\n"), said
-    return said
-
-
-def tried(folder: Path, case: str, sentence: str = "") -> tuple[str, np.ndarray, str]:
-    """What `check` says, the history of the run, and the text of the page of a case.
+def tried(
+    folder: Path, case: str, sentence: str = "", *further: str
+) -> tuple[str, np.ndarray, str, list[str]]:
+    """What `check` says, the history of the run, the text of the page of a case, and more.
 
     Args:
         sentence: Is in these, and in what `look` lists.
+        further: Commands whose output comes last; all end with code 0.
     """
     (folder / "case.toml").write_text(case)
     shutil.rmtree(folder / "case_results", ignore_errors=True)
-    checked, looked = (command(folder, word, "case.toml") for word in ("check", "look"))
-    command(folder, "run", "case.toml", "-q")
+    commands = ("check case.toml", "look case.toml", "run case.toml -q", "report case_results")
+    said = of_copy(folder, *commands, *further)
+    assert all(one.startswith("0\n") for one in said), said
     history = np.genfromtxt(folder / "case_results/history.csv", delimiter=",", names=True)
-    command(folder, "report", "case_results")
     page = (folder / "case_results/report.html").read_text()
+    checked, looked, _, _, *more = said
     assert all(sentence in text for text in (checked, looked, page))
-    return checked, history, page
+    return checked, history, page, more
 
 
 @pytest.mark.long
 def test_a_law_and_a_load(copy: Path) -> None:
     """The pull at the axis of a rod that spins is rho A w^2 L^2/2."""
-    checked, history, page = tried(copy, CASE, "spin about the origin with (0, 0, 2) 1/s")
+    said = "spin about the origin with (0, 0, 2) 1/s"
+    checked, history, page, more = tried(copy, CASE, said, "schema", "materials")
     assert "foam" in checked
     assert re.search(r"\bspin\b", checked)
     assert history["reaction_left_x"][-1] == pytest.approx(-1000 * 0.01 * 4 / 2, rel=1e-6)
     assert "foam" in page and "400 kPa" not in page and "1 MPa" in page
     assert re.search(r"\bspin\b", page)
-    schema = command(copy, "schema")
+    schema, materials = more
     assert '"foam"' in schema and '"spin"' in schema
-    assert "foam" in command(copy, "materials")
+    assert "foam" in materials
 
 
 @pytest.mark.long
 def test_a_constraint(copy: Path) -> None:
     """A block between ends that stay as wide as they are: psi = (mu + lambda/2) e^2."""
     moved = "moved with the gradient ((0.2, 0, 0), (0, 0, 0), (0, 0, 0))"
-    checked, history, _ = tried(copy, STRETCHED, moved)
+    checked, history, _, _ = tried(copy, STRETCHED, moved)
     assert "affine" in checked
     assert history["strain_energy"][-1] == pytest.approx(0.5 * 1.2e6 * 0.04, rel=1e-9)
 
@@ -192,7 +190,8 @@ def test_a_constraint(copy: Path) -> None:
 @pytest.mark.long
 def test_an_output_and_a_quantity(copy: Path) -> None:
     """A line of energies a step, and how unevenly u_x = 0.2 x is spread: 0.2/sqrt(12)."""
-    _, history, page = tried(copy, MEASURED)
+    goal = "converge case.toml --until 'deviation displacement_x on front' 1%"
+    _, history, page, (converged,) = tried(copy, MEASURED, "", goal)
     found = float(history["side_displacement_deviation_x"][-1])
     assert found == pytest.approx(0.2 / np.sqrt(12), rel=1e-9)
     lines = (copy / "case_results/energies.txt").read_text().splitlines()
@@ -200,18 +199,19 @@ def test_an_output_and_a_quantity(copy: Path) -> None:
     assert f"'strain': {history['strain_energy'][-1]:.6g}"[:12] in lines[-1]
     assert "energies" in page
     assert re.search(r"Side displacement deviation</td><td>x <data[^>]*>57\.74 mm<", page)
-    goal = ("--until", "deviation displacement_x on front", "1%")
-    assert "reached" in of_copy(copy, "converge", "case.toml", *goal)
-    for wrong, right in (("energy", "energies"), ("deviations", "deviation")):
-        (copy / "case.toml").write_text(MEASURED.replace(f'"{right}"', f'"{wrong}"'))
-        said = of_copy(copy, "check", "case.toml")
+    assert "reached" in converged
+    wrong = {"energies": "energy", "deviation": "deviations"}
+    for right, word in wrong.items():
+        (copy / f"{right}.toml").write_text(MEASURED.replace(f'"{right}"', f'"{word}"'))
+    checks = of_copy(copy, *(f"check {right}.toml" for right in wrong))
+    for right, said in zip(wrong, checks, strict=True):
         assert f"did you mean '{right}'" in said
 
 
 @pytest.mark.long
 def test_a_scheme(copy: Path) -> None:
     """It moves on before it looks at forces: a body falls by n(n - 1)/2 g dt^2."""
-    checked, history, page = tried(copy, FALLING)
+    checked, history, page, _ = tried(copy, FALLING)
     assert "dynamics by drift-kick" in checked and "by the scheme drift-kick" in page
     n = round(history["t"][-1] / 1e-3)
     assert history["max_displacement"][-1] == pytest.approx(1e-5 * n * (n - 1) / 2, abs=1e-12)

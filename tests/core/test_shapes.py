@@ -248,23 +248,26 @@ def test_a_new_obstacle_is_one_class_and_one_row(tmp_path: Path) -> None:
         assert text.count(before) == 1
         text = text.replace(before, after)
     contact.write_text(text)
-    case = tmp_path / "stamp.toml"
-    case.write_text(CASE)
-
-    checked = of_copy(tmp_path, "check", "stamp.toml")
+    cases = {
+        "stamp": CASE,
+        "short": CASE.replace('0.5, "701 mm"', "0.5"),
+        "misspelt": CASE.replace("ring = {", "rings = {"),
+    }
+    for name, words in cases.items():
+        (tmp_path / f"{name}.toml").write_text(words)
+    checked, short, refused, ran, looked, reported, schema = of_copy(
+        tmp_path,
+        *(f"check {name}.toml" for name in cases),
+        *("run stamp.toml", "look stamp.toml -o look.png", "report stamp_results", "schema"),
+    )
     assert checked.startswith("0\n"), checked
     row = next(line.split() for line in checked.splitlines() if "'stamp'" in line)
     assert row[2] == "0.001", checked
     said = " ".join(checked.split())
     assert "contact[0] top may touch a rigid ring (center (500, 500, 701) mm" in said, checked
-    case.write_text(CASE.replace('0.5, "701 mm"', "0.5"))
-    assert "contact[0].ring.center: 2 components given" in of_copy(tmp_path, "check", "stamp.toml")
-    case.write_text(CASE.replace("ring = {", "rings = {"))
-    refused = of_copy(tmp_path, "check", "stamp.toml")
+    assert "contact[0].ring.center: 2 components given" in short
     assert refused.startswith("2\n") and "did you mean 'ring'?" in refused
-    case.write_text(CASE)
 
-    ran = of_copy(tmp_path, "run", "stamp.toml")
     assert ran.startswith("0\n"), ran
     results = tmp_path / "stamp_results"
     history = np.genfromtxt(results / "history.csv", delimiter=",", names=True)
@@ -276,12 +279,11 @@ def test_a_new_obstacle_is_one_class_and_one_row(tmp_path: Path) -> None:
     assert shown[0].shape == shown[1].shape
     assert (np.abs(shown[0] - shown[1]).max(axis=2) > 0.02).sum() > 2000
 
-    looked = of_copy(tmp_path, "look", "stamp.toml", "-o", "look.png")
     assert looked.startswith("0\n"), looked
     red, green, blue = np.moveaxis(imread(tmp_path / "look.png")[..., :3], 2, 0)
     assert ((blue > green + 0.03) & (red > green + 0.015) & (blue > 0.8)).sum() > 2000
 
-    assert of_copy(tmp_path, "report", "stamp_results").startswith("0\n")
+    assert reported.startswith("0\n"), reported
     page = (results / "report.html").read_text()
     assert "may touch a rigid ring (center " in page and "wide 250 mm" in page
-    assert '"Ring"' in of_copy(tmp_path, "schema")
+    assert '"Ring"' in schema
