@@ -52,6 +52,7 @@ class Reactions:
         self._dofs, self._loads, self._restraints, self._cell = dofs, loads, restraints, cell
         unknowns, u = dofs.problem.unknowns, dofs.problem.u.x.array
         self._entries = unknowns.mixed_dofs(np.arange(len(u), dtype=np.int32))
+        self._added: list[FloatArray] = []  # of restraints that are in no form
 
     def nodal(self, form: fem.Form) -> FloatArray:
         """Nodal forces of a compiled virtual work, owned entries [N]."""
@@ -86,9 +87,15 @@ class Reactions:
             sign: 1 or -1.
             restraining: Of restraints, of loads, or, None, of all.
         """
+        of_all = restraining is None
+        if of_all:
+            self._added.clear()
         for term in self._dofs.problem.terms:
-            if term.nodal and restraining in (None, term.restrains):
-                forces[self._entries] += sign * self._of_term(term)
+            if term.nodal and (of_all or term.restrains == restraining):
+                rows = self._of_term(term)
+                forces[self._entries] += sign * rows
+                if of_all and term.restrains:
+                    self._added.append(rows)
 
     def _of_term(self, term: Term) -> FloatArray:
         rows = np.zeros(len(self._entries))
@@ -106,8 +113,12 @@ class Reactions:
 
     def of_term(self, term: Term) -> FloatArray:
         """Nodal forces of a term that are in no form, owned entries [N]."""
+        return self._owned(self._of_term(term))
+
+    def _owned(self, rows: FloatArray) -> FloatArray:
+        """Sums over the ranks, at the owned entries of all unknowns. Collective."""
         forces = self._dofs.ghosted_vector()
-        forces.array[self._entries] = self._of_term(term)
+        forces.array[self._entries] = rows
         forces.scatter_reverse(la.InsertMode.add)
         return np.asarray(forces.array[: self._dofs.size])
 
@@ -123,10 +134,14 @@ class Reactions:
         return np.asarray(sum(result, np.zeros(self._dofs.size)))
 
     def restraint_norm(self) -> float:
-        """Norm of the nodal forces of springs, dashpots and contact pairs, each by itself [N]."""
+        """Norm of the nodal forces of springs, dashpots and contact pairs, each by itself [N].
+
+        Of terms that are in no form as they were when all terms were added last.
+        """
         if not (self._restraints or self._dofs.problem.terms):
             return 0.0
-        squares = sum(float(np.sum(np.square(forces))) for _, forces in self._restraining())
+        forces = [*map(self.nodal, self._restraints.values()), *map(self._owned, self._added)]
+        squares = sum(float(np.sum(np.square(one))) for one in forces)
         return float(np.sqrt(total(self._dofs.comm, squares)))
 
     def by_label(self) -> dict[str, FloatArray]:
