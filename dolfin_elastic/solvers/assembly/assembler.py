@@ -30,6 +30,7 @@ from dolfin_elastic.solvers.assembly.matrix import BilinearForm, ConstrainedMatr
 from dolfin_elastic.solvers.assembly.node_blocks import NodeBlocks
 from dolfin_elastic.solvers.assembly.symmetric.matrix import SymmetricMatrix, can_be_halved
 from dolfin_elastic.solvers.assembly.two_stage.form import TwoStageForm, tangent_form
+from dolfin_elastic.solvers.petsc.aij import SumOfTwo
 
 
 class Reactions:
@@ -178,6 +179,7 @@ class Tangent:
         if dofs.problem.terms.blocks() is not None:
             self.blocks = NodeBlocks(dofs, self._blocks_of_terms)
         self._shift: float | None = None
+        self._sum: SumOfTwo | None = None
         with stage("assemble"):
             self._assembled: TangentMatrix | SymmetricMatrix
             if iterated and isinstance(form, TwoStageForm) and can_be_halved(dofs, form):
@@ -197,7 +199,7 @@ class Tangent:
         return TangentMatrix(self.form, fixed=fixed)
 
     def _take(self, matrix: PETSc.Mat) -> None:
-        dofs, self.pattern = self._dofs, 0
+        dofs, self.pattern, self._sum = self._dofs, 0, None
         self._constrained = ConstrainedMatrix(dofs.problem, dofs, matrix, dofs.displacement_dofs)
         self.matrix = self._of_forms = self._constrained.matrix
         if self.blocks is not None and not isinstance(self._assembled, SymmetricMatrix):
@@ -263,12 +265,13 @@ class Tangent:
 
     def _add_blocks(self, blocks: NodeBlocks) -> None:
         """Makes `matrix` the sum of that of the forms and of blocks, whose pattern may be new."""
-        added, structure = blocks.free(), PETSc.Mat.Structure
-        self._of_forms.copy(self.matrix, structure.DIFFERENT_NONZERO_PATTERN)
-        known = blocks.pattern == self.pattern
-        how = structure.SUBSET_NONZERO_PATTERN if known else structure.DIFFERENT_NONZERO_PATTERN
+        added, how = blocks.free(), PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+        if blocks.pattern == self.pattern and self._sum is not None:
+            self._sum.renew()
+            return
+        self._of_forms.copy(self.matrix, how)
         self.matrix.axpy(1.0, added, how)
-        self.pattern = blocks.pattern
+        self._sum, self.pattern = SumOfTwo(self.matrix, self._of_forms, added), blocks.pattern
         self._mark()
 
     def scale(self) -> float:

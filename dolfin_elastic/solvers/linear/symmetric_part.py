@@ -90,7 +90,7 @@ class SymmetricPart:
         self._ksp.setPCSide(PETSc.PC.Side.RIGHT)
         self._ksp.setTolerances(rtol=DIGITS, atol=0.0, max_it=LIMIT)
         self._ksp.setPC(self.factors)
-        self._left, self._pause = 0, PAUSE
+        self._left, self._pause, self._pattern = 0, PAUSE, 0
         pc.setType("python")
         pc.setPythonContext(self)
 
@@ -100,8 +100,9 @@ class SymmetricPart:
         if self._left:
             self._left -= 1
         else:
-            if self._tangent.blocks is not None:
-                self._free()  # blocks may be of other pairs of nodes now
+            if self._pattern != self._tangent.pattern:
+                self._free()  # blocks are of other pairs of nodes now
+                self._pattern = self._tangent.pattern
             # In the same matrix, so that MUMPS need not analyse it again.
             self._S = symmetric_part(A, self._S)
             if factorise(self.factors, self._S, symmetric=True):

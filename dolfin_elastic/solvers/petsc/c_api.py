@@ -93,7 +93,7 @@ class Compressed:
     """
 
     start: IntArray
-    columns: IndexArray
+    columns: IndexArray | IntArray
     values: FloatArray
 
 
