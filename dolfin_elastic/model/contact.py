@@ -46,7 +46,8 @@ class Contact(OnSurfaces):
         direction: Along which a force may move it: x, y, z, -x, ... or components.
         curve: Amplitude of the motion or force over time, as that of a support or load.
         friction: Coulomb's coefficient: tangential over normal force where they slide; 0: none.
-        gap_tolerance: Penetration that statics leaves [m]; 1e-3 of the cells' size there.
+        gap_tolerance: Penetration that statics leaves [m]; 1e-3 of the cells' size there, and no
+            more than 1e-2 of how far the pressure squeezes a cell.
         stiffness: Pressure per depth [Pa/m]; about 10 (K + 4 mu/3)/h of the cells there.
 
     Example:

@@ -57,6 +57,12 @@ A body that only lies on an obstacle has a stiffness against it then, round-off 
 that such a gap makes is 1e-8 of the modulus.
 """
 
+SQUEEZE = 1e-2
+"""Penetration that statics leaves over the height by which the pressure shortens an element.
+
+No body is stiffer than a layer of one element that cannot widen, so forces err by less than this.
+"""
+
 FAR = 1e30
 """Gap [m] beyond all others."""
 
@@ -103,7 +109,7 @@ class ContactPair(Term):
         lam: Multiplier [Pa], a value at each vertex; 0 in motion.
         penalty: eps [Pa/m], one number a cell beside the surface.
         size: Mean height of the cells over the surface [m].
-        tolerance: Penetration that statics leaves [m].
+        tolerance: Largest penetration that statics ever leaves [m], see `allowed`.
         eps: Penalty at the owned vertices [Pa/m].
         nodes: Owned vertices of the surface in the space of `lam`.
         nodes_of_displacement: The same vertices in the displacement's space.
@@ -125,10 +131,13 @@ class ContactPair(Term):
         self.memory, self._index = {f"contact_{index}": self.lam}, index
         self.at_rest = not contact.values and contact.push is None
         heights = _heights(body, facets)
-        self.penalty = _penalty(context, contact.stiffness, *heights)
+        self.penalty = _penalty(context, *heights)
         self.size = _mean(body, facets, heights)
         self.tolerance = contact.gap_tolerance or 1e-3 * self.size
         self.eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
+        self._soft = FACTOR / self.eps
+        if contact.stiffness is not None:
+            self.penalty.x.array[self.penalty.x.array > 0.0] = self.eps[:] = contact.stiffness
         self._first = self.penalty.x.array.copy(), self.eps.copy()
         self.shift: fem.Constant = context.constant([0.0] * body.dim)
         self._slack, self._augments = SLACK * cell_size(body), True
@@ -199,12 +208,23 @@ class ContactPair(Term):
         off = np.abs(gaps[(self.pressures() > 0) | (gaps < 0)])
         return largest(self.comm, float(np.max(off, initial=0)))
 
+    def allowed(self) -> float:
+        """Distance from the obstacle at which statics leaves nodes that press [m]. Collective.
+
+        As the pressure squeezes the elements, without the user's word, see `SQUEEZE`.
+        """
+        if self.contact.gap_tolerance is not None:
+            return self.tolerance
+        squeezed = float(np.max(self.pressures() * self._soft, initial=0.0))
+        least = max(self._slack, SQUEEZE * largest(self.comm, squeezed))
+        return min(self.tolerance, least)
+
     def unsettled(self) -> bool:
         """See `Term`: a node that presses is off its obstacle, beyond the tolerance.
 
         Under the law of motion it may be.
         """
-        return self._augments and self.gap_error() > self.tolerance
+        return self._augments and self.gap_error() > self.allowed()
 
     def augment(self) -> None:
         """Uzawa's update lam <- max(0, lam - eps g). Collective."""
@@ -375,16 +395,14 @@ def _deepest_held(
     return key, float(gaps[k]), names
 
 
-def _penalty(
-    context: FormContext, given: float | None, cells: IndexArray, heights: FloatArray
-) -> fem.Function:
-    """Penalty [Pa/m] of cells of these heights [m]. Collective."""
+def _penalty(context: FormContext, cells: IndexArray, heights: FloatArray) -> fem.Function:
+    """Penalty [Pa/m] of cells of these heights [m], 0 in all others. Collective."""
     result = fem.Function(fem.functionspace(context.body.mesh, ("DG", 0)))
     eps = np.zeros(len(cells))
     for region in context.regions:
         local = np.isin(cells, region.cells)
         eps[local] = FACTOR * uniaxial_modulus(region) / heights[local]
-    result.x.array[result.function_space.dofmap.list[cells, 0]] = eps if given is None else given
+    result.x.array[result.function_space.dofmap.list[cells, 0]] = eps
     # Material regions list owned cells only: ghosts beside the surface get theirs from owners.
     result.x.scatter_forward()
     return result

@@ -180,7 +180,7 @@ class CoulombFriction(Term):
         off = self._moved() - self._of(self._stuck)
         off -= np.sum(off * n, axis=1)[:, None] * n
         slip = np.linalg.norm(off[self.status() == STICK], axis=1)
-        return largest(self._comm, float(np.max(slip, initial=0.0))) > self._pair.tolerance
+        return largest(self._comm, float(np.max(slip, initial=0.0))) > self._pair.allowed()
 
     def augment(self) -> None:
         """Uzawa's update tau <- t. Collective.

@@ -377,7 +377,7 @@ class EquilibriumAuditor:
                     held[0]
                     if held is not None
                     else f"contact '{pair.label}': a node that presses is {unit.length(off)} off "
-                    f"the obstacle, above gap_tolerance = {unit.length(pair.tolerance)}; a larger "
+                    f"the obstacle, above gap_tolerance = {unit.length(pair.allowed())}; a larger "
                     "stiffness or more load steps help",
                     off,
                 )

@@ -141,6 +141,31 @@ def test_tolerance_and_stiffness():
     )
 
 
+@pytest.mark.parametrize(("dim", "degree"), [(2, 1), (2, 2), (3, 1), (3, 2)])
+def test_a_small_motion_has_its_force(dim, degree):
+    """A bar of one element over its height h is shortened by d: E A d/h, to the 1 % promised.
+
+    The multiplier that follows the first pressure leaves a gap of d/11/11.
+    """
+    up = "xyz"[dim - 1]
+    body = (
+        rectangle_body(size=(2, 1), cells=(2, 1))
+        if dim == 2
+        else box_body(size=(2, 1, 1), cells=(2, 1, 1))
+    )
+    for motion in (1e-1, 1e-4):
+        problem = Problem(
+            body,
+            LinearElastic(E=E, nu=0),
+            supports=[Support(on="top", displacement=[0.0] * (dim - 1) + [-motion])],
+            contacts=[Contact(on="bottom", plane={"axis": up, "at": 0}, name="floor")],
+            degree=degree,
+        )
+        state = last(problem, steps=1)
+        assert state.audit.verdict == "pass" or motion > 0.01  # no small strain
+        assert state.reactions["floor"][-1] == pytest.approx(2 * E * motion, rel=0.01)
+
+
 def test_a_tolerance_out_of_reach_is_said():
     """In the audit, and so in the log, in history.csv and in summary.json."""
     audit = last(between_plates(2, 1, gap_tolerance=1e-30), steps=1).audit
