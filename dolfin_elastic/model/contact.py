@@ -1,4 +1,6 @@
-"""Contact: unilateral contact of surfaces with rigid obstacles, with Coulomb friction or without.
+"""Contact: unilateral contact of surfaces with rigid obstacles or with one another.
+
+With Coulomb friction or without.
 
 The gap g of a point is its signed distance to the obstacle, positive outside, and n the obstacle's
 outward normal there: see `Shape.gap`.  An obstacle's motion is a displacement as that of a support,
@@ -29,15 +31,19 @@ from dolfin_elastic.model.amplitude import Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.values import OnSurfaces, amplitude_of, at_time, component, components
 
+_OF_OBSTACLES = ("plane", "sphere", "cylinder", "motion", "force", "direction", "curve")
+
 
 class Contact(OnSurfaces):
-    """Surfaces of the body that cannot penetrate a rigid obstacle.
+    """Surfaces of the body that cannot penetrate a rigid obstacle, or one another.
 
     A field that is a `Shape` is one that an obstacle may have: the row of that shape.
 
     Attributes:
-        on: Name of a surface that may touch it, or several.
-        plane: A half space; exactly one of the three shapes is given.
+        on: Name of a surface that may touch an obstacle, or several.
+        between: In place of an obstacle two surfaces of the mesh that may touch, each a name or
+            several.
+        plane: A half space; exactly one of the three shapes is given, or `between`.
         sphere: A ball, or the spherical cavity in which the body lies.
         cylinder: A cylinder, or the bore in which the body lies.
         motion: Displacement of the obstacle [m]: numbers, texts with units, or formulas in t.
@@ -54,6 +60,8 @@ class Contact(OnSurfaces):
         Contact(on="bottom", plane={"point": [0, 0, 0], "normal": [0, 0, 1]})
     """
 
+    on: str | list[str] = ""
+    between: list[str | list[str]] | None = None
     plane: Plane | None = None
     sphere: SphereObstacle | None = None
     cylinder: CylinderObstacle | None = None
@@ -65,13 +73,43 @@ class Contact(OnSurfaces):
     gap_tolerance: Length | None = Field(default=None, gt=0)
     stiffness: ForceDensity | None = Field(default=None, gt=0)
 
+    def _check_sides(self) -> None:
+        """Raises where `between` is no two surfaces, or something of an obstacle is given, too."""
+        other = next((key for key in ("on", *_OF_OBSTACLES) if getattr(self, key)), None)
+        if other is not None:
+            raise InputError(
+                "contact between two surfaces of the mesh has no obstacle",
+                where=other,
+                expected="`between`, or `on` and an obstacle",
+            )
+        if len(self.sides) != 2 or not all(name for side in self.sides for name in side):
+            raise InputError(
+                f"{len(self.sides)} surfaces are given",
+                where="between",
+                expected='two that may touch each other, for example ["jaw", "bone"]',
+            )
+        if self.friction > 0:
+            raise InputError(
+                "contact between two surfaces of the mesh has no friction",
+                where="friction",
+                expected="0",
+            )
+        if both := set(self.sides[0]) & set(self.sides[1]):
+            raise InputError(
+                f"'{min(both)}' is in contact with itself",
+                where="between",
+                expected="two different surfaces",
+            )
+
     @model_validator(mode="after")
     def _one_shape(self) -> Contact:
         known = obstacle_shapes()
         given = [key for key in known if getattr(self, key) is not None]
-        if len(given) != 1:
+        if len(given) != (self.between is None):
             what = f"{' and '.join(given)} are given" if given else "the obstacle has no shape"
-            raise InputError(what, expected=f"exactly one of {', '.join(known)}")
+            raise InputError(what, expected=f"exactly one of {', '.join(known)}, or `between`")
+        if self.between is not None:
+            self._check_sides()
         self._check_force()
         for index, value in enumerate(self.values):
             if isinstance(value, Formula) and value.names - {"t"}:
@@ -112,6 +150,17 @@ class Contact(OnSurfaces):
                 expected='for example "200*t"',
             )
 
+    @property
+    def sides(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the surfaces of both sides of `between`; () with an obstacle."""
+        sides = self.between or ()
+        return tuple((side,) if isinstance(side, str) else tuple(side) for side in sides)
+
+    @property
+    def surfaces(self) -> tuple[str, ...]:
+        """See `OnSurfaces`; of both sides."""
+        return super().surfaces if self.between is None else tuple(sum(self.sides, ()))
+
     @cached_property
     def push(self) -> float | Formula | None:
         """The force that moves the obstacle along `direction` [N]; None: there is none."""
@@ -141,8 +190,9 @@ class Contact(OnSurfaces):
 
     @property
     def shape(self) -> str:
-        """Which of `obstacle_shapes` is given."""
-        return next(key for key in obstacle_shapes() if getattr(self, key) is not None)
+        """Which of `obstacle_shapes` is given, or "between"."""
+        shapes = (key for key in obstacle_shapes() if getattr(self, key) is not None)
+        return next(shapes, "between")
 
     @property
     def obstacle(self) -> Shape:
@@ -152,6 +202,8 @@ class Contact(OnSurfaces):
 
     def describe(self, setting: Setting = ALONE) -> str:
         """What its surfaces may touch."""
+        if self.between is not None:
+            return f"may touch each other{other_keys(self, 'between')}"
         shape = self.obstacle
         keys = shape.model_dump(exclude_unset=True, exclude_none=True)
         told = (f"{k} {given(v, 'm' if k in shape.lengths else '')}" for k, v in keys.items())
@@ -163,6 +215,8 @@ class Contact(OnSurfaces):
         Args:
             scale: Metres per unit of length of the mesh.
         """
+        if self.between is not None:
+            return self
         return self.model_copy(update={self.shape: self.obstacle.in_metres(scale)})
 
     def displacement_at(self, t: float, default: Amplitude, dim: int) -> list[float]:
@@ -182,6 +236,8 @@ class Contact(OnSurfaces):
         Raises:
             InputError: With the key inside the contact's table.
         """
+        if self.between is not None:
+            return
         with keyed(self.shape):
             self.obstacle.check(dim, axisymmetric=axisymmetric)
         if self.values:

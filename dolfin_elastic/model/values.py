@@ -32,7 +32,7 @@ class OnSurfaces(Record):
 
     @model_validator(mode="after")
     def _somewhere(self) -> Self:
-        if not self.on:
+        if not any(self.surfaces):
             raise InputError("no name is given", where="on", expected="a surface's name")
         return self
 

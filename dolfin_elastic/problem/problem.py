@@ -44,6 +44,7 @@ from dolfin_elastic.problem.material_regions import (
 from dolfin_elastic.problem.pressure.groups import pressure_groups
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Resistance, Terms
+from dolfin_elastic.problem.terms.body_contact import make_contacts
 from dolfin_elastic.problem.terms.bolts import make_bolts
 from dolfin_elastic.problem.terms.cavities import make_cavities
 from dolfin_elastic.problem.terms.contact import ContactPair, check_contacts
@@ -52,7 +53,6 @@ from dolfin_elastic.problem.terms.loaded_obstacle import make_loaded_obstacles
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
 from dolfin_elastic.problem.terms.pressure_symmetry import follower_pressure_has_potential
 from dolfin_elastic.problem.terms.rigid_surfaces import RigidSurface, TurnedSurface
-from dolfin_elastic.problem.terms.vertex_contact import make_contacts
 from dolfin_elastic.problem.terms.vertex_friction import make_frictions
 from dolfin_elastic.problem.weak_form import (
     StepStart,
@@ -555,7 +555,10 @@ def _check_normals(
         if isinstance(s, ResistingSupport) and s.by_normal
     ]
     result += [(f"load[{i}].on", load.parts) for i, load in enumerate(loads) if load.along_normal]
-    result += [(f"contact[{i}].on", contact.surfaces) for i, contact in enumerate(contacts)]
+    result += [
+        (f"contact[{i}].{'on' if c.between is None else 'between'}", c.surfaces)
+        for i, c in enumerate(contacts)
+    ]
     for where, names in result:
         for name in names:
             if name in body.surfaces:  # unknown names are refused where they are used

@@ -162,7 +162,10 @@ def _named(case: Case, body: Body) -> Iterator[tuple[str, str, Sequence[str], st
             rule = f"{_a(load.kind)} acts on {_listed(kinds)}{_instead(load, name, body)}"
             yield where, name, kinds, rule
     for i, contact in enumerate(case.contact):
-        for where, name in _names(f"contact[{i}].on", contact.on):
+        key, parts = (
+            ("on", contact.on) if contact.between is None else ("between", contact.surfaces)
+        )
+        for where, name in _names(f"contact[{i}].{key}", parts):
             yield where, name, ("surface",), "a contact holds surfaces"
     for where, name, rule in _joined_names(case):
         yield where, name, ("surface",), rule

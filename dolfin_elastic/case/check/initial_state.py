@@ -19,7 +19,7 @@ from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.terms.contact import ContactPair, nearest_node
+from dolfin_elastic.problem.terms.contact import ContactPair
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.messages import RELEASE
 
@@ -48,8 +48,8 @@ class ContactGap:
     Attributes:
         contact: Its key and name.
         on: The surfaces that may touch.
-        obstacle: Its shape: "plane", "sphere" or "cylinder".
-        gap: Smallest initial gap of the nodes [m], negative inside the obstacle.
+        obstacle: Its shape: "plane", "sphere" or "cylinder"; "between" of two surfaces.
+        gap: Smallest initial gap [m], negative inside the obstacle or the other body.
         place: Undeformed place of that node [m].
     """
 
@@ -93,7 +93,7 @@ def _initial_gaps(
         moved = pair.shift.value.copy()
         if pair.contact.push is not None:  # it may have been moved to where it touches
             pair.shift.value[:] = 0.0
-        result.append((pair, *nearest_node(pair)))
+        result.append((pair, *pair.nearest()))
         pair.shift.value[:] = moved
     return result
 
@@ -144,7 +144,10 @@ def touching_notes(problem: Problem) -> Iterator[str]:
 
     remedy = "mesh.join = true joins the bodies, " if problem.body.cad is not None else ""
     unit = problem.body.unit
+    known = [pair.contact.surfaces for pair in problem.contact_pairs]
     for a, b, area in touching_surfaces(problem):
+        if any({a, b} <= set(names) for names in known):
+            continue
         yield (
             f"the surfaces '{a}' and '{b}' of two bodies touch on "
             f"{unit.length(area, 4, power=problem.body.dim - 1)}, but each "
@@ -174,8 +177,9 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
         pressed |= nearest < -_ROUND_OFF * pair.size
         if nearest > max(reach, _ROUND_OFF * pair.size):
             why = "farther than the body is large" if reach else "and nothing moves the body"
+            what = "the obstacle comes" if pair.contact.between is None else "the surfaces come"
             yield (
-                f"contact '{pair.label}': it can never touch: the obstacle comes no nearer than "
+                f"contact '{pair.label}': it can never touch: {what} no nearer than "
                 f"{unit.length(nearest)}, {why}"
             )
         elif -gap > diagonal:
@@ -233,6 +237,8 @@ def _reach(case: Case, problem: Problem) -> float:
 
 def _gaps_over_time(case: Case, pair: ContactPair) -> list[float]:
     """Smallest gap of the body at rest as the obstacle moves [m]. Collective."""
+    if pair.contact.between is not None:
+        return [pair.nearest()[0]]
     end, default = _end(case)
     x, result = pair.places(), []
     for t in np.linspace(0.0, end, TIMES if pair.contact.values else 1):
@@ -244,6 +250,8 @@ def _gaps_over_time(case: Case, pair: ContactPair) -> list[float]:
 
 def _in_another_unit(unit: LengthUnit, written: Contact, pair: ContactPair, diagonal: float) -> str:
     """That an obstacle beside the origin would be near the body in metres. Collective."""
+    if written.between is not None:
+        return ""
     shape = written.obstacle
     largest_number = max((abs(x) for x in shape.bare_lengths()), default=0.0)
     if not 0.0 < unit.metres * largest_number <= _BESIDE * diagonal or unit.metres >= _SMALL_UNIT:

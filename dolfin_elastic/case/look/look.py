@@ -118,6 +118,8 @@ def _obstacles(case: Case, body: Body, scene: Scene) -> tuple[Obstacle, ...]:
     reach, result = Reach(), []
     reach.take(scene.points)
     for index, contact in enumerate(case.contact):
+        if contact.between is not None:
+            continue
         shape = contact.obstacle.in_metres(body.unit.metres)
         named = f"'{contact.name}'" if contact.name else f"with {', '.join(contact.surfaces)}"
         with suppress(InputError):

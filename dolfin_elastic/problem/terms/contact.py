@@ -22,7 +22,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.ghosts import summed
 from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.timing import stage
-from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size
 from dolfin_elastic.mesh.geometry.simplices import (
     cell_corners,
@@ -101,6 +101,7 @@ class ContactPair(Term):
 
     Args:
         index: From 0, in the case.
+        surfaces: Names of those that carry the pressures; by default all of the contact.
 
     Attributes:
         contact: What the user wrote.
@@ -117,13 +118,16 @@ class ContactPair(Term):
 
     linear, restrains, opens, account = False, True, True, "contact"
 
-    def __init__(self, contact: Contact, context: FormContext, index: int) -> None:
+    def __init__(
+        self, contact: Contact, context: FormContext, index: int, surfaces: Sequence[str] = ()
+    ) -> None:
         body = context.body
         self.contact, self.label, self._context = contact, contact.label, context
         self._axisymmetric = context.geometry == "axisymmetric"
         self.comm, self._dim = body.comm, body.dim
         prepare_facets(body.mesh)
-        facets = np.unique(np.concatenate([body.surface(name) for name in contact.surfaces]))
+        names = surfaces or contact.surfaces
+        facets = np.unique(np.concatenate([body.surface(name) for name in names]))
         self.facets = facets.astype(np.int32)
         self.lam, self.nodes, self.nodes_of_displacement = nodal(context, facets, 1)
         every = self.lam.function_space.tabulate_dof_coordinates()
@@ -194,6 +198,9 @@ class ContactPair(Term):
         """Gaps beyond those at which the pressure ends, at the owned nodes [m]. Collective."""
         return self.pressing_gaps() - self.lam.x.array[self.nodes] / self.eps
 
+    def on_carrier(self) -> BoolArray | None:
+        """Owned nodes of the displacement that its force is told of; None: all."""
+
     def area(self) -> float:
         """Reference area on which there is pressure [m^2]. Collective."""
         raise NotImplementedError
@@ -233,6 +240,23 @@ class ContactPair(Term):
 
     # --- where it touches ---
 
+    def spots(self) -> tuple[FloatArray, FloatArray]:
+        """Gaps [m] where those of the start are judged, and the reference places, (n, dim) [m]."""
+        return self.gaps()[0], self.places()
+
+    def nearest(self) -> tuple[float, tuple[float, ...]]:
+        """Smallest gap [m], and where [m], alike on any number of ranks. Collective."""
+        gaps, places = self.spots()
+        local = [
+            (float(gap), tuple(place.round(12).tolist()))
+            for gap, place in zip(gaps, places, strict=True)
+            if gap <= np.min(gaps, initial=np.inf) + 1e-9 * self.size
+        ]
+        rows = [row for part in self.comm.allgather(local) for row in part]
+        least = min((gap for gap, _ in rows), default=np.inf) + 1e-9 * self.size
+        near = (row for row in rows if row[0] <= least)
+        return min(near, key=lambda row: row[1], default=(np.inf, ()))
+
     @property
     def reach(self) -> float:
         """Gap [m] up to which the surface is in contact."""
@@ -262,7 +286,7 @@ class ContactPair(Term):
     @stage("contact")
     def check_start(self) -> str:
         """See `Term`: no surface begins deep inside its obstacle."""
-        (gap, place), unit = nearest_node(self), self._context.body.unit
+        (gap, place), unit = self.nearest(), self._context.body.unit
         if gap < -self.size:
             raise InputError(
                 f"at the start '{self.label}' lies {unit.length(-gap)} deep in the obstacle, "
@@ -308,8 +332,7 @@ class ContactPair(Term):
 
     def within_stride(self, t: float, goal: float, acting: Acting) -> float:
         """See `Term`: the obstacle moves no farther than it is thick."""
-        stride = STRIDE * self.contact.obstacle.thickness
-        if self.at_rest or not np.isfinite(stride):
+        if self.at_rest or not np.isfinite(stride := STRIDE * self.contact.obstacle.thickness):
             return goal
 
         start = np.array(self.contact.displacement_at(*acting(t), self._dim))
@@ -329,20 +352,6 @@ class ContactPair(Term):
         first, second = f"penetration_{self.label}", f"contact_area_{self.label}"
         result[first] = max(result.get(first, 0.0), depth)
         result[second] = result.get(second, 0.0) + self.area()
-
-
-def nearest_node(pair: ContactPair) -> tuple[float, tuple[float, ...]]:
-    """Smallest gap [m], and where [m], alike on any number of ranks. Collective."""
-    gaps = pair.gaps()[0]
-    local = [
-        (float(gap), tuple(place.round(12).tolist()))
-        for gap, place in zip(gaps, pair.places(), strict=True)
-        if gap <= np.min(gaps, initial=np.inf) + 1e-9 * pair.size
-    ]
-    rows = [row for part in pair.comm.allgather(local) for row in part]
-    least = min((gap for gap, _ in rows), default=np.inf) + 1e-9 * pair.size
-    near = (row for row in rows if row[0] <= least)
-    return min(near, key=lambda row: row[1], default=(np.inf, ()))
 
 
 def check_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> None:

@@ -20,13 +20,12 @@ from dolfinx import la
 
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.shapes.shapes import Plane
-from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Blocks
 from dolfin_elastic.problem.terms.contact import ContactPair
-from dolfin_elastic.problem.terms.nodal_contact import NodalContact
 from dolfin_elastic.problem.terms.vertex_functions import VertexFunctions, blocks_of
 
 
@@ -45,11 +44,19 @@ class VertexContact(ContactPair):
     nodal = True
 
     def __init__(
-        self, contact: Contact, context: FormContext, index: int, thickness: float
+        self,
+        contact: Contact,
+        context: FormContext,
+        index: int,
+        thickness: float,
+        surfaces: Sequence[str] = (),
     ) -> None:
-        super().__init__(contact, context, index)
-        self.functions = VertexFunctions(self, context, thickness)
+        super().__init__(contact, context, index, surfaces)
+        self.functions = self._make_functions(thickness)
         self.near: BoolArray = np.zeros(len(self.nodes), dtype=bool)
+
+    def _make_functions(self, thickness: float) -> VertexFunctions:
+        return VertexFunctions(self, self._context, thickness)
 
     # --- gaps and pressures ---
 
@@ -147,10 +154,14 @@ class VertexContact(ContactPair):
         at_points = self.functions.at_points(pressures[:, None])[..., 0]
         some: BoolArray = np.asarray(self.functions.beside(self.near).any(axis=1))
         curvature = self.contact.obstacle.curvature(self.places_of_points()[some])
-        shapes, nodes = self.functions.shapes, self.functions.nodes(some)
+        N = self.functions.at(some)
         values = -np.einsum(
-            "fq,qk,ql,fqde->fklde", at_points[some], shapes, shapes, curvature, optimize=True
+            "fq,fqk,fql,fqde->fklde", at_points[some], N, N, curvature, optimize=True
         )
+        return self._blocks_between(self.functions.nodes(some), values)
+
+    def _blocks_between(self, nodes: IntArray, values: FloatArray) -> Blocks:
+        """Blocks of all pairs of nodes (facets, k) of facets, from (facets, k, k, dim, dim)."""
         shape, d = values.shape[:3], self._dim
         i, j = np.broadcast_to(nodes[:, :, None], shape), np.broadcast_to(nodes[:, None], shape)
         return Blocks(i.ravel(), j.ravel(), values.reshape(-1, d, d))
@@ -188,19 +199,3 @@ class _ForceOfVertices:
         result = np.zeros(W.index_map.size_local * W.index_map_bs)
         result[entries] = vector.array[: len(entries)]
         return result
-
-
-def make_contacts(
-    contacts: Sequence[Contact], context: FormContext, thickness: float
-) -> tuple[ContactPair, ...]:
-    """All contacts on a body. Collective.
-
-    Args:
-        thickness: Of a plane body [m].
-    """
-    return tuple(
-        VertexContact(contact, context, i, thickness)
-        if context.unknowns.degree > 1
-        else NodalContact(contact, context, i)
-        for i, contact in enumerate(contacts)
-    )

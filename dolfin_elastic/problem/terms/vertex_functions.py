@@ -55,8 +55,12 @@ class VertexFunctions:
         X: Reference places of the points at which f is asked for, shape (facets, points, dim) [m].
         psi: What f at each point counts for the vertices of its facet, integrals included, shape
             (facets, points, vertices) [m^2].
-        shapes: Shape functions of the displacement at the points, shape (points, nodes).
+        shapes: Shape functions of the displacement at the points, shape (points, nodes), or those
+            of each facet, (facets, points, nodes).
     """
+
+    areas: FloatArray
+    shapes: FloatArray
 
     def __init__(self, pair: ContactPair, context: FormContext, thickness: float) -> None:
         mesh, d, order = context.body.mesh, context.body.dim, context.order
@@ -150,7 +154,7 @@ class VertexFunctions:
             Before the ranks are summed, shape (nodes * dim,).
         """
         result = np.zeros((self._node_map.size_local + self._node_map.num_ghosts, self._dim))
-        np.add.at(result, self._nodes, self.shapes.T @ vectors)
+        np.add.at(result, self._nodes, self.shapes.swapaxes(-1, -2) @ vectors)
         return result.reshape(-1)
 
     def rows(
@@ -171,10 +175,11 @@ class VertexFunctions:
 
         d, wanted = self._dim, self.beside(which)
         some: BoolArray = np.asarray(wanted.any(axis=1))
+        psi, N = self.psi[some], self.at(some)
         if directions is None:
-            entries = np.einsum("fqi,qk->fik", self.psi[some], self.shapes)[..., None]
+            entries = (psi.swapaxes(1, 2) @ N)[..., None]
         else:
-            entries = np.einsum("fqi,qk,fqd->fikd", self.psi[some], self.shapes, directions[some])
+            entries = np.einsum("fqi,fqk,fqd->fikd", psi, N, directions[some], optimize=True)
         width = entries.shape[-1]
         columns = self.nodes(some)[:, None, :, None] * width + np.arange(width)
         rows = self._map.local_to_global(self._vertices[some].ravel()).reshape(-1, d, 1, 1)
@@ -186,6 +191,11 @@ class VertexFunctions:
         local = numbers * width + matrix.indices % width
         shape = (matrix.shape[0], len(used) * width)
         return used.astype(np.int64), csr_array((matrix.data, local, matrix.indptr), shape=shape)
+
+    def at(self, which: BoolArray) -> FloatArray:
+        """Shape functions on some facets, shape (some, points, nodes)."""
+        shape = len(self.psi), *self.shapes.shape[-2:]
+        return np.asarray(np.broadcast_to(self.shapes, shape)[which])
 
     def nodes(self, which: BoolArray) -> IntArray:
         """Global nodes of the displacement on some facets, shape (some, nodes)."""

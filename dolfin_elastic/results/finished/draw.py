@@ -254,4 +254,4 @@ def obstacles_of(run: FinishedRun, t: float) -> list[tuple[str, Shape, FloatArra
             return np.array(one.displacement_at(t, default, run.dim))
         return np.asarray(np.interp(t, run.history["t"], moved) * one.way(run.dim))
 
-    return [(one.label, one.obstacle, shift(one)) for one in contacts]
+    return [(one.label, one.obstacle, shift(one)) for one in contacts if one.between is None]

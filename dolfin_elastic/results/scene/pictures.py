@@ -476,6 +476,7 @@ class Painter:
         return [
             (pair.label, pair.contact.obstacle, np.asarray(pair.shift.value))
             for pair in self.problem.contact_pairs
+            if pair.contact.between is None
         ]
 
     def _names(self, field: str) -> list[str]:

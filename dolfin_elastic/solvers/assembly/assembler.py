@@ -146,11 +146,17 @@ class Reactions:
         return float(np.sqrt(total(self._dofs.comm, squares)))
 
     def by_label(self) -> dict[str, FloatArray]:
-        """Label of springs, dashpots and contact pairs to nodal forces, shape (nodes, dim) [N]."""
+        """Label of springs, dashpots and contact pairs to nodal forces, shape (nodes, dim) [N].
+
+        Of contact between two surfaces those on the side that carries the pressures.
+        """
         dofs, dim = self._dofs.displacement_dofs, self._dofs.problem.body.dim
         result: dict[str, FloatArray] = {}
         for label, forces in self._restraining():
             result[label] = result.get(label, 0.0) + forces[dofs].reshape(-1, dim)
+        for pair in self._dofs.problem.contact_pairs:
+            if pair.label in result and (carrier := pair.on_carrier()) is not None:
+                result[pair.label][~carrier] = 0.0
         return result
 
 

@@ -1,4 +1,4 @@
-"""The facets of both sides of a tie, brought to the ranks that integrate over them."""
+"""The facets of both sides of a tie or contact, brought to the ranks that integrate over them."""
 
 from __future__ import annotations
 
@@ -14,14 +14,17 @@ from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets, prepare_facets
 
+_REVERSED = {2: [1, 0, 2], 3: [1, 0, 2, 4, 3, 5]}
+"""Nodes of a facet that is seen from its other side."""
+
 
 @dataclass(frozen=True)
 class Facets:
     """Facets of a surface.
 
     Attributes:
-        x: Places of their geometry nodes [m], shape (facets, nodes, dim): vertices, then midside
-            nodes of curved ones.
+        x: Places of their geometry nodes [m], shape (facets, nodes, dim): vertices, so ordered
+            that the normal points outward, then midside nodes of curved ones.
         nodes: Global nodes of the displacement's space, shape (facets, nodes).
     """
 
@@ -49,6 +52,12 @@ def owned(body: Body, V: fem.FunctionSpace, names: Iterable[str]) -> Facets:
     )
     places = mesh.geometry.dofmap[cells[:, None], geometry[local]]
     nodes = V.dofmap.list[cells[:, None], space[local]]
+    corners = mesh.geometry.x[places[:, :d]][:, :, :d]
+    inside = mesh.geometry.x[mesh.geometry.dofmap[cells, local], None, :d]
+    edges = np.concatenate([corners[:, 1:], inside], axis=1) - corners[:, :1]
+    inward = np.linalg.det(edges) * (-1) ** d < 0
+    for table in (places, nodes):
+        table[inward] = table[inward][:, _REVERSED[d][: table.shape[1]]]
     numbers = V.dofmap.index_map.local_to_global(nodes.astype(np.int32).ravel())
     return Facets(mesh.geometry.x[places][:, :, :d], np.asarray(numbers).reshape(nodes.shape))
 

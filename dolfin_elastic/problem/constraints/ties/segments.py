@@ -40,6 +40,7 @@ class Segments:
         near_coordinates: Barycentric coordinates in `near`, shape (pieces, points, d).
         far_coordinates: The same in `far`.
         weights: Areas [m^(d-1)], shape (pieces, points).
+        shares: The same over the area of the reference facet, on which the coordinates are.
         gaps: Largest distance between the two at each piece [m].
         sizes: Of the longer facet of each piece [m].
         places: A point of each piece [m], shape (pieces, d).
@@ -50,6 +51,7 @@ class Segments:
     near_coordinates: FloatArray
     far_coordinates: FloatArray
     weights: FloatArray
+    shares: FloatArray
     gaps: FloatArray
     sizes: FloatArray
     places: FloatArray
@@ -60,11 +62,15 @@ class Segments:
 
 @dataclass(frozen=True)
 class _Flat:
-    """Flat facets: corners [m], the facet that each is a part of, and the corners' places in it."""
+    """Flat facets: corners [m], the facet that each is a part of, and the corners' places in it.
+
+    `parts` such parts are one facet.
+    """
 
     x: FloatArray
     parent: IntArray
     corners: FloatArray
+    parts: int
 
     @property
     def size(self) -> FloatArray:
@@ -73,8 +79,18 @@ class _Flat:
         return np.asarray(np.linalg.norm(sides, axis=2).max(axis=1))
 
     @property
+    def areas(self) -> FloatArray:
+        """Areas, in a plane lengths [m^(d-1)]."""
+        return np.asarray(np.linalg.norm(self._vectors, axis=1)) / (self.x.shape[2] - 1)
+
+    @property
     def normals(self) -> FloatArray:
-        """Unit normals, of either sign."""
+        """Outward unit normals."""
+        n = self._vectors
+        return np.asarray(n / np.linalg.norm(n, axis=1, keepdims=True))
+
+    @property
+    def _vectors(self) -> FloatArray:
         n: FloatArray
         if self.x.shape[2] == 2:
             t = self.x[:, 1] - self.x[:, 0]
@@ -83,18 +99,19 @@ class _Flat:
             n = np.asarray(
                 np.cross(self.x[:, 1] - self.x[:, 0], self.x[:, 2] - self.x[:, 0]), np.float64
             )
-        return np.asarray(n / np.linalg.norm(n, axis=1, keepdims=True))
+        return n
 
 
-def cut(near: Facets, far: Facets, tolerance: float | None) -> Segments:
+def cut(near: Facets, far: Facets, tolerance: float | None, *, facing: bool = False) -> Segments:
     """All pieces of facets that lie opposite each other. Local.
 
     Args:
         far: Facets of the second surface that may lie opposite.
         tolerance: Largest distance [m]; infinity: any; None: `GAP` of the facets' size.
+        facing: Only of those whose outer sides see each other.
     """
     a, b = _flat(near), _flat(far)
-    i, j = _candidates(a, b, tolerance)
+    i, j = _candidates(a, b, tolerance, facing=facing)
     pieces = (_pieces_of_planes if near.x.shape[2] == 3 else _pieces_of_lines)(a, b, i, j)
     most = GAP * pieces.sizes if tolerance is None else tolerance
     return pieces[pieces.gaps <= most]
@@ -105,7 +122,7 @@ def _flat(facets: Facets) -> _Flat:
     count, nodes, d = facets.x.shape
     own = np.eye(d)
     if nodes == d:
-        return _Flat(facets.x, np.arange(count), np.broadcast_to(own, (count, d, d)))
+        return _Flat(facets.x, np.arange(count), np.broadcast_to(own, (count, d, d)), 1)
     if d == 2:
         middle = np.array([[0.5, 0.5]])
         parts = np.array([[0, 2], [2, 1]])
@@ -117,10 +134,13 @@ def _flat(facets: Facets) -> _Flat:
         facets.x[:, parts].reshape(-1, d, d),
         np.repeat(np.arange(count), len(parts)),
         np.tile(coordinates, (count, 1, 1)),
+        len(parts),
     )
 
 
-def _candidates(a: _Flat, b: _Flat, tolerance: float | None) -> tuple[IntArray, IntArray]:
+def _candidates(
+    a: _Flat, b: _Flat, tolerance: float | None, *, facing: bool
+) -> tuple[IntArray, IntArray]:
     """Pairs of flat facets that are near and nearly parallel."""
     nothing = np.empty(0, dtype=np.int64)
     if not len(a.x) or not len(b.x):
@@ -135,8 +155,8 @@ def _candidates(a: _Flat, b: _Flat, tolerance: float | None) -> tuple[IntArray, 
     result = cKDTree(middles[1]).query_ball_point(middles[0], reach)
     i = np.repeat(np.arange(len(a.x)), [len(row) for row in result])
     j = np.concatenate([nothing, *map(np.asarray, result)]).astype(np.int64)
-    cosines = np.abs(np.einsum("ni,ni->n", a.normals[i], b.normals[j]))
-    keep = cosines > PARALLEL
+    cosines = -np.einsum("ni,ni->n", a.normals[i], b.normals[j])
+    keep = (cosines if facing else np.abs(cosines)) > PARALLEL
     return i[keep], j[keep]
 
 
@@ -167,6 +187,7 @@ def _made(
         near_coordinates=np.einsum("npk,nkc->npc", s, a.corners[i]),
         far_coordinates=np.einsum("npk,nkc->npc", m, b.corners[j]),
         weights=weights,
+        shares=weights / (a.parts * a.areas[i, None]),
         gaps=np.linalg.norm(y - x, axis=2).max(axis=1, initial=0.0),
         sizes=np.maximum(a.size[i], b.size[j]),
         places=x[:, 0],

@@ -222,8 +222,8 @@ def test_of_large_surfaces_few_pairs_are_looked_at(monkeypatch: pytest.MonkeyPat
     pairs = [0]
     found = segments._candidates
 
-    def counted(*arguments: Any) -> Any:
-        i, j = found(*arguments)
+    def counted(*arguments: Any, **keys: Any) -> Any:
+        i, j = found(*arguments, **keys)
         pairs.append(len(i))
         return i, j
 

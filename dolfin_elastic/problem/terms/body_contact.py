@@ -1,0 +1,212 @@
+"""`BodyContact`: contact between two deformable surfaces.
+
+One side carries the pressures: that with the finer faces, of alike ones the softer.  Its mean gaps,
+pressures and potential are those of `VertexContact`; forces on both sides come from the same
+points, so that action is reaction.  The tangent leaves the change of the cut out.
+
+Source: P. Wriggers, Computational Contact Mechanics, 2nd ed., Springer 2006, sections 4.3 and 9.5;
+M. A. Puso & T. A. Laursen, Comput. Methods Appl. Mech. Eng. 193 (2004) 601; A. Popp, B. Wohlmuth,
+M. W. Gee & W. A. Wall, SIAM J. Sci. Comput. 34 (2012) B421.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.mesh.geometry.curved import facet_areas
+from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets, prepare_facets
+from dolfin_elastic.model.contact import Contact
+from dolfin_elastic.problem.constraints.rows import Constraints
+from dolfin_elastic.problem.constraints.ties.facets import longest_edge, owned
+from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.term import Blocks
+from dolfin_elastic.problem.terms.body_functions import PieceFunctions
+from dolfin_elastic.problem.terms.contact import FAR, ContactPair, uniaxial_modulus
+from dolfin_elastic.problem.terms.nodal_contact import NodalContact
+from dolfin_elastic.problem.terms.vertex_contact import VertexContact
+
+log = logging.getLogger("dolfin_elastic")
+
+ALIKE = 1.2
+"""Ratio of the sizes of the faces of two sides up to which the softer one carries the pressures."""
+
+
+class BodyContact(VertexContact):
+    """One contact between two surfaces of the mesh. Collective to make.
+
+    Args:
+        thickness: Of a plane body [m].
+
+    Attributes:
+        sides: Names of the surfaces that carry the pressures, and of the others.
+    """
+
+    flat = False
+
+    def __init__(
+        self, contact: Contact, context: FormContext, index: int, thickness: float
+    ) -> None:
+        self.sides, text = _carrier_first(contact, context)
+        log.info("contact '%s': %s", contact.label, text)
+        super().__init__(contact, context, index, thickness, self.sides[0])
+
+    def _make_functions(self, thickness: float) -> PieceFunctions:
+        context = self._context
+        sides = (owned(context.body, context.unknowns.V, names) for names in self.sides)
+        reach = longest_edge(self.comm, *sides)
+        self._pieces = PieceFunctions(self, context, self.sides, reach, thickness)
+        return self._pieces
+
+    def on_carrier(self) -> BoolArray:
+        """Which of the displacement's owned nodes are on the side that carries the pressures."""
+        result = np.zeros(self._context.unknowns.V.dofmap.index_map.size_local, dtype=bool)
+        result[self.functions.every[2]] = True
+        return result
+
+    # --- gaps ---
+
+    def _at_points(self) -> tuple[FloatArray, FloatArray]:
+        """See `VertexContact`."""
+        finite, there = self._pieces.renew(), self._pieces.there
+        return there.gap if finite else np.full_like(there.gap, np.nan), there.normal
+
+    def _mean(self, gaps: FloatArray) -> FloatArray:
+        return np.where(self._pieces.covered, super()._mean(gaps), FAR)
+
+    def gaps(self) -> tuple[FloatArray, FloatArray]:
+        """See `ContactPair`: mean ones. Collective."""
+        gaps, normals = self._at_points()
+        mean = self._pieces.means(normals)
+        length = np.linalg.norm(mean, axis=1)[:, None]
+        along = np.divide(mean, length, out=np.eye(1, self._dim) + 0 * mean, where=length > 0)
+        return self._mean(gaps), along
+
+    def every_gap(self) -> FloatArray:
+        """See `ContactPair`: those of all points opposite the other side. Collective."""
+        return self._at_points()[0].ravel()
+
+    def spots(self) -> tuple[FloatArray, FloatArray]:
+        """See `ContactPair`. Collective."""
+        return self.every_gap(), self._pieces.X.reshape(-1, self._dim)
+
+    # --- the tangent ---
+
+    def _turning(self, pressures: FloatArray) -> Blocks:
+        """Minus the derivative of the forces by the second variation of gaps. Collective.
+
+        With the metric a, the bend b, A = a - g b and
+
+            dxi = A^-1 ((du_s - du_m) . t + g n . du_m,xi),    q = n . du_m,xi + b dxi,
+
+        it is d2g = - (n . du_m,xi) dxi - dxi (n . du_m,xi) - dxi b dxi + g q a^-1 q.
+        """
+        pieces, d = self._pieces, self._dim
+        some: BoolArray = np.asarray(pieces.beside(self.near).any(axis=1))
+        weights = pieces.at_points(pressures[:, None])[some, :, 0]
+        g, n, t, b, slopes = (values[some] for values in pieces.there)
+        N = pieces.at(some)
+        g, shape = g[..., None, None], (*g.shape, d - 1, d * N.shape[2])
+        D = np.concatenate([np.zeros_like(slopes), slopes], axis=2)
+        along = np.einsum("nqka,nqd->nqakd", D, n).reshape(shape)
+        across = np.einsum("nqk,nqda->nqakd", N, t).reshape(shape)
+        metric = t.swapaxes(-1, -2) @ t
+        inverse, one = np.linalg.inv(metric), np.eye(d - 1)
+        dxi = np.linalg.solve(metric - g * b, across + g * along)
+        mixed = g * inverse @ b - one
+        M = np.block([[g * inverse, mixed], [mixed.swapaxes(-1, -2), b @ (g * inverse @ b) - b]])
+        V = np.concatenate([along, dxi], axis=2)
+        MV = -weights[..., None, None] * (M @ V)
+        count, width = len(V), V.shape[-1]
+        rows = V.shape[1] * V.shape[2]
+        V, MV = (values.reshape(count, rows, width) for values in (V, MV))
+        K = (V.swapaxes(1, 2) @ MV).reshape(count, width // d, d, width // d, d)
+        return self._blocks_between(pieces.nodes(some), K.transpose(0, 1, 3, 2, 4))
+
+    # --- a run ---
+
+    def held(self, *, near: bool = False) -> Iterator[tuple[IndexArray, FloatArray]]:
+        """See `Term`: both sides, each as if the other one stood still."""
+        yield from super().held(near=near)
+        pieces = self._pieces
+        gaps, normals = self._at_points()
+        within = gaps <= (self.size if near else self.reach)
+        half = pieces.shapes.shape[2] // 2
+        far = np.arange(half, half + self._dim)
+        every = np.ones(len(gaps), dtype=bool)
+        hats = pieces.opposite_hats * within[..., None]
+        vectors = pieces.to_owners(pieces.nodes(every)[:, far], hats.swapaxes(1, 2) @ normals)
+        lengths = np.linalg.norm(vectors, axis=1)
+        nodes = np.flatnonzero(lengths > 0).astype(np.int32)
+        yield nodes, vectors[nodes] / lengths[nodes, None]
+
+    def conflict(self, constraints: Constraints) -> None:
+        """See `Term`: both sides may be held."""
+
+    def check_start(self) -> str:
+        """See `Term`: no overlap that is deeper than an element."""
+        gap, place = self.nearest()
+        unit = self._context.body.unit
+        if gap < -self.size:
+            raise InputError(
+                f"at the start '{self.label}' overlap by {unit.length(-gap)}, at "
+                f"{unit.point(place)}",
+                where=f"contact[{self._index}].between",
+                expected=f"at most an element deep, {unit.length(self.size)}",
+            )
+        if gap >= -self.tolerance:
+            return ""
+        return (
+            f"at the start '{self.label}' overlap by {unit.length(-gap)}, at {unit.point(place)}: "
+            "what the penalty stores there throws them apart"
+        )
+
+
+def _carrier_first(
+    contact: Contact, context: FormContext
+) -> tuple[tuple[tuple[str, ...], ...], str]:
+    """Both sides, first the one that carries the pressures, and why. Collective."""
+    body, unit = context.body, context.body.unit
+    prepare_facets(body.mesh)
+    sizes, moduli = [], []
+    for names in contact.sides:
+        facets = np.unique(np.concatenate([body.owned_facets(name) for name in names]))
+        cells, _ = cells_beside_facets(body.mesh, facets.astype(np.int32))
+        stiffness = sum(
+            uniaxial_modulus(one) * int(np.isin(cells, one.cells).sum()) for one in context.regions
+        )
+        area = float(facet_areas(body.mesh, facets.astype(np.int32)).sum())
+        sums = total(body.comm, np.array([area, float(len(facets)), float(stiffness)]))
+        sizes.append(float(sums[0] / sums[1]) ** (1 / (body.dim - 1)))
+        moduli.append(float(sums[2] / sums[1]))
+    alike = max(sizes) <= ALIKE * min(sizes)
+    second = moduli[1] < moduli[0] / ALIKE if alike else sizes[1] < sizes[0]
+    one, other = (1, 0) if second else (0, 1)
+    sides = contact.sides[one], contact.sides[other]
+    what = f"{'+'.join(sides[0])} carries the pressures"
+    faces = f"faces {unit.length(sizes[one])} against {unit.length(sizes[other])}"
+    return sides, f"{what} ({faces}{', the softer side' if alike and second else ''})"
+
+
+def make_contacts(
+    contacts: Sequence[Contact], context: FormContext, thickness: float
+) -> tuple[ContactPair, ...]:
+    """All contacts on a body. Collective.
+
+    Args:
+        thickness: Of a plane body [m].
+    """
+    return tuple(_made(contact, context, i, thickness) for i, contact in enumerate(contacts))
+
+
+def _made(contact: Contact, context: FormContext, index: int, thickness: float) -> ContactPair:
+    if contact.between is not None:
+        return BodyContact(contact, context, index, thickness)
+    if context.unknowns.degree > 1:
+        return VertexContact(contact, context, index, thickness)
+    return NodalContact(contact, context, index)

@@ -1,0 +1,287 @@
+"""`PieceFunctions`: functions of vertices by which contact between two surfaces is weighted.
+
+Faces of the side that carries the pressures and of the other one are cut by each other where they
+lie now, see `ties.segments`; a point of these pieces is compared with the nearest one of the other
+side's face, which is curved where the face is quadratic.  With the places x_s and x_m of both and
+the outward normal n of the other side there, the gap is
+
+    g = n . (x_s - x_m),    its first variation    n . (N_s du_s - N_m du_m),
+
+for x_s - x_m is along n.  The functions are those of `VertexFunctions` on the carrying side, made
+of the part of each face that lies opposite something; areas are those of the reference surface.
+
+Source: B. I. Wohlmuth, SIAM J. Numer. Anal. 38 (2000) 989; T. Cichosz & M. Bischoff, Comput.
+Methods Appl. Mech. Engrg. 200 (2011) 1317 (faces covered in part); P. Wriggers, Computational
+Contact Mechanics, 2nd ed., Springer 2006, section 4.1 (nearest points).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from dolfinx import fem
+
+from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
+from dolfin_elastic.problem.constraints.ties.exchange import Owners
+from dolfin_elastic.problem.constraints.ties.facets import Facets, areas, opposite, owned
+from dolfin_elastic.problem.constraints.ties.mortar import (
+    shape_bends,
+    shape_functions,
+    shape_slopes,
+)
+from dolfin_elastic.problem.constraints.ties.segments import Segments, cut
+from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.terms.contact import ContactPair
+from dolfin_elastic.problem.terms.vertex_functions import VertexFunctions
+
+COVERED = 1e-3
+"""Share of a vertex's area that lies opposite something from which on there is contact."""
+
+AROUND = 3.0
+"""Pieces of a face that is in reach, over this reach: all, also where the gap widens."""
+
+NEWTON = 6
+"""Iterations to the nearest point of a quadratic face: they converge quadratically."""
+
+_SINGULAR = 1e-12
+"""Eigenvalue of a face's mass matrix over its largest below which it is round-off."""
+
+
+class Side:
+    """The facets of one side that this rank owns. Collective to make.
+
+    Attributes:
+        nodes: Global nodes of the displacement, shape (facets, nodes).
+        X: Reference places of the nodes of the displacement or of the geometry, whichever are
+            more, shape (facets, nodes, dim) [m].
+        vertices: Local vertices in the space of multipliers, shape (facets, dim).
+    """
+
+    def __init__(self, context: FormContext, names: Sequence[str], S: fem.FunctionSpace) -> None:
+        body, V = context.body, context.unknowns.V
+        self._u, found = context.unknowns.u, owned(body, V, names)
+        self.nodes, shape = found.nodes, found.nodes.shape
+        self._count = max(found.x.shape[1], shape[1])
+        self.X = _at_nodes(found.x, self._count)
+        self._local = V.dofmap.index_map.global_to_local(self.nodes.ravel()).reshape(shape)
+        vertices = owned(body, S, names).nodes
+        self.vertices = S.dofmap.index_map.global_to_local(vertices.ravel()).reshape(vertices.shape)
+
+    def now(self) -> Facets:
+        """The facets where they are now. Local."""
+        u = self._u.x.array.reshape(-1, self.X.shape[2])
+        return Facets(self.X + _at_nodes(u[self._local], self._count), self.nodes)
+
+
+def _at_nodes(values: FloatArray, count: int) -> FloatArray:
+    """Values at the nodes of facets with so many, from those with as many or fewer."""
+    d = values.shape[2]
+    ends = np.eye(d)
+    middle = [(ends[i] + ends[j]) / 2 for i, j in ([(0, 1)], [(1, 2), (0, 2), (0, 1)])[d - 2]]
+    where = np.vstack([ends, *middle])[:count]
+    return np.asarray(shape_functions(where[None], values.shape[1])[0] @ values)
+
+
+class Opposite(NamedTuple):
+    """What of the other side lies opposite the points, each array shape (pieces, points, ...).
+
+    Attributes:
+        gap: Distance along the normal [m].
+        normal: Of the other side, outward, (..., dim).
+        tangents: dx/dxi of the face, (..., dim, dim - 1) [m].
+        bend: n . d2x/dxi2, (..., dim - 1, dim - 1) [m].
+        slopes: Of the shape functions of the displacement, (..., nodes, dim - 1).
+    """
+
+    gap: FloatArray
+    normal: FloatArray
+    tangents: FloatArray
+    bend: FloatArray
+    slopes: FloatArray
+
+
+class PieceFunctions(VertexFunctions):
+    """The functions of a contact between two surfaces. Collective to make.
+
+    "Facets" are pieces here.  Nodes are those of both sides, and shape functions of the other side
+    are negative, so that displacements are those relative to it.
+
+    Args:
+        pair: The contact, of whose carrying side its multiplier is a field.
+        sides: Names of the surfaces of the carrying and of the other side.
+        reach: Distance beyond which nothing lies opposite [m].
+        thickness: Of a plane body [m].
+
+    Attributes:
+        covered: Which of the owned vertices lie opposite something.
+        there: What lies opposite the points.
+        opposite_hats: Barycentric coordinates there.
+    """
+
+    def __init__(
+        self,
+        pair: ContactPair,
+        context: FormContext,
+        sides: Sequence[Sequence[str]],
+        reach: float,
+        thickness: float,
+    ) -> None:
+        S, V = pair.lam.function_space, context.unknowns.V
+        self._context, self._pair, self._dim = context, pair, context.body.dim
+        self._map, self._node_map = S.dofmap.index_map, V.dofmap.index_map
+        self._owners = Owners(pair.comm, self._map.local_range[0], self._map.size_local)
+        nodes = self._node_map
+        self.node_owners = Owners(pair.comm, nodes.local_range[0], nodes.size_local)
+        self._near, self._far = (Side(context, names, S) for names in sides)
+        self._reach, self._thickness = reach, thickness
+        whole = areas(Facets(self._near.X, self._near.nodes)) / self._dim
+        self._vertices = self._near.vertices
+        self._whole = self._summed(np.repeat(whole[:, None], self._dim, axis=1)[..., None])[:, 0]
+        self._at: FloatArray = np.empty(0)
+        self.renew()
+
+    # --- where the two sides are now ---
+
+    def renew(self) -> bool:
+        """Cuts the faces anew if anything has moved; False: a place is not finite. Collective."""
+        pair, u = self._pair, self._context.unknowns.u.x.array
+        moved, finite = not np.array_equal(u, self._at), bool(np.all(np.isfinite(u)))
+        changes = total(pair.comm, np.array([moved, not finite], dtype=float))
+        if changes[1] > 0.0:
+            return False
+        if changes[0] > 0.0:
+            self._at = u.copy()
+            near, around = self._near.now(), AROUND * self._reach
+            far = opposite(pair.comm, near, self._far.now(), around)
+            pieces = cut(near, far, around, facing=True)
+            nearest = np.full(len(near.x), np.inf)
+            np.minimum.at(nearest, pieces.near, pieces.gaps)
+            self._take(near, far, pieces[nearest[pieces.near] <= self._reach])
+        return True
+
+    def _take(self, near: Facets, far: Facets, pieces: Segments) -> None:
+        s, i, j, k = pieces.near_coordinates, pieces.near, pieces.far, near.nodes.shape[1]
+        x = np.einsum("nqk,nkd->nqd", shape_functions(s, near.x.shape[1]), near.x[i])
+        self.opposite_hats, self.there = _nearest(x, far.x[j], pieces.far_coordinates, k)
+        self.shapes = np.concatenate(
+            [shape_functions(s, k), -shape_functions(self.opposite_hats, k)], axis=2
+        )
+        self._numbers = np.concatenate([near.nodes[i], far.nodes[j]], axis=1)
+        self._vertices = self._near.vertices[i]
+        self.X = np.einsum("nqk,nkd->nqd", shape_functions(s, near.x.shape[1]), self._near.X[i])
+        self._weight(pieces)
+
+    def _weight(self, pieces: Segments) -> None:
+        """Takes psi and areas over the pieces."""
+        s, i, d = pieces.near_coordinates, pieces.near, self._dim
+        X = self._near.X
+        tangents = np.einsum("nqka,nkd->nqda", shape_slopes(s, X.shape[1]), X[i])
+        metric = np.linalg.det(tangents.swapaxes(-1, -2) @ tangents)
+        weights = self._thickness * pieces.shares * np.sqrt(metric) / (d - 1)
+        if self._context.axisymmetric:
+            weights = weights * 2 * np.pi * self.X[:, :, 0]
+        masses, means, covered = (np.zeros((len(X), *shape)) for shape in ((d, d), (d,), ()))
+        np.add.at(masses, i, np.einsum("nq,nqi,nqj->nij", weights, s, s))
+        parts = np.einsum("nq,nqi->ni", weights, s)
+        np.add.at(means, i, parts)
+        np.add.at(covered, i, pieces.shares.sum(axis=1))
+        # Of the sliver of a face the functions would be those of a slope: they fade into hats.
+        share = np.where(covered < 1 - 1e-9, covered, 1.0)[:, None, None]
+        inverse = np.linalg.pinv(masses, rcond=_SINGULAR, hermitian=True)
+        dual = share * means[:, :, None] * inverse + (1 - share) * np.eye(d)
+        self.psi = np.einsum("nq,nij,nqj->nqi", weights, dual[i], s)
+        self._areas = self._summed(parts[..., None])[:, 0]
+        self.covered: BoolArray = np.asarray(self._areas > COVERED * self._whole)
+
+    @property
+    def areas(self) -> FloatArray:  # type: ignore[override]
+        """See `VertexFunctions`: of what lies opposite something now. Collective."""
+        self.renew()
+        return np.where(self.covered, self._areas, 1.0)
+
+    # --- as of one side ---
+
+    def means(self, values: FloatArray) -> FloatArray:
+        """See `VertexFunctions`; 0 where nothing lies opposite."""
+        return np.where(self.covered[:, None], super().means(values), 0.0)
+
+    def displacements(self) -> FloatArray:
+        """See `VertexFunctions`: relative to the other side. Collective."""
+        return self.relative(self._context.unknowns.u.x.array)
+
+    def relative(self, field: FloatArray) -> FloatArray:
+        """A field of displacements at the points relative to the other side. Collective.
+
+        Args:
+            field: Its local entries, owned ones first.
+        """
+        self.renew()
+        rows = field[: self.node_owners.count * self._dim].reshape(-1, self._dim)
+        return np.asarray(self.shapes @ self.node_owners.values_at(rows, self._numbers))
+
+    def spread(self, vectors: FloatArray) -> FloatArray:
+        """See `VertexFunctions`: those on the other side are opposite. Collective."""
+        added = self.to_owners(self._numbers, self.shapes.swapaxes(1, 2) @ vectors)
+        result = np.zeros((self._node_map.size_local + self._node_map.num_ghosts, self._dim))
+        result[: len(added)] = added
+        return result.reshape(-1)
+
+    def to_owners(self, nodes: IntArray, vectors: FloatArray) -> FloatArray:
+        """Sums vectors at global nodes, at those that this rank owns, (nodes, dim). Collective."""
+        ids, back = np.unique(nodes, return_inverse=True)
+        at, d = back.ravel(), self._dim
+        parts = [np.bincount(at, v.ravel(), len(ids)) for v in np.moveaxis(vectors, -1, 0)]
+        sums: FloatArray = np.stack(parts, axis=1)
+        rows, columns = np.repeat(ids, d), np.tile(np.arange(d), len(ids))
+        return np.asarray(self.node_owners.summed(rows, columns, sums.ravel(), d).toarray())
+
+    def nodes(self, which: BoolArray) -> IntArray:
+        """See `VertexFunctions`: of both sides."""
+        return np.asarray(self._numbers[which])
+
+
+def _nearest(
+    x: FloatArray, far: FloatArray, start: FloatArray, nodes: int
+) -> tuple[FloatArray, Opposite]:
+    """The points of faces that are nearest to others. Local.
+
+    Args:
+        x: Where they are, shape (n, points, dim) [m].
+        far: Nodes of the face of each, shape (n, nodes, dim) [m].
+        start: Barycentric coordinates to begin with, shape (n, points, dim).
+        nodes: Of a face, of the displacement.
+
+    Returns:
+        Barycentric coordinates, and what lies there.
+    """
+    count, d = far.shape[1], far.shape[2]
+    seconds = np.einsum("kab,nkd->ndab", shape_bends(d, count), far)[:, None]
+    where = np.array(start)
+    for _ in range(1 if count == d else NEWTON):
+        slopes = shape_slopes(where, count)
+        off = x - np.einsum("nqk,nkd->nqd", shape_functions(where, count), far)
+        t = np.einsum("nqka,nkd->nqda", slopes, far)
+        metric = t.swapaxes(-1, -2) @ t
+        bent = metric - np.einsum(
+            "nqd,nqdab->nqab", off, np.broadcast_to(seconds, (*t.shape, d - 1))
+        )
+        # Beyond the centre of curvature the point would be the farthest.
+        good = np.linalg.det(bent) > 0.1 * np.linalg.det(metric)
+        J = np.where(good[..., None, None], bent, metric)
+        step = np.linalg.solve(J, np.einsum("nqda,nqd->nqa", t, off)[..., None])[..., 0]
+        step = np.clip(step, -0.5, 0.5) if count > d else step
+        where[..., 1:] += step
+        where[..., 0] -= step.sum(axis=-1)
+    t = np.einsum("nqka,nkd->nqda", shape_slopes(where, count), far)
+    off = x - np.einsum("nqk,nkd->nqd", shape_functions(where, count), far)
+    if d == 2:
+        n = np.stack([t[..., 1, 0], -t[..., 0, 0]], axis=-1)
+    else:
+        n = np.asarray(np.cross(t[..., 0], t[..., 1]), dtype=np.float64)
+    n = n / np.linalg.norm(n, axis=-1, keepdims=True)
+    bend = np.einsum("nqd,nqdab->nqab", n, np.broadcast_to(seconds, (*t.shape, d - 1)))
+    gap = np.einsum("nqd,nqd->nq", n, off)
+    return where, Opposite(gap, n, t, bend, shape_slopes(where, nodes))
