@@ -44,7 +44,7 @@ from dolfin_elastic.problem.material_regions import (
 from dolfin_elastic.problem.pressure.groups import pressure_groups
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Resistance, Terms
-from dolfin_elastic.problem.terms.body_contact import make_contacts
+from dolfin_elastic.problem.terms.bodies.contact import make_contacts
 from dolfin_elastic.problem.terms.bolts import make_bolts
 from dolfin_elastic.problem.terms.cavities import make_cavities
 from dolfin_elastic.problem.terms.contact import ContactPair, check_contacts

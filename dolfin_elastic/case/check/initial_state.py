@@ -19,7 +19,7 @@ from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.terms.contact import ContactPair
+from dolfin_elastic.problem.terms.contact import ContactPair, nearest_spot
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.messages import RELEASE
 
@@ -93,7 +93,7 @@ def _initial_gaps(
         moved = pair.shift.value.copy()
         if pair.contact.push is not None:  # it may have been moved to where it touches
             pair.shift.value[:] = 0.0
-        result.append((pair, *pair.nearest()))
+        result.append((pair, *nearest_spot(pair)))
         pair.shift.value[:] = moved
     return result
 
@@ -238,7 +238,7 @@ def _reach(case: Case, problem: Problem) -> float:
 def _gaps_over_time(case: Case, pair: ContactPair) -> list[float]:
     """Smallest gap of the body at rest as the obstacle moves [m]. Collective."""
     if pair.contact.between is not None:
-        return [pair.nearest()[0]]
+        return [nearest_spot(pair)[0]]
     end, default = _end(case)
     x, result = pair.places(), []
     for t in np.linspace(0.0, end, TIMES if pair.contact.values else 1):

@@ -112,11 +112,14 @@ class ContactPair(Term):
         size: Mean height of the cells over the surface [m].
         tolerance: Largest penetration that statics ever leaves [m], see `allowed`.
         eps: Penalty at the owned vertices [Pa/m].
+        carrier: Which of the displacement's owned nodes are on the side whose force is the
+            contact's; None: all of the surface.
         nodes: Owned vertices of the surface in the space of `lam`.
         nodes_of_displacement: The same vertices in the displacement's space.
     """
 
     linear, restrains, opens, account = False, True, True, "contact"
+    carrier: BoolArray | None = None
 
     def __init__(
         self, contact: Contact, context: FormContext, index: int, surfaces: Sequence[str] = ()
@@ -165,11 +168,8 @@ class ContactPair(Term):
 
     def gaps(self) -> tuple[FloatArray, FloatArray]:
         """Gaps [m] and obstacle's normals at the owned nodes, (n,) and (n, dim). Not collective."""
-        return self._gaps_at(self.places(), self.nodes_of_displacement)
-
-    def _gaps_at(self, X: FloatArray, nodes: IndexArray) -> tuple[FloatArray, FloatArray]:
         u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
-        return self._measured(X + u[nodes] - self.shift.value)
+        return self._measured(self.places() + u[self.nodes_of_displacement] - self.shift.value)
 
     def _measured(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Gaps and normals at places as the obstacle sees them, of their shape (..., dim)."""
@@ -197,9 +197,6 @@ class ContactPair(Term):
     def clearances(self) -> FloatArray:
         """Gaps beyond those at which the pressure ends, at the owned nodes [m]. Collective."""
         return self.pressing_gaps() - self.lam.x.array[self.nodes] / self.eps
-
-    def on_carrier(self) -> BoolArray | None:
-        """Owned nodes of the displacement that its force is told of; None: all."""
 
     def area(self) -> float:
         """Reference area on which there is pressure [m^2]. Collective."""
@@ -244,19 +241,6 @@ class ContactPair(Term):
         """Gaps [m] where those of the start are judged, and the reference places, (n, dim) [m]."""
         return self.gaps()[0], self.places()
 
-    def nearest(self) -> tuple[float, tuple[float, ...]]:
-        """Smallest gap [m], and where [m], alike on any number of ranks. Collective."""
-        gaps, places = self.spots()
-        local = [
-            (float(gap), tuple(place.round(12).tolist()))
-            for gap, place in zip(gaps, places, strict=True)
-            if gap <= np.min(gaps, initial=np.inf) + 1e-9 * self.size
-        ]
-        rows = [row for part in self.comm.allgather(local) for row in part]
-        least = min((gap for gap, _ in rows), default=np.inf) + 1e-9 * self.size
-        near = (row for row in rows if row[0] <= least)
-        return min(near, key=lambda row: row[1], default=(np.inf, ()))
-
     @property
     def reach(self) -> float:
         """Gap [m] up to which the surface is in contact."""
@@ -286,7 +270,7 @@ class ContactPair(Term):
     @stage("contact")
     def check_start(self) -> str:
         """See `Term`: no surface begins deep inside its obstacle."""
-        (gap, place), unit = self.nearest(), self._context.body.unit
+        (gap, place), unit = nearest_spot(self), self._context.body.unit
         if gap < -self.size:
             raise InputError(
                 f"at the start '{self.label}' lies {unit.length(-gap)} deep in the obstacle, "
@@ -352,6 +336,20 @@ class ContactPair(Term):
         first, second = f"penetration_{self.label}", f"contact_area_{self.label}"
         result[first] = max(result.get(first, 0.0), depth)
         result[second] = result.get(second, 0.0) + self.area()
+
+
+def nearest_spot(pair: ContactPair) -> tuple[float, tuple[float, ...]]:
+    """Smallest gap [m], and where [m], alike on any number of ranks. Collective."""
+    gaps, places = pair.spots()
+    local = [
+        (float(gap), tuple(place.round(12).tolist()))
+        for gap, place in zip(gaps, places, strict=True)
+        if gap <= np.min(gaps, initial=np.inf) + 1e-9 * pair.size
+    ]
+    rows = [row for part in pair.comm.allgather(local) for row in part]
+    least = min((gap for gap, _ in rows), default=np.inf) + 1e-9 * pair.size
+    near = (row for row in rows if row[0] <= least)
+    return min(near, key=lambda row: row[1], default=(np.inf, ()))
 
 
 def check_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> None:

@@ -72,8 +72,9 @@ class VertexContact(ContactPair):
     def every_gap(self) -> FloatArray:
         """See `ContactPair`: those of midside nodes, too."""
         _, _, nodes = self.functions.every
+        u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
         X = self._context.unknowns.V.tabulate_dof_coordinates()[nodes, : self._dim]
-        return self._gaps_at(X, nodes)[0]
+        return self._measured(X + u[nodes] - self.shift.value)[0]
 
     def pressing_gaps(self) -> FloatArray:
         """See `ContactPair`: mean gaps."""

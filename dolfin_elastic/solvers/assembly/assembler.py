@@ -155,8 +155,8 @@ class Reactions:
         for label, forces in self._restraining():
             result[label] = result.get(label, 0.0) + forces[dofs].reshape(-1, dim)
         for pair in self._dofs.problem.contact_pairs:
-            if pair.label in result and (carrier := pair.on_carrier()) is not None:
-                result[pair.label][~carrier] = 0.0
+            if pair.carrier is not None:
+                result[pair.label][~pair.carrier] = 0.0
         return result
 
 

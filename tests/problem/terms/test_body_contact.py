@@ -18,7 +18,7 @@ from dolfin_elastic import (
     Support,
     Traction,
 )
-from dolfin_elastic.problem.terms import body_functions
+from dolfin_elastic.problem.terms.bodies import functions
 
 FREE = "free"
 E, NU = 1e6, 0.3
@@ -78,14 +78,14 @@ def test_tangent(dim, degree, monkeypatch):
 
     def freeze() -> None:
         assert comm.allreduce(int(np.sum(pair.pressures() > 0))) > 0
-        cut = body_functions.cut
+        cut = functions.cut
         known: list[Any] = []
 
         def frozen(*args: Any, **keys: Any) -> Any:
             known.extend([] if known else [cut(*args, **keys)])
             return known[0]
 
-        monkeypatch.setattr(body_functions, "cut", frozen)
+        monkeypatch.setattr(functions, "cut", frozen)
         pair._pieces._at = np.empty(0)
         pair.pressures()
 

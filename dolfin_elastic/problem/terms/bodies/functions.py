@@ -252,7 +252,7 @@ def _nearest(
         x: Where they are, shape (n, points, dim) [m].
         far: Nodes of the face of each, shape (n, nodes, dim) [m].
         start: Barycentric coordinates to begin with, shape (n, points, dim).
-        nodes: Of a face, of the displacement.
+        nodes: How many of the displacement a face has.
 
     Returns:
         Barycentric coordinates, and what lies there.

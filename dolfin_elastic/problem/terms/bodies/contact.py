@@ -26,8 +26,8 @@ from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.constraints.ties.facets import longest_edge, owned
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Blocks
-from dolfin_elastic.problem.terms.body_functions import PieceFunctions
-from dolfin_elastic.problem.terms.contact import FAR, ContactPair, uniaxial_modulus
+from dolfin_elastic.problem.terms.bodies.functions import PieceFunctions
+from dolfin_elastic.problem.terms.contact import FAR, ContactPair, nearest_spot, uniaxial_modulus
 from dolfin_elastic.problem.terms.nodal_contact import NodalContact
 from dolfin_elastic.problem.terms.vertex_contact import VertexContact
 
@@ -55,6 +55,8 @@ class BodyContact(VertexContact):
         self.sides, text = _carrier_first(contact, context)
         log.info("contact '%s': %s", contact.label, text)
         super().__init__(contact, context, index, thickness, self.sides[0])
+        self.carrier = np.zeros(context.unknowns.V.dofmap.index_map.size_local, dtype=bool)
+        self.carrier[self.functions.every[2]] = True
 
     def _make_functions(self, thickness: float) -> PieceFunctions:
         context = self._context
@@ -62,12 +64,6 @@ class BodyContact(VertexContact):
         reach = longest_edge(self.comm, *sides)
         self._pieces = PieceFunctions(self, context, self.sides, reach, thickness)
         return self._pieces
-
-    def on_carrier(self) -> BoolArray:
-        """Which of the displacement's owned nodes are on the side that carries the pressures."""
-        result = np.zeros(self._context.unknowns.V.dofmap.index_map.size_local, dtype=bool)
-        result[self.functions.every[2]] = True
-        return result
 
     # --- gaps ---
 
@@ -150,7 +146,7 @@ class BodyContact(VertexContact):
 
     def check_start(self) -> str:
         """See `Term`: no overlap that is deeper than an element."""
-        gap, place = self.nearest()
+        gap, place = nearest_spot(self)
         unit = self._context.body.unit
         if gap < -self.size:
             raise InputError(
