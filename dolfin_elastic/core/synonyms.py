@@ -67,6 +67,8 @@ _WORDS = {
     "size": "elementsize meshsize cellsize h lc",
     "degree": "order elementorder",
     "thickness": "depth",
+    "tip": "apex vertex",
+    "half_angle": "angle semiangle coneangle apexangle",
     "on": "surface surfaces face faces region where part domain applyto",
     "kind": "type",
     "value": "magnitude vector amount total",

@@ -16,7 +16,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record, quoted
-from dolfin_elastic.core.shapes.directions import Direction, unit_vector
+from dolfin_elastic.core.shapes.directions import Direction, square, unit_vector
 from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.types import FloatArray, Scalar
 
@@ -26,8 +26,6 @@ JOINT = "_in_"
 """Between a component and its axes, as in "cauchy_stress_rr_in_bore"."""
 _ON_AXIS = 1e-10
 """Distance from an axis over the size of the body below which a point lies on it."""
-_NOT_SQUARE = 1e-3
-"""Cosine of an angle that is more than a right angle with rounded components."""
 
 
 @dataclass(frozen=True)
@@ -173,16 +171,8 @@ class RectangularAxes(LocalAxes):
 
     def placed(self, size: float, dim: int, *, axisymmetric: bool = False) -> PlacedAxes:
         """See `LocalAxes.placed`."""
-        x, y = np.array(unit_vector(self.x)), np.array(unit_vector(self.y))
-        if abs(x @ y) > _NOT_SQUARE:
-            raise InputError(
-                f"x and y are at {np.degrees(np.arccos(np.clip(x @ y, -1, 1))):.4g} degrees",
-                where="y",
-                expected="a direction at a right angle to x",
-            )
-        y = np.array(unit_vector([*(y - (x @ y) * x)]))
-        triad = np.array([x, y, np.cross(x, y)])
-        if dim == 2 and (x[2] or y[2]):
+        triad = square(self.x, self.y)
+        if dim == 2 and triad[:2, 2].any():
             raise InputError(
                 "the axes leave the plane of the body", where="x", expected="two components each"
             )

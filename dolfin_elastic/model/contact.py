@@ -24,6 +24,7 @@ from dolfin_elastic.core.shapes.shapes import (
     Shape,
     SphereObstacle,
 )
+from dolfin_elastic.core.shapes.sharp import BoxObstacle, ConeObstacle
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import ForceDensity, Length, members_of
@@ -31,7 +32,7 @@ from dolfin_elastic.model.amplitude import Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.values import OnSurfaces, amplitude_of, at_time, component, components
 
-_OF_OBSTACLES = ("plane", "sphere", "cylinder", "motion", "force", "direction", "curve")
+_OF_OBSTACLES = ("motion", "force", "direction", "curve")
 
 
 class Contact(OnSurfaces):
@@ -43,9 +44,11 @@ class Contact(OnSurfaces):
         on: Name of a surface that may touch an obstacle, or several.
         between: In place of an obstacle two surfaces of the mesh that may touch, each a name or
             several.
-        plane: A half space; exactly one of the three shapes is given, or `between`.
+        plane: A half space; exactly one of these shapes is given, or `between`.
         sphere: A ball, or the spherical cavity in which the body lies.
         cylinder: A cylinder, or the bore in which the body lies.
+        box: A box with sharp edges, or the case in which the body lies.
+        cone: A cone, or the funnel in which the body lies.
         motion: Displacement of the obstacle [m]: numbers, texts with units, or formulas in t.
         force: In place of a motion the force on the obstacle [N], positive along `direction`: a
             number, a text with a unit, or a formula in t.
@@ -65,6 +68,8 @@ class Contact(OnSurfaces):
     plane: Plane | None = None
     sphere: SphereObstacle | None = None
     cylinder: CylinderObstacle | None = None
+    box: BoxObstacle | None = None
+    cone: ConeObstacle | None = None
     motion: list[Any] = Field(default=[])
     force: Any = None
     direction: Direction | None = None
@@ -75,7 +80,9 @@ class Contact(OnSurfaces):
 
     def _check_sides(self) -> None:
         """Raises where `between` is no two surfaces, or something of an obstacle is given, too."""
-        other = next((key for key in ("on", *_OF_OBSTACLES) if getattr(self, key)), None)
+        other = next(
+            (key for key in ("on", *obstacle_shapes(), *_OF_OBSTACLES) if getattr(self, key)), None
+        )
         if other is not None:
             raise InputError(
                 "contact between two surfaces of the mesh has no obstacle",

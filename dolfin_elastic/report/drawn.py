@@ -115,7 +115,7 @@ def _beside_obstacles(run: FinishedRun, viewed: Viewed, times: Sequence[float]) 
         frames.append([])
         for _, shape, shift in obstacles_of(run, t):
             places = (x + frame.u)[:, : run.dim] - shift
-            near = int(np.argmin(shape.gap([*places.T], float, np.sqrt)[0]))
+            near = int(np.argmin(shape.gaps(places)[0]))
             frames[-1].append(np.stack([whole(shift), frame.u[near]]))
     ways = tuple(np.nan_to_num(np.array(way)) for way in zip(*frames, strict=True))
     shifts = (way[-1, 0] + (scale - 1) * way[-1, 1] for way in ways)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -30,13 +31,14 @@ from dolfin_elastic.core.shapes.directions import check_components, unit_vector,
 from dolfin_elastic.core.shapes.shapes import (
     Cylinder,
     CylinderObstacle,
+    Operations,
     Plane,
     Shape,
     Sphere,
     SphereObstacle,
 )
+from dolfin_elastic.core.shapes.sharp import BoxObstacle, ConeObstacle
 
-RNG = np.random.default_rng(7)
 SOLID = [
     Plane(axis="-y", at=0.3),
     Plane(point=[0.1, 0.2, 0.3], normal=[1, 2, -2]),
@@ -45,6 +47,12 @@ SOLID = [
     Cylinder(point=[0.1, -0.2, 0.3], radius=0.7),
     Cylinder(axis=[0, 3, 4], point=[0.1, -0.2, 0.3], radius=0.7),
     CylinderObstacle(axis="x", point=[0.1, -0.2, 0.3], radius=2.5, inside=True),
+    BoxObstacle(center=[0.1, -0.2, 0.3], size=[0.8, 1.2, 1.6]),
+    BoxObstacle(
+        center=[0.1, -0.2, 0.3], size=[1, 1.2, 0.9], x=[1, 2, -2], y=[2, 1, 2], inside=True
+    ),
+    ConeObstacle(tip=[0.1, -0.2, 0.3], axis="-z", half_angle=30),
+    ConeObstacle(tip=[0.1, -0.2, -0.3], axis=[1, 2, 2], half_angle="1.2 rad", inside=True),
 ]
 FLAT = [
     Plane(axis="y", at=0.3),
@@ -52,26 +60,32 @@ FLAT = [
     SphereObstacle(center=[0.1, -0.2], radius=0.7),
     CylinderObstacle(point=[0.1, -0.2], radius=2.5, inside=True),
     CylinderObstacle(axis="y", point=[0, 0], radius=0.5),
+    BoxObstacle(center=[0.1, -0.2], size=[0.8, 1.2], x=[3, 4]),
+    BoxObstacle(center=[0.1, -0.2], size=[0.8, 1.2], x=[3, 4], y=[4, -3], inside=True),
+    ConeObstacle(tip=[0.1, -0.2], axis=[1, 2], half_angle=20, inside=True),
+    ConeObstacle(tip=[0.1, -0.2], axis="-y", half_angle=70),
 ]
 
+DEGREE = 180 / np.pi
+UFL = Operations(ufl.as_ufl, ufl.sqrt, lambda s, a, b: ufl.conditional(ufl.ge(s, 0.0), a, b))
 
-def gap_of(shape: Shape, x: Any) -> tuple[Any, Any]:
-    gap, normal = shape.gap(list(x.T), float, np.sqrt)
-    return np.asarray(gap), np.stack([np.broadcast_to(n, len(x)) for n in normal], axis=1)
+
+def points(shape: Shape, count: int) -> Any:
+    """Around all of the shapes."""
+    return np.random.default_rng(7).uniform(-1.5, 1.5, (count, 2 if shape in FLAT else 3))
 
 
 @pytest.mark.parametrize("shape", [*SOLID, *FLAT])
 def test_the_normal_is_the_gradient_of_the_distance(shape: Shape) -> None:
     """Of length 1, and by central differences; UFL gives the same numbers."""
-    dim = 2 if shape in FLAT else 3
-    x, step = RNG.uniform(-1.5, 1.5, (40, dim)), 1e-6
-    gap, normal = gap_of(shape, x)
+    x, step = points(shape, 40), 1e-6
+    gap, normal = shape.gaps(x)
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=1e-12)
-    for axis, unit in enumerate(np.eye(dim)):
-        there, here = (gap_of(shape, x + sign * step * unit)[0] for sign in (1, -1))
+    for axis, unit in enumerate(np.eye(x.shape[1])):
+        there, here = (shape.gaps(x + sign * step * unit)[0] for sign in (1, -1))
         np.testing.assert_allclose((there - here) / (2 * step), normal[:, axis], atol=1e-8)
     place = [ufl.as_ufl(float(value)) for value in x[0]]
-    found, along = shape.gap(place, ufl.as_ufl, ufl.sqrt)
+    found, along = shape.gap(place, UFL)
     np.testing.assert_allclose([float(one) for one in (found, *along)], [gap[0], *normal[0]])
 
 
@@ -82,18 +96,150 @@ def test_triangles_lie_on_the_surface(shape: Shape) -> None:
     near = Box(np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 1.0]))
     x, triangles = shape.drawn(near, dim)
     outward = (x[triangles] if dim == 3 else x)[..., :dim]
-    gap, _ = gap_of(shape, outward.reshape(-1, dim))
+    gap, _ = shape.gaps(outward.reshape(-1, dim))
     if dim == 3:
         assert np.abs(gap).max() < 1e-12
         a, b, c = np.moveaxis(x[triangles], 1, 0)
         across = np.cross(b - a, c - a)
         large = np.linalg.norm(across, axis=1) > 1e-9
-        _, normal = gap_of(shape, (a + b + c)[large] / 3)
+        _, normal = shape.gaps((a + b + c)[large] / 3)
         assert (np.sum(across[large] * normal, axis=1) > 0).all()
     else:
         hollow = -1.0 if shape.hollow else 1.0
         assert (hollow * gap).max() < 1e-12
         assert np.abs(gap).min() < 1e-12
+
+
+# --- edges and tips ---
+
+
+def nearest_of_box(shape: Any, x: Any) -> Any:
+    """Nearest points of the surface: of each face that of a rectangle."""
+    dim = x.shape[1]
+    sides, half = shape.sides(dim), np.array(shape.size) / 2
+    local = (x - shape.center) @ sides.T
+    found = []
+    for axis, side in itertools.product(range(dim), (-1, 1)):
+        foot = np.clip(local, -half, half)
+        foot[:, axis] = side * half[axis]
+        found.append(foot @ sides + shape.center)
+    return found, (np.abs(local) < half).all(axis=1)
+
+
+def nearest_of_cone(shape: Any, x: Any) -> Any:
+    """Of each straight line through the tip the nearest point; lines round the axis ever closer."""
+    dim, angle = x.shape[1], 1.2 if isinstance(shape.half_angle, str) else shape.half_angle / DEGREE
+    axis = np.array(unit_vector(shape.axis))[:dim]
+    arm = x - shape.tip
+    within = arm @ axis > np.cos(angle) * np.linalg.norm(arm, axis=1)
+    if dim == 2:
+        turns = [np.full(len(x), side) for side in (0.0, np.pi)]
+        a, b = np.array([-axis[1], axis[0]]), np.zeros(2)
+    else:
+        a = np.cross(axis, [0.3, 0.5, -0.7])
+        a /= np.linalg.norm(a)
+        b = np.cross(axis, a)
+        turns = list(np.broadcast_to(np.linspace(0, 6.3, 64)[:, None], (64, len(x))))
+
+    def feet(turns: Any) -> list[Any]:
+        result = []
+        for turn in turns:
+            across = np.cos(turn)[:, None] * a + np.sin(turn)[:, None] * b
+            line = np.cos(angle) * axis + np.sin(angle) * across
+            result.append(shape.tip + np.maximum(np.sum(arm * line, axis=1), 0)[:, None] * line)
+        return result
+
+    width = 0.1
+    for _ in range(0 if dim == 2 else 8):
+        far = [np.linalg.norm(x - foot, axis=1) for foot in feet(turns)]
+        best = np.array(turns)[np.argmin(far, axis=0), np.arange(len(x))]
+        turns = [best + width * k for k in np.linspace(-1, 1, 21)]
+        width /= 10
+    return feet(turns), within
+
+
+@pytest.mark.parametrize(
+    "shape", [s for s in (*SOLID, *FLAT) if isinstance(s, BoxObstacle | ConeObstacle)]
+)
+def test_the_nearest_point_of_edges_and_tips(shape: Any) -> None:
+    """Gap and normal as found by trial of all faces, and of all lines of a cone."""
+    x = points(shape, 400)
+    find = nearest_of_box if isinstance(shape, BoxObstacle) else nearest_of_cone
+    feet, within = find(shape, x)
+    far = np.array([np.linalg.norm(x - foot, axis=1) for foot in feet])
+    best = np.argmin(far, axis=0)
+    sign = np.where(within, -1.0, 1.0) * (-1.0 if shape.hollow else 1.0)
+    expected = sign * far[best, np.arange(len(x))]
+    gaps, normals = shape.gaps(x)
+    np.testing.assert_allclose(gaps, expected, atol=1e-12)
+    arm = x - np.array(feet)[best, np.arange(len(x))]
+    # Of a minimum to 1e-16 the place is found to its root.
+    np.testing.assert_allclose(expected[:, None] * normals, arm, atol=1e-7)
+    assert within.any() and not within.all()
+
+
+@pytest.mark.parametrize("shape", [*SOLID, *FLAT])
+def test_curvature(shape: Shape) -> None:
+    """As differences of the normal, away from edges of the distance."""
+    x, step = points(shape, 60), 1e-6
+    found = shape.curvature(x)
+    for axis, unit in enumerate(np.eye(x.shape[1])):
+        there, here = (shape.gaps(x + sign * step * unit)[1] for sign in (1, -1))
+        np.testing.assert_allclose((there - here) / (2 * step), found[:, axis], atol=1e-6)
+    if not isinstance(shape, Plane):
+        assert shape in FLAT or np.abs(found).max() > 0.1
+
+
+def test_a_place_on_an_edge_or_axis() -> None:
+    """On faces, edges, corners and a cone's axis all is finite."""
+    box = BoxObstacle(center=[0, 0, 0], size=[2, 2, 2])
+    x = np.array([[1.0, 0, 0], [1, 1, 0], [1, 1, 1], [0, 0, 0]])
+    gaps, normals = box.gaps(x)
+    np.testing.assert_array_equal(gaps, [0, 0, 0, -1])
+    np.testing.assert_array_equal(normals, [[1, 0, 0]] * 4)
+    assert box.thickness == 1.0
+    cone = ConeObstacle(tip=[0, 0, 0], axis="z", half_angle=30)
+    gaps, normals = cone.gaps(np.array([[0.0, 0, 0], [0, 0, 2], [0, 0, -2]]))
+    np.testing.assert_allclose(gaps, [0, -1, 2], atol=1e-9)
+    np.testing.assert_allclose(normals[1:], [[0, 0, -0.5], [0, 0, -1]], atol=1e-9)
+    for shape in (box, cone):
+        assert np.isfinite(shape.curvature(np.vstack([x, np.zeros(3)]))).all()
+
+
+@pytest.mark.parametrize(
+    ("shape", "turned", "said"),
+    [
+        (BoxObstacle(center=[0, 0], size=[1, 1, 1]), False, "size: 3 components"),
+        (BoxObstacle(center=[0, 0], size=[1, 1], x="z"), False, "x: a plane body has no axis"),
+        (
+            BoxObstacle(center=[0, 0], size=[1, 1], x=[1, 1], y=[0, 1]),
+            False,
+            "y: x and y are at 45",
+        ),
+        (BoxObstacle(center=[0.4, 0], size=[1, 1]), True, "center: an axisymmetric body"),
+        (BoxObstacle(center=[0, 0], size=[1, 1], x=[1, 2]), True, "center: an axisymmetric body"),
+        (ConeObstacle(tip=[0, 0], axis=[0, 0, 1], half_angle=9), False, "axis: 3 components"),
+        (ConeObstacle(tip=[0, 0], axis=[1, 1], half_angle=9), True, "axis: an axisymmetric body"),
+        (ConeObstacle(tip=[1, 0], axis="y", half_angle=9), True, "tip: an axisymmetric body"),
+    ],
+)
+def test_boxes_and_cones_that_do_not_fit(shape: Shape, turned: bool, said: str) -> None:
+    """Vectors in the plane, about the axis."""
+    with pytest.raises(InputError, match=said):
+        shape.check(2, axisymmetric=turned)
+
+
+def test_what_boxes_and_cones_may_be() -> None:
+    """A rectangle about the axis or beside it; half angles are acute."""
+    for beside in (
+        BoxObstacle(center=[0, 0], size=[1, 1], x="y"),
+        BoxObstacle(center=[0.8, 0], size=[1, 1], x=[1, 1]),
+        ConeObstacle(tip=[0, 1], axis="-y", half_angle="9 deg"),
+    ):
+        beside.check(2, axisymmetric=True)
+    for angle in (0, 90, "-1 deg", "2 rad", "5 mm", True, "wide"):
+        with pytest.raises(InputError, match="half_angle"):
+            ConeObstacle(tip=[0, 1], axis="-y", half_angle=angle)
 
 
 def test_a_sphere_has_no_edges() -> None:
@@ -189,14 +335,14 @@ class Ring(Shape):
     wide: PositiveLength
     radius: PositiveLength
 
-    def distance(self, x: Sequence[Scalar], number: Constant, root: Root) -> Distance:
+    def distance(self, x: Sequence[Scalar], use: Operations) -> Distance:
         """See `Shape.distance`."""
-        p, q, up = (a - number(c) for a, c in zip(x, self.center, strict=True))
-        away = root(p * p + q * q + 1e-20)  # not 0 on the axis
-        across = away - number(self.wide)
-        length = root(across * across + up * up)
+        p, q, up = (a - use.number(c) for a, c in zip(x, self.center, strict=True))
+        away = use.root(p * p + q * q + 1e-20)  # not 0 on the axis
+        across = away - use.number(self.wide)
+        length = use.root(across * across + up * up)
         n = across / length / away
-        return length - number(self.radius), [n * p, n * q, up / length]
+        return length - use.number(self.radius), [n * p, n * q, up / length]
 
     def triangles(self, near: Box, dim: int) -> Triangles:
         """See `Shape.triangles`."""

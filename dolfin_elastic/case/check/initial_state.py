@@ -243,7 +243,7 @@ def _gaps_over_time(case: Case, pair: ContactPair) -> list[float]:
     x, result = pair.places(), []
     for t in np.linspace(0.0, end, TIMES if pair.contact.values else 1):
         shift = pair.contact.displacement_at(float(t), default, x.shape[1])
-        gaps = np.asarray(pair.contact.obstacle.gap(list((x - shift).T), float, np.sqrt)[0])
+        gaps = pair.contact.obstacle.gaps(x - shift)[0]
         result.append(float(np.min(gaps, initial=np.inf)))
     return [smallest(pair.comm, gap) for gap in result]
 
@@ -256,8 +256,7 @@ def _in_another_unit(unit: LengthUnit, written: Contact, pair: ContactPair, diag
     largest_number = max((abs(x) for x in shape.bare_lengths()), default=0.0)
     if not 0.0 < unit.metres * largest_number <= _BESIDE * diagonal or unit.metres >= _SMALL_UNIT:
         return ""
-    x = list(pair.places().T)
-    gaps = np.asarray(shape.in_metres(1.0).gap(x, float, np.sqrt)[0])
+    gaps = shape.in_metres(1.0).gaps(pair.places())[0]
     near = smallest(pair.comm, float(np.min(gaps, initial=np.inf)))
     if abs(near) > _NEAR * diagonal:
         return ""

@@ -6,13 +6,17 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Literal, get_args
 
+import numpy as np
 from pydantic import AfterValidator, Field
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.types import FloatArray
 
 Axis = Literal["x", "y", "z"]
 Along = Literal["x", "y", "z", "-x", "-y", "-z"]
 AXES = get_args(Along)
+_NOT_SQUARE = 1e-3
+"""Cosine of an angle that is more than a right angle with rounded components."""
 
 
 def _nonzero(value: str | tuple[float, ...]) -> str | tuple[float, ...]:
@@ -41,6 +45,23 @@ def unit_vector(direction: str | Sequence[float]) -> tuple[float, float, float]:
     x, y, z = (*vector_of(direction), 0.0)[:3]
     length = math.hypot(x, y, z)
     return x / length, y / length, z / length
+
+
+def square(x: str | Sequence[float], y: str | Sequence[float]) -> FloatArray:
+    """Unit vectors along x and y and normal to both, one a row.
+
+    Raises:
+        InputError: x and y are not at a right angle.
+    """
+    a, b = np.array(unit_vector(x)), np.array(unit_vector(y))
+    if abs(a @ b) > _NOT_SQUARE:
+        raise InputError(
+            f"x and y are at {np.degrees(np.arccos(np.clip(a @ b, -1, 1))):.4g} degrees",
+            where="y",
+            expected="a direction at a right angle to x",
+        )
+    b = np.array(unit_vector([*(b - (a @ b) * a)]))
+    return np.array([a, b, np.cross(a, b)])
 
 
 def check_components(vector: str | Sequence[float] | None, dim: int, where: str) -> None:

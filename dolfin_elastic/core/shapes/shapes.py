@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Annotated, ClassVar, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -29,18 +29,31 @@ if TYPE_CHECKING:  # floats where they are computed with, in what `in_metres` re
 else:
     Coordinate, PositiveLength = MeshLength, Size
 Point = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=3)]
-Constant = Callable[[float], Scalar]
-"""A number as a constant of a form, or as it is."""
-Root = Callable[[Scalar], Scalar]
-"""The square root, of UFL or of numpy."""
 _DEEP = 0.04
 """Depth of a drawn line over the diagonal of the body beside."""
 Distance = tuple[Scalar, list[Scalar]]
 """Signed distance [m], and components of the unit normal along which it grows."""
 
 
+class Operations(NamedTuple):
+    """What distances are computed with, of UFL or of numpy.
+
+    Attributes:
+        number: A number of the shape as an operand, such as a constant of a form.
+        root: The square root.
+        choose: Of three operands the second where the first is not below 0, elsewhere the third.
+    """
+
+    number: Callable[[float], Scalar]
+    root: Callable[[Scalar], Scalar]
+    choose: Callable[[Scalar, Scalar, Scalar], Scalar]
+
+
+ARRAYS = Operations(float, np.sqrt, lambda sign, a, b: np.where(np.asarray(sign) >= 0.0, a, b))
+
+
 class Shape(Record):
-    """A body with a smooth surface."""
+    """A body with a surface."""
 
     anchor: ClassVar[tuple[str, str]] = ("", "")
     """Key of the point that says where it is, if it may be left out, and what is expected there."""
@@ -99,23 +112,28 @@ class Shape(Record):
                 check_components(value, dim, key)
 
     @abstractmethod
-    def distance(self, x: Sequence[Scalar], number: Constant, root: Root) -> Distance:
+    def distance(self, x: Sequence[Scalar], use: Operations) -> Distance:
         """Signed distance, negative inside, and outward normal at points, of a shape in metres.
 
         Args:
             x: Components of points [m]: UFL scalars, or arrays of one shape.
-            number: Turns a number of the shape into an operand for `x`, such as a UFL constant.
-            root: Square root for operands of this kind.
+            use: Of UFL where `x` is, else `ARRAYS`.
         """
 
-    def gap(self, x: Sequence[Scalar], number: Constant, root: Root) -> Distance:
+    def gap(self, x: Sequence[Scalar], use: Operations) -> Distance:
         """Signed distance and normal towards the side on which bodies may be. See `distance`."""
-        distance, normal = self.distance(x, number, root)
+        distance, normal = self.distance(x, use)
         return (
             (-1.0 * distance, [-1.0 * item for item in normal])
             if self.hollow
             else (distance, normal)
         )
+
+    def gaps(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Gaps [m] and normals at points, shape (..., dim), of a shape in metres. See `gap`."""
+        distance, normal = self.gap(list(np.moveaxis(x, -1, 0)), ARRAYS)
+        gaps = np.asarray(distance, dtype=np.float64)
+        return gaps, np.stack([np.broadcast_to(item, gaps.shape) for item in normal], axis=-1)
 
     def curvature(self, x: FloatArray) -> FloatArray:
         """Second derivatives of the gap at points [1/m], of a shape in metres.
@@ -130,7 +148,7 @@ class Shape(Record):
 
     def off(self, x: FloatArray) -> FloatArray:
         """Signed distances of points, shape (..., dim), of a shape in metres."""
-        return np.asarray(self.distance(list(np.moveaxis(x, -1, 0)), float, np.sqrt)[0])
+        return np.asarray(self.distance(list(np.moveaxis(x, -1, 0)), ARRAYS)[0])
 
     def outside(self, x: FloatArray) -> FloatArray:
         """Distances of points, shape (..., dim), of a shape in metres; 0 within."""
@@ -192,11 +210,11 @@ class Plane(Shape):
         assert self.normal is not None
         return self.point, unit_vector(self.normal)[:dim]
 
-    def distance(self, x: Sequence[Scalar], number: Constant, root: Root) -> Distance:
+    def distance(self, x: Sequence[Scalar], use: Operations) -> Distance:
         """See `Shape.distance`: (x - point) . n."""
         point, normal = self.frame(len(x))
-        n = [number(item) for item in normal]
-        return sum((a - number(p)) * b for a, p, b in zip(x, point, n, strict=True)), n
+        n = [use.number(item) for item in normal]
+        return sum((a - use.number(p)) * b for a, p, b in zip(x, point, n, strict=True)), n
 
     def triangles(self, near: Box, dim: int) -> Triangles:
         """See `Shape.triangles`: a square, in a plane a strip, where it is nearest to the box."""
@@ -230,11 +248,11 @@ class Sphere(Shape):
                 expected="[0, y]",
             )
 
-    def distance(self, x: Sequence[Scalar], number: Constant, root: Root) -> Distance:
+    def distance(self, x: Sequence[Scalar], use: Operations) -> Distance:
         """See `Shape.distance`: |x - center| - radius."""
         assert self.center is not None
-        arm = [a - number(c) for a, c in zip(x, self.center, strict=True)]
-        return _round(arm, number(self.radius), root)
+        arm = [a - use.number(c) for a, c in zip(x, self.center, strict=True)]
+        return _round(arm, use.number(self.radius), use)
 
     def curvature(self, x: FloatArray) -> FloatArray:
         """See `Shape.curvature`."""
@@ -324,14 +342,14 @@ class Cylinder(Shape):
         if dim == 3:
             check_components(self.axis, dim, "axis")
 
-    def distance(self, x: Sequence[Scalar], number: Constant, root: Root) -> Distance:
+    def distance(self, x: Sequence[Scalar], use: Operations) -> Distance:
         """See `Shape.distance`: the distance from the axis minus the radius."""
         assert self.point is not None
-        arm = [a - number(p) for a, p in zip(x, self.point, strict=True)]
-        a = [number(item) for item in self.direction[: len(x)]]
+        arm = [a - use.number(p) for a, p in zip(x, self.point, strict=True)]
+        a = [use.number(item) for item in self.direction[: len(x)]]
         share = sum(p * q for p, q in zip(arm, a, strict=True))
         arm = [p - share * q for p, q in zip(arm, a, strict=True)]
-        return _round(arm, number(self.radius), root)
+        return _round(arm, use.number(self.radius), use)
 
     def curvature(self, x: FloatArray) -> FloatArray:
         """See `Shape.curvature`."""
@@ -363,16 +381,16 @@ class CylinderObstacle(Cylinder):
     inside: bool = False
 
 
-def _round(arm: list[Scalar], radius: Scalar, root: Root) -> Distance:
+def _round(arm: list[Scalar], radius: Scalar, use: Operations) -> Distance:
     # On the axis or in the centre the normal is not defined.  The small term makes it 0 there and
     # keeps derivatives finite; elsewhere it is below round-off.
-    length = root(sum(item * item for item in arm) + 1e-16 * radius * radius)
+    length = use.root(sum(item * item for item in arm) + 1e-16 * radius * radius)
     return length - radius, [item / length for item in arm]
 
 
 def _round_curvature(shape: Sphere | Cylinder, x: FloatArray, across: FloatArray) -> FloatArray:
     """(A - n n)/r, r the distance from centre or axis, A what leaves out the axis."""
-    distance, normal = shape.distance(list(np.moveaxis(x, -1, 0)), float, np.sqrt)
+    distance, normal = shape.distance(list(np.moveaxis(x, -1, 0)), ARRAYS)
     n = np.stack([np.asarray(item) for item in normal], axis=-1)
     r = np.asarray(distance) + shape.radius
     result = (across - n[..., :, None] * n[..., None, :]) / r[..., None, None]

@@ -55,3 +55,18 @@ def revolved(
     corners = point.ravel()[triangles]
     flat = (corners == np.roll(corners, 1, axis=1)).any(axis=1)
     return rings.reshape(-1, 3), corners[~flat]
+
+
+def block(dim: int) -> Triangles:
+    """A box, in a plane a rectangle, between (-1, -1, -1) and (1, 1, 1), shape (n, dim)."""
+    flat = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+    if dim == 2:
+        return flat, _halves([[0, 1, 2, 3]])
+    points = np.vstack([np.column_stack([flat, np.full(4, z)]) for z in (-1.0, 1.0)])
+    faces = [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
+    return points, _halves(faces)
+
+
+def _halves(quadrilaterals: list[list[int]]) -> IntArray:
+    corners = np.array(quadrilaterals)
+    return np.vstack([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])

@@ -169,14 +169,8 @@ class ContactPair(Term):
     def gaps(self) -> tuple[FloatArray, FloatArray]:
         """Gaps [m] and obstacle's normals at the owned nodes, (n,) and (n, dim). Not collective."""
         u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
-        return self._measured(self.places() + u[self.nodes_of_displacement] - self.shift.value)
-
-    def _measured(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Gaps and normals at places as the obstacle sees them, of their shape (..., dim)."""
-        obstacle = self.contact.obstacle
-        distance, normal = obstacle.gap(list(np.moveaxis(x, -1, 0)), float, np.sqrt)
-        gaps = np.asarray(distance, dtype=np.float64)
-        return gaps, np.stack([np.broadcast_to(item, gaps.shape) for item in normal], axis=-1)
+        x = self.places() + u[self.nodes_of_displacement]
+        return self.contact.obstacle.gaps(x - self.shift.value)
 
     def pressures(self) -> FloatArray:
         """Pressure per reference area at the owned nodes of the surface [Pa]. Collective."""

@@ -17,7 +17,8 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.ghosts import assembled
 from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.shapes.shapes import Operations
+from dolfin_elastic.core.types import FloatArray, IndexArray, Scalar
 from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets, facet_corners
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.kinematics import WeightedMeasure
@@ -26,6 +27,10 @@ from dolfin_elastic.problem.term import Kind
 from dolfin_elastic.problem.terms.contact import ContactPair
 
 _RULE = {"quadrature_rule": "vertex", "quadrature_degree": 1}
+
+
+def _choose(sign: Scalar, a: Scalar, b: Scalar) -> Expr:
+    return ufl.conditional(ufl.ge(sign, 0.0), a, b)
 
 
 class NodalContact(ContactPair):
@@ -67,9 +72,8 @@ class NodalContact(ContactPair):
     def _gap(self) -> tuple[Expr, Expr]:
         """Gap and normal of the current place."""
         place = self._context.X + self._context.u - self.shift
-        distance, normal = self.contact.obstacle.gap(
-            [place[i] for i in range(self._dim)], self._context.constant, ufl.sqrt
-        )
+        use = Operations(self._context.constant, ufl.sqrt, _choose)
+        distance, normal = self.contact.obstacle.gap([place[i] for i in range(self._dim)], use)
         return distance, ufl.as_vector(normal)
 
     @cached_property

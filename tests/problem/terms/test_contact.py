@@ -488,6 +488,8 @@ def test_the_whole_way_round_a_ball():
         {"plane": {"point": [0, 0.02], "normal": [0.1, 1]}},
         {"sphere": {"center": [0.5, -0.7], "radius": 0.75}},
         {"cylinder": {"point": [0.5, 1.0], "radius": 1.05, "inside": True}},
+        {"box": {"center": [0.52, -0.5], "size": [0.8, 1.0], "x": [1, 0.02]}},
+        {"cone": {"tip": [0.4, -0.05], "axis": "-y", "half_angle": 20}},
     ],
     ids=lambda shape: next(iter(shape)),
 )
@@ -501,7 +503,7 @@ def test_tangent(shape):
     )
     assert problem.symmetric
     assert not problem.linear
-    problem.contact_pairs[0].lam.x.array[:] = 1e4
+    problem.contact_pairs[0].lam.x.array[:] = 5e6  # presses at gaps of 0.1, round an edge, too
     with against_differences(problem) as (assembler, off, size):
         # Cancellation: 1e-16 of the forces over 1e-7 of the place.
         assert off < 1e-7 * size
@@ -552,7 +554,7 @@ def wrong(**keys: Any) -> str:
 
 
 def test_shapes_that_are_none():
-    assert "the obstacle has no shape; exactly one of plane, sphere, cylinder" in wrong()
+    assert "the obstacle has no shape; exactly one of plane, sphere, cylinder, box, cone" in wrong()
     both = wrong(plane={"axis": "z", "at": 0}, sphere={"center": [0, 0, 0], "radius": 1})
     assert "plane and sphere are given" in both
     assert "needs point and normal" in wrong(plane={"point": [0, 0, 0]})

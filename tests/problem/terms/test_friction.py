@@ -220,6 +220,7 @@ def test_a_belt_on_a_drum():
     [
         {"plane": {"point": [0, 0.02], "normal": [0.1, 1]}},
         {"sphere": {"center": [0.5, -0.7], "radius": 0.75}},
+        {"box": {"center": [0.52, -0.56], "size": [0.8, 1.0], "x": [1, 0.02]}},
     ],
     ids=lambda shape: next(iter(shape)),
 )

@@ -33,6 +33,8 @@ FREE = "free"
 E, NU, FORCE, GAP = 1e6, 0.3, 3e4, 0.25
 PLATE = {"plane": {"axis": "-y", "at": 1 + GAP}}
 BALL = {"sphere": {"center": [0.5, 1.5 + GAP], "radius": 0.5}}
+PUNCH = {"box": {"center": [0.5, 1.5 + GAP], "size": [0.6, 1.0]}}
+TIP = {"cone": {"tip": [0.5, 1 + GAP], "axis": "y", "half_angle": 80}}
 DOWN = {"force": FORCE, "direction": [0, -2]}
 TIGHT = {"gap_tolerance": 1e-10}
 """The pressure of a depth of 1e-10 is 1e-8 of those here."""
@@ -55,7 +57,14 @@ def way(state: Any) -> float:
 
 @pytest.mark.parametrize(
     ("shape", "degree", "direction"),
-    [(PLATE, 1, [0, -2]), (PLATE, 1, [1, -1]), (BALL, 1, [0, -1]), (BALL, 2, [0, -1])],
+    [
+        (PLATE, 1, [0, -2]),
+        (PLATE, 1, [1, -1]),
+        (BALL, 1, [0, -1]),
+        (BALL, 2, [0, -1]),
+        (PUNCH, 1, [0, -1]),
+        (TIP, 2, [0, -1]),
+    ],
 )
 def test_a_stamp_carries_its_force_and_goes_as_far_as_one_that_is_moved(shape, degree, direction):
     """Moved by the displacement that the force gives, an obstacle carries that force."""

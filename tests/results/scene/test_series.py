@@ -333,12 +333,12 @@ def test_obstacles_are_drawn_where_the_gap_is_zero(obstacle: Shape) -> None:
     reach.take(np.array([-np.ones(3), np.ones(3)]))
     (beside,) = obstacles_beside([("", obstacle, shift)], reach, 3)
     x, triangles = beside.points + beside.shift, beside.triangles
-    gap, normal = obstacle.gap([*(x - shift).T], float, np.sqrt)
+    gap, normal = obstacle.gaps(x - shift)
     assert np.abs(gap).max() < 1e-12
     corners = x[triangles]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     large = np.linalg.norm(across, axis=1) > 1e-9
-    outward: FloatArray = np.broadcast_to(np.transpose(normal), x.shape)[triangles].mean(axis=1)
+    outward: FloatArray = normal[triangles].mean(axis=1)
     assert large.any()
     assert (np.sum(across * outward, axis=1)[large] > 0).all()
 
