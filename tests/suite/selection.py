@@ -9,7 +9,8 @@ Where the command line names files, all of their tests run, whatever set they be
                                                    one of the others runs on 3
     all (--all)    every test                      every test of these files that is not ENDURING:
                                                    where they run on 2 and on 3, each parameter on
-                                                   one of both; where on 2, so many as MOST says
+                                                   one of both, `long` ones on 2; where they run on
+                                                   2 alone, so many parameters as MOST says
 
 and the rest (--rest) is all but the quick set.
 """
@@ -305,12 +306,18 @@ def _quick(items: Iterable[pytest.Item], ranks: int) -> list[pytest.Item]:
 
 
 def _on_ranks(group: list[pytest.Item], ranks: int) -> list[pytest.Item]:
-    """Parameters of one test for so many of several ranks; the first on any number of them."""
+    """Parameters of one test for so many of several ranks; the first on any number of them.
+
+    Long ones run on two alone, which three ranks on two cores would take twice as long for.
+    """
     file = _file(group[0])
     if file not in SHARED:
         return _spread(group, MOST_OF_LAWS if file in LAWS else MOST)
-    on_three = _spread(group, (len(group) + 1) // 2)
-    return on_three if ranks > 2 else [group[0], *(one for one in group if one not in on_three)]
+    short = [item for item in group if item.get_closest_marker("long") is None]
+    on_three = _spread(short, (len(short) + 1) // 2)
+    if ranks > 2:
+        return on_three
+    return [item for item in group if item not in on_three or item is short[0]]
 
 
 def _alike(items: Iterable[pytest.Item]) -> Iterable[list[pytest.Item]]:
