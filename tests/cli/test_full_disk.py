@@ -7,6 +7,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import Any
 
 import h5py
 import pytest
@@ -14,7 +15,7 @@ from helpers.processes import PROGRAM, clean_environment, cli, started
 from helpers.runs import case, check_same, history
 from mpi4py import MPI
 
-from dolfin_elastic import Case, run
+from dolfin_elastic import run
 
 pytestmark = pytest.mark.skipif(MPI.COMM_WORLD.size > 1, reason="starts processes of its own")
 INSIDE = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c"]
@@ -28,14 +29,35 @@ cp -r disk/out completed
 """
 
 
+WHOLE = case(statics={"steps": 30}, output={"checkpoint": {"every": 1}})
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    """History of the case on a disk with room."""
+    folder = tmp_path_factory.mktemp("whole") / "out"
+    for _ in run(WHOLE, output=folder):
+        pass
+    return history(folder)
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of the functions below."""
+    folder = tmp_path_factory.mktemp("quota")
+    (folder / "quota.c").write_text(QUOTA)
+    command = ["gcc", "-shared", "-fPIC", "-o", "quota.so", "quota.c", "-ldl"]
+    subprocess.run(command, cwd=folder, check=True)
+    return folder / "quota.so"
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("full", "room"), [("size=1200k", "size=99m"), ("size=99m,nr_inodes=14", "nr_inodes=9999")]
 )
-def test_full_disk(full: str, room: str, tmp_path: Path) -> None:
+def test_full_disk(full: str, room: str, tmp_path: Path, known: list[dict[str, Any]]) -> None:
     """Of bytes and of inodes, in a small file system of its own."""
-    whole = case(statics={"steps": 30}, output={"checkpoint": {"every": 1}})
-    (tmp_path / "case.toml").write_text(whole.to_toml())
+    (tmp_path / "case.toml").write_text(WHOLE.to_toml())
     (tmp_path / "disk").mkdir()
     program = f"{sys.executable} -m dolfin_elastic"
     script = SCRIPT.format(full=full, room=room, program=program)
@@ -56,9 +78,7 @@ def test_full_disk(full: str, room: str, tmp_path: Path) -> None:
     assert "Traceback" not in error
     check_whole(failed)
     assert (tmp_path / "code2").read_text() == "0\n", (tmp_path / "err2").read_text()
-    for _ in run(whole, output=tmp_path / "whole"):
-        pass
-    check_same(history(tmp_path / "completed"), history(tmp_path / "whole"), near=1e-7)
+    check_same(history(tmp_path / "completed"), known, near=1e-7)
 
 
 QUOTA = """\
@@ -118,29 +138,24 @@ Python, HDF5 or MPI-IO.
 @pytest.mark.long
 @pytest.mark.parametrize("quota", [60_000, 150_000, 151_000, 153_000, 300_000])
 @pytest.mark.parametrize("ranks", [1, 2])
-def test_quota(quota: int, ranks: int, tmp_path: Path) -> None:
+def test_quota(
+    quota: int, ranks: int, tmp_path: Path, library: Path, known: list[dict[str, Any]]
+) -> None:
     """Code 4 with the reason wherever the quota ends, whole files, and a restart that goes on."""
-    (tmp_path / "quota.c").write_text(QUOTA)
-    library = tmp_path / "quota.so"
-    subprocess.run(
-        ["gcc", "-shared", "-fPIC", "-o", library, tmp_path / "quota.c", "-ldl"], check=True
-    )
-    whole = case(statics={"steps": 30}, output={"checkpoint": {"every": 1}})
-    (tmp_path / "case.toml").write_text(whole.to_toml())
+    (tmp_path / "case.toml").write_text(WHOLE.to_toml())
     command = ["env", f"LD_PRELOAD={library}", f"QUOTA={quota}", *PROGRAM, "run", "case.toml", "-q"]
     with started(command, tmp_path, ranks) as process:
         _, err = process.communicate(timeout=200)
     assert process.returncode == 4, err
     assert "disk quota exceeded; your quota is used up" in err
     assert "Traceback" not in err
-    check_goes_on(tmp_path, whole)
+    check_goes_on(tmp_path, known)
 
 
 @pytest.mark.long
-def test_a_file_that_may_not_grow(tmp_path: Path) -> None:
+def test_a_file_that_may_not_grow(tmp_path: Path, known: list[dict[str, Any]]) -> None:
     """A limit of `ulimit -f` ends a run as a full disk does, not by the signal SIGXFSZ."""
-    whole = case(statics={"steps": 30}, output={"checkpoint": {"every": 1}})
-    (tmp_path / "case.toml").write_text(whole.to_toml())
+    (tmp_path / "case.toml").write_text(WHOLE.to_toml())
     limit = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (14000, 14000)); "
     limit += "sys.argv[1:] = ['run', 'case.toml', '-q']; from dolfin_elastic.cli.app import main; "
     with started([sys.executable, "-c", f"{limit}main()"], tmp_path, 1) as process:
@@ -148,17 +163,15 @@ def test_a_file_that_may_not_grow(tmp_path: Path) -> None:
     assert process.returncode == 4, err
     assert "file too large" in err
     assert "Traceback" not in err
-    check_goes_on(tmp_path, whole)
+    check_goes_on(tmp_path, known)
 
 
-def check_goes_on(folder: Path, whole: Case) -> None:
+def check_goes_on(folder: Path, known: list[dict[str, Any]]) -> None:
     """Files are whole, and the restart ends as a run that nothing has happened to."""
     check_whole(folder / "case_results")
     code, _, err = cli("restart", "case_results", "-q", folder=folder)
     assert code == 0, err
-    for _ in run(whole, output=folder / "whole"):
-        pass
-    check_same(history(folder / "case_results"), history(folder / "whole"), near=1e-7)
+    check_same(history(folder / "case_results"), known, near=1e-7)
 
 
 def check_whole(folder: Path) -> None:

@@ -3,9 +3,9 @@
 Where the command line names files, all of their tests run, whatever set they belong to.  Else:
 
                    one rank                        n ranks
-    quick set      what is not `long`, and of      one parameter of every second test of the files
+    quick set      what is not `long`, and of      one parameter of every third test of the files
                    a `sample(k)` k parameters      that run on n ranks, if it is neither `long` nor
-                                                   SLOW; where a file runs on 2 and 3, every second
+                                                   SLOW; where a file runs on 2 and 3, every fourth
                                                    one of the others runs on 3
     all (--all)    every test                      every test of these files that is not ENDURING:
                                                    where they run on 2 and on 3, each parameter on
@@ -194,7 +194,7 @@ cell or a facet of a part, it shows here."""
 SLOW = ("picture", "colour", "adaptive", "second_order", "no_cycles", "block_bounces")
 """In names of tests of drawings, which one rank makes, and of many small steps: such tests take
 long where ranks wait for each other, and belong to the rest there."""
-ENDURING = ("fifty_periods", "second_order")
+ENDURING = ("fifty_periods", "test_second_order", "to_second_order")
 """In names of tests of orders and periods in time, thousands of small steps, in which ranks
 that wait for each other take minutes each: on one rank only; the steps are the same on several."""
 MOST, MOST_OF_LAWS = 8, 2
@@ -296,8 +296,8 @@ def _quick(items: Iterable[pytest.Item], ranks: int) -> list[pytest.Item]:
         file = _file(group[0])
         seen[file] += 1
         # Of what ranks share each file runs on two ranks and on three, but no test on both; three
-        # ranks on two cores take as long for every fourth test as two for every second one.
-        if (ranks == 2 and seen[file] % 2) or (ranks == 3 and seen[file] % 4 != 1):
+        # ranks on two cores take as long for every sixth test as two for every third one.
+        if (ranks == 2 and seen[file] % 3) or (ranks == 3 and seen[file] % 6 != 1):
             continue
         sample = group[0].get_closest_marker("sample")
         most = 1 if ranks > 1 else sample.args[0] if sample else len(group)

@@ -112,12 +112,18 @@ def test_free_flight(comm: MPI.Comm, law: Law, keys: dict[str, Any], limit: floa
 
 
 @pytest.mark.long
-@pytest.mark.sample(1)
-@pytest.mark.parametrize("law", [SVK, NH], ids=["st-venant-kirchhoff", "neo-hookean"])
-def test_ten_thousand_steps(comm: MPI.Comm, law: Law) -> None:
-    """191 turns, and no more than 1e-10 of energy or momenta; 1e-13 and 2e-12 were found."""
-    steps = 10_000 if comm.size == 1 else 500
-    assert max(drifts(motion(block(comm, law), steps, every=steps // 20))) < 1e-10
+@pytest.mark.parametrize(
+    ("law", "steps", "limit"),
+    [(SVK, 2_000, 2e-11), (NH, 10_000, 1e-10)],
+    ids=["st-venant-kirchhoff", "neo-hookean"],
+)
+def test_ten_thousand_steps(comm: MPI.Comm, law: Law, steps: int, limit: float) -> None:
+    """191 turns, and no more than 1e-14 a step of energy or momenta; 2e-12 was found in all.
+
+    What is gained or lost at each step adds up: a fifth of the steps shows it by a fifth as much.
+    """
+    steps = steps if comm.size == 1 else 500
+    assert max(drifts(motion(block(comm, law), steps, every=steps // 20))) < limit
 
 
 def test_turn_of_half_a_radian_a_step(comm: MPI.Comm) -> None:
