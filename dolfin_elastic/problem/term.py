@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 import ufl
@@ -20,6 +20,9 @@ from dolfin_elastic.model.supports.springs import ResistingSupport, Spring
 from dolfin_elastic.problem.constraints.normals import spring_directions
 from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.context import FormContext
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,23 @@ class Blocks:
         """All of both."""
         pairs = zip(vars(self).values(), vars(other).values(), strict=True)
         return Blocks(*(np.concatenate(pair) for pair in pairs))
+
+
+@dataclass(frozen=True)
+class Means:
+    """Means of the displacement around vertices of a surface, against which a term may be stiff.
+
+    Of a displacement that is linear on each face it is that of the vertex.
+
+    Attributes:
+        vertices: Owned nodes of the displacement at these vertices, shape (n,).
+        rows: Weights of nodes, shape (n, nodes).
+        nodes: Global number of the node of each column.
+    """
+
+    vertices: IndexArray
+    rows: csr_array
+    nodes: IntArray
 
 
 Acting = Callable[[float], tuple[float, Amplitude]]
@@ -112,6 +132,13 @@ class Term:
         """Minus the derivative of these forces; None, on all ranks and always, without any.
 
         Collective.
+        """
+        return None
+
+    def means(self) -> Means | None:
+        """What its blocks are of; None, on all ranks, where they are of anything else. Collective.
+
+        They stay the same.
         """
         return None
 

@@ -24,7 +24,7 @@ from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArra
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.spaces import Unknowns
-from dolfin_elastic.problem.term import Blocks
+from dolfin_elastic.problem.term import Blocks, Means
 from dolfin_elastic.problem.terms.contact import ContactPair
 from dolfin_elastic.problem.terms.vertex_functions import VertexFunctions, blocks_of
 
@@ -134,6 +134,14 @@ class VertexContact(ContactPair):
         stiffness = np.where(active, self.eps / self.functions.areas, 0.0)
         result = blocks_of(nodes, G.T @ diags_array(stiffness) @ G, G, self._dim)
         return result if self.flat else result + self._turning(pressures)
+
+    def means(self) -> Means:
+        """See `Term`."""
+        from scipy.sparse import csr_array, diags_array
+
+        nodes, rows = self.functions.rows(np.ones(len(self.nodes), dtype=bool))
+        weights = csr_array(diags_array(1 / self.functions.areas) @ rows)
+        return Means(self.nodes_of_displacement, weights, nodes)
 
     @property
     def flat(self) -> bool:

@@ -88,6 +88,11 @@ class NodeBlocks:
         self._free = B.ptap(self._constraints), self.pattern
         return self._free[0]
 
+    @property
+    def last(self) -> PETSc.Mat | None:
+        """What `free` has given last; None where it was never asked."""
+        return None if self._free is None else self._free[0]
+
     def times(self, direction: FloatArray) -> FloatArray:
         """Product with the blocks at the present unknowns, as if nothing were prescribed.
 

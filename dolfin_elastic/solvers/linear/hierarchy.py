@@ -18,6 +18,7 @@ from petsc4py import PETSc
 from dolfin_elastic.core.jit import CFunctions, compile_c
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.solvers.assembly.node_blocks import NodeBlocks
 from dolfin_elastic.solvers.assembly.symmetric.blocks import SymmetricBlocks
 from dolfin_elastic.solvers.linear.aggregation import galerkin, smoothed_interpolation
 from dolfin_elastic.solvers.linear.block_rows import (
@@ -40,6 +41,7 @@ from dolfin_elastic.solvers.linear.smoother import (
     diagonal_of,
     smoother_of,
 )
+from dolfin_elastic.solvers.linear.surface_means import SurfaceMeans, surface_means
 from dolfin_elastic.solvers.petsc.aij import aij
 from dolfin_elastic.solvers.petsc.c_api import give_back
 
@@ -198,6 +200,7 @@ class Hierarchy:
         linear: Interpolation from linear to quadratic elements, where A is of these.
         modes: Makes the rigid-body modes of the linear elements' nodes, of shape (nodes, dim,
             modes), which are kept no longer than they are needed.
+        means: What is smoothed in place of nodes of a surface of quadratic elements.
 
     Attributes:
         sane: There is no entry that is not a number.
@@ -209,8 +212,9 @@ class Hierarchy:
         linear: Interpolation | None,
         modes: Callable[[], FloatArray],
         loops: CFunctions,
+        means: SurfaceMeans | None = None,
     ) -> None:
-        self._loops, self._levels = loops, list[Level]()
+        self._loops, self._means, self._levels = loops, means, list[Level]()
         self._interpolations: list[Interpolation] = []
         waiting: list[Callable[[], Level]] = []
         if linear is not None:
@@ -252,7 +256,8 @@ class Hierarchy:
         """
 
         def level() -> Level:
-            return Level(smoother_of(A, self._loops, diagonal), P, self._loops)
+            means = None if diagonal else self._means  # of quadratic elements
+            return Level(smoother_of(A, self._loops, diagonal, means), P, self._loops)
 
         if isinstance(A, PetscRows):
             waiting.append(level)
@@ -293,14 +298,23 @@ class Multigrid:
 
     Args:
         order: See `multigrid.PMultigrid`.
+        blocks: What the tangent has beside its elements; None: nothing, or its displacement is
+            not the only unknown.
     """
 
-    def __init__(self, problem: Problem, pc: PETSc.PC, order: IndexArray | None = None) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        pc: PETSc.PC,
+        order: IndexArray | None = None,
+        blocks: NodeBlocks | None = None,
+    ) -> None:
         self._problem, self._order = problem, order
         self._hierarchy: Hierarchy | None = None
         self._space: fem.FunctionSpace | None = None
         self._linear: Interpolation | None = None
         self._half: SymmetricBlocks | None = None
+        self._means: SurfaceMeans | None = None
         dim = problem.body.dim
         sizes = {"DIM": dim, "MODES": 3 * dim - 3}
         self._loops = compile_c(problem.body.comm, "multigrid.c", sizes, problem.jit)
@@ -309,6 +323,8 @@ class Multigrid:
             interpolation = constrained_interpolation(problem, self._space, order)
             self._linear = interpolation_from_petsc(interpolation, dim, dim, self._loops)
             interpolation.destroy()
+            if blocks is not None:
+                self._means = surface_means(problem, blocks, self._space)
         pc.setType("python")
         pc.setPythonContext(self)
 
@@ -323,7 +339,7 @@ class Multigrid:
             if self._half is None
             else SymmetricRows(self._half)
         )
-        self._hierarchy = Hierarchy(A, self._linear, self._modes, self._loops)
+        self._hierarchy = Hierarchy(A, self._linear, self._modes, self._loops, self._means)
         give_back()  # what making them needed for the moment
         if not self._hierarchy.sane:
             pc.setFailedReason(PETSc.PC.FailedReason.SUBPC_ERROR)
@@ -371,7 +387,9 @@ class Multigrid:
         self.reset(pc)
         if self._linear is not None:
             self._linear.destroy()
-        self._linear = None
+        if self._means is not None:
+            self._means.destroy()
+        self._linear = self._means = None
 
 
 def _half(pc: PETSc.PC) -> SymmetricBlocks | None:

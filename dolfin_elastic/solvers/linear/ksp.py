@@ -193,7 +193,7 @@ class LinearSolver:
         elif pc.getType() == "python" and self.direct:
             self._parts = SymmetricPart(self._assembler, pc)
         elif pc.getType() == "python":
-            self._parts = Multigrid(problem, pc)
+            self._parts = Multigrid(problem, pc, blocks=self._assembler.tangent.blocks)
         elif pc.getType() == "mg" and problem.degree > 1 and not problem.unknowns.auxiliary_fields:
             self._parts = PMultigrid(problem, pc)
         elif not self.direct:

@@ -133,12 +133,12 @@ def constrained_interpolation(
     plain, unknowns = interpolation_matrix(coarse, problem.unknowns.U), problem.unknowns
     row = np.arange(plain.getLocalSize()[0])
     constraints, free = problem.constraints, Rows(*problem.constraints.at(unknowns.merged_dofs))
-    I, V = _rows(plain, ZERO), _rows(plain, VERTEX)  # noqa: E741
+    I, V = rows_above(plain, ZERO), rows_above(plain, VERTEX)  # noqa: E741
     T = transformation(problem, free, I, row, prescribed=0.0)
     moved = T.matMult(I)
     followed = V.transposeMatMult(moved)
     masters = I.matMult(followed)
-    P, softened = _rows(masters, 0.0, order), _rows(V, 0.0, order)
+    P, softened = rows_above(masters, 0.0, order), rows_above(V, 0.0, order)
     places = (row if order is None else np.argsort(order)).astype(np.int32)
     at = Rows(*constraints.at(lambda dofs: places[unknowns.merged_dofs(dofs)]))
     first, held = plain.getOwnershipRange()[0], at.prescribed_dofs
@@ -152,7 +152,7 @@ def constrained_interpolation(
     vertices.diagonalScale(factors)
     _add(P, -1.0, prescribed)
     _add(P, 1.0, vertices)
-    result = _rows(P, ZERO)
+    result = rows_above(P, ZERO)
     things = (plain, I, V, T, moved, followed, masters, P, softened, D, vertices, prescribed)
     for thing in (*things, factors):
         thing.destroy()
@@ -163,7 +163,7 @@ def _add(matrix: PETSc.Mat, factor: float, other: PETSc.Mat) -> None:
     matrix.axpy(factor, other, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
 
 
-def _rows(matrix: PETSc.Mat, least: float, order: IndexArray | None = None) -> PETSc.Mat:
+def rows_above(matrix: PETSc.Mat, least: float, order: IndexArray | None = None) -> PETSc.Mat:
     """A matrix's entries above a size, its owned rows in another order. Collective."""
     start, columns, values = matrix.getValuesCSR()
     rows = np.repeat(np.arange(len(start) - 1), np.diff(start))

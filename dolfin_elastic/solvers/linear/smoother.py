@@ -19,6 +19,7 @@ from dolfin_elastic.solvers.linear.block_rows import (
     into_single_precision,
     with_room,
 )
+from dolfin_elastic.solvers.linear.surface_means import SurfaceMeans
 
 STEP = 0x9E3779B97F4A7C15
 """2^64 over the golden ratio."""
@@ -73,25 +74,39 @@ class Diagonal:
     vector: FloatArray
 
 
-def diagonal_of(A: BlockRows, loops: CFunctions, vector: FloatArray | None = None) -> Diagonal:
+def diagonal_of(
+    A: BlockRows,
+    loops: CFunctions,
+    vector: FloatArray | None = None,
+    means: SurfaceMeans | None = None,
+) -> Diagonal:
     """The diagonal of a matrix, which stays as it is. Collective.
 
     Args:
         vector: That of a similar matrix, which is overwritten.
+        means: Take the place of nodes of a surface, where there are some.
     """
     blocks = A.diagonal(loops)
     sizes = np.sqrt(np.einsum("irc,irc->i", blocks, blocks))
+    if means is not None:
+        means.take(blocks, loops)
     loops.call("invert_blocks", A.R, A.rows, blocks)
     steps = MORE_POWERS
     if vector is None:
         steps, vector = POWERS, np.zeros((A.halo.size, A.R))
         own = vector[: A.rows]
         own[:] = random_vector(A.halo.first * A.R, own.size).reshape(own.shape)
-    return Diagonal(blocks, sizes, _largest(A, blocks, loops, vector, steps), vector)
+    size = _largest(A, blocks, loops, vector, steps, means)
+    return Diagonal(blocks, sizes, size, vector)
 
 
 def _largest(
-    A: BlockRows, inverse: FloatArray, loops: CFunctions, vector: FloatArray, steps: int
+    A: BlockRows,
+    inverse: FloatArray,
+    loops: CFunctions,
+    vector: FloatArray,
+    steps: int,
+    means: SurfaceMeans | None,
 ) -> float:
     """Eigenvalue of D^-1 A by the power method. Collective.
 
@@ -104,6 +119,8 @@ def _largest(
         x /= size
         A.halo.fill(vector)
         loops.call("times_diagonal", A.R, A.rows, inverse, A.times(vector, loops), x)
+        if means is not None:
+            means.correct(x)
         size = float(np.sqrt(total(A.halo.comm, float(np.vdot(x, x)))))
     return SAFETY * size
 
@@ -114,6 +131,7 @@ class Smoother:
     Args:
         A: The matrix, whose blocks are taken over: it has none of its own any longer.
         diagonal: That of A, where it is known.
+        means: See `diagonal_of`.
 
     Attributes:
         halo: Nodes that a rank's rows refer to.
@@ -122,9 +140,16 @@ class Smoother:
         x: The iterate, of owned and other nodes.
     """
 
-    def __init__(self, A: BlockRows, loops: CFunctions, diagonal: Diagonal | None = None) -> None:
+    def __init__(
+        self,
+        A: BlockRows,
+        loops: CFunctions,
+        diagonal: Diagonal | None = None,
+        means: SurfaceMeans | None = None,
+    ) -> None:
         self._loops, self.halo, self.sizes = loops, A.halo, (A.R, A.rows)
-        self._scale(diagonal or diagonal_of(A, loops))
+        self._means = means
+        self._scale(diagonal or diagonal_of(A, loops, means=means))
         self._take(A)
 
     @cached_property
@@ -147,6 +172,8 @@ class Smoother:
     def from_zero(self, b: FloatArray) -> None:
         """The first iterate, from zero. Collective."""
         self._loops.call("smooth_first", *self.sizes, self._scaled, b, self.x)
+        if self._means is not None:
+            self._means.correct(self.x[: self.sizes[1]])
         self.halo.fill(self.x)
 
     def restrict(self, b: FloatArray, P: Arrays, coarse: FloatArray) -> None:
@@ -163,9 +190,14 @@ class Smoother:
     def once_more(self, b: FloatArray) -> FloatArray:
         """The next iterate, of owned nodes; valid until the next call. Collective."""
         self.halo.fill(self.x)
+        self._smooth(b)
+        if self._means is not None:
+            self._means.correct(self._y, self.x[: self.sizes[1]])
+        return self._y
+
+    def _smooth(self, b: FloatArray) -> None:
         x = (len(self.x), self.x)
         self._loops.call("smooth", *self.sizes, *self._matrix, self._scaled, *x, b, self._y)
-        return self._y
 
     def renew(self) -> None:
         """Follows a matrix that is not its own; any other is kept as it was. Collective."""
@@ -190,12 +222,9 @@ class HalvedSmoother(Smoother):
         out = (len(coarse), with_room(coarse))
         self._loops.call("restrict_vector", R, C, n, *P, self._y, *out)
 
-    def once_more(self, b: FloatArray) -> FloatArray:
-        """See `Smoother.once_more`."""
-        self.halo.fill(self.x)
+    def _smooth(self, b: FloatArray) -> None:
         self._times(self.x, self._y)
         self._loops.call("correct", *self.sizes, self._scaled, self.x, b, self._y)
-        return self._y
 
 
 class TangentSmoother(HalvedSmoother):
@@ -219,22 +248,29 @@ class TangentSmoother(HalvedSmoother):
             return
         self._version = self._tangent.version
         vector = self._vector if np.isfinite(self.largest) else None
-        self._scale(diagonal_of(SymmetricRows(self._tangent), self._loops, vector))
+        A = SymmetricRows(self._tangent)
+        self._scale(diagonal_of(A, self._loops, vector, self._means))
 
     def destroy(self) -> None:
         """See `Smoother.destroy`: the halo is the tangent's."""
 
 
-def smoother_of(A: BlockRows, loops: CFunctions, diagonal: Diagonal | None = None) -> Smoother:
+def smoother_of(
+    A: BlockRows,
+    loops: CFunctions,
+    diagonal: Diagonal | None = None,
+    means: SurfaceMeans | None = None,
+) -> Smoother:
     """The smoother that fits a matrix. Collective.
 
     Args:
         A: The matrix, which the smoother takes over.
         diagonal: That of A, where it is known.
+        means: See `diagonal_of`.
     """
     kinds: dict[type[BlockRows], type[Smoother]]
     kinds = {SymmetricRows: TangentSmoother, HalfRows: HalvedSmoother}
-    return kinds.get(type(A), Smoother)(A, loops, diagonal)
+    return kinds.get(type(A), Smoother)(A, loops, diagonal, means)
 
 
 def taken_in_single_precision(A: BlockRows, loops: CFunctions) -> SingleArray:

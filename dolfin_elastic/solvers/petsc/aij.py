@@ -72,8 +72,8 @@ class SumOfTwo:
 
     Args:
         whole: AIJ, with all entries of both, and no others.
-        most: Almost all of its entries.
-        few: Those of few rows.
+        most: AIJ, with entries in most places of the sum.
+        few: AIJ, with entries in few rows, which the other one may lack.
     """
 
     def __init__(self, whole: PETSc.Mat, most: PETSc.Mat, few: PETSc.Mat) -> None:
