@@ -28,7 +28,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.compat import interpolation_matrix
 from dolfin_elastic.core.jit import CFunctions
-from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.constraints.rows import Rows
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.term import Means
@@ -56,7 +56,7 @@ class SurfaceMeans:
         rows = np.diff(T.getValuesCSR()[0]).reshape(-1, R)
         self._nodes = np.flatnonzero(rows.any(axis=1))
         self._stiffer = 1.0 + (HAT**0.5 - 1.0) * single.array_r.reshape(-1, R)[self._nodes]
-        self._product: tuple[PETSc.Mat, int] | None = None
+        self._columns = _BlockDiagonal(T)
         self._inverse: FloatArray | None = None
         self._v, self._u = T.createVecs()
 
@@ -70,23 +70,14 @@ class SurfaceMeans:
         C, self._inverse = self._blocks.last, None
         if C is None or C.norm() == 0.0:
             return
-        if self._product is not None and self._product[1] == self._blocks.pattern:
-            C.ptap(self._T, result=self._product[0])
-        else:
-            self._free()
-            self._product = C.ptap(self._T), self._blocks.pattern
-        there, means = (self._diagonal(matrix, loops) for matrix in (C, self._product[0]))
-        K, stiffer = diagonal[self._nodes] - there, self._stiffer
-        self._inverse = stiffer[:, :, None] * K * stiffer[:, None, :] + means
-        loops.call("invert_blocks", diagonal.shape[1], len(self._nodes), self._inverse)
-        diagonal[self._nodes] = np.eye(diagonal.shape[1])
-
-    def _diagonal(self, matrix: PETSc.Mat, loops: CFunctions) -> FloatArray:
-        R = self._stiffer.shape[1]
-        rows = PetscRows(matrix, R, R, loops)
-        blocks = rows.diagonal(loops)[self._nodes]
+        R, stiffer = diagonal.shape[1], self._stiffer
+        rows = PetscRows(C, R, R, loops)
+        K = diagonal[self._nodes] - rows.diagonal(loops)[self._nodes]
         rows.destroy()
-        return blocks
+        means = self._columns.of(C, self._blocks.pattern)[self._nodes]
+        self._inverse = stiffer[:, :, None] * K * stiffer[:, None, :] + means
+        loops.call("invert_blocks", R, len(self._nodes), self._inverse)
+        diagonal[self._nodes] = np.eye(R)
 
     def correct(self, x: FloatArray, before: FloatArray | None = None) -> None:
         """Makes of x - before, where T is not one, T D^-1 T^T (x - before). Collective.
@@ -108,15 +99,74 @@ class SurfaceMeans:
         if before is not None:
             x[nodes] += before[nodes]
 
-    def _free(self) -> None:
-        if self._product is not None:
-            self._product[0].destroy()
+    def destroy(self) -> None:
+        """Frees PETSc's objects. Collective."""
+        for thing in (self._columns, self._T, self._u, self._v):
+            thing.destroy()
+
+
+class _BlockDiagonal:
+    """The diagonal blocks of T^T C T, for a tenth of the time of the whole product. Collective."""
+
+    def __init__(self, T: PETSc.Mat) -> None:
+        self._T, self._terms, self._pattern = T, T.copy(), 0
+        self._csr = T.getValuesCSR()
+        self._sums, self._ones = T.createVecs()
+        self._ones.set(1.0)
+        self._product: PETSc.Mat | None = None
+        self._places: list[tuple[BoolArray, IntArray]] = []
+
+    def of(self, C: PETSc.Mat, pattern: int) -> FloatArray:
+        """At owned nodes, shape (n, R, R). Collective.
+
+        Args:
+            pattern: Another one where C has other entries than before.
+        """
+        same = self._product is not None and self._pattern == pattern
+        if not same and self._product is not None:
+            self._product.destroy()
+        self._product = C.matMult(self._T, result=self._product if same else None)
+        start, columns, found = self._product.getValuesCSR()
+        if not same:
+            self._pattern, self._places = pattern, self._find(start, columns)
+        R = self._T.getBlockSize()
+        result = np.empty((self._sums.getLocalSize() // R, R, R))
+        begins, numbers, values = self._csr
+        for c, (there, at) in enumerate(self._places):
+            terms = values * np.where(there, found[at], 0.0) if len(found) else 0.0 * values
+            self._terms.setValuesCSR(begins, numbers, terms)
+            self._terms.assemble()
+            self._terms.multTranspose(self._ones, self._sums)
+            result[:, :, c] = self._sums.array_r.reshape(-1, R)
+        return result
+
+    def _find(self, start: IndexArray, columns: IndexArray) -> list[tuple[BoolArray, IntArray]]:
+        """Where entries of C T stand that meet those of T, for each component of their nodes.
+
+        Returns:
+            Which of them are there, and their places.
+        """
+        R, (begins, numbers, _) = self._T.getBlockSize(), self._csr
+        keys = _keys(start, columns)
+        results = []
+        for c in range(R):
+            wanted = _keys(begins, numbers.astype(np.int64) // R * R + c)
+            at = np.minimum(np.searchsorted(keys, wanted), max(len(keys) - 1, 0))
+            there = keys[at] == wanted if len(keys) else np.zeros(len(at), dtype=bool)
+            results.append((there, at))
+        return results
 
     def destroy(self) -> None:
         """Frees PETSc's objects. Collective."""
-        self._free()
-        for thing in (self._T, self._u, self._v):
-            thing.destroy()
+        for thing in (self._terms, self._sums, self._ones, self._product):
+            if thing is not None:
+                thing.destroy()
+
+
+def _keys(start: IndexArray, columns: IndexArray | IntArray) -> IntArray:
+    """Numbers that rise with the rows and columns of entries."""
+    row = np.repeat(np.arange(len(start) - 1, dtype=np.int64), np.diff(start))
+    return (row << 32) + columns
 
 
 def surface_means(
