@@ -214,9 +214,9 @@ class Diagnosis:
     """Why a solve failed: plain data, the same on every rank.
 
     Attributes:
-        cause: One of "nan", "inverted", "rigid-motion", "obstacle", "unstable", "linear-solver",
-            "round-off", "stalled" and "iterations"; of implicit motion "energy", too; of explicit
-            motion "nan", "inverted", "unbounded" and "step".
+        cause: One of "nan", "inverted", "rigid-motion", "obstacle", "sliding", "unstable",
+            "linear-solver", "round-off", "stalled" and "iterations"; of implicit motion "energy",
+            too; of explicit motion "nan", "inverted", "unbounded" and "step".
         text: One or two sentences with names, places and numbers, without a final stop.
         advice: What to try.
         place: Where the trouble is, in the reference configuration [m]; empty if nowhere.

@@ -86,6 +86,7 @@ class Term:
         dissipates: Its forces do work that is not stored, over the displacement beyond `shift`.
         account: Which of the stored energies that of its form is part of.
         memory: What its forces depend on beside displacement and time, by its name in restarts.
+        states: In words, what `point_states` numbers.
     """
 
     label: str
@@ -96,6 +97,7 @@ class Term:
     shift: fem.Constant | None = None
     account: str = ""
     memory: Mapping[str, fem.Function] = MappingProxyType({})
+    states: tuple[str, ...] = ()
     _committed: Sequence[FloatArray] = ()
 
     def form(self, kind: Kind) -> ufl.Form | None:
@@ -151,6 +153,25 @@ class Term:
             near: Also those that are not held, but no farther from it than a cell.
         """
         yield from ()
+
+    def slip_limits(self) -> tuple[IndexArray, FloatArray, FloatArray] | None:
+        """Owned nodes that it keeps from sliding, and how; None: it keeps none. Collective.
+
+        Returns:
+            The nodes, the largest force against their sliding, (n,) [N], and normals of the planes
+            in which they would slide, (n, dim).
+        """
+        return None
+
+    def stick(self, always: bool) -> None:
+        """Points that it keeps from sliding do not, whatever the force; or as it is. Local."""
+
+    def point_states(self) -> tuple[FloatArray, IndexArray] | None:
+        """Reference places, (n, dim) [m], and states of the points at which its forces begin.
+
+        Collective.
+        """
+        return None
 
     def assume(self, closed: bool | None) -> None:
         """All that may open counts as closed, or as open; None: as it is. Not collective."""

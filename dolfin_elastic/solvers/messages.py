@@ -19,6 +19,10 @@ LIFTED = (
     "a support or a weak spring that holds it where it leaves its obstacles, a smaller load, or a "
     "prescribed displacement in place of the load"
 )
+SLIDES = (
+    "more friction, a support or a prescribed displacement against the sliding, or [dynamics], in "
+    "which the body slides"
+)
 RELEASE = (
     "a motion of the obstacle that ends before these nodes, a support that moves with it or leaves "
     "their normal direction free, or a contact without the surfaces that the support holds"

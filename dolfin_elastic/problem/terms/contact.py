@@ -110,16 +110,19 @@ class ContactPair(Term):
         lam: Multiplier [Pa], a value at each vertex; 0 in motion.
         penalty: eps [Pa/m], one number a cell beside the surface.
         size: Mean height of the cells over the surface [m].
-        tolerance: Largest penetration that statics ever leaves [m], see `allowed`.
+        tolerance: Largest penetration that statics ever leaves [m], see `allowed_gap`.
         eps: Penalty at the owned vertices [Pa/m].
         carrier: Which of the displacement's owned nodes are on the side whose force is the
             contact's; None: all of the surface.
+        softness: By how much a pressure there shortens the element behind it [m/Pa].
+        slack: Gap that counts as none [m], see `SLACK`.
         nodes: Owned vertices of the surface in the space of `lam`.
         nodes_of_displacement: The same vertices in the displacement's space.
     """
 
     linear, restrains, opens, account = False, True, True, "contact"
     carrier: BoolArray | None = None
+    states = "open", "pressed"
 
     def __init__(
         self, contact: Contact, context: FormContext, index: int, surfaces: Sequence[str] = ()
@@ -142,13 +145,13 @@ class ContactPair(Term):
         self.size = _mean(body, facets, heights)
         self.tolerance = contact.gap_tolerance or 1e-3 * self.size
         self.eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
-        self._soft = FACTOR / self.eps
+        self.softness = FACTOR / self.eps
         if contact.stiffness is not None:
             self.penalty.x.array[self.penalty.x.array > 0.0] = self.eps[:] = contact.stiffness
         self._first = self.penalty.x.array.copy(), self.eps.copy()
         self.shift: fem.Constant = context.constant([0.0] * body.dim)
-        self._slack, self._augments = SLACK * cell_size(body), True
-        self._reach = context.constant(self._slack)
+        self.slack, self._augments = SLACK * cell_size(body), True
+        self._reach = context.constant(self.slack)
 
     def begin(self, *, moving: bool) -> None:
         """See `Term`: motion has penalties alone, and softer ones where the user gave none."""
@@ -188,10 +191,6 @@ class ContactPair(Term):
         """Owned nodes of the displacement on the surface, and pressures there [Pa]. Collective."""
         return self.nodes_of_displacement, self.pressures()
 
-    def clearances(self) -> FloatArray:
-        """Gaps beyond those at which the pressure ends, at the owned nodes [m]. Collective."""
-        return self.pressing_gaps() - self.lam.x.array[self.nodes] / self.eps
-
     def area(self) -> float:
         """Reference area on which there is pressure [m^2]. Collective."""
         raise NotImplementedError
@@ -200,29 +199,22 @@ class ContactPair(Term):
         """The obstacle's force on the body along a unit vector. Collective."""
         raise NotImplementedError
 
-    def gap_error(self) -> float:
-        """Largest distance from the obstacle of nodes that press or penetrate [m]. Collective."""
+    def gap_error(self) -> tuple[float, float]:
+        """Largest distance from the obstacle of nodes that press or penetrate [m]. Collective.
+
+        And that at which statics leaves them [m].
+        """
         gaps = self.pressing_gaps()
         off = np.abs(gaps[(self.pressures() > 0) | (gaps < 0)])
-        return largest(self.comm, float(np.max(off, initial=0)))
-
-    def allowed(self) -> float:
-        """Distance from the obstacle at which statics leaves nodes that press [m]. Collective.
-
-        As the pressure squeezes the elements, without the user's word, see `SQUEEZE`.
-        """
-        if self.contact.gap_tolerance is not None:
-            return self.tolerance
-        squeezed = float(np.max(self.pressures() * self._soft, initial=0.0))
-        least = max(self._slack, SQUEEZE * largest(self.comm, squeezed))
-        return min(self.tolerance, least)
+        return largest(self.comm, float(np.max(off, initial=0))), allowed_gap(self)
 
     def unsettled(self) -> bool:
         """See `Term`: a node that presses is off its obstacle, beyond the tolerance.
 
         Under the law of motion it may be.
         """
-        return self._augments and self.gap_error() > self.allowed()
+        off, allowed = self.gap_error()
+        return self._augments and off > allowed
 
     def augment(self) -> None:
         """Uzawa's update lam <- max(0, lam - eps g). Collective."""
@@ -242,7 +234,7 @@ class ContactPair(Term):
 
     def assume(self, closed: bool | None) -> None:
         """See `Term`."""
-        self._reach.value = self._slack if closed is None else FAR if closed else -FAR
+        self._reach.value = self.slack if closed is None else FAR if closed else -FAR
 
     def held(self, *, near: bool = False) -> Iterator[tuple[IndexArray, FloatArray]]:
         """See `Term`: as if the obstacle could pull, too; but not along its way under a force."""
@@ -255,6 +247,10 @@ class ContactPair(Term):
             within &= lengths > _ALONG
             normals /= np.where(within, lengths, 1.0)[:, None]
         yield self.nodes_of_displacement[within], normals[within]
+
+    def point_states(self) -> tuple[FloatArray, IndexArray]:
+        """See `Term`."""
+        return self.places(), (self.pressures() > 0.0).astype(np.int32)
 
     def distance(self) -> float:
         """See `Term`."""
@@ -330,6 +326,18 @@ class ContactPair(Term):
         first, second = f"penetration_{self.label}", f"contact_area_{self.label}"
         result[first] = max(result.get(first, 0.0), depth)
         result[second] = result.get(second, 0.0) + self.area()
+
+
+def allowed_gap(pair: ContactPair) -> float:
+    """Distance from the obstacle at which statics leaves nodes that press [m]. Collective.
+
+    As the pressure squeezes the elements, without the user's word, see `SQUEEZE`.
+    """
+    if pair.contact.gap_tolerance is not None:
+        return pair.tolerance
+    squeezed = float(np.max(pair.pressures() * pair.softness, initial=0.0))
+    least = max(pair.slack, SQUEEZE * largest(pair.comm, squeezed))
+    return min(pair.tolerance, least)
 
 
 def nearest_spot(pair: ContactPair) -> tuple[float, tuple[float, ...]]:

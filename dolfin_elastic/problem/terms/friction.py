@@ -34,7 +34,7 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import shear_modulus
 from dolfin_elastic.problem.term import Term
-from dolfin_elastic.problem.terms.contact import ContactPair, uniaxial_modulus
+from dolfin_elastic.problem.terms.contact import ContactPair, allowed_gap, uniaxial_modulus
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -44,6 +44,9 @@ ALL = 1 - 1e-9
 Up to mu p over it points stick in the law: those that slid in the last step do so at the start of
 the next, as if the load turned round; else the tangent there would have no stiffness against it.
 """
+
+ROUGH = 1e9
+"""Coefficient at which nothing slides."""
 
 OPEN, STICK, SLIP = 0, 1, 2
 """Status of a point of the surface."""
@@ -63,6 +66,7 @@ class CoulombFriction(Term):
 
     linear = symmetric = False
     restrains = follows_path = dissipates = True
+    states = "open", "sticking", "sliding"
 
     def __init__(self, pair: ContactPair, context: FormContext, index: int) -> None:
         self._pair, self._context, self._comm = pair, context, pair.comm
@@ -159,6 +163,20 @@ class CoulombFriction(Term):
         slips = np.linalg.norm(trial, axis=1) >= ALL * limit
         return np.where(limit > 0.0, np.where(slips, SLIP, STICK), OPEN).astype(np.int32)
 
+    def slip_limits(self) -> tuple[IndexArray, FloatArray, FloatArray]:
+        """See `Term`: mu p over the areas."""
+        pressures = self._tractions()[2] / float(self._mu.value)
+        limits = self._pair.contact.friction * self.areas * pressures
+        return self.nodes, limits, self._pair.gaps()[1]
+
+    def stick(self, always: bool) -> None:
+        """See `Term`."""
+        self._mu.value = ROUGH if always else self._pair.contact.friction
+
+    def point_states(self) -> tuple[FloatArray, IndexArray]:
+        """See `Term`."""
+        return self._pair.places(), self.status()
+
     def held(self, *, near: bool = False) -> Iterator[tuple[IndexArray, FloatArray]]:
         """See `Term`: points in contact are held along the obstacle as if they stuck."""
         gaps, normals = self._pair.gaps()
@@ -180,7 +198,7 @@ class CoulombFriction(Term):
         off = self._moved() - self._of(self._stuck)
         off -= np.sum(off * n, axis=1)[:, None] * n
         slip = np.linalg.norm(off[self.status() == STICK], axis=1)
-        return largest(self._comm, float(np.max(slip, initial=0.0))) > self._pair.allowed()
+        return largest(self._comm, float(np.max(slip, initial=0.0))) > allowed_gap(self._pair)
 
     def augment(self) -> None:
         """Uzawa's update tau <- t. Collective.

@@ -172,6 +172,11 @@ class LoadedObstacle(ScalarTerm):
         carried, given = self._force.value(), self._given()
         return np.array([carried - given if carried != 0.0 else self._guided(given)])
 
+    def _clearances(self) -> FloatArray:
+        """Gaps beyond those at which the pressure ends, at the owned nodes [m]. Collective."""
+        pair = self._pair
+        return pair.pressing_gaps() - pair.lam.x.array[pair.nodes] / pair.eps
+
     def _guided(self, given: float, farther: float = 0.0) -> float:
         """What leads an obstacle that touches nothing back to the body [N]. Collective.
 
@@ -183,7 +188,7 @@ class LoadedObstacle(ScalarTerm):
             given: The force F [N].
             farther: Added to the gap [m].
         """
-        clear = self._smallest(self._pair.clearances())
+        clear = self._smallest(self._clearances())
         push = self._stiffness * (clear + farther)
         if push >= 0.0:
             return -(given + push)

@@ -371,13 +371,13 @@ class EquilibriumAuditor:
         unit = self._problem.body.unit
         for pair in self._problem.contact_pairs:
             if pair.unsettled():
-                off = pair.gap_error()
+                off, allowed = pair.gap_error()
                 held = pair.conflict(self._problem.constraints)
                 reasons[f"contact {pair.label}"] = Violation(
                     held[0]
                     if held is not None
                     else f"contact '{pair.label}': a node that presses is {unit.length(off)} off "
-                    f"the obstacle, above gap_tolerance = {unit.length(pair.allowed())}; a larger "
+                    f"the obstacle, above gap_tolerance = {unit.length(allowed)}; a larger "
                     "stiffness or more load steps help",
                     off,
                 )

@@ -5,6 +5,7 @@ Each cause is decided by evidence, the cheap and certain ones first:
 "rigid-motion": the tangent of the last equilibrium maps a rigid motion of a piece to nothing; what
     such a system gives is no evidence of anything else, so this comes before all others; or that
     without contacts does, and the load pulls the body off its obstacles.
+"sliding": friction gives less than the loads demand of it along a rigid motion.
 "obstacle": one pushes into nodes whose displacement is prescribed, where nothing can give way.
 "nan": a term of the residual has no finite value although no cell has turned inside out.
 "inverted": solutions were refused because cells had turned inside out.
@@ -38,6 +39,7 @@ from dolfin_elastic.solvers.diagnostics.evidence import (
 )
 from dolfin_elastic.solvers.diagnostics.material_limit import NEARLY, softest_spot
 from dolfin_elastic.solvers.diagnostics.rigid_body import find_loose_part, pulled_off_obstacles
+from dolfin_elastic.solvers.diagnostics.sliding import ContactStates, find_slide
 from dolfin_elastic.solvers.diagnostics.stability import LIMIT
 from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
@@ -128,6 +130,7 @@ class _CauseSearch:
         self.rejected = RejectedSteps.of(result)
         self.states, self.cells = TrialStates(assembler), Cells(assembler)
         self._not_examined = ""  # in words, for every diagnosis after the look at stability
+        self._contact_changes = ""  # in words, for a stop without another cause
         self._inverted_ahead: Fault | None = None
         self._finite = self.states.residual(self.failed)
         gap = assembler.residual.gap
@@ -139,6 +142,7 @@ class _CauseSearch:
         checks = (
             self._loose_part,
             self._held_inside,
+            self._sliding,
             self._not_finite,
             self._solution_inverted,
             self._round_off,
@@ -186,6 +190,11 @@ class _CauseSearch:
             if (found := term.conflict(self.problem.constraints)) is not None:
                 return self._make("obstacle", found[0], messages.RELEASE, found[1])
         return None
+
+    def _sliding(self) -> Diagnosis | None:
+        if self._moving or (slide := find_slide(self.states, self.good)) is None:
+            return None
+        return self._make("sliding", slide.in_words(), messages.SLIDES)
 
     def _not_finite(self) -> Diagnosis | None:
         self.states.residual(self.failed)
@@ -336,8 +345,10 @@ class _CauseSearch:
             or not self.states.tangent(self.failed)
         ):
             return None
+        states = ContactStates(self.problem)
         if not instability.take_newton_step(self.assembler):
             return None
+        self._contact_changes = states.changes()
         self.states.residual(self.problem.w.x.array.copy())
         fault = not_finite(self.cells)
         self.states.residual(self.failed)
@@ -357,10 +368,11 @@ class _CauseSearch:
         if "MAX_IT" in p.reason:
             fall = "still falls" if _falls(p.residuals) else "does not fall any more"
             text = f"{p.newton} Newton iterations were not enough: the residual {fall}"
+            text += self._contact_changes
             return self._make("iterations", text, messages.iterations(fall), where)
         text = (
             "Newton's method came to a stand: no step along its direction brings the forces "
-            "into balance"
+            f"into balance{self._contact_changes}"
         )
         return self._make("stalled", text, messages.STALLED, where)
 

@@ -238,13 +238,57 @@ def free_motions(problem: Problem) -> list[str]:
     return list(dict.fromkeys(motion for body in bodies for motion in body.motions))
 
 
-def free_bodies(problem: Problem) -> list[FreeBody]:
-    """All connected bodies, each with the rigid motions that no support prevents. Collective."""
-    bodies = ConnectedBodies(problem)
+def free_bodies(problem: Problem, *, rubbing: bool = True) -> list[FreeBody]:
+    """All connected bodies, each with the rigid motions that no support prevents. Collective.
+
+    Args:
+        rubbing: Points with friction count as if they stuck; else as if they slid freely.
+    """
     if problem.cell is not None:
-        return _parts_of_cell(problem, bodies)
+        return _parts_of_cell(problem, ConnectedBodies(problem))
+    f = rigid_freedom(problem, rubbing=rubbing)
+    return [
+        FreeBody(name, tuple(_in_words(problem, null, centre, float(size))))
+        for name, null, centre, size in zip(
+            f.bodies.names(), f.nulls, f.centres, f.sizes, strict=True
+        )
+    ]
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """Rigid motions of connected bodies that nothing prevents.
+
+    Attributes:
+        bodies: All of them.
+        nulls: Orthonormal free motions of each body, about its centre and by its size.
+        centres: Middles of their bounding boxes, shape (bodies, dim) [m].
+        sizes: Of these boxes [m].
+        kinds: Motions that the problem's geometry has, of those of `rigid_motions`.
+    """
+
+    bodies: ConnectedBodies
+    nulls: list[FloatArray]
+    centres: FloatArray
+    sizes: FloatArray
+    kinds: slice
+
+    def motions(self, k: int, nodes: IndexArray) -> FloatArray:
+        """Displacement of nodes under the free motions of body k, shape (nodes, dim, motions)."""
+        arms = (self.bodies.places[nodes] - self.centres[k]) / self.sizes[k]
+        return np.asarray(rigid_motions(arms)[:, :, self.kinds] @ self.nulls[k])
+
+
+def rigid_freedom(problem: Problem, *, rubbing: bool = True) -> Freedom:
+    """Rigid motions of all bodies, which are none of a periodic cell. Collective.
+
+    Args:
+        rubbing: See `free_bodies`.
+    """
+    bodies = ConnectedBodies(problem)
     centres, sizes = _bounding_boxes(bodies)
-    sums = _constraint_products(bodies, constrained_directions(problem), centres, sizes)
+    directions = constrained_directions(problem, rubbing=rubbing)
+    sums = _constraint_products(bodies, directions, centres, sizes)
     nulls = [_null_space(problem, matrix) for matrix in sums]
     if any(len(motion.free) for motion in problem.constraints.rigid_motions):
 
@@ -257,10 +301,8 @@ def free_bodies(problem: Problem) -> list[FreeBody]:
         null = _null_space(problem, joint)
         for k, body in enumerate(which):
             nulls[body] = _restricted(null, k, n)
-    return [
-        FreeBody(name, tuple(_in_words(problem, null, centre, float(size))))
-        for name, null, centre, size in zip(bodies.names(), nulls, centres, sizes, strict=True)
-    ]
+    kinds = slice(1, 2) if problem.geometry == "axisymmetric" else slice(None)
+    return Freedom(bodies, nulls, centres, sizes, kinds)
 
 
 def _parts_of_cell(problem: Problem, bodies: ConnectedBodies) -> list[FreeBody]:
@@ -274,10 +316,13 @@ def _parts_of_cell(problem: Problem, bodies: ConnectedBodies) -> list[FreeBody]:
     ]
 
 
-def constrained_directions(problem: Problem) -> Constraints:
+def constrained_directions(problem: Problem, *, rubbing: bool = True) -> Constraints:
     """Directions in which this rank's nodes are constrained. Collective.
 
     Prescribed components and directions, and what terms hold: springs, and obstacles that touch.
+
+    Args:
+        rubbing: See `free_bodies`.
     """
     dim, prescribed = problem.body.dim, problem.constraints
     held = prescribed.prescribed_dofs
@@ -285,7 +330,8 @@ def constrained_directions(problem: Problem) -> Constraints:
     if prescribed.skewed:
         nodes = np.repeat(prescribed.skew_dofs[:, 0] // dim, dim)
         rows.append(Constraints(nodes, prescribed.P.reshape(-1, dim)))
-    rows += [Constraints(*one) for term in problem.terms for one in term.held()]
+    terms = [term for term in problem.terms if rubbing or not term.dissipates]
+    rows += [Constraints(*one) for term in terms for one in term.held()]
     return Constraints(
         np.concatenate([row.nodes for row in rows]).astype(np.int32),
         np.concatenate([row.directions for row in rows]),

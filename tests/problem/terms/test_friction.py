@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,11 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.problem.state import State, StateCopy
 from dolfin_elastic.problem.terms.friction import OPEN, SLIP, STICK, CoulombFriction
 from dolfin_elastic.results.evaluate import Evaluator
+from dolfin_elastic.solvers.diagnostics.sliding import ContactStates
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 
 FREE = "free"
@@ -388,6 +390,46 @@ def test_books_of_a_block_that_sticks(scheme, degree, close):
 
 
 # --- mistakes ---
+
+
+@pytest.mark.parametrize(("dim", "turns"), [(2, False), (3, True)])
+def test_a_block_that_its_friction_does_not_keep(dim, turns):
+    """The pull grows beyond mu N = 3 kN, or the moment beyond mu times that of the pressures."""
+    weight = Traction(on="top", value=[0] * (dim - 1) + [-1e4], curve=[[0, 0], [0.1, 1], [1, 1]])
+    sides = {"left": 1e4, "right": -1e4} if turns else {"top": 0.0}
+    ways = [[0, force, 0] if turns else [5e3, 0] for force in sides.values()]
+    later = [[0, 0], [0.1, 0], [1, 1]]
+    pulls = [Traction(on=on, value=way, curve=later) for on, way in zip(sides, ways, strict=True)]
+    problem = Problem(
+        block(dim),
+        LinearElastic(E=E, nu=0.0),
+        loads=[weight, *pulls],
+        contacts=[floor(dim, friction=MU)],
+        degree=1,
+    )
+    with pytest.raises(ConvergenceError) as caught:
+        list(Statics(problem, min_step=0.1, max_iterations=10, snap=False).steps())
+    found = caught.value.diagnosis
+    assert found.cause == "sliding"
+    said = r"the body slides over all of contact 'floor': .* force of (.*) N, .* mu N = (.*) N"
+    demanded, available = map(float, re.fullmatch(said, found.text).groups())
+    # The last iterate's pressures, of which the loads know the sum, not where they are.
+    assert available == pytest.approx(MU * 1e4, rel=0.02)
+    assert demanded > 0.98 * available
+
+
+def test_points_that_change_are_shown():
+    """With the contact, their number and the first of them: here all of it opens."""
+    problem = pushed("0", floor(2, friction=MU))
+    problem.u.x.array.reshape(-1, 2)[:, 1] = -1e-3
+    problem.terms.begin(moving=False)
+    states = ContactStates(problem)
+    assert not states.changes()
+    problem.u.x.array[:] = 1e-3
+    assert states.changes() == (
+        "; 4 of 4 points of contact 'floor' change from iteration to iteration between open and "
+        "pressed, one of them at (0, 0) m"
+    )
 
 
 @pytest.mark.parametrize(
