@@ -20,6 +20,7 @@ from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.terms.contact import ContactPair, nearest_spot
+from dolfin_elastic.solvers.diagnostics.rigid_body import free_bodies
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.messages import RELEASE
 
@@ -33,6 +34,10 @@ _BESIDE = 0.01
 """Numbers of an obstacle over the body's diagonal that may have been meant in metres."""
 _SMALL_UNIT = 0.5
 """Unit of a mesh [m] below which that is looked at."""
+_LEVER = 10.0
+"""How many times as far as its supports a body may move that nothing else moves."""
+_PERCENT = 2.0
+"""Coefficient of friction above which it was probably meant in percent."""
 _ROUND_OFF = 1e-9
 """Gap over the size of a cell that counts as none."""
 
@@ -167,7 +172,7 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     """
     if not problem.contact_pairs:
         return
-    diagonal, reach, unit = span(problem.body), _reach(case, problem), problem.body.unit
+    diagonal, (reach, why), unit = span(problem.body), _reach(case, problem), problem.body.unit
     pressed = False
     for i, (pair, gap, _) in enumerate(_initial_gaps(case, problem)):
         if pair.contact.push is not None:  # it goes to where it touches, or the run refuses it
@@ -176,7 +181,6 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
         nearest = min(gap, *_gaps_over_time(case, pair))
         pressed |= nearest < -_ROUND_OFF * pair.size
         if nearest > max(reach, _ROUND_OFF * pair.size):
-            why = "farther than the body is large" if reach else "and nothing moves the body"
             what = "the obstacle comes" if pair.contact.between is None else "the surfaces come"
             yield (
                 f"contact '{pair.label}': it can never touch: {what} no nearer than "
@@ -187,6 +191,11 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
                 f"contact '{pair.label}': it begins {unit.length(-gap)} deep in the obstacle, "
                 "more than the body is large"
             )
+        if (mu := pair.contact.friction) > _PERCENT:
+            yield (
+                f"contact '{pair.label}': its coefficient of friction is {mu:g}: is it in percent? "
+                f"Then it would be {mu / 100:g}"
+            )
         if text := _in_another_unit(unit, case.contact[i], pair, diagonal):
             yield f"contact '{pair.label}': {text}"
         if (found := _held_along_its_way(case, problem, pair)) is not None:
@@ -194,6 +203,40 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
             yield f"{when} {held}, which cannot give way: {RELEASE}"
     if not (reach or pressed) and case.dynamics is None and (case.modal is None or case.preloaded):
         yield NOTHING_MOVES
+
+
+def contact_start_notes(case: Case, problem: Problem) -> Iterator[str]:
+    """Overlaps, and bodies that friction alone supports: right, if they are meant. Collective.
+
+    Args:
+        case: In motion, penalty and inertia make other notes of both.
+    """
+    if case.dynamics is not None and not case.dynamics.preload:
+        return
+    unit = problem.body.unit
+    for pair, gap, place in _initial_gaps(case, problem):
+        if pair.contact.push is not None or not -pair.size <= gap < -pair.tolerance:
+            continue
+        outside = -smallest(pair.comm, float(np.min(-pair.gaps()[0], initial=np.inf)))
+        where = (
+            "with all of its surface: right in a press fit, else its normal points the wrong way"
+            if outside < -pair.tolerance
+            else "from where the first load step pushes it out"
+        )
+        yield (
+            f"contact '{pair.label}': it begins {unit.length(-gap)} deep in its obstacle, at "
+            f"{unit.point(place)}, {where}"
+        )
+    if not problem.terms.dissipates:
+        return
+    bodies = zip(free_bodies(problem), free_bodies(problem, rubbing=False), strict=True)
+    for body, sliding in bodies:
+        if sliding.motions and not body.motions:
+            name = f"`{body.name}`" if body.name else "the body"
+            yield (
+                f"friction alone supports {name}, which could else {', '.join(sliding.motions)}: "
+                "there is no equilibrium under loads that it cannot carry"
+            )
 
 
 def _held_along_its_way(case: Case, problem: Problem, pair: ContactPair) -> tuple[str, str] | None:
@@ -214,8 +257,8 @@ def _held_along_its_way(case: Case, problem: Problem, pair: ContactPair) -> tupl
     return found
 
 
-def _reach(case: Case, problem: Problem) -> float:
-    """How far points of the body may move [m]: 0 where nothing moves it. Collective."""
+def _reach(case: Case, problem: Problem) -> tuple[float, str]:
+    """How far points of the body may move [m], 0 where nothing moves it, and why. Collective."""
     moving = any(not support.at_rest for support in problem.supports)
     loaded = bool(problem.loads) or bool(problem.eigenstrains)
     started = case.dynamics is not None and (
@@ -225,14 +268,18 @@ def _reach(case: Case, problem: Problem) -> float:
         c.values or c.push is not None for c in case.contact
     )
     if not (moving or loaded or started or pushed or problem.cell is not None):
-        return 0.0
+        return 0.0, "and nothing moves the body"
     if case.dynamics is not None and (loaded or started):  # it may fall, or fly
-        return np.inf
+        return np.inf, ""
     end, default = _end(case)
     times = [end * i / (TIMES - 1) for i in range(TIMES)]
     values = problem.constraints.values_at(times, default)
-    far = max((float(np.abs(row).max(initial=0.0)) for row in values), default=0.0)
-    return span(problem.body) + largest(problem.body.comm, far)
+    local = max((float(np.abs(row).max(initial=0.0)) for row in values), default=0.0)
+    far, size, text = largest(problem.body.comm, local), span(problem.body), "the body is large"
+    still = case.dynamics is None and not (loaded or pushed) and problem.cell is None
+    if still and _LEVER * far < size:
+        size, text = (_LEVER - 1) * far, f"its supports move it by {problem.body.unit.length(far)}"
+    return size + far, f"farther than {text}"
 
 
 def _gaps_over_time(case: Case, pair: ContactPair) -> list[float]:

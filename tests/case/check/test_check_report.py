@@ -816,6 +816,11 @@ def test_obstacles_are_in_the_unit_of_the_mesh(shape, gap):
         ({}, "no nearer than 0.5 m, and nothing moves the body"),
         ({"motion": [0, 0, 0.4]}, "no nearer than 0.1 m, and nothing moves the body"),
         ({"motion": [0, 0, 0.6]}, ""),
+        (
+            {"support": [{"on": "top", "displacement": [0, 0, -0.04]}]},
+            "its supports move it by 0.04",
+        ),
+        ({"support": [{"on": "top", "displacement": [0, 0, -0.06]}]}, ""),
         ({"motion": [0, 0, "0.6*sin(pi*t)"]}, ""),
         ({"load": [{"kind": "gravity"}]}, ""),
         ({"load": [{"kind": "gravity"}], "at": -5}, "no nearer than 5 m, farther than the body"),
@@ -832,6 +837,32 @@ def test_a_contact_that_can_never_touch(tables, said):
     notes = report(case(mesh=box, contact=[row], **given)).notes
     found = [note for note in notes if "can never touch" in note]
     assert len(found) == bool(said) and all(said in note for note in found)
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        (
+            {"at": 0.1},
+            ["begins 0.1 m deep in its obstacle, at (0, 0, 0) m, with all of its surface"],
+        ),
+        ({"tilt": 0.1}, ["deep in its obstacle, at (2, 0, 0) m, from where the first load step"]),
+        ({"friction": 0.3}, ["friction alone supports the body, which could else move along x"]),
+        ({"friction": 30}, ["friction is 30: is it in percent? Then it would be 0.3", "alone"]),
+    ],
+)
+def test_the_start_of_a_contact(row, said):
+    """Overlaps with depth and place, friction in percent, and what only friction supports."""
+    tilt, at, friction = row.get("tilt", 0.0), row.get("at", 0.0), row.get("friction", 0.0)
+    plane = {"point": [0, 0, at], "normal": [-tilt, 0, 1]}
+    floor = {"on": "bottom", "plane": plane, "friction": friction}
+    supports = [{"on": "top"}] if not friction else []
+    box = {"box": {"size": [2, 1, 3], "cells": [2, 1, 3]}, "degree": 1}
+    load = [{"kind": "gravity"}]
+    notes = report(case(mesh=box, contact=[floor], support=supports, load=load)).notes
+    assert len(notes) == len(said)
+    for note, text in zip(notes, said, strict=True):
+        assert text in note
 
 
 @pytest.mark.parametrize(
