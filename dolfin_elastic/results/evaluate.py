@@ -271,6 +271,14 @@ class StateSource:
             values[nodes, 0] += pressures
         return values
 
+    def contact_gap(self) -> AnyArray:
+        """See `FieldSource`; as `contact_pressure`. Not a number where no contact is."""
+        values = np.full((self.evaluator.grid.own_points, 1), np.nan)
+        for pair in self.evaluator.problem.contact_pairs:
+            nodes, gaps = pair.nodal_gaps()
+            values[nodes, 0] = np.fmin(values[nodes, 0], gaps)
+        return values
+
     def friction_traction(self) -> AnyArray:
         """See `FieldSource`; as `contact_pressure`."""
         problem = self.evaluator.problem

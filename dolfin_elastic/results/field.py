@@ -62,6 +62,9 @@ class FieldSource(Protocol):
     def contact_status(self) -> AnyArray:
         """Whether points are open (0), stick (1) or slide (2), shape (points, 1)."""
 
+    def contact_gap(self) -> AnyArray:
+        """Distance of points from the nearest obstacle they may touch [m], shape (points, 1)."""
+
     def contact_pressure(self) -> AnyArray:
         """Pressure of the obstacles on the body [Pa] at the points, shape (points, 1)."""
 

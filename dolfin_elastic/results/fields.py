@@ -417,6 +417,13 @@ _FIELDS: dict[str, Field] = {
         "pressure of obstacles on the body, per reference area; zero without contact",
         values=lambda source: source.contact_pressure(),
     ),
+    "contact_gap": Field(
+        "scalar",
+        "node",
+        "m",
+        "distance of the surfaces of contacts from the nearest obstacle, negative inside it",
+        values=lambda source: source.contact_gap(),
+    ),
     "friction_traction": Field(
         "vector",
         "node",

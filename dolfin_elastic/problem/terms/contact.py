@@ -179,9 +179,13 @@ class ContactPair(Term):
         """Pressure per reference area at the owned nodes of the surface [Pa]. Collective."""
         return np.maximum(0.0, self.lam.x.array[self.nodes] - self.eps * self.pressing_gaps())
 
+    def nodal_gaps(self) -> tuple[IndexArray, FloatArray]:
+        """Owned nodes of the displacement on the surface, and gaps there [m]. Not collective."""
+        return self.nodes_of_displacement, self.gaps()[0]
+
     def every_gap(self) -> FloatArray:
-        """Gaps of all owned nodes of the surface [m]. Not collective."""
-        return self.gaps()[0]
+        """Gaps of all points of the surface that count as its penetration [m]. Not collective."""
+        return self.nodal_gaps()[1]
 
     def pressing_gaps(self) -> FloatArray:
         """Gaps that the pressures at the owned nodes follow [m]. Collective."""

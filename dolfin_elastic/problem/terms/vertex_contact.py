@@ -69,12 +69,12 @@ class VertexContact(ContactPair):
         """Gaps and normals there, shapes (facets, points) and (facets, points, dim)."""
         return self.contact.obstacle.gaps(self.places_of_points())
 
-    def every_gap(self) -> FloatArray:
+    def nodal_gaps(self) -> tuple[IndexArray, FloatArray]:
         """See `ContactPair`: those of midside nodes, too."""
         _, _, nodes = self.functions.every
         u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
         X = self._context.unknowns.V.tabulate_dof_coordinates()[nodes, : self._dim]
-        return self.contact.obstacle.gaps(X + u[nodes] - self.shift.value)[0]
+        return nodes, self.contact.obstacle.gaps(X + u[nodes] - self.shift.value)[0]
 
     def pressing_gaps(self) -> FloatArray:
         """See `ContactPair`: mean gaps."""

@@ -20,7 +20,14 @@ from dolfin_elastic.model.loads.forces import Gravity
 from dolfin_elastic.results.derived.spectral import von_mises
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.finished.run import FinishedRun
-from dolfin_elastic.results.scene.appearance import Appearance, common_allowable, picture_of
+from dolfin_elastic.results.scene.appearance import (
+    STATES,
+    STATUS,
+    Appearance,
+    common_allowable,
+    picture_of,
+    status_of,
+)
 from dolfin_elastic.results.scene.clip import Clip
 from dolfin_elastic.results.scene.obstacles import Reach
 from dolfin_elastic.results.scene.scene import Picture, Reliable, Up, up_against
@@ -132,6 +139,7 @@ def _panel(
 ) -> Picture:
     x, (cells,) = np.asarray(grid.points, dtype=float), grid.cells_dict.values()
     names = list(run.case.get("materials") or {}) if name == "material" else []
+    names = list(STATES) if name == STATUS else names
     at_cells = run.frame(step).arrays[name].centre == "cell"
     whole = grid.cell_data_to_point_data(pass_cell_data=True) if at_cells else grid
     u = np.zeros_like(x)
@@ -142,11 +150,18 @@ def _panel(
     if not names:
         result = np.asarray(whole.point_data["cauchy_stress" if tensor else name], dtype=float)
         values["value"] = result.reshape(len(result), -1)
-    numbers = np.asarray(grid.cell_data[name]).astype(np.int64) if names else None
     faces, of = outer_faces(cells.astype(np.int64), x)
+    numbers = on_faces = None
+    if name == STATUS:
+        status = np.asarray(grid.point_data[name]).ravel()
+        numbers = status_of(status[cells[:, : run.dim + 1]], run.dim)
+        on_faces = status_of(status[faces[:, :3]], run.dim)
+    elif names:
+        numbers = np.asarray(grid.cell_data[name]).astype(np.int64)
+        on_faces = numbers[of]
     surface = divided(
-        Surface(faces, x, values, None if numbers is None else numbers[of]),
-        () if not at_cells and (tensor or values["value"].shape[1] > 1) else ("value",),
+        Surface(faces, x, values, on_faces),
+        () if not (names or at_cells) and (tensor or values["value"].shape[1] > 1) else ("value",),
     )
     left = picture_of(
         surface,

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.shapes.shapes import Shape
-from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.core.units import to_si
 from dolfin_elastic.results.fields import FIELDS
 from dolfin_elastic.results.scene.clip import Clip, clipped
@@ -27,6 +29,10 @@ from dolfin_elastic.results.scene.surface import Surface
 
 CATEGORIES = ("material", "region")
 """Fields of numbers that stand for names: drawn in distinct colours with a legend."""
+STATUS = "contact_status"
+"""A field of nodes whose numbers stand for `STATES`: faces have that of their nodes."""
+STATES = ("open", "sticks", "slides")
+_COLOURS = {STATUS: ("#cccccc", "#4477aa", "#ee6677")}
 _NAMED = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#bbbbbb", "#ee8866")
 
 
@@ -96,6 +102,7 @@ def picture_of(
     u = left.values["u"]
     if len(left.points):  # else `Series.add` refuses it
         reach.take(left.points + look.scale * u)
+    colours = _COLOURS.get(name, _NAMED)
     scene = Scene(
         left.points,
         left.triangles,
@@ -105,7 +112,7 @@ def picture_of(
         left.nodes,
         left.skin,
         left.of_cells if names else None,
-        tuple(Patch((n,), colour=_NAMED[i % len(_NAMED)]) for i, n in enumerate(names)),
+        tuple(Patch((n,), colour=colours[i % len(colours)]) for i, n in enumerate(names)),
         obstacles=obstacles_beside(obstacles, reach, 2 if plane else 3) if look.obstacles else (),
     )
     known = FIELDS.get(name)
@@ -126,6 +133,17 @@ def picture_of(
         allowable=allowable if name.startswith("von_mises") else 0.0,
         reliable=reliable,
     )
+
+
+def status_of(corners: AnyArray, dim: int) -> AnyArray:
+    """Status of faces or cells, `STATES`: open unless all corners of one face touch.
+
+    Args:
+        corners: Status at their corners, shape (n, corners).
+        dim: Corners of a face: 2 in a plane, 3 in space.
+    """
+    touching = np.sort(corners, axis=1)[:, -dim:]
+    return np.asarray(np.where(touching[:, 0] == 0, 0, touching[:, -1]).astype(np.int64))
 
 
 def common_allowable(values: Sequence[object]) -> float:

@@ -12,6 +12,7 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,8 +26,9 @@ from dolfin_elastic.core.parallel import agree, on_root
 from dolfin_elastic.core.shapes.shapes import Shape
 from dolfin_elastic.core.si_text import time_or_load
 from dolfin_elastic.core.timing import stage
-from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import extent, span
+from dolfin_elastic.mesh.geometry.simplices import dofs_on_facets
 from dolfin_elastic.model.loads.forces import Gravity
 from dolfin_elastic.problem.material_regions import shear_modulus
 from dolfin_elastic.problem.state import Mode, State, plain
@@ -36,9 +38,12 @@ from dolfin_elastic.results.recovery.error import ERROR, ErrorEstimate
 from dolfin_elastic.results.recovery.peaks import peaks_of
 from dolfin_elastic.results.scene.appearance import (
     DEFAULT,
+    STATES,
+    STATUS,
     Appearance,
     common_allowable,
     picture_of,
+    status_of,
 )
 from dolfin_elastic.results.scene.drawn_field import DrawnField
 from dolfin_elastic.results.scene.obstacles import Reach
@@ -430,15 +435,23 @@ class Painter:
         grid = drawn.grid
         u = state.u.x.array.reshape(-1, self.dim)
         fields, of_cells = {"u": np.pad(u, ((0, 0), (0, 3 - self.dim)))}, None
-        names = self._names(drawn.name)
-        if names:
+        names, of_faces = self._names(drawn.name), None
+        if drawn.name == STATUS:
+            status = drawn.at_nodes(state)[:, 0]
+            of_cells = status_of(status[grid.V.dofmap.list[:, : self.dim + 1]], self.dim)
+            if self.dim == 3:
+                of_faces = partial(_status_of_facets, grid.V, status)
+        elif names:
             cells = grid.mesh.topology.index_map(grid.mesh.topology.dim)
             of_cells = with_ghosts(cells, drawn.values(state))[:, 0].astype(np.int64)
             of_cells += drawn.name == "region"  # -1: none
         else:
             fields["value"] = drawn.at_nodes(shape or state)
         linear, reliable = ("value",) if drawn.linear else (), self._reliable(drawn.name, state)
-        surface, cut = gather_surface(grid, fields, of_cells, linear=linear), None
+        surface, cut = (
+            gather_surface(grid, fields, of_cells, linear=linear, of_faces=of_faces),
+            None,
+        )
         if appearance.clips and self.dim == 3:
             planes = [(clip.axis, clip.at) for clip in appearance.clips]
             cut = gather_cells(grid, fields, planes, of_cells)
@@ -483,7 +496,14 @@ class Painter:
         """Names that the numbers of a field stand for; none if they stand for themselves."""
         if field == "material":
             return [part.name for part in self.problem.regions]
+        if field == STATUS:
+            return list(STATES)
         return ["no region", *sorted(self.problem.body.regions)] if field == "region" else []
+
+
+def _status_of_facets(V: fem.FunctionSpace, status: AnyArray, facets: IndexArray) -> AnyArray:
+    """See `status_of`."""
+    return status_of(status[dofs_on_facets(V, facets)[:, :3]], 3)
 
 
 def _headline(state: State, appearance: Appearance) -> str:

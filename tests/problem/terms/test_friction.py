@@ -29,6 +29,7 @@ from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.problem.state import State, StateCopy
 from dolfin_elastic.problem.terms.friction import OPEN, SLIP, STICK, CoulombFriction
 from dolfin_elastic.results.evaluate import Evaluator
+from dolfin_elastic.results.scene.appearance import status_of
 from dolfin_elastic.solvers.diagnostics.sliding import ContactStates
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
 
@@ -172,7 +173,7 @@ def test_results_at_nodes():
     """Every status occurs where a block is pushed at its top and lifts its heel."""
     problem = pushed("0.02*t", floor(2, friction=0.9))
     seen: set[int] = set()
-    names = ["friction_traction", "contact_status"]
+    names = ["friction_traction", "contact_status", "contact_gap"]
     for state in Statics(problem, steps=8).steps():
         friction = friction_of(problem)
         fields = Evaluator(problem, names)(state)
@@ -180,6 +181,9 @@ def test_results_at_nodes():
             friction.tractions()
         )
         assert fields["contact_status"][friction.nodes, 0].tolist() == friction.status().tolist()
+        gaps = fields["contact_gap"][:, 0]
+        assert gaps[friction.nodes].tolist() == problem.contact_pairs[0].gaps()[0].tolist()
+        assert np.isfinite(gaps).sum() == len(friction.nodes)
         status, t = friction.status(), np.linalg.norm(friction.tractions(), axis=1)
         limit = 0.9 * problem.contact_pairs[0].pressures()
         assert np.all(t[status == OPEN] == 0.0)
@@ -187,6 +191,15 @@ def test_results_at_nodes():
         assert t[status == SLIP] == pytest.approx(limit[status == SLIP], rel=1e-6)
         seen |= set(status.tolist())
     assert set().union(*problem.body.comm.allgather(seen)) == {OPEN, STICK, SLIP}
+
+
+def test_the_status_of_faces_in_pictures():
+    """Open unless all corners of a face touch, and sliding where one of them slides."""
+    assert status_of(np.array([[0, 2, 2], [2, 1, 1], [1, 1, 1]]), 3).tolist() == [0, 2, 1]
+    tetrahedra = np.array([[0, 2, 1, 1], [0, 0, 1, 1]])
+    assert status_of(tetrahedra, 3).tolist() == [2, 0]
+    triangles = np.array([[0, 2, 1], [1, 0, 1], [0, 0, 2]])
+    assert status_of(triangles, 2).tolist() == [2, 1, 0]
 
 
 @pytest.mark.long

@@ -83,6 +83,11 @@ class BodyContact(VertexContact):
         along = np.divide(mean, length, out=np.eye(1, self._dim) + 0 * mean, where=length > 0)
         return self._mean(gaps), along
 
+    def nodal_gaps(self) -> tuple[IndexArray, FloatArray]:
+        """See `ContactPair`: mean ones; not a number where nothing is opposite. Collective."""
+        nodes, gaps = self._pieces.at_nodes(self.pressing_gaps()[:, None])
+        return nodes, np.where(gaps[:, 0] < FAR / 4, gaps[:, 0], np.nan)
+
     def every_gap(self) -> FloatArray:
         """See `ContactPair`: those of all points opposite the other side. Collective."""
         return self._at_points()[0].ravel()
