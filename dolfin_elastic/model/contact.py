@@ -95,12 +95,6 @@ class Contact(OnSurfaces):
                 where="between",
                 expected='two that may touch each other, for example ["jaw", "bone"]',
             )
-        if self.friction > 0:
-            raise InputError(
-                "contact between two surfaces of the mesh has no friction",
-                where="friction",
-                expected="0",
-            )
         if both := set(self.sides[0]) & set(self.sides[1]):
             raise InputError(
                 f"'{min(both)}' is in contact with itself",

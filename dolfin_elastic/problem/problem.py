@@ -45,6 +45,7 @@ from dolfin_elastic.problem.pressure.groups import pressure_groups
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Resistance, Terms
 from dolfin_elastic.problem.terms.bodies.contact import make_contacts
+from dolfin_elastic.problem.terms.bodies.friction import make_frictions
 from dolfin_elastic.problem.terms.bolts import make_bolts
 from dolfin_elastic.problem.terms.cavities import make_cavities
 from dolfin_elastic.problem.terms.contact import ContactPair, check_contacts
@@ -53,7 +54,6 @@ from dolfin_elastic.problem.terms.loaded_obstacle import make_loaded_obstacles
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
 from dolfin_elastic.problem.terms.pressure_symmetry import follower_pressure_has_potential
 from dolfin_elastic.problem.terms.rigid_surfaces import RigidSurface, TurnedSurface
-from dolfin_elastic.problem.terms.vertex_friction import make_frictions
 from dolfin_elastic.problem.weak_form import (
     StepStart,
     WeakForm,

@@ -92,6 +92,7 @@ def quarter_rings(
     outer: tuple[int, int],
     order: int,
     *,
+    overlap: float = 0.0,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> Body:
     """A quarter of two rings, one around the other, that share no node where they touch.
@@ -101,6 +102,7 @@ def quarter_rings(
         inner: Cells of the inner one along the circle, and across.
         outer: Cells of the outer one.
         order: Of the geometry: straight or quadratic cells.
+        overlap: By how much the outer one begins inside the inner one.
         comm: The ranks.
 
     Returns:
@@ -108,7 +110,8 @@ def quarter_rings(
         "bottom" (y = 0) and "left" (x = 0) of both.
     """
     points, cells, first = [], [], 0
-    for (low, high), counts in zip((radii[:2], radii[1:]), (inner, outer), strict=True):
+    spans = radii[:2], (radii[1] - overlap, radii[2])
+    for (low, high), counts in zip(spans, (inner, outer), strict=True):
         polar, rows = _grid((np.pi / 2, high - low), counts)
         rows = rows[:, [0, 1, 2]]
         if order == 2:
@@ -127,20 +130,23 @@ def quarter_rings(
     body = Body(make_mesh(comm, rows, x, order))
     mesh = body.mesh
     corners = mesh.geometry.x[mesh.geometry.dofmap[:, :3]]
-    inside = np.linalg.norm(corners.mean(axis=1), axis=1) < radii[1] * np.cos(np.pi / 4 / inner[0])
+    edge = (radii[1] - overlap) * np.cos(np.pi / 4 / inner[0])
+    inside = np.linalg.norm(corners.mean(axis=1), axis=1) < edge
     facets = boundary_facets(mesh)
     beside, _ = cells_beside_facets(mesh, facets)
     ends = mesh.geometry.x[facet_nodes(mesh, facets)]
     r = np.linalg.norm(ends, axis=2)
     on = {
         name: np.all(np.abs(r - radius) < 1e-9, axis=1)
-        for name, radius in zip(("bore", "middle"), radii[:2], strict=True)
+        for name, radius in zip(
+            ("bore", "middle", "within"), (*radii[:2], spans[1][0]), strict=True
+        )
     }
     return body.named(
         surfaces={
             "bore": facets[on["bore"]],
             "outside": facets[on["middle"] & inside[beside]],
-            "inside": facets[on["middle"] & ~inside[beside]],
+            "inside": facets[on["within"] & ~inside[beside]],
             "bottom": facets[np.all(np.abs(ends[:, :, 1]) < 1e-9, axis=1)],
             "left": facets[np.all(np.abs(ends[:, :, 0]) < 1e-9, axis=1)],
         }

@@ -152,8 +152,10 @@ class VertexContact(ContactPair):
         """The obstacle's normals at the points of the functions, (facets, points, dim)."""
         return self._at_points()[1]
 
-    def curvatures(self) -> FloatArray:
-        """Second derivatives of the gap at the owned vertices, (n, dim, dim) [1/m]."""
+    def curvatures(self) -> FloatArray | None:
+        """Second derivatives of the gap at the owned vertices, (n, dim, dim) [1/m]; None: 0."""
+        if self.flat:
+            return None
         u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
         x = self.places() + u[self.nodes_of_displacement] - self.shift.value
         return self.contact.obstacle.curvature(x)

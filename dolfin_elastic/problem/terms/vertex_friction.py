@@ -6,7 +6,6 @@ the obstacle at a vertex, the virtual work is the sum of t_I . (integral of psi_
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,10 +13,7 @@ import numpy as np
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Blocks
-from dolfin_elastic.problem.terms.contact import ContactPair
 from dolfin_elastic.problem.terms.friction import ALL, OPEN, SLIP, STICK, CoulombFriction
-from dolfin_elastic.problem.terms.nodal_contact import NodalContact
-from dolfin_elastic.problem.terms.nodal_friction import NodalFriction
 from dolfin_elastic.problem.terms.vertex_contact import VertexContact
 from dolfin_elastic.problem.terms.vertex_functions import blocks_of, diagonal
 
@@ -95,10 +91,10 @@ class VertexFriction(CoulombFriction):
         rows = diagonal(by_trial @ P * (self._eps / areas)[:, None, None]) @ H
         softer = np.where(slides, float(self._mu.value) * pair.eps / areas, 0.0)
         rows += diagonal((softer[:, None] * m)[:, :, None]) @ G
-        if not pair.flat:
+        if (curvatures := pair.curvatures()) is not None:
             y = self._of(self._tau) - self._eps[:, None] * (self._moved() - self._of(self._stuck))
             turn = np.sum(n * y, axis=1)[:, None, None] * one + n[:, :, None] * y[:, None, :]
-            rows += diagonal(by_trial @ turn @ pair.curvatures()) @ self._at_own(nodes)
+            rows += diagonal(by_trial @ turn @ curvatures) @ self._at_own(nodes)
         return blocks_of(nodes, csr_array(H.T @ rows), h, d)
 
     def _at_own(self, nodes: IntArray) -> csr_array:
@@ -127,13 +123,3 @@ class VertexFriction(CoulombFriction):
         beyond = np.maximum(np.linalg.norm(trial, axis=1) - limit, 0.0)
         pressed, stuck = areas[status != OPEN].sum(), areas[status == STICK].sum()
         return float(pressed), float(stuck), areas * limit * beyond / self._eps
-
-
-def make_frictions(pairs: Sequence[ContactPair], context: FormContext) -> Iterator[CoulombFriction]:
-    """Those of the contacts with friction. Collective."""
-    for index, pair in enumerate(pairs):
-        if pair.contact.friction > 0.0:
-            if isinstance(pair, VertexContact):
-                yield VertexFriction(pair, context, index)
-            elif isinstance(pair, NodalContact):
-                yield NodalFriction(pair, context, index)

@@ -86,7 +86,7 @@ def test_tangent(dim, degree, monkeypatch):
             return known[0]
 
         monkeypatch.setattr(functions, "cut", frozen)
-        pair._pieces._at = np.empty(0)
+        pair.pieces._at = np.empty(0)
         pair.pressures()
 
     with against_differences(problem, freeze) as (assembler, off, size):

@@ -45,6 +45,7 @@ class BodyContact(VertexContact):
 
     Attributes:
         sides: Names of the surfaces that carry the pressures, and of the others.
+        pieces: What of both lies opposite each other; the same as `functions`.
     """
 
     flat = False
@@ -62,23 +63,23 @@ class BodyContact(VertexContact):
         context = self._context
         sides = (owned(context.body, context.unknowns.V, names) for names in self.sides)
         reach = longest_edge(self.comm, *sides)
-        self._pieces = PieceFunctions(self, context, self.sides, reach, thickness)
-        return self._pieces
+        self.pieces = PieceFunctions(self, context, self.sides, reach, thickness)
+        return self.pieces
 
     # --- gaps ---
 
     def _at_points(self) -> tuple[FloatArray, FloatArray]:
         """See `VertexContact`."""
-        finite, there = self._pieces.renew(), self._pieces.there
+        finite, there = self.pieces.renew(), self.pieces.there
         return there.gap if finite else np.full_like(there.gap, np.nan), there.normal
 
     def _mean(self, gaps: FloatArray) -> FloatArray:
-        return np.where(self._pieces.covered, super()._mean(gaps), FAR)
+        return np.where(self.pieces.covered, super()._mean(gaps), FAR)
 
     def gaps(self) -> tuple[FloatArray, FloatArray]:
         """See `ContactPair`: mean ones. Collective."""
         gaps, normals = self._at_points()
-        mean = self._pieces.means(normals)
+        mean = self.pieces.means(normals)
         length = np.linalg.norm(mean, axis=1)[:, None]
         along = np.divide(mean, length, out=np.eye(1, self._dim) + 0 * mean, where=length > 0)
         return self._mean(gaps), along
@@ -94,9 +95,12 @@ class BodyContact(VertexContact):
 
     def spots(self) -> tuple[FloatArray, FloatArray]:
         """See `ContactPair`. Collective."""
-        return self.every_gap(), self._pieces.X.reshape(-1, self._dim)
+        return self.every_gap(), self.pieces.X.reshape(-1, self._dim)
 
     # --- the tangent ---
+
+    def curvatures(self) -> None:
+        """See `VertexContact`: friction leaves the turn of normals out of its tangent."""
 
     def _turning(self, pressures: FloatArray) -> Blocks:
         """Minus the derivative of the forces by the second variation of gaps. Collective.
@@ -107,7 +111,7 @@ class BodyContact(VertexContact):
 
         it is d2g = - (n . du_m,xi) dxi - dxi (n . du_m,xi) - dxi b dxi + g q a^-1 q.
         """
-        pieces, d = self._pieces, self._dim
+        pieces, d = self.pieces, self._dim
         some: BoolArray = np.asarray(pieces.beside(self.near).any(axis=1))
         weights = pieces.at_points(pressures[:, None])[some, :, 0]
         g, n, t, b, slopes = (values[some] for values in pieces.there)
@@ -134,7 +138,7 @@ class BodyContact(VertexContact):
     def held(self, *, near: bool = False) -> Iterator[tuple[IndexArray, FloatArray]]:
         """See `Term`: both sides, each as if the other one stood still."""
         yield from super().held(near=near)
-        pieces = self._pieces
+        pieces = self.pieces
         gaps, normals = self._at_points()
         within = gaps <= (self.size if near else self.reach)
         half = pieces.shapes.shape[2] // 2

@@ -220,7 +220,8 @@ class PieceFunctions(VertexFunctions):
         """
         self.renew()
         rows = field[: self.node_owners.count * self._dim].reshape(-1, self._dim)
-        return np.asarray(self.shapes @ self.node_owners.values_at(rows, self._numbers))
+        found = self.node_owners.values_at(rows, self._numbers)
+        return np.asarray(self.shapes @ found.reshape(*self._numbers.shape, self._dim))
 
     def spread(self, vectors: FloatArray) -> FloatArray:
         """See `VertexFunctions`: those on the other side are opposite. Collective."""

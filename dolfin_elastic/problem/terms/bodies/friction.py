@@ -1,0 +1,76 @@
+"""`BodyFriction`: friction between two deformable surfaces, its tractions at vertices.
+
+What moves past each other is compared where points lie opposite each other now: the motion w of
+`CoulombFriction` grows in each step by the mean of the difference of both sides' displacements in
+that step.  So it is that of the step's pairs, and a rigid motion of both together adds nothing.
+The tangent leaves the turn of the normal and the change of pairs out.
+
+Source: T. W. McDevitt & T. A. Laursen, Int. J. Numer. Meth. Engng 48 (2000) 1525; that of
+`CoulombFriction`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from dolfinx import fem
+
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.term import Blocks
+from dolfin_elastic.problem.terms.bodies.contact import BodyContact
+from dolfin_elastic.problem.terms.contact import ContactPair
+from dolfin_elastic.problem.terms.friction import CoulombFriction
+from dolfin_elastic.problem.terms.nodal_contact import NodalContact
+from dolfin_elastic.problem.terms.nodal_friction import NodalFriction
+from dolfin_elastic.problem.terms.vertex_contact import VertexContact
+from dolfin_elastic.problem.terms.vertex_friction import VertexFriction
+
+
+class BodyFriction(VertexFriction):
+    """Friction of one contact between two surfaces of the mesh. Collective to make."""
+
+    def __init__(self, pair: BodyContact, context: FormContext, index: int) -> None:
+        self._pieces = pair.pieces
+        self._path = fem.Function(context.unknowns.V)
+        self._before: FloatArray = context.unknowns.u.x.array.copy()
+        super().__init__(pair, context, index)
+        self.memory = {**self.memory, f"motion_{index}": self._path}
+
+    def _moved(self) -> FloatArray:
+        """See `CoulombFriction`."""
+        step = self._pieces.relative(self._context.unknowns.u.x.array - self._before)
+        return self._of(self._path) + self._pieces.means(step)
+
+    def begin(self, *, moving: bool) -> None:
+        """See `CoulombFriction`."""
+        self._before = self._context.unknowns.u.x.array.copy()
+        super().begin(moving=moving)
+
+    def advance(self) -> None:
+        """See `CoulombFriction`."""
+        super().advance()
+        self._put(self._path, self._moved())
+        self._before = self._context.unknowns.u.x.array.copy()
+
+    def blocks(self) -> Blocks:
+        """See `VertexFriction`: areas are those opposite each other now."""
+        self.areas = self._pieces.areas
+        return super().blocks()
+
+    def _step(self) -> tuple[float, float, FloatArray]:
+        """See `CoulombFriction`."""
+        self.areas = self._pieces.areas
+        return super()._step()
+
+
+def make_frictions(pairs: Sequence[ContactPair], context: FormContext) -> Iterator[CoulombFriction]:
+    """Those of the contacts with friction. Collective."""
+    for index, pair in enumerate(pairs):
+        if pair.contact.friction > 0.0:
+            if isinstance(pair, BodyContact):
+                yield BodyFriction(pair, context, index)
+            elif isinstance(pair, VertexContact):
+                yield VertexFriction(pair, context, index)
+            elif isinstance(pair, NodalContact):
+                yield NodalFriction(pair, context, index)
