@@ -53,9 +53,13 @@ class BodyContact(VertexContact):
     def __init__(
         self, contact: Contact, context: FormContext, index: int, thickness: float
     ) -> None:
-        self.sides, text = _carrier_first(contact, context)
+        self.sides, softer, text = _carrier_first(contact, context)
         log.info("contact '%s': %s", contact.label, text)
         super().__init__(contact, context, index, thickness, self.sides[0])
+        if contact.stiffness is None:  # that of the softer side: the stiffer one is not to crush it
+            self.penalty.x.array[:] *= softer
+            self.eps *= softer
+            self._first = self.penalty.x.array.copy(), self.eps.copy()
         self.carrier = np.zeros(context.unknowns.V.dofmap.index_map.size_local, dtype=bool)
         self.carrier[self.functions.every[2]] = True
 
@@ -174,8 +178,12 @@ class BodyContact(VertexContact):
 
 def _carrier_first(
     contact: Contact, context: FormContext
-) -> tuple[tuple[tuple[str, ...], ...], str]:
-    """Both sides, first the one that carries the pressures, and why. Collective."""
+) -> tuple[tuple[tuple[str, ...], ...], float, str]:
+    """Both sides, first the one that carries the pressures. Collective.
+
+    Returns:
+        With the share of its stiffness per depth that the other one has, at most 1, and why.
+    """
     body, unit = context.body, context.body.unit
     prepare_facets(body.mesh)
     sizes, moduli = [], []
@@ -195,7 +203,12 @@ def _carrier_first(
     sides = contact.sides[one], contact.sides[other]
     what = f"{'+'.join(sides[0])} carries the pressures"
     faces = f"faces {unit.length(sizes[one])} against {unit.length(sizes[other])}"
-    return sides, f"{what} ({faces}{', the softer side' if alike and second else ''})"
+    share = moduli[other] / sizes[other] / (moduli[one] / sizes[one])
+    return (
+        sides,
+        min(1.0, share),
+        f"{what} ({faces}{', the softer side' if alike and second else ''})",
+    )
 
 
 def make_contacts(
