@@ -104,13 +104,13 @@ class Contact(OnSurfaces):
 
     @model_validator(mode="after")
     def _one_shape(self) -> Contact:
+        if self.between is not None:
+            self._check_sides()
         known = obstacle_shapes()
         given = [key for key in known if getattr(self, key) is not None]
         if len(given) != (self.between is None):
             what = f"{' and '.join(given)} are given" if given else "the obstacle has no shape"
             raise InputError(what, expected=f"exactly one of {', '.join(known)}, or `between`")
-        if self.between is not None:
-            self._check_sides()
         self._check_force()
         for index, value in enumerate(self.values):
             if isinstance(value, Formula) and value.names - {"t"}:

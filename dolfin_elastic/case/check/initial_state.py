@@ -182,10 +182,13 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
         pressed |= nearest < -_ROUND_OFF * pair.size
         if nearest > max(reach, _ROUND_OFF * pair.size):
             what = "the obstacle comes" if pair.contact.between is None else "the surfaces come"
-            yield (
-                f"contact '{pair.label}': it can never touch: {what} no nearer than "
-                f"{unit.length(nearest)}, {why}"
-            )
+            if np.isfinite(nearest):
+                yield (
+                    f"contact '{pair.label}': it can never touch: {what} no nearer than "
+                    f"{unit.length(nearest)}, {why}"
+                )
+            else:
+                yield f"contact '{pair.label}': its surfaces lie nowhere opposite each other"
         elif -gap > diagonal:
             yield (
                 f"contact '{pair.label}': it begins {unit.length(-gap)} deep in the obstacle, "

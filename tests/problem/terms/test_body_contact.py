@@ -6,19 +6,25 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.stacked import stacked
+from helpers.stacked import quarter_rings, stacked
 from helpers.tangents import against_differences
+from pydantic import ValidationError
 
 from dolfin_elastic import (
     Contact,
+    Dynamics,
     LinearElastic,
     NeoHookean,
     Problem,
     Statics,
     Support,
     Traction,
+    read_body,
 )
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.terms.bodies import functions
+from dolfin_elastic.problem.terms.contact import nearest_spot
+from dolfin_elastic.solvers.diagnostics.rigid_body import free_bodies
 
 FREE = "free"
 E, NU = 1e6, 0.3
@@ -26,6 +32,7 @@ MESHES: dict[int, dict[str, Any]] = {
     2: {"size": (1.0, 0.6), "lower": (3, 2), "upper": (5, 2)},
     3: {"size": (1.0, 0.8, 0.6), "lower": (3, 2, 2), "upper": (4, 3, 2)},
 }
+LOOSE = ("move and turn freely",)
 BETWEEN = Contact(between=["below", "above"], name="joint")
 
 
@@ -93,3 +100,217 @@ def test_tangent(dim, degree, monkeypatch):
         # Cancellation: 1e-16 of the forces over 1e-7 of the place.
         assert off < 1e-7 * size
         assert assembler.tangent.matrix.isSymmetric(1e-9 * size)
+
+
+def cylinders(path: Any, h: float, order: int) -> None:
+    """Halves of discs of radii 1 (above) and 2 that touch in 0; elements of h and 1.4 h there."""
+    import gmsh
+
+    gmsh.initialize()
+    gmsh.option.setNumber("General.Terminal", 0)
+    occ, field = gmsh.model.occ, gmsh.model.mesh.field
+    for y, radius in ((1.0, 1.0), (-2.0, 2.0)):
+        disc = occ.addDisk(0, y, 0, radius, radius)
+        box = occ.addRectangle(0, min(0, y), 0, radius, abs(y))
+        occ.intersect([(2, disc)], [(2, box)])
+    occ.synchronize()
+    bodies = {occ.getCenterOfMass(2, tag)[1] > 0: tag for _, tag in gmsh.model.getEntities(2)}
+    for k, (size, upper) in enumerate([(h, True), (1.4 * h, False)]):
+        field.add("Ball", 2 * k + 1)
+        sizes = {"VIn": size, "VOut": 0.3, "Radius": 0.13, "Thickness": 0.9}
+        for key, value in sizes.items():
+            field.setNumber(2 * k + 1, key, value)
+        field.add("Restrict", 2 * k + 2)
+        field.setNumber(2 * k + 2, "InField", 2 * k + 1)
+        field.setNumbers(2 * k + 2, "SurfacesList", [bodies[upper]])
+    field.add("Min", 5)
+    field.setNumbers(5, "FieldsList", [2, 4])
+    field.setAsBackgroundMesh(5)
+    for key in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
+        gmsh.option.setNumber(f"Mesh.MeshSize{key}", 0)
+    gmsh.model.mesh.generate(2)
+    gmsh.model.mesh.setOrder(order)
+    names: dict[str, list[int]] = {}
+    for _, tag in gmsh.model.getEntities(1):
+        x, y, _ = occ.getCenterOfMass(1, tag)
+        flat = {"x0": abs(x) < 1e-6, "top": abs(y - 1) < 1e-6, "bottom": abs(y + 2) < 1e-6}
+        skin = "above" if y > 0 else "below"
+        names.setdefault(next((n for n, on in flat.items() if on), skin), []).append(tag)
+    for name, tags in names.items():
+        gmsh.model.addPhysicalGroup(1, tags, name=name)
+    for upper, tag in bodies.items():
+        gmsh.model.addPhysicalGroup(2, [tag], name="upper" if upper else "lower")
+    gmsh.write(str(path))
+    gmsh.finalize()
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize(("degree", "order"), [(1, 1), (2, 1), (2, 2)])
+def test_hertz(degree, order, folder, comm):
+    """Two cylinders in plane strain, five elements in the half-width.
+
+    Source: K. L. Johnson, Contact Mechanics (1985), (4.43) to (4.45).
+    """
+    if comm.rank == 0:
+        cylinders(folder / "two.msh", 0.012, order)
+    comm.barrier()
+    problem = Problem(
+        read_body(folder / "two.msh"),
+        {"upper": LinearElastic(E=E, nu=NU), "lower": LinearElastic(E=3 * E, nu=NU)},
+        degree=degree,
+        supports=[
+            Support(on="x0", displacement=[0, FREE]),
+            Support(on="top", displacement=[FREE, -0.01]),
+            Support(on="bottom", displacement=[FREE, 0]),
+        ],
+        contacts=[BETWEEN],
+    )
+    state = last(problem, steps=1)
+    (pair,) = problem.contact_pairs
+    assert pair.sides == (("above",), ("below",))  # the finer faces
+    P, effective = state.reactions["joint"][1], E / (1 - NU**2) / (1 + 1 / 3)
+    half_width = np.sqrt(4 * 2 * P * (2 / 3) / (np.pi * effective))
+    peak = 2 * 2 * P / (np.pi * half_width)
+    x, p, areas = (
+        np.concatenate(comm.allgather(array))
+        for array in (pair.places()[:, 0], pair.pressures(), pair.functions.areas)
+    )
+    exact = peak * np.sqrt(np.maximum(0, 1 - (x / half_width) ** 2))
+    inner = x < 0.9 * half_width
+    # Found: 1.1 % (linear), 0.2 % and below (quadratic) on the axis; 2.1 and 1.3 % everywhere.
+    assert abs(p.max() / peak - 1) < (0.015 if degree == 1 else 0.01)
+    assert np.sqrt(np.mean((p - exact)[inner] ** 2)) < 0.025 * peak
+    # Vertices that press count with half an element beyond the edge.
+    assert areas[p > 0].sum() - 0.006 == pytest.approx(half_width, rel=0.03)
+    # Action is reaction, to round-off.
+    assert state.reactions["top"][1] + state.reactions["bottom"][1] == pytest.approx(
+        0, abs=1e-9 * P
+    )
+
+
+def test_press_fit():
+    """A ring around another one that is too large for it, in plane strain, against Lamé.
+
+    Source: S. Timoshenko & J. N. Goodier, Theory of Elasticity, 3rd ed. (1970), section 28.
+    """
+    a, b, c, overlap = 1.0, 1.5, 2.5, 1e-3
+    problem = Problem(
+        quarter_rings((a, b, c), (10, 2), (14, 3), 2, overlap=overlap),
+        LinearElastic(E=E, nu=NU),
+        supports=[
+            Support(on="bottom", displacement=[FREE, 0]),
+            Support(on="left", displacement=[0, FREE]),
+        ],
+        contacts=[Contact(between=["outside", "inside"], name="fit", gap_tolerance=1e-6)],
+        degree=2,
+    )
+    assert check_start(problem) == pytest.approx(overlap, rel=0.02)
+    state = last(problem, steps=1)
+    rings = (c**2 + b**2) / (c**2 - b**2) + (b**2 + a**2) / (b**2 - a**2)
+    exact = overlap * E / (1 - NU**2) / b / rings
+    # On the inner ring, from the quarter's force: the faces are off a circle by 2e-6.
+    force = np.abs(state.reactions["fit"])
+    np.testing.assert_allclose(force, exact * b, rtol=0.005)
+
+
+def check_start(problem: Problem) -> float:
+    """The overlap at the start [m]."""
+    gap, place = nearest_spot(problem.contact_pairs[0])
+    assert np.linalg.norm(place) == pytest.approx(1.5, rel=1e-2)
+    return -gap
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_sliding(friction, folder, comm):
+    """A short block slides over three faces of a longer one: T = mu N, and no ripple of N.
+
+    The pressure of a block without sideways strain (nu = 0) is uniform before friction bends it.
+    """
+    problem = Problem(
+        stacked((1.5, 0.6), (10, 2), (7, 2), width=0.7, shift=0.1),
+        NeoHookean(E=E, nu=0.0),
+        degree=2,
+        supports=[
+            Support(on="bottom"),
+            Support(on="top", displacement=["0.45*max(0, t - 0.25)", "-0.002*min(1, 4*t)"]),
+        ],
+        contacts=[Contact(between=["below", "above"], name="joint", friction=friction)],
+    )
+    normal, along, lost = [], [], []
+    for state in Statics(problem, steps=8).steps():
+        if state.load_factor > 0.3:
+            force = np.abs(state.reactions["joint"])
+            normal.append(force[1])
+            along.append(force[0])
+            lost.append(state.numbers.get("friction_dissipation_joint", 0.0))
+        assert not state.audit.reasons
+    assert len(normal) >= 5
+    assert np.ptp(normal) < 0.05 * np.mean(normal)
+    # The normal of the bent surface is not that of the undeformed one.
+    np.testing.assert_allclose(along, friction * np.array(normal), atol=5e-3 * np.mean(normal))
+    slip = 0.45 * 0.75 * friction * np.mean(normal)
+    assert lost[-1] == pytest.approx(slip, rel=0.1)
+
+
+def test_motion():
+    """A block falls on another one and bounces: energy is that of the forces, momentum theirs."""
+    problem = Problem(
+        stacked((1.0, 1.0), (3, 2), (4, 2), gap=0.01, width=0.7, shift=0.1),
+        NeoHookean(E=E, nu=NU, density=1000),
+        contacts=[BETWEEN],
+        degree=1,
+    )
+    settings: dict[str, Any] = {"dt": 5e-4, "spectral_radius": 1.0, "end": 0.03}
+    start = ["0", "-0.5*(y - 0.5)"]
+    states = list(Dynamics(problem, initial_velocity=start, **settings).steps())
+    energies = [state.energies["total"] for state in states]
+    assert max(state.energies["contact"] for state in states) > 0.01 * energies[0]
+    np.testing.assert_allclose(energies, energies[0], rtol=1e-3)
+    momenta = np.array([state.momenta["linear"] for state in states])
+    # Newton's tolerance: 100 kg m/s are exchanged.
+    np.testing.assert_allclose(momenta - momenta[0], 0, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("keys", "where", "words"),
+    [
+        ({"on": "below"}, "on", "has no obstacle"),
+        ({"force": 3}, "force", "has no obstacle"),
+        ({"plane": {"axis": "z", "at": 0}}, "plane", "has no obstacle"),
+        ({"between": ["below"]}, "between", "1 surfaces are given"),
+        ({"between": ["below", "below"]}, "between", "contact with itself"),
+    ],
+)
+def test_mistakes(keys, where, words):
+    with pytest.raises(ValidationError, match=rf"{where}: .*{words}"):
+        Contact.model_validate({"between": ["below", "above"], **keys})
+
+
+def test_explicit_schemes_do_not_know_it():
+    problem = Problem(
+        stacked((1.0, 1.0), (2, 1), (2, 1)),
+        NeoHookean(E=E, nu=NU, density=1000),
+        contacts=[BETWEEN],
+        degree=1,
+    )
+    with pytest.raises(InputError, match="knows no forces"):
+        list(Dynamics(problem, scheme="central-differences", end=1e-3).steps())
+
+
+def test_what_holds_a_body():
+    """A body on another one that has supports: along the normal, and with friction all ways."""
+    for friction, gap, motions in (
+        (0.0, 0.0, ("move along x",)),
+        (0.3, 0.0, ()),
+        (0.3, 0.1, LOOSE),
+    ):
+        problem = Problem(
+            stacked((1.0, 0.6), (3, 2), (5, 2), gap=gap),
+            NeoHookean(E=E, nu=NU),
+            supports=[Support(on="bottom")],
+            contacts=[Contact(between=["below", "above"], name="joint", friction=friction)],
+            degree=1,
+        )
+        lower, upper = free_bodies(problem)
+        assert (lower.motions, upper.motions) == ((), motions)
+        assert problem.contact_pairs[0].distance() == pytest.approx(gap, abs=1e-9)

@@ -19,6 +19,7 @@ import numpy as np
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
+from dolfin_elastic.mesh.body import span
 from dolfin_elastic.mesh.geometry.curved import facet_areas
 from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets, prepare_facets
 from dolfin_elastic.model.contact import Contact
@@ -35,6 +36,9 @@ log = logging.getLogger("dolfin_elastic")
 
 ALIKE = 1.2
 """Ratio of the sizes of the faces of two sides up to which the softer one carries the pressures."""
+
+FIRST, SLOWLY, FARTHEST = 0.01, 4.0, 3.0
+"""Distances over the diagonal of all bodies at which the other side is looked for, step by step."""
 
 
 class BodyContact(VertexContact):
@@ -98,8 +102,19 @@ class BodyContact(VertexContact):
         return self._at_points()[0].ravel()
 
     def spots(self) -> tuple[FloatArray, FloatArray]:
-        """See `ContactPair`. Collective."""
-        return self.every_gap(), self.pieces.X.reshape(-1, self._dim)
+        """See `ContactPair`: as far away as they are. Collective."""
+        gaps, reach = self.every_gap(), FIRST
+        places: FloatArray = self.pieces.X.reshape(-1, self._dim)
+        farthest = float(span(self._context.body))
+        while not total(self.comm, len(gaps)) and reach < FARTHEST:
+            pieces = self.pieces.within(reach * farthest)[2]
+            gaps, places, reach = pieces.gaps, pieces.places, SLOWLY * reach
+        return gaps, places
+
+    def distance(self) -> float:
+        """See `Term`."""
+        gap = nearest_spot(self)[0]
+        return gap if gap > self.reach else 0.0
 
     # --- the tangent ---
 

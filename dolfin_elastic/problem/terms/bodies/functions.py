@@ -116,6 +116,7 @@ class PieceFunctions(VertexFunctions):
         thickness: Of a plane body [m].
 
     Attributes:
+        reach: As given.
         covered: Which of the owned vertices lie opposite something.
         there: What lies opposite the points.
         opposite_hats: Barycentric coordinates there.
@@ -136,7 +137,7 @@ class PieceFunctions(VertexFunctions):
         nodes = self._node_map
         self.node_owners = Owners(pair.comm, nodes.local_range[0], nodes.size_local)
         self._near, self._far = (Side(context, names, S) for names in sides)
-        self._reach, self._thickness = reach, thickness
+        self.reach, self._thickness = reach, thickness
         whole = areas(Facets(self._near.X, self._near.nodes)) / self._dim
         self._vertices = self._near.vertices
         self._whole = self._summed(np.repeat(whole[:, None], self._dim, axis=1)[..., None])[:, 0]
@@ -154,13 +155,17 @@ class PieceFunctions(VertexFunctions):
             return False
         if changes[0] > 0.0:
             self._at = u.copy()
-            near, around = self._near.now(), AROUND * self._reach
-            far = opposite(pair.comm, near, self._far.now(), around)
-            pieces = cut(near, far, around, facing=True)
+            near, far, pieces = self.within(AROUND * self.reach)
             nearest = np.full(len(near.x), np.inf)
             np.minimum.at(nearest, pieces.near, pieces.gaps)
-            self._take(near, far, pieces[nearest[pieces.near] <= self._reach])
+            self._take(near, far, pieces[nearest[pieces.near] <= self.reach])
         return True
+
+    def within(self, reach: float) -> tuple[Facets, Facets, Segments]:
+        """Facets of both sides, and pieces that are no farther from each other. Collective."""
+        near = self._near.now()
+        far = opposite(self._pair.comm, near, self._far.now(), reach)
+        return near, far, cut(near, far, reach, facing=True)
 
     def _take(self, near: Facets, far: Facets, pieces: Segments) -> None:
         s, i, j, k = pieces.near_coordinates, pieces.near, pieces.far, near.nodes.shape[1]
