@@ -35,6 +35,7 @@ from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.mesh import Body, name_parts
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.terms.rigid_meshes import with_obstacles
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.analysis import Solver
@@ -129,6 +130,8 @@ class Case(AnalysisTables):
         with locate_errors(self.file):
             finer = self.mesh.refined(named)
             add_fields(finer, self.model_tables(), self.folder)
+            if self.contact:
+                finer = with_obstacles(finer, self.contact, self.folder)
         with locate_errors(self.file, f"mesh.{self._mesh_key}"):
             check_elements(comm, finer.num_cells, finer.dim, self.degree, made=True)
         return finer

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -43,9 +43,19 @@ def model_record(
         "parts": {name: part for name in sorted(names) if (part := _part(body, name))},
         "loads": [asdict(row) for row in sums],
         "glyphs": [one.plain() for one in glyphs_of(case, body, sums)],
+        "obstacles": dict(_obstacles(case, body)),
         "warnings": list(notes),
         "petsc": dict(petsc),
     }
+
+
+def _obstacles(case: Case, body: Body) -> Iterator[tuple[str, dict[str, object]]]:
+    """What is drawn of surfaces from files, by the key of their contact."""
+    for index, contact in enumerate(case.contact):
+        if contact.mesh is not None and (found := body.obstacles.get(contact.mesh.key)):
+            shown = found.to_draw()
+            points = [[float(f"{x:.6g}") for x in row] for row in shown.points]
+            yield str(index), {"points": points, "triangles": shown.triangles.tolist()}
 
 
 def _volume(body: Body) -> float:

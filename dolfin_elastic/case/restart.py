@@ -105,6 +105,7 @@ class Unfinished:
         if before == json.loads(json.dumps(description.mesh)):
             return
         words = {"cells": "number of elements", "geometry": "positions of elements"}
+        words["obstacles"] = "surfaces of obstacles"
         which = next(
             (key for key in description.mesh if before.get(key) != description.mesh[key]), "cells"
         )
@@ -301,7 +302,14 @@ def portable(case: Case) -> dict[str, Any]:
         tables["mesh"]["file"] = str((case.folder / case.mesh.file).resolve())
     if (file := case.file_of_start) is not None:
         tables["dynamics"]["start"]["file"] = str((case.folder / file).resolve())
+    for mesh in _obstacles(tables):
+        mesh["file"] = str((case.folder / mesh["file"]).resolve())
     return tables
+
+
+def _obstacles(tables: dict[str, Any]) -> list[dict[str, Any]]:
+    """Tables of obstacles from files."""
+    return [row["mesh"] for row in tables.get("contact", []) if "mesh" in row]
 
 
 def written_tables(case: Case) -> dict[str, Any]:
@@ -317,6 +325,8 @@ def written_tables(case: Case) -> dict[str, Any]:
         tables["mesh"]["file"] = Path(case.mesh.file).name
     if (file := case.file_of_start) is not None:
         tables["dynamics"]["start"]["file"] = Path(file).name
+    for mesh in _obstacles(tables):
+        mesh["file"] = Path(mesh["file"]).name
     if case.output.folder is not None and Path(case.output.folder).is_absolute():
         tables["output"]["folder"] = Path(case.output.folder).name
     try:

@@ -15,6 +15,7 @@ from mpi4py import MPI
 from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.help.notebook import Shown
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.shapes.rigid_mesh import Facets
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.core.units import METRE, LengthUnit
 from dolfin_elastic.mesh.faces import CadFaces
@@ -175,6 +176,7 @@ class Body(Shown):
         unit: Unit of length of the file, in which messages give places.
         information: How the mesh was made, and corrections without effect.
         known_surface: What is known of the surface for which the facets of the boundary stand.
+        obstacles: Surfaces of rigid bodies beside it, by `RigidMesh.key`, that have been read.
 
     Names are found whatever the case of their letters, see `PartNames`.
     """
@@ -194,6 +196,7 @@ class Body(Shown):
     unit: LengthUnit = METRE
     information: tuple[str, ...] = ()
     known_surface: KnownSurface | None = None
+    obstacles: Mapping[str, Facets] = field(default_factory=dict)
     _shapes: list[BoundaryShape] = field(
         default_factory=list, init=False, repr=False, compare=False
     )

@@ -10,14 +10,15 @@ in metres; or a force drives it along a direction, and how far it moves is an un
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.shapes.directions import Direction, check_components, unit_vector
+from dolfin_elastic.core.shapes.rigid_mesh import RigidMesh
 from dolfin_elastic.core.shapes.shapes import (
     CylinderObstacle,
     Plane,
@@ -35,6 +36,10 @@ from dolfin_elastic.model.values import OnSurfaces, amplitude_of, at_time, compo
 _OF_OBSTACLES = ("motion", "force", "direction", "curve")
 
 
+def _of_file(value: object) -> object:
+    return {"file": value} if isinstance(value, str) else value
+
+
 class Contact(OnSurfaces):
     """Surfaces of the body that cannot penetrate a rigid obstacle, or one another.
 
@@ -49,6 +54,7 @@ class Contact(OnSurfaces):
         cylinder: A cylinder, or the bore in which the body lies.
         box: A box with sharp edges, or the case in which the body lies.
         cone: A cone, or the funnel in which the body lies.
+        mesh: What the triangles of a file enclose: a table, or the file alone.
         motion: Displacement of the obstacle [m]: numbers, texts with units, or formulas in t.
         force: In place of a motion the force on the obstacle [N], positive along `direction`: a
             number, a text with a unit, or a formula in t.
@@ -70,6 +76,7 @@ class Contact(OnSurfaces):
     cylinder: CylinderObstacle | None = None
     box: BoxObstacle | None = None
     cone: ConeObstacle | None = None
+    mesh: Annotated[RigidMesh | None, BeforeValidator(_of_file)] = None
     motion: list[Any] = Field(default=[])
     force: Any = None
     direction: Direction | None = None

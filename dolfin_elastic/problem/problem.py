@@ -53,6 +53,7 @@ from dolfin_elastic.problem.terms.friction import CoulombFriction
 from dolfin_elastic.problem.terms.loaded_obstacle import make_loaded_obstacles
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
 from dolfin_elastic.problem.terms.pressure_symmetry import follower_pressure_has_potential
+from dolfin_elastic.problem.terms.rigid_meshes import with_surfaces
 from dolfin_elastic.problem.terms.rigid_surfaces import RigidSurface, TurnedSurface
 from dolfin_elastic.problem.weak_form import (
     StepStart,
@@ -178,6 +179,7 @@ class Problem(Shown):
         axisymmetric = self.geometry == "axisymmetric"
         if contacts:
             check_contacts(contacts, body, turned=axisymmetric)
+            contacts = with_surfaces(contacts, body)
         _check_normals(body, self.supports, self.loads, contacts)
         self.cell: Cell | None = None
         if periodic is not None:

@@ -19,6 +19,7 @@ from dolfin_elastic.case.glyphs import glyphs_of
 from dolfin_elastic.case.look.listing import Look, listing
 from dolfin_elastic.core.errors import DrawingError, InputError, MeshError
 from dolfin_elastic.core.parallel import on_root
+from dolfin_elastic.core.shapes.rigid_mesh import RigidMesh
 from dolfin_elastic.mesh import Body, read_body
 from dolfin_elastic.model.loads.forces import Gravity
 from dolfin_elastic.results.scene import series
@@ -124,6 +125,8 @@ def _obstacles(case: Case, body: Body, scene: Scene) -> tuple[Obstacle, ...]:
         named = f"'{contact.name}'" if contact.name else f"with {', '.join(contact.surfaces)}"
         with suppress(InputError):
             shape.check(body.dim, axisymmetric=case.mesh.geometry == "axisymmetric")
+            if isinstance(shape, RigidMesh):
+                shape = shape.with_facets(body.obstacles[shape.key])
             result.append((f"contact[{index}] {named}", shape, np.zeros(3)))
     return obstacles_beside(result, reach, body.dim, _CONTACT)
 

@@ -55,6 +55,8 @@ ARRAYS = Operations(float, np.sqrt, lambda sign, a, b: np.where(np.asarray(sign)
 class Shape(Record):
     """A body with a surface."""
 
+    in_forms: ClassVar[bool] = True
+    """Whether its distance can be written in UFL."""
     anchor: ClassVar[tuple[str, str]] = ("", "")
     """Key of the point that says where it is, if it may be left out, and what is expected there."""
 
@@ -145,6 +147,13 @@ class Shape(Record):
             Shape (..., dim, dim); 0 of planes.
         """
         return np.zeros((*x.shape, x.shape[-1]))
+
+    def followed(self) -> Self:
+        """The same shape for a set of points that moves, whose normals do not jump for ever."""
+        return self
+
+    def forget(self) -> None:
+        """Normals of a shape that is `followed` may jump again, and its points may be others."""
 
     def off(self, x: FloatArray) -> FloatArray:
         """Signed distances of points, shape (..., dim), of a shape in metres."""

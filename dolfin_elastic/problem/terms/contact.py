@@ -150,6 +150,8 @@ class ContactPair(Term):
             self.penalty.x.array[self.penalty.x.array > 0.0] = self.eps[:] = contact.stiffness
         self._first = self.penalty.x.array.copy(), self.eps.copy()
         self.shift: fem.Constant = context.constant([0.0] * body.dim)
+        if contact.between is None:
+            self._at_nodes = contact.obstacle.followed()
         self.slack, self._augments = SLACK * cell_size(body), True
         self._reach = context.constant(self.slack)
 
@@ -171,9 +173,19 @@ class ContactPair(Term):
 
     def gaps(self) -> tuple[FloatArray, FloatArray]:
         """Gaps [m] and obstacle's normals at the owned nodes, (n,) and (n, dim). Not collective."""
+        return self.contact.obstacle.gaps(self._of_nodes())
+
+    def nodal_normals(self) -> FloatArray:
+        """The obstacle's normals at the owned nodes in an iteration, (n, dim). Not collective."""
+        return self._at_nodes.gaps(self._of_nodes())[1]
+
+    def _of_nodes(self) -> FloatArray:
+        return self._moved(self.places(), self.nodes_of_displacement)
+
+    def _moved(self, X: FloatArray, nodes: IndexArray) -> FloatArray:
+        """Places of nodes as the obstacle sees them, (n, dim)."""
         u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
-        x = self.places() + u[self.nodes_of_displacement]
-        return self.contact.obstacle.gaps(x - self.shift.value)
+        return np.asarray(X + u[nodes] - self.shift.value)
 
     def pressures(self) -> FloatArray:
         """Pressure per reference area at the owned nodes of the surface [Pa]. Collective."""

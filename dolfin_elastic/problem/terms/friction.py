@@ -133,7 +133,7 @@ class CoulombFriction(Term):
     def _tractions(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Traction and trial at the owned nodes, (n, dim) [Pa], and mu p, (n,) [Pa]. Collective."""
         pair, eps = self._pair, self._eps / self._share
-        n, gaps = pair.gaps()[1], pair.pressing_gaps()
+        n, gaps = pair.nodal_normals(), pair.pressing_gaps()
         limit = float(self._mu.value) * np.maximum(0.0, pair.lam.x.array[pair.nodes] - eps * gaps)
         trial = self._of(self._tau) - self._eps[:, None] * (self._moved() - self._of(self._stuck))
         trial -= np.sum(trial * n, axis=1)[:, None] * n
@@ -194,7 +194,7 @@ class CoulombFriction(Term):
         """See `Term`: a node that sticks is off the place where it does, beyond the tolerance."""
         if not self._augments:
             return False
-        n = self._pair.gaps()[1]
+        n = self._pair.nodal_normals()
         off = self._moved() - self._of(self._stuck)
         off -= np.sum(off * n, axis=1)[:, None] * n
         slip = np.linalg.norm(off[self.status() == STICK], axis=1)
@@ -207,7 +207,7 @@ class CoulombFriction(Term):
         else all points whose traction is beyond half of its limit would seem to slide.  It goes
         along the obstacle only: tau is of an earlier normal, and gaps have an update of their own.
         """
-        unknowns, n = self._context.unknowns, self._pair.gaps()[1]
+        unknowns, n = self._context.unknowns, self._pair.nodal_normals()
         t, _, limit = self._tractions()
         back = (t - self._of(self._tau)) / self._eps[:, None] * (limit > 0.0)[:, None]
         back -= np.sum(back * n, axis=1)[:, None] * n

@@ -54,6 +54,38 @@ class VertexContact(ContactPair):
         super().__init__(contact, context, index, surfaces)
         self.functions = self._make_functions(thickness)
         self.near: BoolArray = np.zeros(len(self.nodes), dtype=bool)
+        if contact.between is None:
+            self._of_points = contact.obstacle.followed()
+
+    def begin(self, *, moving: bool) -> None:
+        """See `Term`."""
+        super().begin(moving=moving)
+        self._forget()
+
+    def commit(self) -> None:
+        """See `Term`."""
+        super().commit()
+        self._forget()
+
+    def advance(self) -> None:
+        """See `Term`."""
+        self._forget()
+
+    def rollback(self) -> None:
+        """See `Term`."""
+        super().rollback()
+        self._forget()
+
+    def augment(self) -> None:
+        """See `Term`."""
+        super().augment()
+        self._forget()
+
+    def _forget(self) -> None:
+        """What an iteration has learnt of an obstacle's normals does not outlive it."""
+        if self.contact.between is None:
+            self._at_nodes.forget()
+            self._of_points.forget()
 
     def _make_functions(self, thickness: float) -> VertexFunctions:
         return VertexFunctions(self, self._context, thickness)
@@ -67,14 +99,13 @@ class VertexContact(ContactPair):
 
     def _at_points(self) -> tuple[FloatArray, FloatArray]:
         """Gaps and normals there, shapes (facets, points) and (facets, points, dim)."""
-        return self.contact.obstacle.gaps(self.places_of_points())
+        return self._of_points.gaps(self.places_of_points())
 
     def nodal_gaps(self) -> tuple[IndexArray, FloatArray]:
         """See `ContactPair`: those of midside nodes, too."""
         _, _, nodes = self.functions.every
-        u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
         X = self._context.unknowns.V.tabulate_dof_coordinates()[nodes, : self._dim]
-        return nodes, self.contact.obstacle.gaps(X + u[nodes] - self.shift.value)[0]
+        return nodes, self.contact.obstacle.gaps(self._moved(X, nodes))[0]
 
     def pressing_gaps(self) -> FloatArray:
         """See `ContactPair`: mean gaps."""
@@ -154,17 +185,17 @@ class VertexContact(ContactPair):
 
     def curvatures(self) -> FloatArray | None:
         """Second derivatives of the gap at the owned vertices, (n, dim, dim) [1/m]; None: 0."""
-        if self.flat:
-            return None
-        u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
-        x = self.places() + u[self.nodes_of_displacement] - self.shift.value
-        return self.contact.obstacle.curvature(x)
+        return None if self.flat else self._at_nodes.curvature(self._of_nodes())
+
+    def curvatures_of_points(self) -> FloatArray:
+        """Those at the points of the functions, (facets, points, dim, dim) [1/m]."""
+        return self._of_points.curvature(self.places_of_points())
 
     def _turning(self, pressures: FloatArray) -> Blocks:
         """Minus the derivative of the forces by the turn of the normals. Collective."""
         at_points = self.functions.at_points(pressures[:, None])[..., 0]
         some: BoolArray = np.asarray(self.functions.beside(self.near).any(axis=1))
-        curvature = self.contact.obstacle.curvature(self.places_of_points()[some])
+        curvature = self.curvatures_of_points()[some]
         N = self.functions.at(some)
         values = -np.einsum(
             "fq,fqk,fql,fqde->fklde", at_points[some], N, N, curvature, optimize=True
@@ -200,7 +231,7 @@ class _ForceOfVertices:
         (pressures, active), normals = pair.state(), pair.normals()
         along = functions.means((normals @ self._way)[..., None])[:, 0]
         softer = functions.at_points(np.where(active, -pair.eps * along, 0.0)[:, None])
-        turns = pair.contact.obstacle.curvature(pair.places_of_points()) @ self._way
+        turns = pair.curvatures_of_points() @ self._way
         at_points = softer * normals + functions.at_points(pressures[:, None]) * turns
         W, nodes = self._unknowns.W.dofmap, self._unknowns.V.dofmap.index_map
         vector = la.vector(nodes, dim)

@@ -78,7 +78,7 @@ class VertexFriction(CoulombFriction):
         nodes, h = self._functions.rows(pair.near)
         _, G = self._functions.rows(pair.near, pair.normals())
 
-        n, d = pair.gaps()[1], self._dim
+        n, d = pair.nodal_normals(), self._dim
         length = np.linalg.norm(trial, axis=1)
         slides = active & (length > limit / ALL)
         size = np.where(slides, length, 1.0)

@@ -66,7 +66,16 @@ def fingerprint(body: Body) -> dict[str, object]:
         "regions": named,
         "surfaces": {name: body.count(name) for name in sorted(body.surfaces)},
         **_lower_parts(body),
+        **_obstacles(body),
     }
+
+
+def _obstacles(body: Body) -> dict[str, object]:
+    """Checksums of the corners of obstacles' triangles, if there are any, in any order of these."""
+    corners = [facets.points[facets.triangles] for facets in body.obstacles.values()]
+    rows = [one.reshape(len(one), 9) for one in corners]
+    sums = sorted(_text(checksum(one, np.arange(len(one)))) for one in rows)
+    return {"obstacles": sums} if sums else {}
 
 
 def _lower_parts(body: Body) -> dict[str, object]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError, nearest
+from dolfin_elastic.core.shapes.rigid_mesh import Facets, RigidMesh
 from dolfin_elastic.core.shapes.shapes import Shape
 from dolfin_elastic.core.si_text import time_or_load
 from dolfin_elastic.core.types import FloatArray
@@ -261,7 +262,12 @@ def obstacles_of(run: FinishedRun, t: float) -> list[tuple[str, Shape, FloatArra
         t: Time [s], or load parameter.
     """
     default = CONSTANT if run.moving else PROPORTIONAL
-    contacts = [Contact(**row).in_metres(run.metres) for row in run.case.get("contact", [])]
+    contacts = {
+        str(i): Contact(**row).in_metres(run.metres)
+        for i, row in enumerate(run.case.get("contact", []))
+        if not {"between", "self", "all"} & row.keys()
+    }
+    drawn = run.model.get("obstacles") or {}
 
     def shift(one: Contact) -> FloatArray:
         moved = run.history.get(f"obstacle_displacement_{one.label}")
@@ -269,4 +275,12 @@ def obstacles_of(run: FinishedRun, t: float) -> list[tuple[str, Shape, FloatArra
             return np.array(one.displacement_at(t, default, run.dim))
         return np.asarray(np.interp(t, run.history["t"], moved) * one.way(run.dim))
 
-    return [(one.label, one.obstacle, shift(one)) for one in contacts if one.between is None]
+    result = []
+    for key, one in contacts.items():
+        shape = one.obstacle
+        if isinstance(shape, RigidMesh):
+            if key not in drawn:
+                continue
+            shape = shape.with_facets(Facets.read(drawn[key]))
+        result.append((one.label, shape, shift(one)))
+    return result

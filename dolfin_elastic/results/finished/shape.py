@@ -84,6 +84,7 @@ SUMMARY: dict[str, object] = {
         "parts": {"*": {"area": float}},
         "loads": [{"load": str, "time": float, "force": [int], "moment": [int]}],
         "glyphs": [_GLYPHS],
+        "obstacles": {"*": {"points": [[int]], "triangles": [[int]]}},
         "warnings": [str],
         "petsc": {},
     },

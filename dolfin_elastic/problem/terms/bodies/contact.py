@@ -92,9 +92,13 @@ class BodyContact(VertexContact):
         along = np.divide(mean, length, out=np.eye(1, self._dim) + 0 * mean, where=length > 0)
         return self._mean(gaps), along
 
+    def nodal_normals(self) -> FloatArray:
+        """See `ContactPair`. Collective."""
+        return self.gaps()[1]
+
     def nodal_gaps(self) -> tuple[IndexArray, FloatArray]:
         """See `ContactPair`: mean ones; not a number where nothing is opposite. Collective."""
-        nodes, gaps = self._pieces.at_nodes(self.pressing_gaps()[:, None])
+        nodes, gaps = self.pieces.at_nodes(self.pressing_gaps()[:, None])
         return nodes, np.where(gaps[:, 0] < FAR / 4, gaps[:, 0], np.nan)
 
     def every_gap(self) -> FloatArray:
@@ -240,6 +244,6 @@ def make_contacts(
 def _made(contact: Contact, context: FormContext, index: int, thickness: float) -> ContactPair:
     if contact.between is not None:
         return BodyContact(contact, context, index, thickness)
-    if context.unknowns.degree > 1:
+    if context.unknowns.degree > 1 or not contact.obstacle.in_forms:
         return VertexContact(contact, context, index, thickness)
     return NodalContact(contact, context, index)

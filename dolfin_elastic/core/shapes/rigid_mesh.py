@@ -1,0 +1,182 @@
+"""`RigidMesh`: an obstacle whose surface is the triangles of a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import ClassVar, NamedTuple, Self
+
+import numpy as np
+from pydantic import Field, PrivateAttr, field_validator
+
+from dolfin_elastic.core.errors import InputError, nearest_first
+from dolfin_elastic.core.shapes.box import Box
+from dolfin_elastic.core.shapes.shapes import Distance, Operations, Shape
+from dolfin_elastic.core.shapes.surface import Followed, Near, Surface
+from dolfin_elastic.core.shapes.triangles import Triangles
+from dolfin_elastic.core.types import FloatArray, IntArray, Scalar
+from dolfin_elastic.core.units import MESH_UNITS, MeshLength, Size
+
+_DRAWN = 5000
+"""Triangles that are drawn at most."""
+
+_FINEST = 70.0
+"""Boxes along the surface in each of which all corners are one, where it has more triangles."""
+
+
+class Facets(NamedTuple):
+    """The surface of a rigid body.
+
+    Attributes:
+        points: Corners [m], shape (n, 3).
+        triangles: Rows of these, counter-clockwise seen from outside, shape (m, 3).
+    """
+
+    points: FloatArray
+    triangles: IntArray
+
+    @staticmethod
+    def read(data: Mapping[str, Sequence[Sequence[float]]]) -> Facets:
+        """Those of JSON data, which have the same names.
+
+        Raises:
+            InputError: There are no such corners.
+        """
+        points = np.array(data["points"], dtype=np.float64).reshape(-1, 3)
+        triangles = np.array(data["triangles"], dtype=np.int64).reshape(-1, 3)
+        if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(points):
+            raise InputError("a triangle of an obstacle has corners that do not exist")
+        return Facets(points, triangles)
+
+    def to_draw(self) -> Facets:
+        """Itself, or with corners that are joined where there are more triangles than one sees."""
+        low, extent = self.points.min(axis=0), float(np.ptp(self.points, axis=0).max())
+        result, cells = self, _FINEST
+        while len(result.triangles) > _DRAWN:
+            boxes = np.floor((self.points - low) * (cells / extent)).astype(np.int64)
+            first, rows = np.unique(boxes, axis=0, return_index=True, return_inverse=True)[1:]
+            corners = rows.reshape(-1)[self.triangles]
+            whole = (corners != np.roll(corners, 1, axis=1)).all(axis=1)
+            result, cells = Facets(self.points[first], corners[whole]), 0.7 * cells
+        return result
+
+
+class RigidMesh(Shape):
+    """What the triangles of a file enclose, or what lies behind them.
+
+    Attributes:
+        file: Path relative to the case file: .stl, .obj, .ply or another mesh; .step, .iges, .brep.
+        unit: Unit of length of the file; by default the one that it states, else that of the mesh.
+        size: Size of the facets of a CAD file, in its unit; by default a tenth of its diagonal.
+        offset: Thickness that is added to the surface, of which edges become round.
+        inside: The body is inside: the obstacle is all that lies outside of the triangles.
+    """
+
+    in_forms: ClassVar[bool] = False
+    lengths: ClassVar[tuple[str, ...]] = ("offset",)
+    file: str = Field(min_length=1)
+    unit: str | None = None
+    size: Size | None = None
+    offset: MeshLength = Field(default=0.0, ge=0)
+    inside: bool = False
+    _facets: Facets | None = PrivateAttr(default=None)
+    _surface: Surface | Followed | None = PrivateAttr(default=None)
+
+    @field_validator("unit")
+    @classmethod
+    def _is_length(cls, unit: str | None) -> str | None:
+        if unit is not None and unit not in MESH_UNITS:
+            raise InputError(
+                f"'{unit}' is no unit of length of a mesh",
+                expected=nearest_first(unit, MESH_UNITS),
+            )
+        return unit
+
+    @property
+    def key(self) -> str:
+        """What its facets depend on."""
+        return f"{self.file} in {self.unit or 'its unit'}, size {self.size}"
+
+    def with_facets(self, facets: Facets, surface: Surface | None = None) -> Self:
+        """The same obstacle, the file of which has been read.
+
+        Args:
+            surface: Of these facets; without it the obstacle can only be drawn.
+        """
+        result = self.model_copy()
+        result._facets, result._surface = facets, surface
+        return result
+
+    @property
+    def surface(self) -> Surface:
+        """The surface, without the offset."""
+        assert isinstance(self._surface, Surface)
+        return self._surface
+
+    def followed(self) -> Self:
+        """See `Shape.followed`."""
+        result = self.model_copy()
+        result._surface = Followed(self.surface)
+        return result
+
+    def forget(self) -> None:
+        """See `Shape.followed`."""
+        if isinstance(self._surface, Followed):
+            self._surface.forget()
+
+    @property
+    def thickness(self) -> float:
+        """See `Shape.thickness`."""
+        return np.inf if self.hollow else self.surface.thickness / 2 + self._offset
+
+    @property
+    def _offset(self) -> float:
+        assert isinstance(self.offset, float)
+        return -self.offset if self.hollow else self.offset
+
+    def check(self, dim: int, *, axisymmetric: bool) -> None:
+        """See `Shape.check`."""
+        if dim == 2:
+            raise InputError(
+                "a plane body meets no mesh of triangles",
+                expected="plane, sphere or cylinder; or a three-dimensional body",
+            )
+
+    def distance(self, x: Sequence[Scalar], use: Operations) -> Distance:
+        """See `Shape.distance`: of arrays only."""
+        points = np.stack([np.asarray(item, dtype=np.float64) for item in x], axis=-1)
+        near = self._near(points) if self._surface else self._from_corners(points.reshape(-1, 3))
+        shape = points.shape[:-1]
+        return (near.distance - self._offset).reshape(shape), [
+            item.reshape(shape) for item in near.normal.T
+        ]
+
+    def _from_corners(self, points: FloatArray) -> Near:
+        """Where the obstacle is only drawn."""
+        from scipy.spatial import cKDTree
+
+        corners = self._shown.points
+        distance, row = cKDTree(corners).query(points)
+        arms, none = points - corners[row], np.zeros(len(points))
+        return Near(distance, arms, np.zeros_like(arms), none, corners[row], row)
+
+    @cached_property
+    def _shown(self) -> Facets:
+        assert self._facets is not None
+        return self._facets.to_draw()
+
+    def _near(self, points: FloatArray) -> Near:
+        assert self._surface is not None
+        return self._surface.near(np.ascontiguousarray(points.reshape(-1, 3)))
+
+    def curvature(self, x: FloatArray) -> FloatArray:
+        """See `Shape.curvature`: 0 on faces, (1 - n n - t t)/d along edges of the direction t."""
+        near = self._near(x)
+        n, t = (a[:, :, None] * a[:, None] for a in (near.normal, near.edge))
+        d = np.where(near.bend > 0, near.distance, 1.0)
+        result = (near.bend / d)[:, None, None] * (np.eye(3) - n - t)
+        return np.asarray((-result if self.hollow else result).reshape(*x.shape, 3))
+
+    def triangles(self, near: Box, dim: int) -> Triangles:
+        """See `Shape.triangles`: those of the file."""
+        return self._shown

@@ -1,0 +1,180 @@
+"""`Surface`: signed distances from the surface of a rigid body that is made of triangles.
+
+The distance is that from the nearest point of all triangles; it is positive on the side to which
+the normal there points.  At edges and corners that is the sum of the normals of the triangles that
+meet, weighted by their angles: the side is right then, which no other weights give.
+
+Source: J. A. Baerentzen & H. Aanaes, IEEE Transactions on Visualization and Computer Graphics 11
+(2005) 243.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from dolfin_elastic.core.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from dolfin_elastic.core.native.functions import CFunctions
+
+LEAF = 4
+"""Triangles in each leaf of the tree of boxes."""
+
+CODE = "triangles.c"
+"""What `Surface` needs of `core.native`, with the macro `LEAF`."""
+
+_ROUND_OFF = 1e-13
+"""Distance over the size of the surface at which the direction from the nearest point is lost."""
+
+_TURNS = 4
+"""Changes of the nearest feature after which `Followed` stays with one."""
+
+
+class Near(NamedTuple):
+    """What is known at n points.
+
+    Attributes:
+        distance: Signed [m], shape (n,).
+        normal: Its gradient, shape (n, 3).
+        edge: Unit vector along the edge on which the nearest point is, shape (n, 3); else 0.
+        bend: 1 where the nearest point is on an edge or a corner, 0 on faces, shape (n,).
+        foot: The nearest point [m], shape (n, 3).
+        feature: A number of the face, edge or corner on which that is, shape (n,).
+    """
+
+    distance: FloatArray
+    normal: FloatArray
+    edge: FloatArray
+    bend: FloatArray
+    foot: FloatArray
+    feature: IntArray
+
+
+class Surface:
+    """Triangles whose corners are counter-clockwise seen from outside.
+
+    Args:
+        points: Corners [m], shape (n, 3).
+        triangles: Rows of `points`, at least one, none without area, shape (m, 3).
+        loops: The compiled `CODE`.
+    """
+
+    def __init__(self, points: FloatArray, triangles: IntArray, loops: CFunctions) -> None:
+        self._corners = np.ascontiguousarray(points[triangles])
+        self._triangles, self._loops = triangles, loops
+        self._size = float(np.linalg.norm(np.ptp(points, axis=0)))
+        self._edges = np.roll(self._corners, -1, axis=1) - self._corners
+        self._edges /= np.linalg.norm(self._edges, axis=2)[:, :, None]
+        self._normals = self._pseudonormals()
+        order, boxes = _tree(self._corners)
+        self._tree = len(triangles), self._corners, len(order) // LEAF, boxes, order
+
+    def _pseudonormals(self) -> FloatArray:
+        """Unit normals of all features, see triangles.c, shape (m, 7, 3)."""
+        e, triangles = self._edges, self._triangles
+        face = np.cross(e[:, 0], e[:, 1])
+        face /= np.linalg.norm(face, axis=1)[:, None]
+        angle = np.arccos(np.clip(-np.einsum("mki,mki->mk", e, np.roll(e, 1, axis=1)), -1, 1))
+        at_points = np.zeros((int(triangles.max()) + 1, 3))
+        np.add.at(at_points, triangles, angle[:, :, None] * face[:, None])
+        ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
+        keys = ends[:, :, 0] * len(at_points) + ends[:, :, 1]
+        edge = np.unique(keys, return_inverse=True)[1].reshape(-1, 3)
+        at_edges = np.zeros((int(edge.max()) + 1, 3))
+        np.add.at(at_edges, edge, np.broadcast_to(face[:, None], e.shape))
+        result = np.concatenate([face[:, None], at_edges[edge], at_points[triangles]], axis=1)
+        length = np.linalg.norm(result, axis=2)[:, :, None]
+        return np.where(length > 0, result / np.where(length > 0, length, 1.0), face[:, None])
+
+    @cached_property
+    def thickness(self) -> float:
+        """The smallest distance from the middle of a triangle straight through to the back [m]."""
+        lengths = np.empty(len(self._corners))
+        middles, inwards = self._corners.mean(axis=1), np.ascontiguousarray(-self._normals[:, 0])
+        self._loops.call("find_backs", len(lengths), middles, inwards, *self._tree, lengths)
+        return float(lengths.min())
+
+    @property
+    def longest_edge(self) -> float:
+        """Of all triangles [m]."""
+        sides = np.roll(self._corners, -1, axis=1) - self._corners
+        return float(np.linalg.norm(sides, axis=2).max())
+
+    def near(self, x: FloatArray) -> Near:
+        """Distances and more at points, shape (n, 3). Not collective."""
+        n = len(x)
+        triangle, feature, foot = np.zeros(n, np.int64), np.empty(n, np.int64), np.empty((n, 3))
+        self._loops.call("find_nearest", n, x, *self._tree, triangle, feature, foot)
+        arm, normal = x - foot, self._normals[triangle, feature]
+        length = np.linalg.norm(arm, axis=1)
+        side = np.where(np.einsum("ni,ni->n", arm, normal) < 0, -1.0, 1.0)
+        bend = (feature > 0) & (length > _ROUND_OFF * self._size)
+        normal[bend] = (side[:, None] * arm)[bend] / length[bend, None]
+        on_edge = bend & (feature <= 3)
+        edge = np.zeros((n, 3))
+        edge[on_edge] = self._edges[triangle[on_edge], feature[on_edge] - 1]
+        return Near(side * length, normal, edge, bend.astype(float), foot, 7 * triangle + feature)
+
+
+class Followed:
+    """Distances of points that move, each of which may change to another feature a few times only.
+
+    Where the nearest points of two features are alike the normal jumps, and an equilibrium may lie
+    just there, which Newton's method would pass for ever.  A point that has changed often stays
+    with the plane through its nearest point, across the normal there, until all is forgotten: which
+    plane it is makes no difference to the distance where the nearest points are alike.
+    """
+
+    def __init__(self, surface: Surface) -> None:
+        self._surface = surface
+        self.forget()
+
+    def forget(self) -> None:
+        """All points may change again."""
+        self._x: FloatArray | None = None
+        self._turns: IntArray | None = None
+
+    def near(self, x: FloatArray) -> Near:
+        """See `Surface.near`; the same points at each call, or others after `forget`."""
+        if self._x is None or self._turns is None:
+            self._last, self._turns = self._surface.near(x), np.zeros(len(x), dtype=np.int64)
+        elif not np.array_equal(x, self._x):
+            last, new = self._last, self._surface.near(x)
+            self._turns += new.feature != last.feature
+            stays = self._turns > _TURNS
+            flat = np.einsum("ni,ni->n", x - last.foot, last.normal)
+            one, row = stays[:, None], np.zeros(3)
+            self._last = Near(
+                np.where(stays, flat, new.distance),
+                np.where(one, last.normal, new.normal),
+                np.where(one, row, new.edge),
+                np.where(stays, 0.0, new.bend),
+                np.where(one, last.foot, new.foot),
+                np.where(stays, last.feature, new.feature),
+            )
+        self._x = x.copy()
+        return self._last
+
+
+def _tree(corners: FloatArray) -> tuple[IntArray, FloatArray]:
+    """The order of triangles in the leaves, and the boxes of all nodes, see triangles.c."""
+    m = len(corners)
+    depth = max(0, int(np.ceil(np.log2(m / LEAF))))
+    order = np.minimum(np.arange(LEAF << depth), m - 1)  # the last one is repeated
+    middles = corners.mean(axis=1)
+    for level in range(depth):
+        parts = order.reshape(1 << level, -1)
+        x = middles[parts]
+        along = np.argmax(np.ptp(x, axis=1), axis=1)
+        x = np.take_along_axis(x, along[:, None, None], axis=2)[:, :, 0]
+        order = np.take_along_axis(parts, np.argsort(x, axis=1, kind="stable"), axis=1).ravel()
+    boxes = np.empty((2 * (1 << depth) - 1, 6))
+    low, high = corners.min(axis=1)[order], corners.max(axis=1)[order]
+    for level in range(depth, -1, -1):
+        n = 1 << level
+        low, high = low.reshape(n, -1, 3).min(axis=1), high.reshape(n, -1, 3).max(axis=1)
+        boxes[n - 1 : 2 * n - 1] = np.hstack([low, high])
+    return order, boxes
