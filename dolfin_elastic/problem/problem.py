@@ -251,6 +251,9 @@ class Problem(Shown):
         self.frictions: tuple[CoulombFriction, ...] = ()
         if contacts:
             self.contact_pairs = make_contacts(contacts, self.context, self.thickness)
+            for pair in self.contact_pairs:
+                if not pair.contact.obstacle.in_forms:  # of any shape, and as thin as a blade
+                    pair.follows = self.constraints
             self.terms += self.contact_pairs
             self.terms += make_loaded_obstacles(self.contact_pairs, self.context)
             self.frictions = tuple(make_frictions(self.contact_pairs, self.context))

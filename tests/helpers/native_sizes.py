@@ -31,4 +31,5 @@ SIZES = {
     "symmetric.c": [{"DIM": 2}, {"DIM": 3}],
     "tangent.c": list(tangents()),
     "thickness.c": [{"DIM": 2}, {"DIM": 3}],
+    "triangles.c": [{"LEAF": 4}],
 }

@@ -222,6 +222,17 @@ def of_thickness(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
     yield "at_cells", values
 
 
+def of_triangles(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
+    """Boxes that all points and rays meet, so that each leaf is looked at."""
+    leaves, count = 2, 5
+    triangles = sizes["LEAF"] * leaves - 1
+    values = {"count": count, "triangles": triangles, "leaves": leaves}
+    values |= {"boxes": np.tile([-1.0, -1.0, -1.0, 3.0, 3.0, 3.0], 2 * leaves - 1)}
+    values |= {"order": np.minimum(np.arange(triangles + 1), triangles - 1)}
+    for name in ("find_nearest", "find_backs"):
+        yield name, values
+
+
 CALLS = {
     "cells.c": of_cells,
     "extremes.c": of_extremes,
@@ -230,6 +241,7 @@ CALLS = {
     "symmetric.c": of_symmetric,
     "tangent.c": of_tangents,
     "thickness.c": of_thickness,
+    "triangles.c": of_triangles,
 }
 OF_SEVERAL = ("cells.c", "tangent.c")
 """Files that include cells.h."""
@@ -308,6 +320,8 @@ FAULTS = [
     ("tangent.c", "fixed[nodes[a] + i]", "fixed[nodes[a] + i + 1]", "buffer-overflow"),
     ("thickness.c", "volumes[c] = fabs(det)", "volumes[c + 1] = fabs(det)", "buffer-overflow"),
     ("thickness.c", "inverse[n]", "inverse[n + 1]", "buffer-overflow"),
+    ("triangles.c", "corners, order[k], p", "corners, order[k + 1], p", "buffer-overflow"),
+    ("triangles.c", "lengths[i] = t", "lengths[i + 1] = t", "buffer-overflow"),
 ]
 """One entry beyond, read and written, and one undefined result."""
 

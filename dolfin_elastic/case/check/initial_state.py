@@ -13,6 +13,7 @@ from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest, smallest
 from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.shapes.surface import FEATURES
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body, span
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
@@ -30,6 +31,9 @@ TIMES = 41
 """Times of a motion, or of statics, at which supports and loads are evaluated."""
 _NEAR = 0.5
 """Gap over the body's diagonal up to which an obstacle in another unit would fit."""
+_COARSE = 2.0
+"""Length of an obstacle's facets over the height of the elements beside it."""
+
 _BESIDE = 0.01
 """Numbers of an obstacle over the body's diagonal that may have been meant in metres."""
 _SMALL_UNIT = 0.5
@@ -199,6 +203,8 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
                 f"contact '{pair.label}': its coefficient of friction is {mu:g}: is it in percent? "
                 f"Then it would be {mu / 100:g}"
             )
+        if text := _coarse_facets(pair, unit):
+            yield f"contact '{pair.label}': {text}"
         if text := _in_another_unit(unit, case.contact[i], pair, diagonal):
             yield f"contact '{pair.label}': {text}"
         if (found := _held_along_its_way(case, problem, pair)) is not None:
@@ -296,6 +302,22 @@ def _gaps_over_time(case: Case, pair: ContactPair) -> list[float]:
         gaps = pair.contact.obstacle.gaps(x - shift)[0]
         result.append(float(np.min(gaps, initial=np.inf)))
     return [smallest(pair.comm, gap) for gap in result]
+
+
+def _coarse_facets(pair: ContactPair, unit: LengthUnit) -> str:
+    """That an obstacle's facets are coarse for the elements that touch it. Collective."""
+    mesh = pair.contact.mesh
+    if mesh is None:
+        return ""
+    surface = mesh.surface
+    beside = surface.near(pair.places() - pair.shift.value).feature // FEATURES
+    size = largest(pair.comm, surface.coarseness(np.unique(beside)))
+    if size <= _COARSE * pair.size:
+        return ""
+    return (
+        f"facets of {mesh.file} are up to {unit.length(size)} long where it is curved, elements "
+        f"{unit.length(pair.size)} high: the body follows each facet; a finer file is smoother"
+    )
 
 
 def _in_another_unit(unit: LengthUnit, written: Contact, pair: ContactPair, diagonal: float) -> str:

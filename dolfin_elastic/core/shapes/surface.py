@@ -23,11 +23,17 @@ if TYPE_CHECKING:
 LEAF = 4
 """Triangles in each leaf of the tree of boxes."""
 
+FEATURES = 7
+"""Of each triangle: its face, edges and corners."""
+
 CODE = "triangles.c"
 """What `Surface` needs of `core.native`, with the macro `LEAF`."""
 
 _ROUND_OFF = 1e-13
 """Distance over the size of the surface at which the direction from the nearest point is lost."""
+
+_STRAIGHT = 1e-9
+"""What the cosine of an angle is off 1 where the angle counts as none: 5e-5."""
 
 _TURNS = 4
 """Changes of the nearest feature after which `Followed` stays with one."""
@@ -97,11 +103,16 @@ class Surface:
         self._loops.call("find_backs", len(lengths), middles, inwards, *self._tree, lengths)
         return float(lengths.min())
 
-    @property
-    def longest_edge(self) -> float:
-        """Of all triangles [m]."""
+    def coarseness(self, triangles: IntArray) -> float:
+        """The longest edge of those of some triangles between which the surface is curved [m].
+
+        0 where there are none: edges of more than half a right angle are edges of the body.
+        """
+        cosine = np.einsum("mi,mki->mk", self._normals[:, 0], self._normals[:, 1:4])
+        curved = ((cosine < 1 - _STRAIGHT) & (cosine > np.cos(np.pi / 8))).any(axis=1)
         sides = np.roll(self._corners, -1, axis=1) - self._corners
-        return float(np.linalg.norm(sides, axis=2).max())
+        some = triangles[curved[triangles]]
+        return float(np.max(np.linalg.norm(sides[some], axis=2), initial=0.0))
 
     def near(self, x: FloatArray) -> Near:
         """Distances and more at points, shape (n, 3). Not collective."""
@@ -113,10 +124,14 @@ class Surface:
         side = np.where(np.einsum("ni,ni->n", arm, normal) < 0, -1.0, 1.0)
         bend = (feature > 0) & (length > _ROUND_OFF * self._size)
         normal[bend] = (side[:, None] * arm)[bend] / length[bend, None]
+        # Straight above an edge, which may be one within a plane, it is as above the face.
+        bend &= np.einsum("ni,ni->n", normal, self._normals[triangle, 0]) < 1 - _STRAIGHT
         on_edge = bend & (feature <= 3)
         edge = np.zeros((n, 3))
         edge[on_edge] = self._edges[triangle[on_edge], feature[on_edge] - 1]
-        return Near(side * length, normal, edge, bend.astype(float), foot, 7 * triangle + feature)
+        return Near(
+            side * length, normal, edge, bend.astype(float), foot, FEATURES * triangle + feature
+        )
 
 
 class Followed:

@@ -118,6 +118,7 @@ class ContactPair(Term):
         slack: Gap that counts as none [m], see `SLACK`.
         nodes: Owned vertices of the surface in the space of `lam`.
         nodes_of_displacement: The same vertices in the displacement's space.
+        follows: Supports that must not move the body through the obstacle in one step.
     """
 
     linear, restrains, opens, account = False, True, True, "contact"
@@ -139,6 +140,7 @@ class ContactPair(Term):
         every = self.lam.function_space.tabulate_dof_coordinates()
         self._places: FloatArray = np.asarray(every[self.nodes, : body.dim])
         self.memory, self._index = {f"contact_{index}": self.lam}, index
+        self.follows: Constraints | None = None
         self.at_rest = not contact.values and contact.push is None
         heights = _heights(body, facets)
         self.penalty = _penalty(context, *heights)
@@ -321,17 +323,31 @@ class ContactPair(Term):
             self.shift.value[:] = self.contact.displacement_at(t, default, self._dim)
 
     def within_stride(self, t: float, goal: float, acting: Acting) -> float:
-        """See `Term`: the obstacle moves no farther than it is thick."""
-        if self.at_rest or not np.isfinite(stride := STRIDE * self.contact.obstacle.thickness):
+        """See `Term`: the obstacle moves no farther than it is thick; supports count by `follows`.
+
+        Collective.
+        """
+        if self.at_rest and self.follows is None:
+            return goal
+        if not np.isfinite(stride := STRIDE * self.contact.obstacle.thickness):
             return goal
 
-        start = np.array(self.contact.displacement_at(*acting(t), self._dim))
         for _ in range(HALVINGS):
-            end = np.array(self.contact.displacement_at(*acting(goal), self._dim))
-            if np.linalg.norm(end - start) <= stride:
+            if self._travel(acting(t), acting(goal)) <= stride:
                 break
             goal = t + (goal - t) / 2
         return goal
+
+    def _travel(self, start: tuple[float, Amplitude], end: tuple[float, Amplitude]) -> float:
+        """How far the obstacle moves, and supports do [m]. Collective."""
+        before, after = (
+            np.array(self.contact.displacement_at(*at, self._dim)) for at in (start, end)
+        )
+        result = float(np.linalg.norm(after - before))
+        if self.follows is not None:
+            (one,), (two,) = (self.follows.values_at([t], default) for t, default in (start, end))
+            result += largest(self.comm, float(np.max(np.abs(two - one), initial=0.0)))
+        return result
 
     # --- results ---
 

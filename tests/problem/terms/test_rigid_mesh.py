@@ -1,0 +1,292 @@
+"""Obstacles of triangles: distances, and the same contact as with shapes that have a formula."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+import pytest
+from helpers.tangents import against_differences
+
+from dolfin_elastic import (
+    Case,
+    Contact,
+    Dynamics,
+    NeoHookean,
+    Problem,
+    Statics,
+    Support,
+    box_body,
+)
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.jit import compile_c, options
+from dolfin_elastic.core.shapes.surface import CODE, LEAF, Surface
+
+E, NU = 1e6, 0.3
+BLOCK = {"size": (1, 1, 1), "cells": (2, 2, 2)}
+
+
+def written(path: Path, points: Any, triangles: Any, comm: Any) -> str:
+    """A file of triangles, which rank 0 writes."""
+    if comm.rank == 0:
+        meshio.write_points_cells(
+            path, np.array(points, float), [("triangle", np.array(triangles))]
+        )
+    comm.barrier()
+    return str(path)
+
+
+def sheet(n: int, height: Any = lambda x, y: 0 * x, half: float = 2.0) -> tuple[Any, Any]:
+    """The surface z = height(x, y) over a square, its normals up."""
+    line = np.linspace(-half, half, n + 1)
+    x, y = (one.ravel() for one in np.meshgrid(line, line, indexing="ij"))
+    i, j = (one.ravel() for one in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
+    a = i * (n + 1) + j
+    b, c, d = a + n + 1, a + n + 2, a + 1
+    return np.c_[x, y, height(x, y)], np.vstack([np.c_[a, b, c], np.c_[a, c, d]])
+
+
+def brick(low: Any, high: Any) -> tuple[Any, Any]:
+    """The surface of a box, its normals outwards."""
+    points = [
+        [x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])
+    ]
+    sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    return points, [t for a, b, c, d in sides for t in ([a, b, c], [a, c, d])]
+
+
+def pressed(degree: int, contact: dict[str, Any], **support: Any) -> Problem:
+    """A block, the top of which moves down and sideways."""
+    motion = support.pop("displacement", ["0.1*t", 0, "-0.1*t"])
+    return Problem(
+        box_body(**BLOCK),
+        NeoHookean(E=E, nu=NU),
+        degree=degree,
+        supports=[Support(on="top", displacement=motion)],
+        contacts=[Contact.model_validate({"on": "bottom", "name": "floor", **contact})],
+    )
+
+
+def last(problem: Problem, **settings: Any) -> Any:
+    *_, state = Statics(problem, **settings).steps()
+    return state
+
+
+# --- distances ---
+
+
+def nearest_of_all(corners: Any, x: Any) -> tuple[float, Any]:
+    """Distance from the nearest of triangles, and its place: of faces, then edges, then corners."""
+    found = []
+    for a, b, c in corners:
+        n = np.cross(b - a, c - a)
+        weights = np.linalg.solve(np.c_[b - a, c - a, n], x - a)
+        if weights[0] >= 0 and weights[1] >= 0 and weights[0] + weights[1] <= 1:
+            found.append(x - weights[2] * n)
+        for p, q in ((a, b), (b, c), (c, a)):
+            share = np.clip((x - p) @ (q - p) / ((q - p) @ (q - p)), 0, 1)
+            found.append(p + share * (q - p))
+    distances = [np.linalg.norm(x - place) for place in found]
+    return min(distances), found[int(np.argmin(distances))]
+
+
+def inside(corners: Any, x: Any) -> bool:
+    """By the solid angle: independent of any normal at the nearest point."""
+    a, b, c = np.moveaxis(corners - x, 1, 0)
+    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+    dot = lambda p, q: np.einsum("ni,ni->n", p, q)  # noqa: E731
+    below = la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb
+    return abs(np.sum(2 * np.arctan2(dot(a, np.cross(b, c)), below))) > 2 * np.pi
+
+
+def test_distances_and_normals(comm):
+    """Against all triangles, of a body with concave edges and corners, inside and out."""
+    points, triangles = brick((0, 0, 0), (1, 1, 1))
+    points, triangles = np.array(points, float), np.array(triangles)
+    rng = np.random.default_rng(2)
+    points += rng.uniform(-0.1, 0.1, points.shape)
+    points = np.vstack([points, points[[1, 3, 7, 5]].mean(axis=0) - [0, 0, 0.7]])  # a dent
+    top = [[1, 5, 8], [5, 7, 8], [7, 3, 8], [3, 1, 8]]
+    triangles = np.vstack([triangles[:10], top])
+    surface = Surface(points, triangles, compile_c(comm, CODE, {"LEAF": LEAF}, options(comm)))
+    x = np.vstack(
+        [rng.uniform(-0.5, 1.5, (200, 3)), points[[0, 5, 8]] + [[0, 0, 0], [1, -1, 1], [0, 0, 0.2]]]
+    )
+    near, corners = surface.near(x), points[triangles]
+    kinds = near.feature % 7
+    assert {0, 1, 4} <= set(np.where(kinds == 0, 0, np.where(kinds < 4, 1, 4)).tolist())
+    for place, distance, normal in zip(x, near.distance, near.normal, strict=True):
+        exact, foot = nearest_of_all(corners, place)
+        side = -1 if inside(corners, place) else 1
+        # Round-off of numbers of size 1; on the surface there is no side.
+        assert abs(abs(distance) - exact) < 1e-12
+        if exact > 1e-12:
+            assert distance * side > 0
+            assert normal == pytest.approx(side * (place - foot) / exact, abs=1e-11)
+    h, forward = 1e-6, np.array([0.3, -0.5, 0.8])
+    ahead, behind = surface.near(x + h * forward), surface.near(x - h * forward)
+    same = (ahead.feature == behind.feature) & (np.abs(near.distance) > 0.05)
+    slope = (ahead.distance - behind.distance)[same] / (2 * h)
+    assert slope == pytest.approx(near.normal[same] @ forward, abs=1e-8)
+
+
+# --- the same as shapes with a formula ---
+
+
+@pytest.mark.parametrize(("degree", "friction"), [(1, 0.3), (2, 0.3)])
+def test_a_plane_of_triangles(degree, friction, folder, comm):
+    """Linear elements with a plane have their forces in UFL, those with triangles never."""
+    found = []
+    file = written(folder / "plane.stl", *sheet(3), comm)
+    for shape in ({"plane": {"axis": "z", "at": 0}}, {"mesh": file}):
+        problem = pressed(degree, {"friction": friction, **shape})
+        found.append((last(problem, steps=2), problem.u.x.array.copy()))
+    (one, u), (two, v) = found
+    # Both solves end at a force out of balance of 1e-8 of the others.
+    assert two.reactions["floor"] == pytest.approx(one.reactions["floor"], rel=1e-8, abs=1e-8)
+    assert np.max(np.abs(u - v), initial=0) < 1e-9
+    for key in ("stick_share_floor", "friction_dissipation_floor", "contact_area_floor"):
+        assert two.numbers[key] == pytest.approx(one.numbers[key], rel=1e-7, abs=1e-12)
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_round_cap(degree, folder, comm):
+    """A block on a ball of 1,800 facets, with the force of a ball."""
+    z = lambda x, y: np.sqrt(9 - x**2 - y**2) - 3  # noqa: E731
+    file = written(folder / "cap.ply", *sheet(30, z, 1.5), comm)
+    ball = {"sphere": {"center": [0.5, 0.5, -3], "radius": 3}}
+    shift = {"motion": [0.5, 0.5, 0], "curve": "constant"}
+    forces = [
+        last(pressed(degree, shape, displacement=[0, 0, "-0.15*t"]), steps=2).reactions["floor"][2]
+        for shape in (ball, {"mesh": {"file": file}, **shift})
+    ]
+    # Facets of a tenth lie up to 0.1^2/(4*3) below the ball: 0.6 % of the depth.
+    assert forces[1] == pytest.approx(forces[0], rel=0.02)
+
+
+# --- edges ---
+
+OBSTACLES: dict[str, Any] = {
+    "step": brick((-1, -1, -1), (0.45, 2, 0)),
+    "bumps": sheet(16, lambda x, y: 0.01 * np.sin(9 * x) * np.sin(7 * y) - 0.01),
+}
+
+
+@pytest.mark.sample(1)
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("shape", OBSTACLES)
+def test_edges_of_facets(shape, degree, folder, comm):
+    """At which normals jump: Newton's method settles, in one load step."""
+    file = written(folder / "edges.stl", *OBSTACLES[shape], comm)
+    problem = pressed(degree, {"mesh": file})
+    *states, end = Statics(problem, steps=1).steps()
+    assert len(states) <= 1  # the start
+    assert end.t == 1.0
+    assert end.newton < 30
+    assert end.reactions["floor"][2] == pytest.approx(-end.reactions["top"][2], rel=1e-6)
+    (pair,) = problem.contact_pairs
+    assert pair.gap_error() <= pair.tolerance
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_tangent_on_edges(degree, folder, comm):
+    """With points beyond an edge and a corner, of which the surface is round."""
+    file = written(folder / "corner.stl", *brick((-1, -1, -1), (0.4, 0.6, -0.03)), comm)
+    contact = {"on": "bottom", "mesh": {"file": file, "offset": 0.1}}
+    problem = Problem(
+        box_body(**BLOCK),
+        NeoHookean(E=E, nu=NU),
+        degree=degree,
+        contacts=[Contact.model_validate(contact)],
+    )
+    (pair,) = problem.contact_pairs
+    pair.lam.x.array[:] = 1e4
+    with against_differences(problem) as (assembler, off, size):
+        assert comm.allreduce(int(np.sum(pair.pressures() > 0))) > 0
+        # Cancellation: 1e-16 of the forces over 1e-7 of the place.
+        assert off < 1e-7 * size
+        assert assembler.tangent.matrix.isSymmetric(1e-9 * size)
+
+
+def test_a_blade_does_not_pass(folder, comm):
+    """A blade a tenth as thick as the body is moved: steps end before it is through."""
+    file = written(folder / "blade.stl", *brick((-1, -1, -0.1), (2, 2, 0)), comm)
+    problem = pressed(1, {"mesh": file}, displacement=[0, 0, "-0.4*t"])
+    states = list(Statics(problem, steps=1).steps())
+    assert np.diff([state.t for state in states]).max() <= 0.5 * 0.1 / 2 / 0.4 + 1e-12
+    assert states[-1].numbers["penetration_floor"] <= problem.contact_pairs[0].tolerance
+
+
+# --- motion, runs that go on, cases ---
+
+
+@pytest.mark.parametrize("scheme", ["symplectic-euler", "generalized-alpha"])
+def test_motion(scheme, folder, comm):
+    """A block falls on triangles as on a plane."""
+    file, found = written(folder / "plane.stl", *sheet(2), comm), []
+    for shape in ({"plane": {"axis": "z", "at": 0}}, {"mesh": file}):
+        problem = Problem(
+            box_body(**BLOCK),
+            NeoHookean(E=E, nu=NU, density=1000),
+            degree=1,
+            contacts=[Contact.model_validate({"on": "bottom", "name": "floor", **shape})],
+        )
+        steps = {"dt": 2e-3} if scheme == "generalized-alpha" else {"every": 100}
+        motion = Dynamics(problem, scheme=scheme, end=0.02, initial_velocity=[0, 0, -1], **steps)
+        *_, state = motion.steps()
+        found.append((state.reactions["floor"][2], state.energies["contact"]))
+    assert found[0][0] != 0.0
+    assert found[1] == pytest.approx(found[0], rel=1e-7)
+
+
+def tables(file: str) -> dict[str, Any]:
+    return {
+        "mesh": {"box": {"size": [10, 10, 10], "cells": [2, 2, 2]}, "unit": "mm", "degree": 1},
+        "materials": {"rubber": {"law": "neo-hookean", "E": E, "nu": NU}},
+        "support": [{"on": "top"}],
+        "contact": [
+            {
+                "on": "bottom",
+                "name": "mould",
+                "mesh": {"file": file, "unit": "cm"},
+                "motion": [0, 0, "1 mm"],
+            }
+        ],
+        "statics": {"steps": 1},
+    }
+
+
+def test_in_a_case(folder, comm):
+    """Paths are relative to the case file; a path alone is enough; units are those of the file."""
+    written(folder / "plane.obj", *sheet(2), comm)
+    case = Case.from_dict(tables("plane.obj"), folder)
+    assert Case.from_dict(case.to_dict(), folder) == case
+    body = case.read_body(comm)
+    assert any("plane.obj': 8 triangles, open" in one for one in body.information)
+    problem = case.make_problem(body)
+    state = last(problem, steps=1)
+    assert state.reactions["mould"][2] > 0
+    extent = np.ptp(body.obstacles[problem.contact_pairs[0].contact.mesh.key].points, axis=0)
+    assert extent == pytest.approx([0.04, 0.04, 0])
+    alone = tables("plane.obj")
+    alone["contact"][0]["mesh"] = "plane.obj"
+    assert Case.from_dict(alone, folder).contact[0].mesh.file == "plane.obj"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"file": "plain.stl"}, r"contact\[0\].mesh.file: there is no mesh file .*plane.stl"),
+        ({"unit": "kg"}, r"contact\[0\].mesh.unit: 'kg' is no unit of length"),
+        ({"size": 1}, r"contact\[0\].mesh.file: .*size is given, but this file is a finished mesh"),
+    ],
+)
+def test_what_is_refused(change, said, folder, comm):
+    written(folder / "plane.stl", *sheet(2), comm)
+    row = tables("plane.stl")
+    row["contact"][0]["mesh"] |= change
+    with pytest.raises(InputError, match=said):
+        Case.from_dict(row, folder).read_body(comm)
