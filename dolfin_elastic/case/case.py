@@ -34,8 +34,8 @@ from dolfin_elastic.core.errors import InputError, RestartError, dotted, joined
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.mesh import Body, name_parts
+from dolfin_elastic.problem.obstacles import with_obstacles
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.terms.rigid_meshes import with_obstacles
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.analysis import Solver

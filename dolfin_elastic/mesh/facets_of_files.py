@@ -86,7 +86,7 @@ def _triangles(file: MeshFile, name: str) -> tuple[FloatArray, IntArray]:
     if any(block.dim == 3 for block in blocks):
         if other := [b.kind for b in blocks if b.dim == 3 and not b.kind.startswith("tetra")]:
             raise MeshError(
-                f"it has elements of the kind {other[0]}, of which no surface is taken",
+                f"it has elements of the kind {other[0]}, whose surface is not supported",
                 where=name,
                 expected="triangles, quadrilaterals or tetrahedra",
             )
@@ -116,7 +116,7 @@ def clean(
 
     Args:
         points: Corners [m].
-        unit: For messages.
+        unit: By which messages give places.
 
     Raises:
         MeshError: There are no triangles, more than two meet in an edge, or it has one side only.

@@ -41,6 +41,7 @@ from dolfin_elastic.problem.material_regions import (
     make_material_regions,
     shear_modulus,
 )
+from dolfin_elastic.problem.obstacles import with_surfaces
 from dolfin_elastic.problem.pressure.groups import pressure_groups
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Resistance, Terms
@@ -53,7 +54,6 @@ from dolfin_elastic.problem.terms.friction import CoulombFriction
 from dolfin_elastic.problem.terms.loaded_obstacle import make_loaded_obstacles
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
 from dolfin_elastic.problem.terms.pressure_symmetry import follower_pressure_has_potential
-from dolfin_elastic.problem.terms.rigid_meshes import with_surfaces
 from dolfin_elastic.problem.terms.rigid_surfaces import RigidSurface, TurnedSurface
 from dolfin_elastic.problem.weak_form import (
     StepStart,

@@ -321,7 +321,7 @@ FAULTS = [
     ("thickness.c", "volumes[c] = fabs(det)", "volumes[c + 1] = fabs(det)", "buffer-overflow"),
     ("thickness.c", "inverse[n]", "inverse[n + 1]", "buffer-overflow"),
     ("triangles.c", "corners, order[k], p", "corners, order[k + 1], p", "buffer-overflow"),
-    ("triangles.c", "lengths[i] = t", "lengths[i + 1] = t", "buffer-overflow"),
+    ("triangles.c", "lengths[i] = INF", "lengths[i + 1] = INF", "buffer-overflow"),
 ]
 """One entry beyond, read and written, and one undefined result."""
 

@@ -175,19 +175,16 @@ class ContactPair(Term):
 
     def gaps(self) -> tuple[FloatArray, FloatArray]:
         """Gaps [m] and obstacle's normals at the owned nodes, (n,) and (n, dim). Not collective."""
-        return self.contact.obstacle.gaps(self._of_nodes())
+        return self.contact.obstacle.gaps(self._moved())
 
     def nodal_normals(self) -> FloatArray:
         """The obstacle's normals at the owned nodes in an iteration, (n, dim). Not collective."""
-        return self._at_nodes.gaps(self._of_nodes())[1]
+        return self._at_nodes.gaps(self._moved())[1]
 
-    def _of_nodes(self) -> FloatArray:
-        return self._moved(self.places(), self.nodes_of_displacement)
-
-    def _moved(self, X: FloatArray, nodes: IndexArray) -> FloatArray:
-        """Places of nodes as the obstacle sees them, (n, dim)."""
+    def _moved(self) -> FloatArray:
+        """Places of the owned nodes as the obstacle sees them, (n, dim)."""
         u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
-        return np.asarray(X + u[nodes] - self.shift.value)
+        return np.asarray(self.places() + u[self.nodes_of_displacement] - self.shift.value)
 
     def pressures(self) -> FloatArray:
         """Pressure per reference area at the owned nodes of the surface [Pa]. Collective."""
@@ -333,21 +330,10 @@ class ContactPair(Term):
             return goal
 
         for _ in range(HALVINGS):
-            if self._travel(acting(t), acting(goal)) <= stride:
+            if _travel(self, acting(t), acting(goal)) <= stride:
                 break
             goal = t + (goal - t) / 2
         return goal
-
-    def _travel(self, start: tuple[float, Amplitude], end: tuple[float, Amplitude]) -> float:
-        """How far the obstacle moves, and supports do [m]. Collective."""
-        before, after = (
-            np.array(self.contact.displacement_at(*at, self._dim)) for at in (start, end)
-        )
-        result = float(np.linalg.norm(after - before))
-        if self.follows is not None:
-            (one,), (two,) = (self.follows.values_at([t], default) for t, default in (start, end))
-            result += largest(self.comm, float(np.max(np.abs(two - one), initial=0.0)))
-        return result
 
     # --- results ---
 
@@ -384,6 +370,18 @@ def nearest_spot(pair: ContactPair) -> tuple[float, tuple[float, ...]]:
     least = min((gap for gap, _ in rows), default=np.inf) + 1e-9 * pair.size
     near = (row for row in rows if row[0] <= least)
     return min(near, key=lambda row: row[1], default=(np.inf, ()))
+
+
+def _travel(
+    pair: ContactPair, start: tuple[float, Amplitude], end: tuple[float, Amplitude]
+) -> float:
+    """How far an obstacle moves, and supports do [m]. Collective."""
+    ways = [np.array(pair.contact.displacement_at(*at, pair._dim)) for at in (start, end)]
+    result = float(np.linalg.norm(ways[1] - ways[0]))
+    if pair.follows is not None:
+        (one,), (two,) = (pair.follows.values_at([t], default) for t, default in (start, end))
+        result += largest(pair.comm, float(np.max(np.abs(two - one), initial=0.0)))
+    return result
 
 
 def check_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> None:

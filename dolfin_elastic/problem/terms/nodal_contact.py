@@ -26,7 +26,8 @@ from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Kind
 from dolfin_elastic.problem.terms.contact import ContactPair
 
-_RULE = {"quadrature_rule": "vertex", "quadrature_degree": 1}
+RULE = {"quadrature_rule": "vertex", "quadrature_degree": 1}
+"""The trapezoidal rule."""
 
 
 def _choose(sign: Scalar, a: Scalar, b: Scalar) -> Expr:
@@ -38,7 +39,7 @@ class NodalContact(ContactPair):
 
     def __init__(self, contact: Contact, context: FormContext, index: int) -> None:
         super().__init__(contact, context, index)
-        self._measure = context.measures.contact_area(contact.surfaces, _RULE)
+        self._measure = context.measures.contact_area(contact.surfaces, RULE)
         if self._axisymmetric:
             self._measure = self._weights_at_axis(self.facets)
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import ufl
 from dolfinx import la
 
 from dolfin_elastic.core.parallel import total
@@ -24,36 +25,19 @@ from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArra
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.spaces import Unknowns
-from dolfin_elastic.problem.term import Blocks, Means
+from dolfin_elastic.problem.term import Blocks, Kind, Means
 from dolfin_elastic.problem.terms.contact import ContactPair
+from dolfin_elastic.problem.terms.nodal_contact import RULE
 from dolfin_elastic.problem.terms.vertex_functions import VertexFunctions, blocks_of
 
 
-class VertexContact(ContactPair):
-    """One contact of quadratic faces.  Its forces are in no form. Collective to make.
-
-    Args:
-        index: From 0, in the case.
-        thickness: Of a plane body [m].
-
-    Attributes:
-        functions: By which gaps are weighted.
-        near: Which of the owned vertices have ever been in contact.
-    """
-
-    nodal = True
+class _Followed(ContactPair):
+    """A contact whose obstacle is followed through an iteration, see `Shape.followed`."""
 
     def __init__(
-        self,
-        contact: Contact,
-        context: FormContext,
-        index: int,
-        thickness: float,
-        surfaces: Sequence[str] = (),
+        self, contact: Contact, context: FormContext, index: int, surfaces: Sequence[str] = ()
     ) -> None:
         super().__init__(contact, context, index, surfaces)
-        self.functions = self._make_functions(thickness)
-        self.near: BoolArray = np.zeros(len(self.nodes), dtype=bool)
         if contact.between is None:
             self._of_points = contact.obstacle.followed()
 
@@ -87,6 +71,33 @@ class VertexContact(ContactPair):
             self._at_nodes.forget()
             self._of_points.forget()
 
+
+class VertexContact(_Followed):
+    """One contact of quadratic faces.  Its forces are in no form. Collective to make.
+
+    Args:
+        index: From 0, in the case.
+        thickness: Of a plane body [m].
+
+    Attributes:
+        functions: By which gaps are weighted.
+        near: Which of the owned vertices have ever been in contact.
+    """
+
+    nodal = True
+
+    def __init__(
+        self,
+        contact: Contact,
+        context: FormContext,
+        index: int,
+        thickness: float,
+        surfaces: Sequence[str] = (),
+    ) -> None:
+        super().__init__(contact, context, index, surfaces)
+        self.functions = self._make_functions(thickness)
+        self.near: BoolArray = np.zeros(len(self.nodes), dtype=bool)
+
     def _make_functions(self, thickness: float) -> VertexFunctions:
         return VertexFunctions(self, self._context, thickness)
 
@@ -105,7 +116,8 @@ class VertexContact(ContactPair):
         """See `ContactPair`: those of midside nodes, too."""
         _, _, nodes = self.functions.every
         X = self._context.unknowns.V.tabulate_dof_coordinates()[nodes, : self._dim]
-        return nodes, self.contact.obstacle.gaps(self._moved(X, nodes))[0]
+        u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
+        return nodes, self.contact.obstacle.gaps(X + u[nodes] - self.shift.value)[0]
 
     def pressing_gaps(self) -> FloatArray:
         """See `ContactPair`: mean gaps."""
@@ -133,6 +145,13 @@ class VertexContact(ContactPair):
         return total(self.comm, float(np.sum(self.functions.areas[self.pressures() > 0])))
 
     # --- forces ---
+
+    def form(self, kind: Kind) -> ufl.Form | None:
+        """See `Term`: of linear elements, as the trapezoidal rule has it."""
+        if kind != "bound" or self._context.unknowns.degree > 1:
+            return None
+        measure = self._context.measures.contact_area(self.contact.surfaces, RULE)
+        return self.penalty * sum(self._context.v) * measure
 
     def add_forces(self, forces: FloatArray) -> None:
         """See `Term`."""
@@ -185,7 +204,7 @@ class VertexContact(ContactPair):
 
     def curvatures(self) -> FloatArray | None:
         """Second derivatives of the gap at the owned vertices, (n, dim, dim) [1/m]; None: 0."""
-        return None if self.flat else self._at_nodes.curvature(self._of_nodes())
+        return None if self.flat else self._at_nodes.curvature(self._moved())
 
     def curvatures_of_points(self) -> FloatArray:
         """Those at the points of the functions, (facets, points, dim, dim) [1/m]."""

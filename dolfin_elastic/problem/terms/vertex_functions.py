@@ -99,8 +99,12 @@ class VertexFunctions:
         d = self._dim
         none = np.zeros((len(hats) + d, self.shapes.shape[1] - d))
         flat = np.vstack([hats, np.eye(d)])
+        at_corners = means[:, :, None] * np.eye(d)
+        if self.shapes.shape[1] == d:  # linear: x is x'
+            self.shapes, self.psi, self.X = np.eye(d), at_corners, corners
+            return
         self.shapes = np.vstack([self.shapes, np.hstack([flat, none])])
-        self.psi = np.concatenate([self.psi, -self.psi, means[:, :, None] * np.eye(d)], axis=1)
+        self.psi = np.concatenate([self.psi, -self.psi, at_corners], axis=1)
         self.X = np.concatenate([self.X, self.X, corners], axis=1)
 
     def _summed(self, rows: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from dolfinx.cpp.fem import pack_coefficients, pack_constants
 
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.term import Term
 from dolfin_elastic.solvers.assembly.assembler import in_cells
 
 
@@ -27,7 +28,8 @@ class Forces:
     Args:
         problem: Whose displacement; linear elements, no unknowns beside it.
         vector: Receives the forces [N], ghosts included.
-        points: What the forces of loads that are in no form are multiplied by.
+        points: What the forces of loads that are in no form are multiplied by; below 0 those of
+            restraints, too.
 
     Attributes:
         owned: The forces at owned entries [N].
@@ -39,7 +41,9 @@ class Forces:
         self._vector, self._array = vector, vector.array
         self.owned = self._array[: problem.u.x.index_map.size_local * problem.u.x.block_size]
         terms = problem.terms if points else []
-        self._in_no_form = [term for term in terms if term.nodal and not term.restrains]
+        nodal = [term for term in terms if term.nodal]
+        self._in_no_form = [term for term in nodal if not term.restrains]
+        self._answering = [term for term in nodal if term.restrains] if points < 0.0 else []
         self._points = points
         self._cells, others = in_cells(problem, work)
         self._others = None if others is None else _Packed(problem, others)
@@ -54,11 +58,11 @@ class Forces:
         if self._others is not None:
             self._others.renew()
         if self._in_no_form:
-            self._at_points = self._points * self._of_terms()
+            self._at_points = self._points * self._of(self._in_no_form)
 
-    def _of_terms(self) -> FloatArray:
+    def _of(self, terms: Sequence[Term]) -> FloatArray:
         forces = np.zeros(len(self._array))
-        for term in self._in_no_form:
+        for term in terms:
             term.add_forces(forces)
         return forces
 
@@ -72,7 +76,7 @@ class Forces:
         if self._others is not None:
             values += self._others.given()
         if self._in_no_form:
-            values.append(self._of_terms())
+            values.append(self._of(self._in_no_form))
         for value in values:
             digest.update(np.ascontiguousarray(value))
         return digest.digest()
@@ -92,6 +96,8 @@ class Forces:
             self._others.add_to(self._array)
         if self._in_no_form:
             self._array += self._at_points
+        if self._answering:
+            self._array += self._points * self._of(self._answering)
         self._vector.scatter_reverse(la.InsertMode.add)
         return self.owned
 

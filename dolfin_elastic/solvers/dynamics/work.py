@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 import ufl
@@ -18,7 +19,7 @@ from dolfinx import fem, la
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.term import forms_of
+from dolfin_elastic.problem.term import Term, forms_of
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, LumpedMass
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces as NodalForces
@@ -318,15 +319,22 @@ class ExternalWork:
             self.paths.append(_Path(lambda: a.constrained_part(a.residual.owned)))
         for term in problem.terms:
             if term.shift is not None and not term.at_rest:
-                self._add(term.form("work"), shift=term.shift)
+                self._add_term(term)
         self._rubs = problem.terms.dissipates
         for term in problem.terms:
             if term.dissipates:
-                self._add(term.form("work"), shift=term.shift, past=True)
+                self._add_term(term, past=True)
         stored = forms_of(resting, "energy")
         self._springs = compiled(problem, [sum(stored)])[0] if stored else None
         self._constant: FloatArray = np.empty(0)
         self._before = self._local = self._rubbed = self.sum = self.friction = 0.0
+
+    def _add_term(self, term: Term, *, past: bool = False) -> None:
+        if (work := term.form("work")) is not None:
+            self._add(work, shift=term.shift, past=past)
+        else:
+            forces = partial(self._assembler.reactions.of_term, term)
+            self.paths.append(_Path(forces, term.shift, past=past))
 
     def _add(
         self,
