@@ -145,18 +145,23 @@ class Followed:
 
     def __init__(self, surface: Surface) -> None:
         self._surface = surface
-        self.forget()
+        self._x: FloatArray = np.empty((0, 3))
+        self._turns: IntArray | None = None
+        self._last = surface.near(self._x)
 
     def forget(self) -> None:
         """All points may change again."""
-        self._x: FloatArray | None = None
-        self._turns: IntArray | None = None
+        if self._turns is not None and (self._turns > _TURNS).any():
+            self._x = np.empty((0, 3))
+        self._turns = None
 
     def near(self, x: FloatArray) -> Near:
         """See `Surface.near`; the same points at each call, or others after `forget`."""
-        if self._x is None or self._turns is None:
-            self._last, self._turns = self._surface.near(x), np.zeros(len(x), dtype=np.int64)
-        elif not np.array_equal(x, self._x):
+        known = np.array_equal(x, self._x)
+        if self._turns is None:
+            self._last = self._last if known else self._surface.near(x)
+            self._turns = np.zeros(len(x), dtype=np.int64)
+        elif not known:
             last, new = self._last, self._surface.near(x)
             self._turns += new.feature != last.feature
             stays = self._turns > _TURNS

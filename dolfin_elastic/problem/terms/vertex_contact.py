@@ -110,7 +110,9 @@ class VertexContact(_Followed):
 
     def _at_points(self) -> tuple[FloatArray, FloatArray]:
         """Gaps and normals there, shapes (facets, points) and (facets, points, dim)."""
-        return self._of_points.gaps(self.places_of_points())
+        x, (first, rows) = self.places_of_points(), self.functions.distinct
+        gaps, normals = self._of_points.gaps(x.reshape(-1, self._dim)[first])
+        return gaps[rows].reshape(x.shape[:-1]), normals[rows].reshape(x.shape)
 
     def nodal_gaps(self) -> tuple[IndexArray, FloatArray]:
         """See `ContactPair`: those of midside nodes, too."""
@@ -208,7 +210,9 @@ class VertexContact(_Followed):
 
     def curvatures_of_points(self) -> FloatArray:
         """Those at the points of the functions, (facets, points, dim, dim) [1/m]."""
-        return self._of_points.curvature(self.places_of_points())
+        x, (first, rows) = self.places_of_points(), self.functions.distinct
+        curvature = self._of_points.curvature(x.reshape(-1, self._dim)[first])
+        return curvature[rows].reshape(*x.shape, self._dim)
 
     def _turning(self, pressures: FloatArray) -> Blocks:
         """Minus the derivative of the forces by the turn of the normals. Collective."""

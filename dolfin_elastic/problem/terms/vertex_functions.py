@@ -57,10 +57,12 @@ class VertexFunctions:
             (facets, points, vertices) [m^2].
         shapes: Shape functions of the displacement at the points, shape (points, nodes), or those
             of each facet, (facets, points, nodes).
+        distinct: Of all points, one of each that is different, and for each of all its row there.
     """
 
     areas: FloatArray
     shapes: FloatArray
+    linear = False
 
     def __init__(self, pair: ContactPair, context: FormContext, thickness: float) -> None:
         mesh, d, order = context.body.mesh, context.body.dim, context.order
@@ -102,6 +104,7 @@ class VertexFunctions:
         at_corners = means[:, :, None] * np.eye(d)
         if self.shapes.shape[1] == d:  # linear: x is x'
             self.shapes, self.psi, self.X = np.eye(d), at_corners, corners
+            self.linear = True
             return
         self.shapes = np.vstack([self.shapes, np.hstack([flat, none])])
         self.psi = np.concatenate([self.psi, -self.psi, at_corners], axis=1)
@@ -222,6 +225,15 @@ class VertexFunctions:
             field.interpolate(linear)
             found[:] = field.x.array[nodes]
         return at, result
+
+    @cached_property
+    def distinct(self) -> tuple[IntArray, IntArray]:
+        """See the class: facets have vertices in common."""
+        every = np.arange(self.X.shape[0] * self.X.shape[1])
+        if not self.linear:
+            return every, every
+        _, first, rows = np.unique(self._vertices, return_index=True, return_inverse=True)
+        return first, rows.reshape(-1)
 
     @cached_property
     def every(self) -> tuple[fem.Function, IndexArray, IndexArray]:
