@@ -8,6 +8,7 @@ from typing import Any
 import meshio
 import numpy as np
 import pytest
+from helpers.runs import begun
 from helpers.tangents import against_differences
 
 from dolfin_elastic import (
@@ -19,10 +20,15 @@ from dolfin_elastic import (
     Statics,
     Support,
     box_body,
+    restart,
+    run,
 )
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import InputError, RestartError
 from dolfin_elastic.core.jit import compile_c, options
+from dolfin_elastic.core.shapes.box import Box
 from dolfin_elastic.core.shapes.surface import CODE, LEAF, Surface
+from dolfin_elastic.results.finished.draw import obstacles_of
+from dolfin_elastic.results.finished.run import FinishedRun
 
 E, NU = 1e6, 0.3
 BLOCK = {"size": (1, 1, 1), "cells": (2, 2, 2)}
@@ -274,6 +280,38 @@ def test_in_a_case(folder, comm):
     alone = tables("plane.obj")
     alone["contact"][0]["mesh"] = "plane.obj"
     assert Case.from_dict(alone, folder).contact[0].mesh.file == "plane.obj"
+
+
+def test_a_run_goes_on(folder, comm):
+    """As if it had not ended; not with another surface.  Its folder is enough for pictures."""
+    row = tables("bumps.stl")
+    row["mesh"]["unit"] = row["contact"][0]["mesh"]["unit"] = "cm"
+    row["contact"][0] |= {"motion": [0, 0, "10 mm"], "friction": 0.2}
+    case = Case.from_dict(row | {"statics": {"steps": 3}}, folder)
+
+    def bumps(size: float) -> None:
+        surface = sheet(12, lambda x, y: size * np.sin(x) * np.sin(y) - 0.1, 12.0)
+        written(folder / "bumps.stl", *surface, comm)
+
+    bumps(0.1)
+    *_, whole = run(case, output=folder / "whole")
+    begun(case, folder / "a", 1)
+    bumps(0.11)
+    with pytest.raises(RestartError, match="its surfaces of obstacles differ"):
+        next(restart(folder / "a"))
+    bumps(0.1)
+    *_, state = restart(folder / "a")
+    assert state.reactions["mould"] == pytest.approx(whole.reactions["mould"], rel=1e-11)
+    assert state.numbers == pytest.approx(whole.numbers, rel=1e-11, abs=1e-15)
+    if comm.rank == 0:
+        finished = FinishedRun(folder / "whole")
+        assert finished.case["contact"][0]["mesh"]["file"] == "bumps.stl"
+        ((_, shape, shift),) = obstacles_of(finished, 1.0)
+        points, triangles = shape.drawn(Box(-np.ones(3), np.ones(3)), 3)
+        assert len(triangles) == 288
+        assert np.ptp(points, axis=0)[:2] == pytest.approx([0.24, 0.24])
+        assert shift == pytest.approx([0, 0, 0.01])
+    comm.barrier()
 
 
 @pytest.mark.parametrize(
