@@ -19,6 +19,7 @@ from dolfin_elastic.case.toml import key_parts, read_toml
 from dolfin_elastic.core.errors import MOST_ERRORS, InputError, joined
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh import Body
+from dolfin_elastic.problem.obstacles import with_obstacles
 
 _PARTS = ("surfaces", "regions", "edges", "points")
 _NAMED = (*_PARTS, "materials", "axes")
@@ -61,6 +62,7 @@ def with_the_rest(
             body = case.read_mesh(comm) if body is None else body
             named = case.name_parts(body)
             add_fields(named, case.model_tables(), case.folder)
+            named = with_obstacles(named, case.contact, case.folder)
             more = faults(case, named, rest.wrong)
             found += [rest.as_written(one) for one in more]
             break

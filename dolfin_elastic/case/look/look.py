@@ -126,6 +126,8 @@ def _obstacles(case: Case, body: Body, scene: Scene) -> tuple[Obstacle, ...]:
         with suppress(InputError):
             shape.check(body.dim, axisymmetric=case.mesh.geometry == "axisymmetric")
             if isinstance(shape, RigidMesh):
+                if shape.key not in body.obstacles:
+                    continue
                 shape = shape.with_facets(body.obstacles[shape.key])
             result.append((f"contact[{index}] {named}", shape, np.zeros(3)))
     return obstacles_beside(result, reach, body.dim, _CONTACT)

@@ -15,7 +15,7 @@ from dolfin_elastic.core.shapes.shapes import Distance, Operations, Shape
 from dolfin_elastic.core.shapes.surface import Followed, Near, Surface
 from dolfin_elastic.core.shapes.triangles import Triangles
 from dolfin_elastic.core.types import FloatArray, IntArray, Scalar
-from dolfin_elastic.core.units import MESH_UNITS, MeshLength, Size
+from dolfin_elastic.core.units import MESH_UNITS, Size
 
 _DRAWN = 5000
 """Triangles that are drawn at most."""
@@ -77,7 +77,7 @@ class RigidMesh(Shape):
     file: str = Field(min_length=1)
     unit: str | None = None
     size: Size | None = None
-    offset: MeshLength = Field(default=0.0, ge=0)
+    offset: Size | None = None
     inside: bool = False
     _facets: Facets | None = PrivateAttr(default=None)
     _surface: Surface | Followed | None = PrivateAttr(default=None)
@@ -131,8 +131,9 @@ class RigidMesh(Shape):
 
     @property
     def _offset(self) -> float:
-        assert isinstance(self.offset, float)
-        return -self.offset if self.hollow else self.offset
+        offset = self.offset or 0.0
+        assert not isinstance(offset, str)
+        return -offset if self.hollow else offset
 
     def check(self, dim: int, *, axisymmetric: bool) -> None:
         """See `Shape.check`."""

@@ -23,6 +23,7 @@ from dolfin_elastic import (
     restart,
     run,
 )
+from dolfin_elastic.case.check.report import report
 from dolfin_elastic.core.errors import InputError, RestartError
 from dolfin_elastic.core.jit import compile_c, options
 from dolfin_elastic.core.shapes.box import Box
@@ -173,6 +174,19 @@ def test_a_round_cap(degree, folder, comm):
     assert forces[1] == pytest.approx(forces[0], rel=0.02)
 
 
+def test_a_cavity_under_a_force(folder, comm):
+    """A body inside a box of triangles, one wall of which is pressed on as a plane would be."""
+    file = written(folder / "box.stl", *brick((-1, -1, 0), (2, 2, 5)), comm)
+    force = {"force": "5e4*t", "direction": "z"}
+    found = []
+    for shape in ({"plane": {"axis": "z", "at": 0}}, {"mesh": {"file": file, "inside": True}}):
+        problem = pressed(2, force | shape, displacement=[0, 0, 0])
+        found.append(last(problem, steps=1).numbers["obstacle_displacement_floor"])
+    assert found[0] > 0.01
+    # The force on the obstacle is met to 1e-10.
+    assert found[1] == pytest.approx(found[0], rel=1e-8)
+
+
 # --- edges ---
 
 OBSTACLES: dict[str, Any] = {
@@ -277,6 +291,11 @@ def test_in_a_case(folder, comm):
     assert state.reactions["mould"][2] > 0
     extent = np.ptp(body.obstacles[problem.contact_pairs[0].contact.mesh.key].points, axis=0)
     assert extent == pytest.approx([0.04, 0.04, 0])
+    assert not any("facets" in one for one in report(case, comm=comm).notes)
+    hills = sheet(4, lambda x, y: 0.1 * np.sin(x) * np.sin(y) - 0.1)
+    written(folder / "plane.obj", *hills, comm)
+    (note,) = [one for one in report(case, comm=comm).notes if "facets" in one]
+    assert "facets of plane.obj are up to 14.2 mm long where it is curved, elements 5 mm" in note
     alone = tables("plane.obj")
     alone["contact"][0]["mesh"] = "plane.obj"
     assert Case.from_dict(alone, folder).contact[0].mesh.file == "plane.obj"
