@@ -18,7 +18,7 @@ DEMOS = ROOT / "demos"
 SCRIPTS = sorted(DEMOS.glob("*/*.py"))
 CASES = sorted(DEMOS.glob("*/*.toml"))
 # They take longest: the other demos run the same paths in the quick set.
-LONG = {"bounce", "bridge", "duck", "inverted", "tipping", "turek_hron"}
+LONG = {"bounce", "bridge", "duck", "incline", "inverted", "tipping", "turek_hron"}
 
 
 def runs() -> Iterator[Any]:
@@ -47,6 +47,7 @@ CHECKED = {  # what a script says last about its number
     "turek_hron": r"largest difference over the amplitude: \d\.\de-(0[3-9])",
     "tuning_fork": r"tone 440\.\d+ Hz, off by \d\.\de-0[4-9]",
     "inverted": r"left of the displacement over the size: \d\.\de-(0[4-9]|1\d)",
+    "incline": r"of the block off by \d\.\de-0[5-9], of the ball by \d\.\de-0[3-9]",
     "jelly": r"difference of the periods: \d\.\de-0[3-9]",
 }
 pytestmark = pytest.mark.usefixtures("serial_only")
