@@ -10,7 +10,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import (
     TYPE_CHECKING,
@@ -26,6 +26,7 @@ from typing import (
 )
 
 from pydantic import (
+    AfterValidator,
     AliasChoices,
     BaseModel,
     BeforeValidator,
@@ -94,18 +95,26 @@ class Record(BaseModel, metaclass=_RecordType):
     """Places and lengths beside a mesh: bare numbers in its unit, or texts with a unit."""
 
     def in_metres(self, scale: float) -> Self:
-        """The same record with all its `lengths` in metres.
+        """The same record with all its `lengths` in metres; one that is so already stays itself.
 
         Args:
             scale: Metres per unit of length of the mesh.
         """
+        if _METRIC in vars(self):
+            return self
         result: dict[str, object] = {
             key: tuple(metres(x, scale) for x in value)
             if isinstance(value, tuple)
             else metres(value, scale)
             for key, value in self.given_lengths().items()
         }
-        return self.model_copy(update=result) if result else self
+        return self.converted(result) if result else self
+
+    def converted(self, lengths: Mapping[str, object]) -> Self:
+        """A copy with lengths in metres, which `in_metres` does not convert again."""
+        result = self.model_copy(update=lengths)
+        vars(result)[_METRIC] = True  # no field: it is not compared, nor written
+        return result
 
     def given_lengths(self) -> dict[str, Any]:
         """Those of its `lengths` that are given, as they are written."""
@@ -120,16 +129,20 @@ class Record(BaseModel, metaclass=_RecordType):
         fields = {key: f for n, f in cls.model_fields.items() for key in field_keys(n, f)}
         good: dict[object, object] = {}
         errors: list[InputError] = []
+        meant: dict[str, object] = {}
         for name, value in data.items():
             try:
                 cls._check_key(name, value, fields)
                 good[name] = value
             except InputError as error:
                 errors.append(error)
+                if match := _MEANT.fullmatch(error.expected):
+                    meant[match[1]] = value
                 if len(errors) == MOST_ERRORS:
                     break
         if errors:
-            raise joined([*errors, *cls._others(good, read)])
+            whole = len(meant) == len(errors) and not meant.keys() & data.keys()
+            raise joined([*errors, *cls._others(good, meant if whole else {})])
         return read(data)
 
     @classmethod
@@ -147,18 +160,31 @@ class Record(BaseModel, metaclass=_RecordType):
 
     @classmethod
     def _others(
-        cls, good: dict[object, object], read: ModelWrapValidatorHandler[Self]
-    ) -> Iterator[InputError]:
-        """Errors in the keys that are right, without what follows from those left out."""
+        cls, good: Mapping[object, object], meant: Mapping[str, object]
+    ) -> list[InputError]:
+        """Errors beside those of unknown keys, without what may follow from these.
+
+        Args:
+            good: The part of the table that is left.
+            meant: What was taken out, by the keys that it seems to mean; empty: it means none, and
+                what is missing may be that.
+        """
         try:
-            read(good)
+            cls.model_validate({**good, **meant})
         except ValidationError as error:
-            for one in input_error(cls, error, good).each:
-                if one.where and (one.what != _MISSING or re.search(r"[.\[]", one.where)):
-                    yield one
+            found = [
+                (re.split(r"[.\[]", one.where)[0], one)
+                for one in input_error(cls, error, good).each
+            ]
+            if meant and any(first in meant for first, _ in found):
+                return cls._others(good, {})  # what hides others may not be meant
+            return [one for first, one in found if meant or first in good]
+        return []
 
 
 _MISSING = "this key is missing"
+_MEANT = re.compile("did you mean '(.*)'\\?")
+_METRIC = "in metres"
 T = TypeVar("T")
 
 
@@ -329,6 +355,17 @@ def quoted(value: object) -> str:
     return text if len(text) <= LONGEST_QUOTED else text[: LONGEST_QUOTED - 3] + "..."
 
 
+def check_name(name: str, where: str = "") -> str:
+    """A name that names of columns, fields or formulas may contain, or an `InputError`."""
+    if not (name.isascii() and name.isidentifier()):
+        raise InputError(
+            f"{quoted(name)} cannot be a name", where=where, expected="letters, digits and _"
+        )
+    return name
+
+
+Name = Annotated[str, AfterValidator(lambda name: name and check_name(name))]
+"""A pydantic field type: see `check_name`; or no name."""
 _TYPE_NAMES = {
     "string_type": "a text",
     "list_type": "a list",

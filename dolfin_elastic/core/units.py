@@ -339,6 +339,26 @@ def to_base(value: float | str) -> float:
     return _finite(number * size, value)
 
 
+def reading(value: float | str, unit: str, scale: str) -> float:
+    """A number on a scale as it is, or a text with a unit on that scale; zeros count.
+
+    So "20 degC" is 293.15 in K and 68 in degF, where `to_si` has a change of temperature.
+
+    Args:
+        unit: SI unit of what is expected.
+        scale: Unit of the result, of the same kind.
+
+    Raises:
+        UnitError: See `to_si`.
+    """
+    plain = to_si(value, unit)
+    parts = _split(value) if isinstance(value, str) else None
+    if parts is None or not parts[1]:
+        return plain
+    to = scale or unit or "dimensionless"
+    return _finite(float(_registry().Quantity(*parts).to(to).magnitude), value)
+
+
 def _finite(number: float, written: object) -> float:
     if not math.isfinite(number):
         raise UnitError(

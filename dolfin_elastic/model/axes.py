@@ -16,7 +16,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record, quoted
-from dolfin_elastic.core.shapes.directions import Direction, square, unit_vector
+from dolfin_elastic.core.shapes.directions import Direction, check_count, square, unit_vector
 from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.types import FloatArray, Scalar
 
@@ -138,8 +138,8 @@ class CylindricalAxes(LocalAxes):
         """See `LocalAxes.placed`."""
         axis = np.array(unit_vector(self.axis))
         point = self.point
-        if dim == 3 and len(point) == 2:
-            raise InputError("2 components given", where="point", expected="three coordinates")
+        if dim == 3:
+            check_count(point, 3, "point")
         around = axisymmetric and not (axis[0] or axis[2] or point[0])
         if dim == 2 and any(axis[:2]) and not around:
             raise InputError(

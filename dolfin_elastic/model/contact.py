@@ -10,7 +10,7 @@ in metres; or a force drives it along a direction, and how far it moves is an un
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
@@ -22,13 +22,14 @@ from dolfin_elastic.core.shapes.rigid_mesh import RigidMesh
 from dolfin_elastic.core.shapes.shapes import (
     CylinderObstacle,
     Plane,
+    PositiveLength,
     Shape,
     SphereObstacle,
 )
 from dolfin_elastic.core.shapes.sharp import BoxObstacle, ConeObstacle
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import ForceDensity, Length, members_of
+from dolfin_elastic.core.units import ForceDensity, members_of
 from dolfin_elastic.model.amplitude import Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.values import OnSurfaces, amplitude_of, at_time, component, components
@@ -61,13 +62,15 @@ class Contact(OnSurfaces):
         direction: Along which a force may move it: x, y, z, -x, ... or components.
         curve: Amplitude of the motion or force over time, as that of a support or load.
         friction: Coulomb's coefficient: tangential over normal force where they slide; 0: none.
-        gap_tolerance: Penetration that statics leaves [m]; 1e-3 of the cells' size there, and no
-            more than 1e-2 of how far the pressure squeezes a cell.
+        gap_tolerance: Penetration that statics leaves; 1e-3 of the cells' size there, and no more
+            than 1e-2 of how far the pressure squeezes a cell.
         stiffness: Pressure per depth [Pa/m]; about 10 (K + 4 mu/3)/h of the cells there.
 
     Example:
         Contact(on="bottom", plane={"point": [0, 0, 0], "normal": [0, 0, 1]})
     """
+
+    lengths: ClassVar[tuple[str, ...]] = ("gap_tolerance",)
 
     on: str | list[str] = ""
     between: list[str | list[str]] | None = None
@@ -82,7 +85,7 @@ class Contact(OnSurfaces):
     direction: Direction | None = None
     curve: Curve | None = None
     friction: float = Field(default=0.0, ge=0, allow_inf_nan=False)
-    gap_tolerance: Length | None = Field(default=None, gt=0)
+    gap_tolerance: PositiveLength | None = None
     stiffness: ForceDensity | None = Field(default=None, gt=0)
 
     def _check_sides(self) -> None:
@@ -218,14 +221,13 @@ class Contact(OnSurfaces):
         return f"may touch a rigid {self.shape} ({', '.join(told)}){other_keys(self, self.shape)}"
 
     def in_metres(self, scale: float) -> Self:
-        """The same contact with the obstacle in metres, see `Shape.in_metres`.
+        """See `Record`: the obstacle, too.
 
         Args:
             scale: Metres per unit of length of the mesh.
         """
-        if self.between is not None:
-            return self
-        return self.model_copy(update={self.shape: self.obstacle.in_metres(scale)})
+        shape = {} if self.between else {self.shape: self.obstacle.in_metres(scale)}
+        return super().in_metres(scale).converted(shape)
 
     def displacement_at(self, t: float, default: Amplitude, dim: int) -> list[float]:
         """Displacement of the obstacle at time t [m], `dim` components.

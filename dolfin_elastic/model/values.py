@@ -12,9 +12,16 @@ from pydantic_core import core_schema
 
 from dolfin_elastic.core.errors import InputError, dotted, keyed
 from dolfin_elastic.core.formula import Formula
-from dolfin_elastic.core.schema import Record
+from dolfin_elastic.core.schema import Name, Record
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import LOAD_EXAMPLES, is_quantity, to_base, to_si, unit_to_si
+from dolfin_elastic.core.units import (
+    LOAD_EXAMPLES,
+    is_quantity,
+    reading,
+    to_base,
+    to_si,
+    unit_to_si,
+)
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.records import RecordFormula
 
@@ -28,7 +35,7 @@ class OnSurfaces(Record):
     """
 
     on: str | list[str]
-    name: str = ""
+    name: Name = ""
 
     @model_validator(mode="after")
     def _somewhere(self) -> Self:
@@ -68,7 +75,7 @@ class FieldTable(Record):
     Attributes:
         field: Its name there.
         unit: Of its values; empty: SI.
-        reference: Value that is subtracted from each, in the same unit.
+        reference: Value that is subtracted from each, in the same unit, or a text with its own.
         file: Another file with a mesh, whose field is taken to the mesh of the case.
         time: Of several time steps in the file, which one; None: the last.
         mesh_unit: Unit of length of the file; empty: the one that it states, else that of the mesh.
@@ -77,7 +84,7 @@ class FieldTable(Record):
 
     field: str
     unit: str = ""
-    reference: float = 0.0
+    reference: float | str = 0.0
     file: str = ""
     time: float | None = None
     mesh_unit: str = ""
@@ -142,7 +149,7 @@ class FieldFormula(Formula):
         """
         table, factor = field_table(written, unit)
         name = f"field '{table.key}'"
-        return cls(name, PLACE, 0.0, table.key, factor, table.reference, column)
+        return cls(name, PLACE, 0.0, table.key, factor, float(table.reference), column)
 
     def of(self, values: FloatArray) -> FloatArray:
         """Its values in SI units.
@@ -175,7 +182,9 @@ def field_table(written: Mapping[str, object], unit: str | None) -> tuple[FieldT
         if table.unit:
             one = f"1 {table.unit}"
             factor = to_base(one) if unit is None else unit_to_si(table.unit, unit)
-    return table, factor
+    with keyed("reference"):
+        read = reading(table.reference, table.unit if unit is None else unit, table.unit)
+    return table.model_copy(update={"reference": read}), factor
 
 
 def field_tables(written: object, where: str = "") -> Iterator[tuple[str, FieldTable]]:

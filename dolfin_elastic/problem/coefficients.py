@@ -88,7 +88,8 @@ class CoefficientBinder:
                 return self._vector(item, cells)
             case SpatialField():
                 with keyed("field"):
-                    return item.factor * (self._scalar(item.field, cells) - item.table.reference)
+                    values = self._scalar(item.field, cells)
+                    return item.factor * (values - float(item.table.reference))
             case SpatialFunction():
                 return self._function(item, cells)
             case SpatialCells():

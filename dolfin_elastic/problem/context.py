@@ -22,6 +22,7 @@ from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.shapes.directions import check_components
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.geometry.curved import facet_quadrature, quadrature_rule
@@ -396,9 +397,7 @@ class FormContext:
         """
         values = sized(values, self.body.dim)
         if len(values) != self.body.dim:
-            raise InputError(
-                f"{len(values)} components given, the body has {self.body.dim}", where="load"
-            )
+            check_components(values, self.body.dim, "load")
         factors = self.factors(values, curve)
         if not any(isinstance(value, Formula) for value in values):
             return factors[0] * self.constant([float(value) for value in values])  # type: ignore[arg-type]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from pydantic import Field
 
+from dolfin_elastic import Contact
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record, WhenGiven
 
@@ -105,3 +108,22 @@ def test_an_item_that_is_wrong_does_not_make_a_list_too_short(at, said):
     with pytest.raises(InputError) as caught:
         Place(at=at)
     assert str(caught.value) == said
+
+
+def test_a_table_with_an_unknown_key_tells_its_other_errors() -> None:
+    """Also those that a table makes as a whole, but not what may follow from the key left out."""
+    plane, ball = {"axis": "z", "at": 0}, {"center": [0, 0, 0], "radius": 1}
+    rows: list[tuple[dict[str, Any], list[str]]] = [
+        ({"plane": plane, "sphere": ball, "frictoin": 1}, ["frictoin", "plane and sphere are"]),
+        ({"plane": plane, "motion": [0, 0, "x"], "new": 1}, ["new", "motion[2]: the obstacle is"]),
+        ({"plane": plane, "friction": -1, "new": 1}, ["new", "friction: -1"]),
+        ({"plane": plane, "force": 1, "directoin": "x"}, ["directoin"]),
+        ({"plane": plane, "force": 1, "new": "x"}, ["new"]),
+        ({"new": 1}, ["new"]),
+    ]
+    for keys, said in rows:
+        with pytest.raises(InputError) as caught:
+            Contact(on="top", **keys)
+        errors = [str(one) for one in caught.value.each]
+        assert len(errors) == len(said)
+        assert all(word in error for word, error in zip(said, errors, strict=True))

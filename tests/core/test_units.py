@@ -16,6 +16,7 @@ from dolfin_elastic.core.units import (
     _registry,
     is_quantity,
     metres,
+    reading,
     to_base,
     to_si,
 )
@@ -254,6 +255,22 @@ def test_scales_with_a_zero_of_their_own():
     for unit in ("dB", "dBm", "dBu", "Np", "decade", "octave"):  # 1, 1 mW, 1 uW; e, 10, 2
         with pytest.raises(UnitError, match="on a scale whose steps are not equal"):
             to_base(f"3 {unit}")
+
+
+def test_readings_on_a_scale():
+    """Of a temperature the zero counts, of all else there is none."""
+    for written, scale, value in (
+        ("20 degC", "", 293.15),
+        ("20 °C", "K", 293.15),
+        ("20 degC", "degF", 68.0),
+        ("300 K", "degC", 26.85),
+        ("20", "degC", 20.0),
+        (20.0, "", 20.0),
+    ):
+        assert reading(written, "K", scale) == pytest.approx(value, rel=1e-12)
+    assert reading("2 kPa", "Pa", "MPa") == pytest.approx(2e-3)
+    with pytest.raises(UnitError, match="wrong unit"):
+        reading("20 m", "K", "degC")
 
 
 def test_units_that_mean_more():

@@ -23,6 +23,7 @@ from dolfin_elastic.core.errors import (
     nearest,
 )
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.shapes.directions import check_components
 from dolfin_elastic.core.types import BoolArray, IndexArray
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.axes import MATERIAL
@@ -287,13 +288,8 @@ def _check_components(case: Case, body: Body) -> None:
             ("dynamics.initial_velocity", case.dynamics.velocity),
         ]
     for where, values in vectors:
-        given = len(sized(values, body.dim))
-        if values and given != body.dim:
-            raise CaseError(
-                f"{given} components given",
-                where=where,
-                expected=f"the body is {body.dim}-dimensional, expected {body.dim}",
-            )
+        if values:
+            check_components(sized(values, body.dim), body.dim, where)
 
 
 def _check_mesh_fields(case: Case, body: Body) -> None:

@@ -17,15 +17,17 @@ from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import FormulaError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import first_of, total
+from dolfin_elastic.core.shapes.box import Box
 from dolfin_elastic.core.si_text import listed, quantity
 from dolfin_elastic.core.types import FloatArray, IndexArray
-from dolfin_elastic.core.units import MeshLength, to_si
+from dolfin_elastic.core.units import MeshLength, metres, to_si
 from dolfin_elastic.mesh.body import Body, cell_size, extent, mean_thickness
 from dolfin_elastic.mesh.criteria import BoundingBox, bounding_box
 from dolfin_elastic.mesh.geometry.simplices import facet_nodes, outward_normals, prepare_facets
 from dolfin_elastic.mesh.point_selection import vertices_of
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.model.loads import Load
+from dolfin_elastic.model.loads.remote import RemoteForce
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.records import RATES, RecordFormula
 from dolfin_elastic.model.supports.displacement import (
@@ -76,6 +78,8 @@ _SOFT = 1e3
 """Young's modulus [Pa] below which a case may be in numbers without dimensions."""
 _NEAR = 0.01
 """Distance over the body's diagonal up to which a point counts as in the body."""
+_REMOTE = 10.0
+"""Distance of the point of a remote force from the body, over its size, that is a slip."""
 _SMALL_UNIT = 0.1
 """Longest unit of a mesh [m] for which a place may have been meant in metres."""
 _BESIDE = 0.1
@@ -214,21 +218,32 @@ def _size(value: Component) -> float:
 
 
 def _mesh_place_notes(case: Case, body: Body) -> Iterator[str]:
-    """Bare places beside the origin that would lie in the body if they were in metres. Collective.
+    """Places that seem to be in another unit. Collective.
+
+    Those of remote forces lie far away, or would do so less in metres.
 
     A place in the mesh's unit is taken as it stands; one of numbers in metres is then so near the
     origin that it is found in a body with a corner there, and says something else.
     """
-    if body.unit.metres > _SMALL_UNIT:
-        return
-    low, high = bounding_box(body.mesh)
-    size = float(np.linalg.norm(high - low))
+    around, remote = (
+        Box(*bounding_box(body.mesh)),
+        {f"load[{i}].point" for i, load in enumerate(case.load) if isinstance(load, RemoteForce)},
+    )
     for key, place in _mesh_places(case):
-        if len(place) != body.dim or any(isinstance(x, str) for x in place):
+        if len(place) != body.dim:
+            continue
+        there = np.array([metres(x, body.unit.metres) for x in place])
+        away = float(around.outside(there)) / around.diagonal
+        if key in remote and away > _REMOTE:
+            yield (
+                f"{key}: {body.unit.point(there)} is {away:.3g} sizes of the body away from it: is "
+                f"it in another unit? Numbers are in {body.unit.name}"
+            )
+        if body.unit.metres > _SMALL_UNIT or any(isinstance(x, str) for x in place):
             continue
         point = np.array([float(x) for x in place])
-        outside = np.maximum(np.maximum(low - point, point - high), 0.0)
-        if point.any() and np.linalg.norm(outside) <= _NEAR * size:
+        near = _REMOTE if key in remote else _NEAR
+        if point.any() and around.outside(point) <= near * around.diagonal:
             shown, unit = ", ".join(f"{x:.4g}" for x in point), body.unit.name
             yield f"{key}: ({shown}) {unit} is beside the origin: is it in m? Numbers are in {unit}"
 

@@ -64,7 +64,20 @@ def square(x: str | Sequence[float], y: str | Sequence[float]) -> FloatArray:
     return np.array([a, b, np.cross(a, b)])
 
 
-def check_components(vector: str | Sequence[float] | None, dim: int, where: str) -> None:
+def check_count(vector: Sequence[object], count: int, where: str, expected: str = "") -> None:
+    """Raises where a vector has not so many components.
+
+    Args:
+        where: Key of the vector, which errors name where it is wrong.
+        expected: That in words; empty: the number.
+    """
+    if len(vector) != count:
+        raise InputError(
+            f"{len(vector)} components given", where=where, expected=expected or f"expected {count}"
+        )
+
+
+def check_components(vector: str | Sequence[object] | None, dim: int, where: str) -> None:
     """Raises where a vector or direction, if there is one, is none of a body.
 
     Args:
@@ -73,9 +86,5 @@ def check_components(vector: str | Sequence[float] | None, dim: int, where: str)
     """
     if isinstance(vector, str) and vector[-1] not in "xyz"[:dim]:
         raise InputError(f"a plane body has no axis '{vector}'", where=where, expected="x or y")
-    if vector is not None and not isinstance(vector, str) and len(vector) != dim:
-        raise InputError(
-            f"{len(vector)} components given",
-            where=where,
-            expected=f"the body is {dim}-dimensional, expected {dim}",
-        )
+    if vector is not None and not isinstance(vector, str):
+        check_count(vector, dim, where, f"the body is {dim}-dimensional, expected {dim}")

@@ -76,7 +76,7 @@ class Shape(Record):
             else metres(value, scale)
             for key, value in self.given_lengths().items()
         }
-        return self.model_copy(update=result)
+        return self.converted(result)
 
     @property
     def placed(self) -> bool:

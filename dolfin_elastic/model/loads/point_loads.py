@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import model_validator
 
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.shapes.directions import check_count
 from dolfin_elastic.core.shapes.shapes import Point, PositiveLength
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.loads.base import Load
@@ -132,12 +133,9 @@ class LineForce(ConcentratedLoad):
     def points(self) -> dict[str, Point]:
         """See `ConcentratedLoad.points`."""
         points = super().points
-        if len({len(point) for point in points.values()}) > 1:
-            raise InputError(
-                f"{len(points['end'])} components given",
-                where="end",
-                expected=f"{len(points['start'])}, as start has",
-            )
+        if points:
+            count = len(points["start"])
+            check_count(points["end"], count, "end", f"{count}, as start has")
         if points and points["start"] == points["end"]:
             raise InputError("the line has no length", where="end", expected="another point")
         return points

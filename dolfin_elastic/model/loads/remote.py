@@ -12,6 +12,8 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.schema import Name
+from dolfin_elastic.core.shapes.directions import check_count
 from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
@@ -59,7 +61,7 @@ class RemoteForce(Load):
     force: list[float | str] | None = None
     moment: float | str | list[float | str] | None = None
     coupling: Literal["averaging", "rigid"] = "averaging"
-    name: str = ""
+    name: Name = ""
     lengths: ClassVar[tuple[str, ...]] = ("point",)
 
     @cached_property
@@ -152,12 +154,8 @@ class RemoteForce(Load):
         sizes = {"force": dim, "moment": 2 * dim - 3, "point": dim}
         given = (*self.components, self.point or ())
         for (key, size), values in zip(sizes.items(), given, strict=True):
-            if values and len(values) != size:
-                raise InputError(
-                    f"{len(values)} components given",
-                    where=key,
-                    expected=f"{size} in a body of {dim} dimensions",
-                )
+            if values:
+                check_count(values, size, key, f"{size} in a body of {dim} dimensions")
 
     def _vector(self, context: LoadContext, values: tuple[Component, ...]) -> Expr:
         factors = context.factors(values, self.curve)

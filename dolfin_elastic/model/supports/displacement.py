@@ -11,7 +11,7 @@ from pydantic import model_validator
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
-from dolfin_elastic.core.shapes.directions import Direction, unit_vector
+from dolfin_elastic.core.shapes.directions import Direction, check_components, unit_vector
 from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.si_text import given, listed
 from dolfin_elastic.core.types import FloatArray
@@ -263,10 +263,7 @@ class Fixed(PrescribingSupport):
 
 def _check_length(support: Restraint, key: str, values: tuple[Component, ...], dim: int) -> None:
     if len(values) != dim:
-        raise InputError(
-            f"{len(values)} components given, the body has {dim}",
-            where=f"support '{support.label}'.{key}",
-        )
+        check_components(values, dim, f"support '{support.label}'.{key}")
 
 
 class Normal(PrescribingSupport):

@@ -10,6 +10,7 @@ from pydantic import model_validator
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.shapes.directions import check_count
 from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.units import is_quantity
@@ -174,11 +175,8 @@ class Rigid(Restraint):
 
     def _sized(self, key: str, size: int) -> tuple[Component, ...]:
         values = self._parsed[key]
-        if values and len(values) != size:
-            raise InputError(
-                f"{len(values)} components given, a body of this kind has {size}",
-                where=f"support '{self.label}'.{key}",
-            )
+        if values:
+            check_count(values, size, f"support '{self.label}'.{key}")
         return values
 
     def at_time(

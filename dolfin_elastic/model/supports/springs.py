@@ -13,6 +13,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
+from dolfin_elastic.core.shapes.directions import check_components
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.model.amplitude import Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
@@ -249,11 +250,7 @@ class ResistingSupport(Restraint):
         """
         values = self._values(context)
         if not self.by_normal:
-            if len(values) != len(w):
-                raise InputError(
-                    f"{len(values)} components given, the body has {len(w)}",
-                    where=f"support '{self.label}'.{self.axes}",
-                )
+            check_components(values, len(w), f"support '{self.label}'.{self.axes}")
             return ufl.as_vector([k * w[i] for i, k in enumerate(values)])
         along = ufl.inner(w, context.N) * context.N
         return values[0] * along + values[1] * (w - along)

@@ -18,6 +18,7 @@ from mpi4py import MPI
 
 from dolfin_elastic.core.errors import InputError, MeshError, keyed
 from dolfin_elastic.core.parallel import agree, total
+from dolfin_elastic.core.shapes.directions import check_components
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size, span
 from dolfin_elastic.model.amplitude import Amplitude
@@ -120,10 +121,7 @@ class NodalLoads(Term):
 
     def _spread_out(self, load: ConcentratedLoad) -> _Spread:
         for key, vector in load.vectors.items():
-            if len(sized(vector, self._dim)) != self._dim:
-                raise InputError(
-                    f"{len(vector)} components given, the body has {self._dim}", where=key
-                )
+            check_components(sized(vector, self._dim), self._dim, key)
         spread = self._at_places(load) if load.on is None else self._on_parts(load)
         with keyed("value"):
             check_fields(self._body, load.values)

@@ -11,6 +11,7 @@ from dolfinx import fem
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import agree, first_of, largest, total
+from dolfin_elastic.core.shapes.directions import check_components
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.model.values import Component
@@ -42,8 +43,7 @@ def nodal_values(V: fem.FunctionSpace, values: tuple[Component, ...], where: str
         InputError: The number of components is not the body's.
     """
     bs = V.dofmap.index_map_bs
-    if len(values) != bs:
-        raise InputError(f"{len(values)} components given, the body has {bs}", where=where)
+    check_components(values, bs, where)
     places = V.tabulate_dof_coordinates()
     # DOLFINx finds them in the cells, to round-off; 1/x is to be infinite at x = 0.
     places[np.abs(places) < 64 * EPS * np.max(np.abs(places), initial=0.0)] = 0.0

@@ -783,6 +783,14 @@ def test_places_in_another_unit():
         notes = report(case(mesh=box, support=supports)).notes
         found = [note for note in notes if note.startswith("support[1].point: (0.001, 0, 0.003)")]
         assert len(found) == len(notes) == said
+    push = {"kind": "remote-force", "on": "top", "force": [0, 0, 1e-6]}
+    for point, said in (
+        ([0, 0, 0.02], "(0, 0, 0.02) mm is beside the origin: is it in m?"),
+        ([0, 0, "2 m"], "(0, 0, 2000) mm is 534 sizes of the body away from it: is it in another"),
+        ([0, 0, 30], ""),
+    ):
+        notes = report(case(mesh=box, load=[{**push, "point": point}])).notes
+        assert [note[15:].startswith(said) for note in notes] == [True] * bool(said)
     floor = {"on": "bottom", "plane": {"axis": "z", "at": -0.001}}
     found = report(case(mesh=box, contact=[floor]))
     (beside,) = (n for n in found.notes if n.startswith("contact 'bottom': its"))

@@ -20,6 +20,8 @@ from dolfin_elastic import (
     LinearElastic,
     NeoHookean,
     Problem,
+    RemoteForce,
+    Rotation,
     Statics,
     Support,
     box_body,
@@ -118,6 +120,30 @@ def test_a_block_between_plates(dim, degree):
     ends = np.isclose(x, 0) | np.isclose(x, 1)
     np.testing.assert_allclose(pressed[ends], floor[-1], rtol=1e-5)
     assert not pressed[~ends].any()
+
+
+def test_lengths_are_converted_once():
+    """Records of a problem are in metres; another problem of the same mesh in mm takes them so."""
+    body = rectangle_body(size=(100, 100), cells=(1, 1), scale=1e-3)
+    lid = Contact(on="top", plane={"axis": "-y", "at": 110}, gap_tolerance=0.5)
+    given: dict[str, Any] = {
+        "loads": [RemoteForce(on="top", point=[50, 200], force=[1, 0])],
+        "contacts": [lid],
+        "supports": [Rotation(on="bottom", point=[50, 0], axis="z", angle=0.1)],
+    }
+    law = LinearElastic(E=E, nu=NU)
+    first = Problem(body, law, **given)
+    contacts = [pair.contact for pair in first.contact_pairs]
+    again = Problem(body, law, loads=first.loads, supports=first.supports, contacts=contacts)
+    for problem in (first, again):
+        (pair,), (load,), (turn,) = problem.contact_pairs, problem.loads, problem.supports
+        assert pair.contact.obstacle.at == pytest.approx(0.11)
+        assert pair.tolerance == pytest.approx(5e-4)
+        assert load.point == pytest.approx((0.05, 0.2))
+        assert turn.point == pytest.approx((0.05, 0.0))
+    assert given["contacts"] == [lid]
+    assert lid.plane is not None
+    assert lid.plane.at == 110
 
 
 def test_what_counts_as_contact_goes_with_the_cells():
@@ -561,7 +587,10 @@ def test_shapes_that_are_none():
     assert "normal: a direction cannot be zero" in wrong(plane={"point": [0, 0], "normal": [0, 0]})
     assert "did you mean 'radius'?" in wrong(sphere={"center": [0, 0, 0], "radios": 1})
     assert "motion depends on t only" in wrong(plane={"axis": "z", "at": 0}, motion=[0, 0, "x*t"])
-    assert "above 0" in wrong(plane={"axis": "z", "at": 0}, gap_tolerance=0)
+    assert "gap_tolerance: should be pos" in wrong(plane={"axis": "z", "at": 0}, gap_tolerance=0)
+    for name in ("a b", "a/b", "1st", "a,b"):
+        said = wrong(plane={"axis": "z", "at": 0}, name=name)
+        assert f'name: "{name}" cannot be a name; letters, digits and _' in said
 
 
 @pytest.mark.parametrize("shape", ["sphere", "cylinder"])
