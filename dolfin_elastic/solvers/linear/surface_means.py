@@ -28,6 +28,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.compat import interpolation_matrix
 from dolfin_elastic.core.jit import CFunctions
+from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.constraints.rows import Rows
 from dolfin_elastic.problem.problem import Problem
@@ -36,6 +37,10 @@ from dolfin_elastic.solvers.assembly.node_blocks import NodeBlocks
 from dolfin_elastic.solvers.linear.block_rows import PetscRows
 from dolfin_elastic.solvers.linear.multigrid import VERTEX, ZERO, rows_above
 from dolfin_elastic.solvers.petsc.aij import from_entries
+
+STIFF = 2.0
+"""Trace of a node's block of C over that of its elements from which on means pay: there nodes by
+themselves take 30 iterations, 21 without contact, and with means a solve takes a third longer."""
 
 HAT = 1.5
 """Stiffness of a vertex with half of it at the midside nodes around it on the surface, over that of
@@ -61,7 +66,7 @@ class SurfaceMeans:
         self._v, self._u = T.createVecs()
 
     def take(self, diagonal: FloatArray, loops: CFunctions) -> None:
-        """Takes the present tangent over, if C is not zero. Collective.
+        """Takes the present tangent over, if C is stiff in it. Collective.
 
         Args:
             diagonal: Its blocks at owned nodes, shape (n, R, R); they become one where T is not,
@@ -72,8 +77,12 @@ class SurfaceMeans:
             return
         R, stiffer = diagonal.shape[1], self._stiffer
         rows = PetscRows(C, R, R, loops)
-        K = diagonal[self._nodes] - rows.diagonal(loops)[self._nodes]
+        there = rows.diagonal(loops)[self._nodes]
         rows.destroy()
+        K = diagonal[self._nodes] - there
+        sizes = [np.trace(blocks, axis1=1, axis2=2) for blocks in (there, K)]
+        if largest(C.comm.tompi4py(), float(np.max(sizes[0] / sizes[1], initial=0.0))) < STIFF:
+            return
         means = self._columns.of(C, self._blocks.pattern)[self._nodes]
         self._inverse = stiffer[:, :, None] * K * stiffer[:, None, :] + means
         loops.call("invert_blocks", R, len(self._nodes), self._inverse)
