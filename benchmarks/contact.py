@@ -3,8 +3,8 @@
     python3 benchmarks/contact.py [12]
 
 Quadratic elements, the number of cells along each edge; a tenth and all of the bottom in contact,
-with penalties in units of that by default.  A step is a tangent, a residual and a solve to 1e-8 with
-multigrid that is there; processor times, the least of five in turn.
+with penalties in units of that by default.  A step is a tangent, a residual and a solve to 1e-8
+with multigrid that is there; processor times, the least of five in turn.
 """
 
 from __future__ import annotations
@@ -56,6 +56,7 @@ class Step:
         self.best = np.full(3, np.inf)
 
     def measure(self) -> None:
+        """Times tangent, residual and solve once."""
         a, times = self.assembler, [time.process_time()]
         a.tangent.invalidate()
         a.tangent.assemble(self.x)
