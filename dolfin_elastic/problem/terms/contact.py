@@ -19,11 +19,12 @@ import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.ghosts import summed
+from dolfin_elastic.core.ghosts import summed, with_ghosts
 from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, cell_size
+from dolfin_elastic.mesh.geometry.curved import facet_quadrature
 from dolfin_elastic.mesh.geometry.simplices import (
     cell_corners,
     cells_beside_facets,
@@ -101,6 +102,7 @@ class ContactPair(Term):
 
     Args:
         index: From 0, in the case.
+        thickness: Of a plane body [m].
         surfaces: Names of those that carry the pressures; by default all of the contact.
 
     Attributes:
@@ -126,7 +128,12 @@ class ContactPair(Term):
     states = "open", "pressed"
 
     def __init__(
-        self, contact: Contact, context: FormContext, index: int, surfaces: Sequence[str] = ()
+        self,
+        contact: Contact,
+        context: FormContext,
+        index: int,
+        thickness: float,
+        surfaces: Sequence[str] = (),
     ) -> None:
         body = context.body
         self.contact, self.label, self._context = contact, contact.label, context
@@ -151,6 +158,7 @@ class ContactPair(Term):
         if contact.stiffness is not None:
             self.penalty.x.array[self.penalty.x.array > 0.0] = self.eps[:] = contact.stiffness
         self._first = self.penalty.x.array.copy(), self.eps.copy()
+        self._areas = _facet_areas(body, self.facets, None if self._axisymmetric else thickness)
         self.shift: fem.Constant = context.constant([0.0] * body.dim)
         if contact.between is None:
             self._at_nodes = contact.obstacle.followed()
@@ -207,8 +215,17 @@ class ContactPair(Term):
         return self.nodes_of_displacement, self.pressures()
 
     def area(self) -> float:
-        """Reference area on which there is pressure [m^2]. Collective."""
-        raise NotImplementedError
+        """Reference area on which there is pressure [m^2]. Collective.
+
+        Linear between vertices, the pressure ends where it meets minus the gap over the softness.
+        """
+        S = self.lam.function_space
+        level = np.zeros((S.dofmap.index_map.size_local, 1))
+        pressures, gaps = self.pressures(), self.pressing_gaps()
+        level[self.nodes, 0] = np.where(pressures > 0.0, pressures, -np.abs(gaps) / self.softness)
+        own, areas = self._areas
+        corners = with_ghosts(S.dofmap.index_map, level)[dofs_on_facets(S, own), 0]
+        return total(self.comm, float(areas @ positive_share(corners)))
 
     def along(self, way: FloatArray) -> ForceAlong:
         """The obstacle's force on the body along a unit vector. Collective."""
@@ -344,6 +361,21 @@ class ContactPair(Term):
         first, second = f"penetration_{self.label}", f"contact_area_{self.label}"
         result[first] = max(result.get(first, 0.0), depth)
         result[second] = result.get(second, 0.0) + self.area()
+
+
+def positive_share(corners: FloatArray) -> FloatArray:
+    """Share of each edge or triangle on which a linear function is above 0, shape (n,).
+
+    Args:
+        corners: Its values, shape (n, 2 or 3).
+    """
+    high, *middle, low = np.sort(corners, axis=1)[:, ::-1].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        some = high / (high - low)
+        for value in middle:
+            below = low / (low - high) * low / (low - value)
+            some = np.where(value > 0.0, 1.0 - below, some * high / (high - value))
+    return np.where(low > 0.0, 1.0, np.where(high > 0.0, some, 0.0))
 
 
 def allowed_gap(pair: ContactPair) -> float:
@@ -493,6 +525,20 @@ def _mean(body: Body, facets: IndexArray, heights: tuple[IndexArray, FloatArray]
     result = heights[1][np.searchsorted(heights[0], beside)]
     sums = total(body.comm, np.array([result.sum(), len(result)]))
     return float(sums[0] / max(sums[1], 1.0))
+
+
+def _facet_areas(
+    body: Body, facets: IndexArray, thickness: float | None
+) -> tuple[IndexArray, FloatArray]:
+    """Owned facets among some, and their reference areas [m^2]. Not collective.
+
+    Args:
+        thickness: Of a plane body [m]; None: it is axisymmetric.
+    """
+    own = facets[facets < body.mesh.topology.index_map(body.dim - 1).size_local]
+    rule = facet_quadrature(body.mesh, own, 2, raised=False)
+    around = 2 * np.pi * rule.X[:, :, 0] if thickness is None else thickness
+    return own, np.asarray((rule.weights * around).sum(axis=1))
 
 
 def _at_nodes(

@@ -37,8 +37,10 @@ def _choose(sign: Scalar, a: Scalar, b: Scalar) -> Expr:
 class NodalContact(ContactPair):
     """One contact of linear faces.  Its forces are integrals. Collective to make."""
 
-    def __init__(self, contact: Contact, context: FormContext, index: int) -> None:
-        super().__init__(contact, context, index)
+    def __init__(
+        self, contact: Contact, context: FormContext, index: int, thickness: float
+    ) -> None:
+        super().__init__(contact, context, index, thickness)
         self._measure = context.measures.contact_area(contact.surfaces, RULE)
         if self._axisymmetric:
             self._measure = self._weights_at_axis(self.facets)
@@ -93,15 +95,6 @@ class NodalContact(ContactPair):
         n = ufl.dot(self._gap[1], self._context.constant([float(x) for x in way]))
         force = self.pressure * n * self._measure
         return _ForceOfForm(self._context, force, self.penalty * self._measure)
-
-    @cached_property
-    def _area(self) -> fem.Form:
-        area = ufl.conditional(ufl.gt(self._trial_pressure, 0.0), 1.0, 0.0) * self._measure
-        return compile_forms(self.comm, [area], options(self.comm))[0]
-
-    def area(self) -> float:
-        """See `ContactPair`."""
-        return total(self.comm, float(fem.assemble_scalar(self._area)))
 
 
 class Touch(NamedTuple):

@@ -35,9 +35,14 @@ class _Followed(ContactPair):
     """A contact whose obstacle is followed through an iteration, see `Shape.followed`."""
 
     def __init__(
-        self, contact: Contact, context: FormContext, index: int, surfaces: Sequence[str] = ()
+        self,
+        contact: Contact,
+        context: FormContext,
+        index: int,
+        thickness: float,
+        surfaces: Sequence[str] = (),
     ) -> None:
-        super().__init__(contact, context, index, surfaces)
+        super().__init__(contact, context, index, thickness, surfaces)
         if contact.between is None:
             self._of_points = contact.obstacle.followed()
 
@@ -94,7 +99,7 @@ class VertexContact(_Followed):
         thickness: float,
         surfaces: Sequence[str] = (),
     ) -> None:
-        super().__init__(contact, context, index, surfaces)
+        super().__init__(contact, context, index, thickness, surfaces)
         self.functions = self._make_functions(thickness)
         self.near: BoolArray = np.zeros(len(self.nodes), dtype=bool)
 
@@ -141,10 +146,6 @@ class VertexContact(_Followed):
         """See `ContactPair`: linear between the vertices."""
         nodes, pressures = self.functions.at_nodes(self.pressures()[:, None])
         return nodes, pressures[:, 0]
-
-    def area(self) -> float:
-        """See `ContactPair`."""
-        return total(self.comm, float(np.sum(self.functions.areas[self.pressures() > 0])))
 
     # --- forces ---
 

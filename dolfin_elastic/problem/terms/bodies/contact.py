@@ -246,4 +246,4 @@ def _made(contact: Contact, context: FormContext, index: int, thickness: float) 
         return BodyContact(contact, context, index, thickness)
     if context.unknowns.degree > 1 or not contact.obstacle.in_forms:
         return VertexContact(contact, context, index, thickness)
-    return NodalContact(contact, context, index)
+    return NodalContact(contact, context, index, thickness)
