@@ -32,26 +32,27 @@ class BodyFriction(VertexFriction):
 
     def __init__(self, pair: BodyContact, context: FormContext, index: int) -> None:
         self._pieces = pair.pieces
-        self._path = fem.Function(context.unknowns.V)
-        self._before: FloatArray = context.unknowns.u.x.array.copy()
+        V = context.unknowns.V
+        self._path, self._before = fem.Function(V), fem.Function(V)
         super().__init__(pair, context, index)
-        self.memory = {**self.memory, f"motion_{index}": self._path}
+        more = {f"motion_{index}": self._path, f"before_{index}": self._before}
+        self.memory = {**self.memory, **more}
 
     def _moved(self) -> FloatArray:
         """See `CoulombFriction`."""
-        step = self._pieces.relative(self._context.unknowns.u.x.array - self._before)
+        step = self._pieces.relative(self._context.unknowns.u.x.array - self._before.x.array)
         return self._of(self._path) + self._pieces.means(step)
 
     def begin(self, *, moving: bool) -> None:
         """See `CoulombFriction`."""
-        self._before = self._context.unknowns.u.x.array.copy()
+        self._before.x.array[:] = self._context.unknowns.u.x.array
         super().begin(moving=moving)
 
     def advance(self) -> None:
         """See `CoulombFriction`."""
         super().advance()
         self._put(self._path, self._moved())
-        self._before = self._context.unknowns.u.x.array.copy()
+        self._before.x.array[:] = self._context.unknowns.u.x.array
 
     def blocks(self) -> Blocks:
         """See `VertexFriction`: areas are those opposite each other now."""
