@@ -80,6 +80,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.model.periodic import Periodic as Periodic
     from dolfin_elastic.model.point.report import material_report as material_report
     from dolfin_elastic.model.point_mass import PointMass as PointMass
+    from dolfin_elastic.model.self_contact import SelfContact as SelfContact
     from dolfin_elastic.model.supports.displacement import Fixed as Fixed
     from dolfin_elastic.model.supports.displacement import Normal as Normal
     from dolfin_elastic.model.supports.displacement import Rotation as Rotation
@@ -144,6 +145,7 @@ _PLACES = {
     "model.point_mass": ("PointMass",),
     "model.tie": ("Tie",),
     "model.contact": ("Contact",),
+    "model.self_contact": ("SelfContact",),
     "model.supports.displacement": ("Fixed", "Normal", "Rotation", "Support", "Symmetry"),
     "model.supports.rigid_surface": ("Rigid",),
     "model.supports.springs": ("Dashpot", "Spring"),

@@ -232,8 +232,8 @@ def _check_contacts(case: AnalysisTables) -> None:
         "in motion the penalty decides how far a surface penetrates",
         "leave it out; a higher `stiffness` makes it less",
     )
-    for index, contact in enumerate(case.contact if case.given == ("dynamics",) else ()):
-        refuse_unused_keys(contact, [rule], f"contact[{index}]")
+    for key, contact in case.pairs.items() if case.given == ("dynamics",) else ():
+        refuse_unused_keys(contact, [rule], key)
 
 
 def _check_output(case: AnalysisTables) -> None:

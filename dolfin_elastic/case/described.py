@@ -9,10 +9,10 @@ from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.model_tables import READERS
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.describe import Setting
 from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.point_mass import PointMass
+from dolfin_elastic.model.self_contact import AnyContact
 from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.tie import Tie
 from dolfin_elastic.problem.problem import Problem
@@ -58,7 +58,7 @@ def described_problem(problem: Problem) -> tuple[Described, ...]:
     lists: dict[str, Sequence[object]] = {
         "support": problem.supports,
         "load": problem.loads,
-        "contact": [pair.contact for pair in problem.contact_pairs],
+        "contact": problem.contacts,
         "tie": [] if ties is None else ties.given,
         "mass": problem.context.mounted,
     }
@@ -85,7 +85,7 @@ def _rows(lists: Mapping[str, Sequence[object]], setting: Setting) -> Iterator[D
 
 
 def _read(
-    key: str, record: Restraint | Load | Contact | Tie | PointMass, setting: Setting
+    key: str, record: Restraint | Load | AnyContact | Tie | PointMass, setting: Setting
 ) -> Described:
     record = record.in_metres(setting.metres)
     if not isinstance(record, Load):

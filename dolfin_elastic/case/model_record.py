@@ -51,11 +51,11 @@ def model_record(
 
 def _obstacles(case: Case, body: Body) -> Iterator[tuple[str, dict[str, object]]]:
     """What is drawn of surfaces from files, by the key of their contact."""
-    for index, contact in enumerate(case.contact):
+    for key, contact in case.pairs.items():
         if contact.mesh is not None and (found := body.obstacles.get(contact.mesh.key)):
             shown = found.to_draw()
             points = [[float(f"{x:.6g}") for x in row] for row in shown.points]
-            yield str(index), {"points": points, "triangles": shown.triangles.tolist()}
+            yield key, {"points": points, "triangles": shown.triangles.tolist()}
 
 
 def _volume(body: Body) -> float:

@@ -34,6 +34,7 @@ from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.library import check_library, completed
 from dolfin_elastic.model.periodic import Periodic
 from dolfin_elastic.model.point_mass import PointMass
+from dolfin_elastic.model.self_contact import SelfContact
 from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.supports.springs import SUPPORTS
 from dolfin_elastic.model.tie import Tie
@@ -81,7 +82,7 @@ class ModelTables(Record):
     materials: dict[str, AlreadyRead[Material]]
     support: list[AlreadyRead[Restraint]] = Field(default=[])
     load: list[AlreadyRead[Load]] = Field(default=[])
-    contact: list[AlreadyRead[Contact]] = Field(default=[])
+    contact: list[AlreadyRead[Contact] | AlreadyRead[SelfContact]] = Field(default=[])
     tie: list[AlreadyRead[Tie]] = Field(default=[])
     mass: list[AlreadyRead[PointMass]] = Field(default=[])
     periodic: WhenGiven[Periodic] | None = None
@@ -142,6 +143,12 @@ class ModelTables(Record):
         tables["mass"] = [table_of(item) for item in self.mass]
         tables["axes"] = {n: {"kind": one.kind, **table_of(one)} for n, one in self.axes.items()}
         return tables
+
+    @property
+    def pairs(self) -> dict[str, Contact]:
+        """Contacts with obstacles and between two surfaces, by their keys."""
+        every = enumerate(self.contact)
+        return {f"contact[{i}]": one for i, one in every if isinstance(one, Contact)}
 
     def problem_on(self, body: Body, degree: int) -> Problem:
         """The boundary value problem on a body. Collective.
@@ -261,11 +268,14 @@ def _load(row: object) -> Load:
         return class_named(LOADS, table, "kind", LOAD_WORDS)(**table)
 
 
-def _contact(row: object) -> Contact:
-    if isinstance(row, Contact):
+def _contact(row: object) -> Contact | SelfContact:
+    if isinstance(row, Contact | SelfContact):
         return row
+    table = as_table(row)
+    if "self" in table or "all" in table:
+        return SelfContact(**table)
     with _vector("motion"):
-        return Contact(**as_table(row))
+        return Contact(**table)
 
 
 def _tie(row: object) -> Tie:
@@ -282,7 +292,9 @@ def _local_axes(table: object) -> LocalAxes:
     return class_named(AXES, table, "kind")(**as_table(table))
 
 
-READERS: Mapping[str, Callable[[object], Restraint | Load | Contact | Tie | PointMass]] = {
+READERS: Mapping[
+    str, Callable[[object], Restraint | Load | Contact | SelfContact | Tie | PointMass]
+] = {
     "support": _support,
     "load": _load,
     "contact": _contact,

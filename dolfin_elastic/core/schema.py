@@ -60,7 +60,7 @@ class _RecordType(ModelMetaclass):
 
     if not TYPE_CHECKING:  # editors then see the fields as keywords
 
-        def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        def __call__(self, /, *args: Any, **kwargs: Any) -> Any:
             try:
                 return super().__call__(*args, **kwargs)
             except ValidationError as error:

@@ -162,6 +162,11 @@ class Contact(OnSurfaces):
             )
 
     @property
+    def key_of_names(self) -> str:
+        """The key that names its surfaces."""
+        return "on" if self.between is None else "between"
+
+    @property
     def sides(self) -> tuple[tuple[str, ...], ...]:
         """Names of the surfaces of both sides of `between`; () with an obstacle."""
         sides = self.between or ()

@@ -16,15 +16,16 @@ from dolfin_elastic.core.units import LengthUnit, to_si
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.facets_of_files import read_facets
 from dolfin_elastic.model.contact import Contact
+from dolfin_elastic.model.self_contact import AnyContact
 
 
-def _meshes(contacts: Sequence[Contact]) -> Iterator[tuple[int, RigidMesh]]:
+def _meshes(contacts: Sequence[AnyContact]) -> Iterator[tuple[int, RigidMesh]]:
     for index, contact in enumerate(contacts):
-        if contact.mesh is not None:
+        if isinstance(contact, Contact) and contact.mesh is not None:
             yield index, contact.mesh
 
 
-def with_obstacles(body: Body, contacts: Sequence[Contact], folder: Path = Path()) -> Body:
+def with_obstacles(body: Body, contacts: Sequence[AnyContact], folder: Path = Path()) -> Body:
     """A body beside which the surfaces of rigid bodies have been read. Collective.
 
     Args:
@@ -52,7 +53,7 @@ def with_obstacles(body: Body, contacts: Sequence[Contact], folder: Path = Path(
     return replace(body, obstacles=obstacles, information=tuple(information))
 
 
-def with_surfaces(contacts: Sequence[Contact], body: Body) -> list[Contact]:
+def with_surfaces(contacts: Sequence[AnyContact], body: Body) -> list[AnyContact]:
     """Contacts, in metres, with the surfaces of their obstacles. Collective.
 
     Raises:

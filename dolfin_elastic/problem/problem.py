@@ -25,6 +25,7 @@ from dolfin_elastic.model.kinematics import Geometry, weight
 from dolfin_elastic.model.loads import Cavity, ConcentratedLoad, Eigenstrain, Force, Load
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.periodic import Periodic
+from dolfin_elastic.model.self_contact import AnyContact, SelfContact
 from dolfin_elastic.model.supports.displacement import Restraint, Rotation
 from dolfin_elastic.model.supports.springs import Dashpot, ResistingSupport, Spring
 from dolfin_elastic.model.tie import Tie
@@ -104,7 +105,8 @@ class Problem(Shown):
             cover every cell exactly once.
         supports: Prescribed displacements, springs and dashpots; where a displacement is
             prescribed twice, the later one counts.
-        contacts: Contact of surfaces with rigid obstacles, see `Contact`.
+        contacts: Contact of surfaces with rigid obstacles and with each other, see `Contact`, and
+            with themselves, see `SelfContact`.
         ties: Surfaces with different meshes that move together.
         masses: What is mounted on surfaces and has a mass, but no stiffness.
         degree: Degree of the displacement on tetrahedra or triangles, 1 or 2; explicit schemes
@@ -130,7 +132,8 @@ class Problem(Shown):
         weak_form: The sum of virtual-work terms.
         regions: The materials, each on its cells.
         constraints: Prescribed displacements, and those that follow others.
-        contact_pairs: The contacts on this body.
+        contacts: In metres, those of `contact_pairs` and of surfaces with themselves.
+        contact_pairs: The contacts with obstacles and between two surfaces.
         frictions: The friction of those that have some.
         cell: The macroscopic deformation of a periodic cell, or None.
         eigenstrains: Material's name to its growth Fg (UFL), of those that grow.
@@ -158,7 +161,7 @@ class Problem(Shown):
         *,
         supports: Sequence[Restraint] = (),
         loads: Sequence[Load] = (),
-        contacts: Sequence[Contact] = (),
+        contacts: Sequence[AnyContact] = (),
         ties: Sequence[Tie] = (),
         masses: Sequence[PointMass] = (),
         degree: int = 2,
@@ -172,6 +175,7 @@ class Problem(Shown):
         self.body, self.degree, self.thickness = body, degree, thickness
         supports, loads = _in_metres(body, supports), _in_metres(body, loads)
         contacts, ties = _in_metres(body, contacts), _in_metres(body, ties)
+        self.contacts = tuple(contacts)
         self.supports, self.loads = _all_supports(supports, loads), tuple(_on_parts(body, loads))
         self.geometry = checked_geometry(geometry, thickness, body)
         self.axes = placed_axes(axes, body, self.geometry) if axes else {}
@@ -227,7 +231,9 @@ class Problem(Shown):
         # Forms are made lazily; evaluated here, an invalid load or spring fails on construction.
         _ = self.weak_form.external, self.weak_form.restraint_works
 
-    def _make_measures(self, contacts: Sequence[Contact], masses: Sequence[PointMass]) -> Measures:
+    def _make_measures(
+        self, contacts: Sequence[AnyContact], masses: Sequence[PointMass]
+    ) -> Measures:
         mesh, thickness = self.body.mesh, float(self.thickness)
         depth = None if thickness == 1.0 else Constant(mesh, thickness)
         return Measures(
@@ -239,10 +245,10 @@ class Problem(Shown):
                 *(mass.surfaces for mass in masses),
             ],
             weight(self.geometry, ufl.SpatialCoordinate(mesh), depth),
-            [contact.surfaces for contact in contacts],
+            [contact.surfaces for contact in contacts if isinstance(contact, Contact)],
         )
 
-    def _make_rare_terms(self, contacts: Sequence[Contact]) -> None:
+    def _make_rare_terms(self, contacts: Sequence[AnyContact]) -> None:
         """Makes what few problems have where there is any, to keep the usual path short."""
         kinds = {type(load) for load in self.loads}
         resisting = [s for s in self.supports if isinstance(s, ResistingSupport)]
@@ -258,6 +264,10 @@ class Problem(Shown):
             self.terms += make_loaded_obstacles(self.contact_pairs, self.context)
             self.frictions = tuple(make_frictions(self.contact_pairs, self.context))
             self.terms += self.frictions
+        if any(isinstance(contact, SelfContact) for contact in contacts):
+            from dolfin_elastic.problem.terms.bodies.barrier import make_barriers
+
+            self.terms += make_barriers(contacts, self.context, self.thickness)
         self.eigenstrains: dict[str, Expr] = {}
         shanks: dict[int, Shank] = {}
         if any(issubclass(kind, Eigenstrain) for kind in kinds):
@@ -501,9 +511,9 @@ def wholly_incompressible(problem: Problem) -> bool:
 
 def parts_held(problem: Problem) -> dict[str, list[str]]:
     """Label of supports, springs, contacts and ties to the parts that they act on."""
-    contacts = [pair.contact for pair in problem.contact_pairs]
     ties = [] if problem.constraints.ties is None else problem.constraints.ties.given
     result: dict[str, list[str]] = defaultdict(list)
+    contacts = [pair.contact for pair in problem.contact_pairs]
     every: list[OnSurfaces] = [*problem.supports, *contacts, *ties]
     for holder in every:
         result[holder.label] += holder.surfaces
@@ -551,7 +561,7 @@ def _check_normals(
     body: Body,
     supports: Sequence[Restraint],
     loads: Sequence[Load],
-    contacts: Sequence[Contact],
+    contacts: Sequence[AnyContact],
 ) -> None:
     """Surfaces whose outward normal a spring, load or contact needs are outside. Collective."""
     result = [
@@ -561,8 +571,8 @@ def _check_normals(
     ]
     result += [(f"load[{i}].on", load.parts) for i, load in enumerate(loads) if load.along_normal]
     result += [
-        (f"contact[{i}].{'on' if c.between is None else 'between'}", c.surfaces)
-        for i, c in enumerate(contacts)
+        (f"contact[{i}].{contact.key_of_names}", contact.surfaces)
+        for i, contact in enumerate(contacts)
     ]
     for where, names in result:
         for name in names:

@@ -76,6 +76,7 @@ class Term:
         linear: Its forces are linear in the displacement.
         symmetric: Its blocks are those of a symmetric matrix.
         nodal: It has forces that are in no form, see `add_forces`.
+        bars: It does not let every step pass, see `longest_step`.
         restrains: These answer to the body's motion; else they are loads.
         changes: As a load it changes in motion.
         opens: Its forces begin and end, as those of contact.
@@ -91,7 +92,7 @@ class Term:
 
     label: str
     linear = symmetric = True
-    nodal = restrains = changes = opens = False
+    nodal = restrains = changes = opens = bars = False
     at_rest = True
     follows_path = dissipates = False
     shift: fem.Constant | None = None
@@ -143,6 +144,18 @@ class Term:
         They stay the same.
         """
         return None
+
+    def longest_step(self, motion: FloatArray) -> float:
+        """The share of a motion from the present state in which it lets nothing pass. Collective.
+
+        Args:
+            motion: Of the displacement's nodes, local array [m].
+        """
+        return 1.0
+
+    def without_rest(self) -> InputError:
+        """That a term which bars steps acts in motion only, with what to do."""
+        raise NotImplementedError
 
     # --- where its forces begin and end ---
 
@@ -420,10 +433,29 @@ class Terms(list[Term]):
         for term in self.scalars:
             raise term.without_motion()
 
+    def refuse_rest(self) -> None:
+        """Refuses equilibria of what is computed in motion only.
+
+        Raises:
+            InputError: The first such term.
+        """
+        for term in self:
+            if term.bars:
+                raise term.without_rest()
+
     def blocks(self) -> Blocks | None:
         """The blocks of all terms; None where no term has any. Collective."""
         result = [blocks for term in self if (blocks := term.blocks()) is not None]
         return sum(result[1:], result[0]) if result else None
+
+    @property
+    def bars(self) -> bool:
+        """See `Term`: of any."""
+        return any(term.bars for term in self)
+
+    def longest_step(self, motion: FloatArray) -> float:
+        """See `Term`: of all terms."""
+        return min((term.longest_step(motion) for term in self if term.bars), default=1.0)
 
     @contextmanager
     def assumed(self, *, closed: bool) -> Iterator[None]:

@@ -141,6 +141,7 @@ SHARED = {
     "model/supports/test_supports.py",
     "notebook/test_notebook_views.py",
     "problem/terms/test_at_points.py",
+    "problem/terms/test_barrier.py",
     "problem/terms/test_body_contact.py",
     "problem/terms/test_bolts.py",
     "problem/terms/test_contact.py",

@@ -163,10 +163,7 @@ def _named(case: Case, body: Body) -> Iterator[tuple[str, str, Sequence[str], st
             rule = f"{_a(load.kind)} acts on {_listed(kinds)}{_instead(load, name, body)}"
             yield where, name, kinds, rule
     for i, contact in enumerate(case.contact):
-        key, parts = (
-            ("on", contact.on) if contact.between is None else ("between", contact.surfaces)
-        )
-        for where, name in _names(f"contact[{i}].{key}", parts):
+        for where, name in _names(f"contact[{i}].{contact.key_of_names}", contact.surfaces):
             yield where, name, ("surface",), "a contact holds surfaces"
     for where, name, rule in _joined_names(case):
         yield where, name, ("surface",), rule
@@ -547,7 +544,7 @@ def _notes(case: Case) -> Iterator[str]:
                         "time in seconds in [dynamics]"
                     )
     moving = any(not support.at_rest for support in case.support)
-    moving = moving or any(value != 0.0 for c in case.contact for value in c.values)
+    moving = moving or any(value != 0.0 for c in case.pairs.values() for value in c.values)
     if case.modal is not None and not case.preloaded:
         small = all(material.law.linear for material in case.materials.values())
         if (case.load or moving) and not small:  # a preload changes nothing there

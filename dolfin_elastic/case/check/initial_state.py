@@ -178,7 +178,8 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
         return
     diagonal, (reach, why), unit = span(problem.body), _reach(case, problem), problem.body.unit
     pressed = False
-    for i, (pair, gap, _) in enumerate(_initial_gaps(case, problem)):
+    written = case.pairs.values()
+    for one, (pair, gap, _) in zip(written, _initial_gaps(case, problem), strict=True):
         if pair.contact.push is not None:  # it goes to where it touches, or the run refuses it
             pressed = True
             continue
@@ -205,7 +206,7 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
             )
         if text := _coarse_facets(pair, unit):
             yield f"contact '{pair.label}': {text}"
-        if text := _in_another_unit(unit, case.contact[i], pair, diagonal):
+        if text := _in_another_unit(unit, one, pair, diagonal):
             yield f"contact '{pair.label}': {text}"
         if (found := _held_along_its_way(case, problem, pair)) is not None:
             when, held = found
@@ -274,7 +275,7 @@ def _reach(case: Case, problem: Problem) -> tuple[float, str]:
         any(value != 0.0 for value in (*case.dynamics.displacement, *case.dynamics.velocity))
     )
     pushed = len(problem.contact_pairs) > 1 and any(
-        c.values or c.push is not None for c in case.contact
+        c.values or c.push is not None for c in case.pairs.values()
     )
     if not (moving or loaded or started or pushed or problem.cell is not None):
         return 0.0, "and nothing moves the body"
@@ -390,9 +391,9 @@ def check_curves(case: Case, dim: int) -> None:
         curve: Amplitude | None = getattr(row, "curve", None)
         if curve is not None and curve.formula is not None:
             values[f"{key}.curve"] = curve.at
-    for i, contact in enumerate(case.contact):
-        values[f"contact[{i}].motion"] = partial(_moved, contact, default, dim)
-        values[f"contact[{i}].force"] = partial(contact.force_at, default=default)
+    for key, contact in case.pairs.items():
+        values[f"{key}.motion"] = partial(_moved, contact, default, dim)
+        values[f"{key}.force"] = partial(contact.force_at, default=default)
     if (cell := case.periodic) is not None:
         values["periodic"] = partial(cell.gradient_at, default=default)
     for where, value in values.items():

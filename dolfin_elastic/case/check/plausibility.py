@@ -177,8 +177,8 @@ def _prescribed_motions(
         if isinstance(support, Normal):
             values = (support.value,)
         yield f"support[{i}].displacement", values, getattr(support, "curve", None)
-    for i, contact in enumerate(case.contact):
-        yield f"contact[{i}].motion", contact.values, contact.curve
+    for key, contact in case.pairs.items():
+        yield f"{key}.motion", contact.values, contact.curve
 
 
 def _changes(values: tuple[Component, ...], curve: Amplitude | None) -> bool:
@@ -295,9 +295,9 @@ def _growth_notes(case: Case) -> Iterator[str]:
         return
     keys = [f"support[{i}]" for i, support in enumerate(case.support) if support.proportional]
     keys += [f"load[{i}]" for i, load in enumerate(case.load) if load.amplitude is None]
-    for i, contact in enumerate(case.contact):
+    for key, contact in case.pairs.items():
         if any(v != 0.0 and amplitude_of(v, contact.curve) is None for v in contact.values):
-            keys.append(f"contact[{i}]")
+            keys.append(key)
     if keys:
         yield (
             f"{listed(keys)}: numbers without a curve are multiplied by the time in seconds, at "

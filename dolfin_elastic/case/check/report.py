@@ -73,6 +73,7 @@ from dolfin_elastic.solvers.diagnostics.rigid_body import (
     check_no_rigid_motion,
     free_bodies,
 )
+from dolfin_elastic.solvers.dynamics.dynamics import with_barriers
 from dolfin_elastic.solvers.eigen.settings import UNMOVED
 from dolfin_elastic.solvers.linear.choice import Choice, choose
 
@@ -243,12 +244,14 @@ def _solver_notes(case: Case, problem: Problem) -> tuple[str, ...]:
     check_probes(case, problem)
     check_folder(case, problem.body.comm)
     if case.analysis in ("statics", "buckling") or case.preloaded:
+        problem.terms.refuse_rest()
         check_no_rigid_motion(problem)
     if (start := case.start_of(problem)) is not None:
         start()
     if case.dynamics is not None:
         if case.dynamics.implicit:
             check_damped(problem, case.dynamics.damping.get("stiffness", 0.0))
+        with_barriers(problem, case.dynamics)
         case.dynamics.row.scheme.check(problem, case.dynamics.scheme)
         if case.dynamics.parameters is not None:
             from dolfin_elastic.solvers.dynamics.implicit.implicit import suited
@@ -298,7 +301,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
         degree=problem.degree,
         unknowns=problem.num_dofs,
         analysis=case.analysis,
-        scheme=case.dynamics.scheme if case.dynamics else "",
+        scheme=with_barriers(problem, case.dynamics).scheme if case.dynamics else "",
         linear_solver="none: explicit scheme" if choice is None else choice.why,
         surfaces=surface_sizes(body, use, faces_used(case, body)),
         edges=lower_sizes(body, "edge", use),

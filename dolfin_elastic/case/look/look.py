@@ -118,7 +118,7 @@ def _obstacles(case: Case, body: Body, scene: Scene) -> tuple[Obstacle, ...]:
     """As they stand at the start, those that fit the body. On rank 0."""
     reach, result = Reach(), []
     reach.take(scene.points)
-    for index, contact in enumerate(case.contact):
+    for key, contact in case.pairs.items():
         if contact.between is not None:
             continue
         shape = contact.obstacle.in_metres(body.unit.metres)
@@ -129,7 +129,7 @@ def _obstacles(case: Case, body: Body, scene: Scene) -> tuple[Obstacle, ...]:
                 if shape.key not in body.obstacles:
                     continue
                 shape = shape.with_facets(body.obstacles[shape.key])
-            result.append((f"contact[{index}] {named}", shape, np.zeros(3)))
+            result.append((f"{key} {named}", shape, np.zeros(3)))
     return obstacles_beside(result, reach, body.dim, _CONTACT)
 
 

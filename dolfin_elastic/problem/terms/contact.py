@@ -35,6 +35,7 @@ from dolfin_elastic.mesh.geometry.simplices import (
 )
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.contact import Contact
+from dolfin_elastic.model.self_contact import AnyContact
 from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion, shear_modulus, volume_modulus
@@ -416,7 +417,7 @@ def _travel(
     return result
 
 
-def check_contacts(contacts: Sequence[Contact], body: Body, *, turned: bool) -> None:
+def check_contacts(contacts: Sequence[AnyContact], body: Body, *, turned: bool) -> None:
     """Checks that contacts, in metres, fit the body. Not collective.
 
     Raises:

@@ -263,7 +263,7 @@ def obstacles_of(run: FinishedRun, t: float) -> list[tuple[str, Shape, FloatArra
     """
     default = CONSTANT if run.moving else PROPORTIONAL
     contacts = {
-        str(i): Contact(**row).in_metres(run.metres)
+        f"contact[{i}]": Contact(**row).in_metres(run.metres)
         for i, row in enumerate(run.case.get("contact", []))
         if not {"between", "self", "all"} & row.keys()
     }

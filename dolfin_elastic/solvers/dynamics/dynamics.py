@@ -28,6 +28,10 @@ from dolfin_elastic.solvers.statics.settings import StaticsSettings
 
 log = logging.getLogger("dolfin_elastic")
 
+BARRED = {"scheme": "implicit-euler", "max_iterations": 100}
+"""Defaults where surfaces must not pass through themselves: bodies meet in several places in one
+step, and each may stop a few iterations."""
+
 
 class Dynamics(Marching):
     """Follows the motion of a problem, with every load and support it has.
@@ -60,6 +64,7 @@ class Dynamics(Marching):
         self.problem = problem
         self.settings = settings_from(DynamicsSettings, settings, fields)
         self.linear = linear or LinearSettings()
+        self.settings = with_barriers(problem, self.settings)
         if not self.settings.implicit:
             self._refuse_linear()
         self.statics = statics or StaticsSettings()
@@ -174,3 +179,24 @@ class Dynamics(Marching):
         return Explicit(
             problem, velocity, s.row.scheme, end=s.end, dt=s.dt, safety=s.safety, every=s.every
         )
+
+
+def with_barriers(problem: Problem, settings: DynamicsSettings) -> DynamicsSettings:
+    """With a scheme that sees the ends of steps, where terms bar steps: nothing passes there.
+
+    Raises:
+        InputError: Another scheme is given.
+    """
+    if not problem.terms.bars:
+        return settings
+    others = {"spectral_radius", "beta", "gamma"} & settings.model_fields_set
+    given = settings.model_fields_set | ({"scheme"} if others else set())
+    settings = settings.model_copy(update={k: v for k, v in BARRED.items() if k not in given})
+    if settings.parameters is None or settings.parameters.alpha_f != 0.0:
+        raise InputError(
+            f"contact of a surface with itself cannot be computed by {settings.scheme}: at the "
+            "ends of steps parts may have passed through each other",
+            where="dynamics.scheme",
+            expected='"implicit-euler", which is the default with it, or "newmark"',
+        )
+    return settings

@@ -31,6 +31,7 @@ from dolfin_elastic.solvers.nonlinear.convergence import (
     Tolerance,
 )
 from dolfin_elastic.solvers.nonlinear.jacobian import InversionGuard, JacobianWatch
+from dolfin_elastic.solvers.nonlinear.passage import PassageGuard
 from dolfin_elastic.solvers.nonlinear.scalars import FreeStrains, UniformPressure
 from dolfin_elastic.solvers.petsc.monitors import FileMonitors
 from dolfin_elastic.solvers.petsc.options import Options, ksp_reason, snes_reason
@@ -118,6 +119,7 @@ class Newton:
             assembler, tolerance, inertia=inertia, bordered=self.bordered, guard=self.guard
         )
         self._monitors: FileMonitors | None = None
+        self._passage: PassageGuard | None = None
         if FileMonitors.NAMES & self.options.users.keys():
             self._monitors = FileMonitors(self.snes, self.ksp, self.options)
         self.linear = LinearSolver(assembler, self.options, self.ksp, self.snes)
@@ -152,6 +154,9 @@ class Newton:
         self.install_test()
         if self.guard is not None and not self.assembler.problem.linear:
             self.snes.setLineSearchPreCheck(self.guard.shorten)
+        if self.assembler.problem.terms.bars:
+            self._passage = PassageGuard(self.assembler, self.snes)
+            self.snes.setLineSearchPreCheck(self._passage.shorten)
 
     def install_test(self, max_iterations: int | None = None) -> None:
         """Makes the SNES use our test of convergence, and none of PETSc's tolerances."""
@@ -382,6 +387,8 @@ class Newton:
         self.linear.destroy()
         if self._monitors is not None:
             self._monitors.close()
+        if self._passage is not None:
+            self._passage.destroy()
         if self._owns:
             self.snes.destroy()
         if self.bordered is not None:

@@ -54,6 +54,7 @@ class Statics(Marching):
         gradual: bool = False,
         **fields: Any,
     ) -> None:
+        problem.terms.refuse_rest()
         self.problem, self._preload, self._gradual = problem, preload, gradual
         self.settings = settings_from(StaticsSettings, settings, fields)
         self.linear = linear or LinearSettings()

@@ -23,6 +23,7 @@ from dolfin_elastic.mesh.body import span
 from dolfin_elastic.mesh.geometry.curved import facet_areas
 from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets, prepare_facets
 from dolfin_elastic.model.contact import Contact
+from dolfin_elastic.model.self_contact import AnyContact
 from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.constraints.ties.facets import longest_edge, owned
 from dolfin_elastic.problem.context import FormContext
@@ -231,14 +232,18 @@ def _carrier_first(
 
 
 def make_contacts(
-    contacts: Sequence[Contact], context: FormContext, thickness: float
+    contacts: Sequence[AnyContact], context: FormContext, thickness: float
 ) -> tuple[ContactPair, ...]:
-    """All contacts on a body. Collective.
+    """All contacts on a body with obstacles and between surfaces. Collective.
 
     Args:
         thickness: Of a plane body [m].
     """
-    return tuple(_made(contact, context, i, thickness) for i, contact in enumerate(contacts))
+    return tuple(
+        _made(contact, context, i, thickness)
+        for i, contact in enumerate(contacts)
+        if isinstance(contact, Contact)
+    )
 
 
 def _made(contact: Contact, context: FormContext, index: int, thickness: float) -> ContactPair:

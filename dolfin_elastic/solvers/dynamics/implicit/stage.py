@@ -277,12 +277,21 @@ class StageSolver:
         stage.prescribed.impose(u, stage.u)
         predicted[moves] = u
         old = stage.start.w
+        if self._problem.terms.bars and self._passes(predicted, old):
+            return [old]
         if self._problem.linear:
             return [predicted]
         norms = [self._norm_at(guess) for guess in (predicted, old)]
         if not np.isfinite(norms[0]):
             return [old]
         return [predicted, old] if norms[0] <= norms[1] else [old, predicted]
+
+    def _passes(self, predicted: FloatArray, old: FloatArray) -> bool:
+        """Whether bodies pass through each other between two states; the old one is set then."""
+        self._moving.set_unknowns(predicted)
+        end = self._problem.u.x.array.copy()
+        self._moving.set_unknowns(old)
+        return self._problem.terms.longest_step(end - self._problem.u.x.array) < 1.0
 
     def _norm_at(self, guess: FloatArray) -> float:
         """Norm of the residual of a first guess; infinite where a cell is inside out."""

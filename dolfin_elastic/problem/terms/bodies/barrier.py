@@ -1,0 +1,438 @@
+"""`Barrier`: a surface that never passes through itself, by incremental potential contact.
+
+Pairs of vertices, edges and faces that are closer than d^ repel each other with the potential
+
+    kappa sum of w_k b(d_k),    b(d) = -(d - d^2)^2 ln(d/d^2),
+
+d the square of their distance and w_k areas; it grows without bound as a distance goes to zero, and
+every step of Newton's method ends before anything meets.  So no state has an intersection.
+Friction is a smoothed law of Coulomb, with the pressures and directions of the state that was
+accepted last: below the speed `slow` points that stick creep.
+
+Quadratic faces count as flat ones through their nodes, four triangles or two edges each: forces
+between these bodies are right, pressures are not (a uniform pressure has none at the vertices of a
+quadratic triangle).
+
+All ranks know the places of the whole surface and find the same pairs; each takes some of them.
+
+Source: M. Li, Z. Ferguson, T. Schneider, T. Langlois, D. Zorin, D. Panozzo, C. Jiang & D. M.
+Kaufman, ACM Trans. Graph. 39 (2020) 49; area weights: the same, Convergent Incremental Potential
+Contact, arXiv 2307.15908 (2023).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from dolfinx import fem
+
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.parallel import smallest, total
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+from dolfin_elastic.mesh.geometry.simplices import boundary_facets, dofs_on_facets, prepare_facets
+from dolfin_elastic.model.amplitude import Amplitude
+from dolfin_elastic.model.self_contact import SelfContact
+from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.material_regions import shear_modulus
+from dolfin_elastic.problem.term import Blocks, Term
+
+NEAR = 0.1
+"""Distance at which surfaces begin to repel each other, over the median edge."""
+
+PRESSED = 0.05
+"""Pressure at half that distance, over three shear moduli: Young's modulus, or a bit less."""
+
+SLOW = 1e-3
+"""Speed up to which friction is smoothed, sizes of the surface a second: Li et al. (2020), 5.3."""
+
+CLEAR = 0.9
+"""Share of a step up to the first contact that is taken."""
+
+SHORT = 0.1
+"""Largest motion of a step of Newton's method, over d^, after which its tangent is exact."""
+
+_FLAT = {2: ((0, 1),), 3: ((0, 1, 2),)}
+_SPLIT = {2: ((0, 2), (2, 1)), 3: ((0, 5, 4), (5, 1, 3), (4, 3, 2), (3, 4, 5))}
+"""Nodes of the flat facets of a linear and of a quadratic facet, by the dimension of the body."""
+
+_KINDS = {
+    2: {"ev_candidates": (("edge_id", "vertex_id"), 1, 2)},
+    3: {
+        "fv_candidates": (("face_id", "vertex_id"), 1, 3),
+        "ee_candidates": (("edge0_id", "edge1_id"), 2, 2),
+    },
+}
+"""Pairs that may meet, by the dimension: names of their numbers, and vertices of both partners."""
+
+
+def library() -> ModuleType:
+    """ipctk, with one thread a rank.
+
+    Raises:
+        InputError: It is not there.
+    """
+    try:
+        import ipctk
+    except ImportError as error:
+        raise InputError(
+            f"contact of a surface with itself needs the Python package ipctk ({error})",
+            expected="pip install --require-hashes -r docker/python-packages.txt",
+        ) from None
+    ipctk.set_num_threads(1)
+    return ipctk
+
+
+class CollisionSurface:
+    """The flat facets of a surface, on all ranks. Collective to make.
+
+    Args:
+        facets: Local facets, owned by this rank.
+
+    Attributes:
+        nodes: Global nodes of the displacement, sorted, shape (n,).
+        mesh: These at rest, their edges and faces, for ipctk.
+        edge: Median length of an edge [m].
+    """
+
+    def __init__(self, context: FormContext, facets: IndexArray, ipctk: ModuleType) -> None:
+        V, d = context.unknowns.V, context.body.dim
+        self._comm, self._dim, self._u = context.body.comm, d, context.unknowns.u
+        index_map = V.dofmap.index_map
+        local = dofs_on_facets(V, facets)
+        parts = np.array((_FLAT if context.unknowns.degree == 1 else _SPLIT)[d])
+        flat = index_map.local_to_global(local[:, parts].ravel()).reshape(-1, d)
+        every = np.concatenate(self._comm.allgather(flat))
+        self.nodes, corners = np.unique(every, return_inverse=True)
+        corners = corners.reshape(-1, d)
+        corners = corners[np.lexsort(corners.T)]
+        first, last = index_map.local_range
+        own = (self.nodes >= first) & (self.nodes < last)
+        self._at = np.flatnonzero(own)
+        self.own = (self.nodes[own] - first).astype(np.int32)
+        self._counts = d * np.array(self._comm.allgather(len(self.own)))
+        X = V.tabulate_dof_coordinates()[self.own, :d]
+        rest = np.asfortranarray(self._of_ranks(X))
+        faces = np.asfortranarray(corners.astype(np.int32))
+        edges = np.asfortranarray(ipctk.edges(faces)) if d == 3 else faces
+        self.mesh = ipctk.CollisionMesh(
+            rest, edges, faces if d == 3 else np.zeros((0, 3), np.int32)
+        )
+        self.edge = float(np.median(np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)))
+        self.rest = rest
+        both = [(int(i), int(j)) for i, j in edges]
+        self.adjacent = {*both, *((j, i) for i, j in both)}
+
+    def _of_ranks(self, own: FloatArray) -> FloatArray:
+        """Rows of the owned nodes of all ranks: in the order of `nodes`, for ranks follow."""
+        result = np.empty((len(self.nodes), self._dim))
+        self._comm.Allgatherv(np.ascontiguousarray(own), [result, self._counts])
+        return result
+
+    def gathered(self, field: FloatArray) -> FloatArray:
+        """A vector field of the displacement's nodes at `nodes`, shape (n, dim). Collective.
+
+        Args:
+            field: Local array, at least the owned entries.
+        """
+        return self._of_ranks(field.reshape(-1, self._dim)[self.own])
+
+    def places(self) -> FloatArray:
+        """Present places, shape (n, dim) [m]. Collective."""
+        return np.asfortranarray(self.rest + self.gathered(self._u.x.array))
+
+    def add(self, local: FloatArray, forces: FloatArray) -> None:
+        """Adds the sum over ranks of forces at `nodes` to nodal forces. Collective.
+
+        Args:
+            local: This rank's share, shape (n * dim,) [N].
+            forces: See `Term.add_forces`.
+        """
+        every = total(self._comm, np.ascontiguousarray(local)).reshape(-1, self._dim)
+        forces.reshape(-1, self._dim)[self.own] += every[self._at]
+
+    def blocks(self, matrix: Any, known: IntArray) -> tuple[IntArray, Blocks]:
+        """A matrix of the places as blocks, of zeros too for pairs of nodes that had some. Local.
+
+        Args:
+            matrix: SciPy's, shape (n * dim, n * dim).
+            known: Numbers of the pairs that had blocks, sorted.
+
+        Returns:
+            The numbers with those that are new, and the blocks.
+        """
+        n, d = len(self.nodes), self._dim
+        parts = matrix.tobsr((d, d))
+        first = np.repeat(np.arange(n, dtype=np.int64), np.diff(parts.indptr))
+        here = first * n + parts.indices
+        known = np.union1d(known, here)
+        values = np.zeros((len(known), d, d))
+        values[np.searchsorted(known, here)] = parts.data
+        return known, Blocks(self.nodes[known // n], self.nodes[known % n], values)
+
+
+class Barrier(Term):
+    """A surface that cannot pass through itself. Collective to make.
+
+    Args:
+        index: From 0, among the contacts of the case.
+        thickness: Of a plane body [m].
+
+    Attributes:
+        reach: d^, up to which two of its points repel each other [m].
+        surface: Its flat facets.
+    """
+
+    linear, nodal, restrains, opens, bars, account = False, True, True, True, True, "contact"
+
+    def __init__(
+        self, contact: SelfContact, context: FormContext, index: int, thickness: float
+    ) -> None:
+        body, ipctk = context.body, library()
+        self.contact, self.label, self._index, self._context = (
+            contact,
+            contact.label,
+            index,
+            context,
+        )
+        self.comm, self._dim, self._ipctk = body.comm, body.dim, ipctk
+        prepare_facets(body.mesh)
+        if contact.all:
+            facets = boundary_facets(body.mesh)
+        else:
+            parts = [body.owned_facets(name) for name in contact.surfaces]
+            facets = np.unique(np.concatenate(parts)).astype(np.int32)
+        self.surface = CollisionSurface(context, facets, ipctk)
+        self.shift = context.constant([0.0] * body.dim)
+        self.reach = float(contact.distance or 0.0) or NEAR * self.surface.edge
+        self._beside = {kind: self._neighbours(kind) for kind in _KINDS[body.dim]}
+        unit = ipctk.BarrierPotential(self.reach, 1.0)
+        modulus = 3 * min(shear_modulus(region.typical) for region in context.regions)
+        pressure = abs(unit.force_magnitude((self.reach / 2) ** 2, 0.0))
+        self.potential = ipctk.BarrierPotential(
+            self.reach, thickness * PRESSED * modulus / pressure
+        )
+        self._pairs: IntArray = np.zeros(0, dtype=np.int64)
+        self.projection = ipctk.PSDProjectionMethod.CLAMP
+        self._now: tuple[FloatArray, Any] | None = None
+
+    def _neighbours(self, kind: str) -> set[tuple[int, int]]:
+        """Candidates that are close at rest because they are beside each other. Local.
+
+        A face of a sliver and the far vertex of its neighbour are: the elements between them, not
+        the barrier, are what keeps them apart.
+        """
+        rest, adjacent = self.surface.rest, self.surface.adjacent
+        candidates = self._ipctk.Candidates()
+        candidates.build(self.surface.mesh, rest, self.reach)
+        ids, first, second = _KINDS[self._dim][kind]
+        mesh, result = self.surface.mesh, set()
+        for pair in getattr(candidates, kind):
+            vertices = np.array(pair.vertex_ids(mesh.edges, mesh.faces))[: first + second]
+            one, other = vertices[:first], vertices[first:]
+            if pair.compute_distance(rest[vertices].ravel()) < self.reach**2 and any(
+                (int(i), int(j)) in adjacent for i in one for j in other
+            ):
+                result.add(tuple(getattr(pair, name) for name in ids))
+        return result
+
+    # --- pairs ---
+
+    def _share(self, candidates: Any) -> Any:
+        """This rank's share of pairs that all ranks have found alike, without neighbours."""
+        for kind, beside in self._beside.items():
+            if self.comm.size == 1 and not beside:
+                continue
+            ids, every = _KINDS[self._dim][kind][0], getattr(candidates, kind)
+            share = every[self.comm.rank :: self.comm.size]
+            if beside:
+                share = [p for p in share if tuple(getattr(p, n) for n in ids) not in beside]
+            setattr(candidates, kind, share)
+        return candidates
+
+    def pairs_at(self, places: FloatArray) -> Any:
+        """This rank's share of the pairs that repel each other. Local."""
+        ipctk, mesh = self._ipctk, self.surface.mesh
+        candidates = ipctk.Candidates()
+        candidates.build(mesh, places, self.reach)
+        pairs = ipctk.NormalCollisions()
+        pairs.use_area_weighting = True
+        pairs.build(self._share(candidates), mesh, places, self.reach)
+        return pairs
+
+    def _least(self, places: FloatArray) -> float:
+        """Smallest distance of two parts that meet in no node, at most `reach` [m]. Collective."""
+        pairs, least = self.pairs_at(places), self.reach
+        if len(pairs):
+            least = float(np.sqrt(pairs.compute_minimum_distance(self.surface.mesh, places)))
+        return smallest(self.comm, least)
+
+    def _present(self) -> tuple[FloatArray, Any]:
+        """Places of the surface, and this rank's pairs. Collective."""
+        places = self.surface.places()
+        if self._now is None or not np.array_equal(places, self._now[0]):
+            self._now = places, self.pairs_at(places)
+        return self._now
+
+    # --- forces ---
+
+    def add_forces(self, forces: FloatArray) -> None:
+        """See `Term`."""
+        places, pairs = self._present()
+        self.surface.add(-self.potential.gradient(pairs, self.surface.mesh, places), forces)
+
+    def energy(self) -> float:
+        """See `Term`."""
+        places, pairs = self._present()
+        return total(self.comm, float(self.potential(pairs, self.surface.mesh, places)))
+
+    def blocks(self) -> Blocks:
+        """See `Term`: far from the solution of each pair the part that is semidefinite."""
+        places, pairs = self._present()
+        matrix = self.potential.hessian(pairs, self.surface.mesh, places, self.projection)
+        self._pairs, result = self.surface.blocks(matrix, self._pairs)
+        return result
+
+    def longest_step(self, motion: FloatArray) -> float:
+        """See `Term`.  Once steps are short, the tangent is no longer made semidefinite."""
+        ipctk, start, moved = self._ipctk, self.surface.places(), self.surface.gathered(motion)
+        end, project = np.asfortranarray(start + moved), ipctk.PSDProjectionMethod
+        near = np.abs(moved).max(initial=0.0) < SHORT * self.reach
+        self.projection = project.NONE if near else project.CLAMP
+        if not np.isfinite(end).all():
+            return 1.0  # another reason will shorten it
+        candidates = ipctk.Candidates()
+        candidates.build(self.surface.mesh, start, end)
+        share = self._share(candidates).compute_collision_free_stepsize(
+            self.surface.mesh, start, end, narrow_phase_ccd=ipctk.AdditiveCCD()
+        )
+        share = smallest(self.comm, float(share))
+        return 1.0 if share >= 1.0 else CLEAR * share
+
+    # --- a run ---
+
+    def without_rest(self) -> InputError:
+        """See `Term`: inertia is what makes each step small."""
+        return InputError(
+            "contact of a surface with itself is computed in motion only",
+            where=f"contact[{self._index}].{self.contact.key_of_names}",
+            expected="[dynamics], with damping if only its end is wanted; or `between`",
+        )
+
+    def check_start(self) -> str:
+        """See `Term`: nothing intersects at the start."""
+        places = self.surface.places()
+        if self._ipctk.has_intersections(self.surface.mesh, places):
+            raise InputError(
+                f"'{self.label}' passes through itself at the start",
+                where=f"contact[{self._index}]",
+                expected="bodies that are apart: no two faces that meet but at common nodes",
+            )
+        near = total(self.comm, len(self.pairs_at(places)))
+        if not near:
+            return ""
+        return (
+            f"at the start {near} pairs of vertices, edges and faces of '{self.label}' are closer "
+            f"than {self._context.body.unit.length(self.reach)} and push each other apart: a "
+            "smaller distance leaves them"
+        )
+
+    def advance(self) -> None:
+        """See `Term`: pairs that were near long ago leave the tangent's pattern."""
+        self._pairs = np.zeros(0, dtype=np.int64)
+
+    def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
+        """See `Term`: smallest distance [m], at most that at which forces begin."""
+        result[f"smallest_distance_{self.label}"] = self._least(self.surface.places())
+
+
+class SmoothFriction(Term):
+    """Friction of a surface that touches itself. Collective to make.
+
+    Args:
+        index: From 0, among the contacts of the case.
+    """
+
+    linear, nodal, restrains, account = False, True, True, ""
+    follows_path = dissipates = True
+
+    def __init__(self, barrier: Barrier, context: FormContext, index: int) -> None:
+        self._barrier, self.label, self.shift = barrier, barrier.label, barrier.shift
+        self._surface, self._ipctk = barrier.surface, library()
+        self._start = fem.Function(context.unknowns.V)
+        self._u = context.unknowns.u
+        self.memory = {f"friction_start_{index}": self._start}
+        diagonal = np.linalg.norm(np.ptp(self._surface.rest, axis=0))
+        self._slow = barrier.contact.slow or SLOW * float(diagonal)
+        self._t = self._from = 0.0
+        self._sliding: tuple[FloatArray, FloatArray, Any] | None = None
+        self._pairs: IntArray = np.zeros(0, dtype=np.int64)
+
+    def set_time(self, t: float, default: Amplitude) -> None:
+        """See `Term`."""
+        self._t = t
+
+    def begin(self, *, moving: bool) -> None:
+        """See `Term`."""
+        self.advance()
+
+    def advance(self) -> None:
+        """See `Term`: pressures and directions are those of now."""
+        self._start.x.array[:] = self._u.x.array
+        self._from = self._t
+        self._pairs = np.zeros(0, dtype=np.int64)
+
+    def _present(self) -> tuple[Any, Any, FloatArray]:
+        """The potential, this rank's pairs and the motion since the last step. Collective."""
+        first = self._surface.gathered(self._start.x.array)
+        if self._sliding is None or not np.array_equal(first, self._sliding[0]):
+            places = np.asfortranarray(self._surface.rest + first)
+            pairs = self._ipctk.TangentialCollisions()
+            normal = self._barrier.pairs_at(places)
+            if len(normal):
+                args = normal, self._barrier.potential, self._barrier.contact.friction
+                pairs.build(self._surface.mesh, places, *args)
+            self._sliding = first, places, pairs
+        _, places, pairs = self._sliding
+        motion = np.asfortranarray(self._surface.places() - places)
+        if not len(pairs) or self._t <= self._from:  # in no time nothing slides
+            return None, pairs, motion
+        return self._ipctk.FrictionPotential(self._slow * (self._t - self._from)), pairs, motion
+
+    def add_forces(self, forces: FloatArray) -> None:
+        """See `Term`."""
+        potential, pairs, motion = self._present()
+        gradient = np.zeros(motion.size)
+        if potential is not None:
+            gradient = potential.gradient(pairs, self._surface.mesh, motion)
+        self._surface.add(-gradient, forces)
+
+    def blocks(self) -> Blocks:
+        """See `Term`."""
+        from scipy.sparse import csc_array
+
+        potential, pairs, motion = self._present()
+        matrix = csc_array((motion.size, motion.size))
+        if potential is not None:
+            how = self._barrier.projection
+            matrix = potential.hessian(pairs, self._surface.mesh, motion, how)
+        self._pairs, result = self._surface.blocks(matrix, self._pairs)
+        return result
+
+
+def make_barriers(
+    contacts: Sequence[object], context: FormContext, thickness: float
+) -> Iterator[Term]:
+    """Those of the contacts of surfaces with themselves, each followed by its friction. Collective.
+
+    Args:
+        thickness: Of a plane body [m].
+    """
+    for index, contact in enumerate(contacts):
+        if isinstance(contact, SelfContact):
+            barrier = Barrier(contact, context, index, thickness)
+            yield barrier
+            if contact.friction > 0.0:
+                yield SmoothFriction(barrier, context, index)

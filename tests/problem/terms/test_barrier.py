@@ -1,0 +1,186 @@
+"""Contact of surfaces with themselves: forces, energies, steps, friction, restarts, messages."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.stacked import stacked
+from helpers.tangents import against_differences
+from mpi4py import MPI
+
+from dolfin_elastic import Dynamics, Fixed, Gravity, NeoHookean, Problem, SelfContact, Statics
+from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.mesh.geometry.simplices import cell_corners, signed_volumes
+from dolfin_elastic.model.amplitude import CONSTANT
+from dolfin_elastic.problem.terms.bodies.barrier import Barrier
+
+ipctk = pytest.importorskip("ipctk")
+
+MESHES: dict[int, dict[str, Any]] = {
+    2: {"size": (1.0, 1.0), "lower": (3, 2), "upper": (4, 2)},
+    3: {"size": (1.0, 1.0, 1.0), "lower": (2, 2, 1), "upper": (2, 1, 1)},
+}
+RUBBER = NeoHookean(E=1e5, nu=0.3, density=1000.0)
+G = 9.81
+
+
+def blocks(dim: int, degree: int, *, gap: float = 0.02, fixed: bool = True, **keys: Any) -> Problem:
+    """A block above another one; their skins may touch."""
+    return Problem(
+        stacked(**MESHES[dim], gap=gap, shift=0.05, width=0.8),
+        RUBBER,
+        degree=degree,
+        supports=[Fixed(on="bottom")] if fixed else [],
+        loads=[Gravity(value=[*[0.0] * (dim - 1), -G])] if fixed else [],
+        contacts=[SelfContact(all=True, name="skin", **keys)],
+    )
+
+
+def barrier(problem: Problem) -> Barrier:
+    return next(term for term in problem.terms if isinstance(term, Barrier))
+
+
+def press(problem: Problem, gap: float) -> None:
+    """Brings the upper block down to a gap, and deforms both a little."""
+    x, dim = problem.places, problem.body.dim
+    u = problem.u.x.array.reshape(-1, dim)
+    above = x[:, dim - 1] > 0.51
+    u[:, dim - 1] += np.where(above, gap - 0.02, 0.0)
+    u += 0.002 * np.sin(4 * x[:, :dim] + x[:, [0]])
+    problem.unknowns.u_to_w()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("degree", [1, 2])
+def test_forces_are_those_of_the_energy_and_balance(dim, degree):
+    """Each pair pushes both its partners alike: to round-off. The slope: second order in 1e-6."""
+    problem = blocks(dim, degree)
+    press(problem, 0.01)
+    term, comm = barrier(problem), problem.body.comm
+    forces = np.zeros(len(problem.u.x.array))
+    term.add_forces(forces)
+    sums = comm.allreduce(forces.reshape(-1, dim).sum(axis=0))
+    size = comm.allreduce(float(np.abs(forces).sum()))
+    assert size > 1.0
+    np.testing.assert_allclose(sums / size, 0.0, atol=1e-13)
+
+    way = np.cos(3 * problem.places[:, :dim]).ravel()
+    energies = []
+    for step in (1e-6, -2e-6):
+        problem.u.x.array[:] += step * way
+        energies.append(term.energy())
+    problem.u.x.array[:] += 1e-6 * way
+    size = problem.V.dofmap.index_map.size_local * dim
+    work = comm.allreduce(float(forces[:size] @ way[:size]))
+    assert (energies[1] - energies[0]) / 2e-6 == pytest.approx(work, rel=1e-5)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+def test_the_tangent_is_that_of_differences(friction):
+    """Once steps are short it is exact; with friction too, in whose law limits are lagged."""
+    problem = blocks(2, 2, fixed=False, friction=friction)
+
+    def prepare() -> None:
+        u = problem.u.x.array
+        now = u.copy()
+        u.reshape(-1, 2)[problem.places[:, 1] > 0.51, 0] -= 1e-3
+        for term in problem.terms:
+            term.advance()
+            term.set_time(0.01, CONSTANT)
+        u[:] = now
+        barrier(problem).longest_step(np.zeros(len(u)))
+
+    with against_differences(problem, prepare) as (_, off, size):
+        assert off < 1e-6 * size
+
+
+@pytest.mark.parametrize(("dim", "degree"), [(2, 1), (2, 2), (3, 1)])
+def test_a_block_falls_on_another(dim, degree):
+    """Nothing intersects at any state, no energy appears, and Newton's method needs few steps."""
+    problem = blocks(dim, degree)
+    term, energies, nearest = barrier(problem), [], []
+    for state in Dynamics(problem, end=0.12, dt=4e-3).steps():
+        places = term.surface.places()
+        assert not ipctk.has_intersections(term.surface.mesh, places)
+        assert state.newton <= 30
+        energies.append(state.energies["total"] + state.energies["potential"])
+        nearest.append(state.numbers["smallest_distance_skin"])
+    assert min(nearest) < 0.95 * term.reach
+    # Implicit Euler loses energy; what a step gains is round-off of its equations, 1e-8.
+    assert max(np.diff(energies)) <= 1e-6 * np.ptp(energies)
+
+
+def upper_momentum(problem: Problem, v: np.ndarray) -> np.ndarray:
+    """Of the upper block, of linear elements [kg m/s]."""
+    body = problem.body
+    cells = body.owned_cells("upper")
+    volumes = np.abs(signed_volumes(cell_corners(body.mesh, cells)))
+    rows = v.reshape(-1, body.dim)[problem.V.dofmap.list[cells]].mean(axis=1)
+    return np.asarray(body.comm.allreduce(1000.0 * volumes @ rows))
+
+
+def test_friction_is_the_coefficient_times_the_push():
+    """A block that bounces off another in sliding: impulses, when it is over.
+
+    Limits are those of a step ago, so the sums over all steps agree; what does not is the turn of
+    the faces within a step.
+    """
+    problem = blocks(2, 1, gap=0.03, fixed=False, friction=0.3)
+    v = ["where(y > 0.51, 0.4, 0)", "where(y > 0.51, -0.1, 0)"]
+    momenta, numbers = [], []
+    for state in Dynamics(problem, end=0.3, dt=2e-3, initial_velocity=v).steps():
+        momenta.append(upper_momentum(problem, state.v.x.array))
+        numbers.append(state.numbers["smallest_distance_skin"])
+    change = np.diff(np.array(momenta)[[0, -1]], axis=0)[0]
+    assert numbers[-1] == barrier(problem).reach
+    assert change[1] > 10.0
+    assert -change[0] == pytest.approx(0.3 * change[1], rel=0.01)
+    assert state.energies["friction"] > 0.0
+
+
+def test_momentum_is_that_of_before():
+    """Two blocks that fly at each other: linear momentum to round-off of Newton's method."""
+    problem = blocks(2, 1, fixed=False, friction=0.3)
+    v = ["where(y > 0.51, 0.3, 0)", "where(y > 0.51, -1, 0)"]
+    states = list(Dynamics(problem, end=0.08, dt=4e-3, initial_velocity=v).steps())
+    momenta = np.array([state.momenta["linear"] for state in states])
+    assert min(state.numbers["smallest_distance_skin"] for state in states) < barrier(problem).reach
+    np.testing.assert_allclose(momenta, momenta[:1].repeat(len(momenta), 0), atol=1e-6 * 400)
+
+
+def test_parts_of_a_sliver_do_not_repel_each_other():
+    """A vertex that is close to the next face from the start: elements lie between them."""
+    problem = blocks(2, 1, distance=0.3)
+    term = barrier(problem)
+    assert term.reach == 0.3
+    places = term.surface.rest
+    least = term.pairs_at(places)
+    first = least.compute_minimum_distance(term.surface.mesh, places) if len(least) else 4e-4
+    assert problem.body.comm.allreduce(first, op=MPI.MIN) == pytest.approx(0.02**2, rel=1e-9)
+
+
+def test_it_is_refused_by_name():
+    with pytest.raises(InputError, match="passes through itself at the start") as error:
+        [*Dynamics(blocks(2, 1, gap=-0.01), end=1.0, dt=0.1).steps()]
+    assert error.value.where == "contact[0]"
+    with pytest.raises(InputError, match="in motion only"):
+        Statics(blocks(2, 1))
+    with pytest.raises(InputError, match="generalized-alpha") as error:
+        Dynamics(blocks(2, 1), end=1.0, dt=0.1, scheme="generalized-alpha")
+    assert error.value.where == "dynamics.scheme"
+    with pytest.raises(InputError, match="symplectic-euler"):
+        Dynamics(blocks(2, 1), end=1.0, dt=0.1, scheme="symplectic-euler")
+    with pytest.raises(InputError, match="no name is given"):
+        SelfContact(friction=0.3)
+    with pytest.raises(InputError, match="both names and all"):
+        SelfContact(on="skin", all=True)
+
+
+def test_without_its_package(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ipctk", None)
+    with pytest.raises(InputError, match="needs the Python package ipctk") as error:
+        blocks(2, 1)
+    assert "python-packages.txt" in error.value.expected
