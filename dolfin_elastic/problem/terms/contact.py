@@ -65,6 +65,9 @@ SQUEEZE = 1e-2
 No body is stiffer than a layer of one element that cannot widen, so forces err by less than this.
 """
 
+ENDED = 1e-6
+"""Pressure over that of the multiplier which is but round-off: it ends there, at whatever gap."""
+
 FAR = 1e30
 """Gap [m] beyond all others."""
 
@@ -237,8 +240,9 @@ class ContactPair(Term):
 
         And that at which statics leaves them [m].
         """
-        gaps = self.pressing_gaps()
-        off = np.abs(gaps[(self.pressures() > 0) | (gaps < 0)])
+        gaps, lam = self.pressing_gaps(), self.lam.x.array[self.nodes]
+        least = ENDED * largest(self.comm, float(np.max(lam, initial=0.0)))
+        off = np.abs(gaps[(self.pressures() > least) | (gaps < 0)])
         return largest(self.comm, float(np.max(off, initial=0))), allowed_gap(self)
 
     def unsettled(self) -> bool:
