@@ -132,12 +132,18 @@ def tie_notes(case: Case, problem: Problem) -> Iterator[str]:
 
 
 def mesh_notes(case: Case, body: Body) -> list[str]:
-    """What is doubtful in the mesh; with ties, not yet what they may join. Local."""
-    return [note for note in body.notes if not (case.tie and _TIE in note)]
+    """What is doubtful in the mesh; with ties, not yet what they may join. Local.
+
+    Bodies in contact with each other are not to be joined.
+    """
+    meet = bool(case.tie) or any(contact.between for contact in case.contact)
+    return [note for note in body.notes if not (meet and _TIE in note)]
 
 
 def untied_notes(case: Case, problem: Problem) -> Iterator[str]:
     """Bodies of the mesh that are not joined, where the ties of the case do not. Collective."""
+    if any(contact.between for contact in case.contact):
+        return
     if not case.tie or (bodies := ConnectedBodies(problem)).count == 1:
         return
     tied = bodies.regions()

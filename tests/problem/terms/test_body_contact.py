@@ -75,6 +75,26 @@ def test_patch_test(dim, degree):
 
 
 @pytest.mark.parametrize("degree", [1, 2])
+def test_patch_test_of_discs(degree):
+    """Two discs between plates, whose rims cannot move out: the pressure is uniform."""
+    problem = Problem(
+        stacked(**MESHES[2]),
+        {"lower": LinearElastic(E=E, nu=NU), "upper": LinearElastic(E=4 * E, nu=0.2)},
+        geometry="axisymmetric",
+        degree=degree,
+        supports=[
+            Support(on="bottom", displacement=[FREE, 0]),
+            Support(on="right", displacement=[0, FREE]),
+        ],
+        loads=[Traction(on="top", value=[0, -1e4])],
+        contacts=[BETWEEN],
+    )
+    state = last(problem, steps=1)
+    np.testing.assert_allclose(problem.contact_pairs[0].pressures(), 1e4, rtol=1e-10)
+    assert state.reactions["joint"][1] == pytest.approx(1e4 * np.pi, rel=1e-10)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_tangent(dim, degree, monkeypatch):
     """Against central differences where the cut stays as it is; symmetric."""
