@@ -258,7 +258,7 @@ class Problem(Shown):
         if contacts:
             self.contact_pairs = make_contacts(contacts, self.context, self.thickness)
             for pair in self.contact_pairs:
-                if not pair.contact.obstacle.in_forms:  # of any shape, and as thin as a blade
+                if pair.contact.mesh is not None:  # of any shape, and as thin as a blade
                     pair.follows = self.constraints
             self.terms += self.contact_pairs
             self.terms += make_loaded_obstacles(self.contact_pairs, self.context)

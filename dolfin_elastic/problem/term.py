@@ -77,6 +77,7 @@ class Term:
         symmetric: Its blocks are those of a symmetric matrix.
         nodal: It has forces that are in no form, see `add_forces`.
         bars: It does not let every step pass, see `longest_step`.
+        only_implicit: Its forces are too dear, or too stiff, for the steps of explicit schemes.
         restrains: These answer to the body's motion; else they are loads.
         changes: As a load it changes in motion.
         opens: Its forces begin and end, as those of contact.
@@ -92,7 +93,7 @@ class Term:
 
     label: str
     linear = symmetric = True
-    nodal = restrains = changes = opens = bars = False
+    nodal = restrains = changes = opens = bars = only_implicit = False
     at_rest = True
     follows_path = dissipates = False
     shift: fem.Constant | None = None

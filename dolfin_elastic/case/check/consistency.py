@@ -163,7 +163,9 @@ def _named(case: Case, body: Body) -> Iterator[tuple[str, str, Sequence[str], st
             rule = f"{_a(load.kind)} acts on {_listed(kinds)}{_instead(load, name, body)}"
             yield where, name, kinds, rule
     for i, contact in enumerate(case.contact):
-        for where, name in _names(f"contact[{i}].{contact.key_of_names}", contact.surfaces):
+        for where, name in _names(
+            f"contact[{i}].{contact.key_of_names}", contact.on or contact.surfaces
+        ):
             yield where, name, ("surface",), "a contact holds surfaces"
     for where, name, rule in _joined_names(case):
         yield where, name, ("surface",), rule

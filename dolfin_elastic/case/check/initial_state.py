@@ -136,13 +136,19 @@ def mesh_notes(case: Case, body: Body) -> list[str]:
 
     Bodies in contact with each other are not to be joined.
     """
-    meet = bool(case.tie) or any(contact.between for contact in case.contact)
+    meet = bool(case.tie) or _bodies_meet(case)
     return [note for note in body.notes if not (meet and _TIE in note)]
+
+
+def _bodies_meet(case: Case) -> bool:
+    """There is contact between bodies, or of surfaces with themselves."""
+    within = len(case.pairs) < len(case.contact)
+    return within or any(contact.between for contact in case.pairs.values())
 
 
 def untied_notes(case: Case, problem: Problem) -> Iterator[str]:
     """Bodies of the mesh that are not joined, where the ties of the case do not. Collective."""
-    if any(contact.between for contact in case.contact):
+    if _bodies_meet(case):
         return
     if not case.tie or (bodies := ConnectedBodies(problem)).count == 1:
         return

@@ -185,7 +185,8 @@ class Barrier(Term):
         surface: Its flat facets.
     """
 
-    linear, nodal, restrains, opens, bars, account = False, True, True, True, True, "contact"
+    linear, nodal, restrains, opens, account = False, True, True, True, "contact"
+    bars = only_implicit = True
 
     def __init__(
         self, contact: SelfContact, context: FormContext, index: int, thickness: float

@@ -55,6 +55,8 @@ class BodyContact(VertexContact):
 
     flat = False
 
+    only_implicit = True
+
     def __init__(
         self, contact: Contact, context: FormContext, index: int, thickness: float
     ) -> None:

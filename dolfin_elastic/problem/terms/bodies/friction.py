@@ -30,6 +30,8 @@ from dolfin_elastic.problem.terms.vertex_friction import VertexFriction
 class BodyFriction(VertexFriction):
     """Friction of one contact between two surfaces of the mesh. Collective to make."""
 
+    only_implicit = True
+
     def __init__(self, pair: BodyContact, context: FormContext, index: int) -> None:
         self._pieces = pair.pieces
         V = context.unknowns.V

@@ -51,7 +51,11 @@ def check_explicit(problem: Problem, scheme: str) -> None:
             "'generalized-alpha'",
         )
     for term in problem.terms:
-        if term.nodal and term.restrains and not (term.opens or term.dissipates):
+        if (
+            term.nodal
+            and term.restrains
+            and (term.only_implicit or not (term.opens or term.dissipates))
+        ):
             raise InputError(
                 f"'{scheme}' knows no forces that answer to the motion and have no UFL form, as "
                 f"those of '{term.label}'",
