@@ -22,14 +22,10 @@ LONG = {"bounce", "bridge", "duck", "incline", "inverted", "tipping", "turek_hro
 
 
 def runs() -> Iterator[Any]:
-    """Demos and numbers of ranks.
-
-    Long ones run on two, which asserts the same number as one rank; the duck on one, for the
-    command of the README solves it on two.
-    """
+    """Demos and numbers of ranks; the command of the README solves the duck on two."""
     for path in SCRIPTS:
         long = path.stem in LONG
-        for ranks in ((1,) if path.stem == "duck" else (2,)) if long else (1, 2):
+        for ranks in (1,) if path.stem == "duck" else (1, 2):
             marks = pytest.mark.long if long else ()
             yield pytest.param(path, ranks, marks=marks, id=f"{path.stem}-{ranks}")
 

@@ -7,12 +7,12 @@ Where the command line names files, all of their tests run, whatever set they be
                    a `sample(k)` k parameters      that run on n ranks, if it is neither `long` nor
                                                    SLOW; where a file runs on 2 and 3, every fourth
                                                    one of the others runs on 3
-    all (--all)    every test                      every test of these files that is not ENDURING:
-                                                   where they run on 2 and on 3, each parameter on
-                                                   one of both, `long` ones on 2; where they run on
-                                                   2 alone, so many parameters as MOST says
-
-and the rest (--rest) is all but the quick set.
+    rest (--rest)  all but the quick set           the same, of these files: where they run on 2 and on
+                                                   3, each parameter on one of both, `long` ones on
+                                                   2; where they run on 2 alone, so many parameters
+                                                   as MOST says
+    all (--all)    every test                      every test and parameter of these files that is not
+                                                   ENDURING, on each number of ranks that they run on
 """
 
 from __future__ import annotations
@@ -276,8 +276,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         mine = [item for item in mine if ranks in asked(config) and runs_on(_file(item), ranks)]
         if ranks > 1:
             mine = [item for item in mine if not any(word in item.name for word in ENDURING)]
-            some = {id(item) for group in _alike(mine) for item in _on_ranks(group, ranks)}
-            mine = [item for item in mine if id(item) in some]
+            if not config.getoption("all"):
+                some = {id(item) for group in _alike(mine) for item in _on_ranks(group, ranks)}
+                mine = [item for item in mine if id(item) in some]
         if not config.getoption("all"):
             quick = set(map(id, _quick(mine, ranks)))
             rest = config.getoption("rest")
