@@ -232,6 +232,20 @@ class Term:
         """
         self._committed = [field.x.array.copy() for field in self.memory.values()]
 
+    def begin_step(self) -> None:
+        """A step of an implicit motion begins at the present state. Collective."""
+
+    def enter_stage(self, old: float, shift: FloatArray | None) -> None:
+        """Until `leave_stage` forces are those of the step. Not collective.
+
+        Args:
+            old: Share of the old displacement in that of the stage, which is the present one.
+            shift: What `shift` is at the end of the step [m].
+        """
+
+    def leave_stage(self, *, found: bool) -> None:
+        """The stage was found, or there is none. Collective."""
+
     def advance(self) -> None:
         """A step of a motion is accepted: what depends on the path has passed it. Collective."""
 
@@ -468,6 +482,30 @@ class Terms(list[Term]):
         finally:
             for term in self:
                 term.assume(None)
+
+    def begin_step(self) -> None:
+        """See `Term`."""
+        for term in self:
+            term.begin_step()
+
+    @property
+    def shifts(self) -> list[FloatArray | None]:
+        """A copy of the shift of each."""
+        return [None if term.shift is None else term.shift.value.copy() for term in self]
+
+    def enter_stage(self, old: float, shifts: Sequence[FloatArray | None]) -> None:
+        """See `Term`.
+
+        Args:
+            shifts: Of each at the end of the step [m].
+        """
+        for term, shift in zip(self, shifts, strict=True):
+            term.enter_stage(old, shift)
+
+    def leave_stage(self, *, found: bool) -> None:
+        """See `Term`."""
+        for term in reversed(self):  # friction while contact has the pressures of the stage
+            term.leave_stage(found=found)
 
     def within_stride(self, t: float, goal: float, acting: Acting) -> float:
         """See `Term`: of all terms, each at the end that the others allow."""

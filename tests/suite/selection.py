@@ -145,6 +145,7 @@ SHARED = {
     "problem/terms/test_body_contact.py",
     "problem/terms/test_bolts.py",
     "problem/terms/test_contact.py",
+    "problem/terms/test_contact_step.py",
     "problem/terms/test_edges_points.py",
     "problem/terms/test_friction.py",
     "problem/terms/test_loaded_obstacle.py",

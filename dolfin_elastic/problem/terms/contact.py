@@ -3,7 +3,8 @@
 The pressure per reference area is p = max(0, lam - eps g), with the gap g of the current place
 X + u, the penalty eps and the multiplier lam; its virtual work is the integral of p n . v over the
 reference surface, n the obstacle's normal.  As n is the gradient of g it has the potential
-(p^2 - lam^2)/(2 eps), so the tangent is symmetric.
+(p^2 - lam^2)/(2 eps), so the tangent is symmetric.  For the pressure of the steps of an implicit
+motion see `contact_step`.
 
 Source: P. Wriggers, Computational Contact Mechanics, 2nd ed., Springer 2006, sections 6.3.4 and
 10.3.4 (augmented Lagrange, Uzawa); P. Alart & A. Curnier, Comput. Methods Appl. Mech. Eng. 92
@@ -37,10 +38,11 @@ from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.self_contact import AnyContact
 from dolfin_elastic.problem.constraints.rows import Constraints
+from dolfin_elastic.problem.contact_step import ContactStep, InSteps
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion, shear_modulus, volume_modulus
 from dolfin_elastic.problem.spaces import Unknowns
-from dolfin_elastic.problem.term import Acting, Term
+from dolfin_elastic.problem.term import Acting
 
 FACTOR = 10.0
 """Penalty over the stiffness of the cell beside: enough for a few augmentations."""
@@ -101,7 +103,7 @@ class ForceAlong(Protocol):
         """Its derivative by the unknowns, owned entries [N/m]. Collective."""
 
 
-class ContactPair(Term):
+class ContactPair(InSteps):
     """One contact on one body. Collective to make.
 
     Args:
@@ -168,6 +170,7 @@ class ContactPair(Term):
             self._at_nodes = contact.obstacle.followed()
         self.slack, self._augments = SLACK * cell_size(body), True
         self._reach = context.constant(self.slack)
+        self.step = ContactStep(context, self.shift, self.size)
 
     def begin(self, *, moving: bool) -> None:
         """See `Term`: motion has penalties alone, and softer ones where the user gave none."""
@@ -198,9 +201,25 @@ class ContactPair(Term):
         u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
         return np.asarray(self.places() + u[self.nodes_of_displacement] - self.shift.value)
 
-    def pressures(self) -> FloatArray:
-        """Pressure per reference area at the owned nodes of the surface [Pa]. Collective."""
-        return np.maximum(0.0, self.lam.x.array[self.nodes] - self.eps * self.pressing_gaps())
+    def pressures(self, penalty: FloatArray | None = None) -> FloatArray:
+        """Pressure per reference area at the owned nodes of the surface, of the step [Pa].
+
+        Collective.
+
+        Args:
+            penalty: In place of `eps` [Pa/m].
+        """
+        lam, eps = self.lam.x.array[self.nodes], self.eps if penalty is None else penalty
+        first, last = (lam - eps * gaps for gaps in self.end_gaps())
+        return np.maximum(0.0, self.step.pressures(first, last, -eps * self.reach))
+
+    def end_gaps(self) -> tuple[FloatArray, FloatArray]:
+        """`pressing_gaps` at both ends of the step [m]. Collective."""
+        nodes, X = self.nodes_of_displacement, self.places()
+        first, last = (
+            self.contact.obstacle.gaps(X + one[nodes])[0] for one in self.step.ends()
+        )
+        return first, last
 
     def nodal_gaps(self) -> tuple[IndexArray, FloatArray]:
         """Owned nodes of the displacement on the surface, and gaps there [m]. Not collective."""

@@ -10,15 +10,25 @@ the tangential penalty eps_t, a multiplier tau and the place s at which the poin
 that is accepted moves s to where it makes the trial equal to t: so t is the trial of the next step
 if nothing moves, turned with the normal; points that stick keep s, and do not creep.  In statics
 tau <- t together with the multiplier of the pressure (Uzawa) until points that stick are within
-the gap's tolerance of s, and where points have slipped: these stick where they are.  In motion
-tau = 0.
+the gap's tolerance of s, and where points have slipped: these stick where they are.
+
+In motion tau = 0, and the springs e = w - s store eps_t e . e/2.  In an implicit step with the
+share alpha of the old displacement in that of its stage, t of the stage gives e_s = -t/eps_t and
+
+    e1 = e0 + (e_s - e0)/(1 - alpha),
+
+of which what is beyond Coulomb's limit at the end of the step is lost, too.  With alpha <= 1/2
+-t . (w1 - w0) is at least the change of what e stores: friction makes no energy in any step, and
+with alpha = 1/2 points that stick lose none.
 
 Slip over a step ds = s - s(before) does the work -t . ds per area, which is lost.  While points
 slide the tangent is not symmetric: the traction depends on the pressure, but not the other way
 round.
 
 Source: J. C. Simo & T. A. Laursen, Computers & Structures 42 (1992) 97; P. Wriggers, Computational
-Contact Mechanics, 2nd ed., Springer 2006, sections 5.2.2 and 10.5.2.
+Contact Mechanics, 2nd ed., Springer 2006, sections 5.2.2 and 10.5.2; M. Ortiz & E. P. Popov, Int.
+J. Numer. Methods Eng. 21 (1985) 1561 (midpoint return); F. Armero & E. Petocz, Comput. Methods
+Appl. Mech. Eng. 179 (1999) 151 (friction in steps).
 """
 
 from __future__ import annotations
@@ -66,6 +76,7 @@ class CoulombFriction(Term):
 
     linear = symmetric = False
     restrains = follows_path = dissipates = True
+    account = "contact"
     states = "open", "sticking", "sliding"
 
     def __init__(self, pair: ContactPair, context: FormContext, index: int) -> None:
@@ -88,6 +99,9 @@ class CoulombFriction(Term):
         self._eps: FloatArray = np.empty(0)
         self.areas: FloatArray = np.empty(0)
         self._accepted: FloatArray = np.empty(0)
+        self._begun: FloatArray = np.empty(0)  # where the nodes were at the start of a step [m]
+        self._old = 0.0
+        self._stage: FloatArray | None = None  # tractions of the stage that was found [Pa]
 
     def begin(self, *, moving: bool) -> None:
         """See `Term`: all points stick where they are, unless a preload has just ended there."""
@@ -132,9 +146,8 @@ class CoulombFriction(Term):
 
     def _tractions(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Traction and trial at the owned nodes, (n, dim) [Pa], and mu p, (n,) [Pa]. Collective."""
-        pair, eps = self._pair, self._eps / self._share
-        n, gaps = pair.nodal_normals(), pair.pressing_gaps()
-        limit = float(self._mu.value) * np.maximum(0.0, pair.lam.x.array[pair.nodes] - eps * gaps)
+        pair, n = self._pair, self._pair.nodal_normals()
+        limit = float(self._mu.value) * pair.pressures(np.asarray(self._eps / self._share))
         trial = self._of(self._tau) - self._eps[:, None] * (self._moved() - self._of(self._stuck))
         trial -= np.sum(trial * n, axis=1)[:, None] * n
         length = np.linalg.norm(trial, axis=1)
@@ -221,8 +234,48 @@ class CoulombFriction(Term):
         """Nodes that move with those at which points stick, and how. Collective."""
         return self.nodes, motion
 
+    def begin_step(self) -> None:
+        """See `Term`."""
+        self._begun = self._moved()
+
+    def enter_stage(self, old: float, shift: FloatArray | None) -> None:
+        """See `Term`."""
+        self._old, self._stage = old, None
+
+    def leave_stage(self, *, found: bool) -> None:
+        """See `Term`."""
+        # A stage that is the end of the step needs no more than its state.
+        self._stage = self.tractions() if found and self._old > 0.0 else None
+
+    def energy(self) -> float:
+        """See `Term`: of the springs, in motion."""
+        e, n = self._moved() - self._of(self._stuck), self._pair.gaps()[1]
+        e -= np.sum(e * n, axis=1)[:, None] * n
+        return total(self._comm, 0.0 if self._augments else float(self._stored(e).sum()))
+
+    def _stored(self, springs: FloatArray) -> FloatArray:
+        """What they store at each node [J]."""
+        return np.asarray(self.areas * self._eps * np.sum(springs**2, axis=1) / 2)
+
+    def _advance_by_step(self, t: FloatArray) -> None:
+        """Moves s by the traction of the step's stage, see the module."""
+        old, moved = self._begun - self._of(self._stuck), self._moved()
+        e = old + (-t / self._eps[:, None] - old) / (1 - self._old)
+        n, limit = self._pair.gaps()[1], self._tractions()[2]
+        e -= np.sum(e * n, axis=1)[:, None] * n
+        length = self._eps * np.linalg.norm(e, axis=1)
+        e *= np.divide(limit, length, out=np.ones_like(limit), where=length > limit)[:, None]
+        work = -self.areas * np.sum(t * (moved - self._begun), axis=1)
+        self._lost.x.array[self._pair.nodes] += work + self._stored(old) - self._stored(e)
+        self._put(self._stuck, moved - e)
+
     def advance(self) -> None:
         """See `Term`: points that slip stick where they are now, under the present traction."""
+        if self._stage is not None:
+            stage, self._stage = self._stage, None
+            self._advance_by_step(stage)
+            self._accepted = np.empty(0)
+            return
         self._lost.x.array[self._pair.nodes] += self._step()[2]
         t, trial, limit = self._tractions()
         moves = np.linalg.norm(trial, axis=1) > limit / ALL

@@ -17,11 +17,12 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.ghosts import assembled
 from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.shapes.shapes import Operations
+from dolfin_elastic.core.shapes.shapes import Operations, Plane
 from dolfin_elastic.core.types import FloatArray, IndexArray, Scalar
 from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets, facet_corners
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.kinematics import WeightedMeasure
+from dolfin_elastic.problem.contact_step import pressure_of_step
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Kind
 from dolfin_elastic.problem.terms.contact import ContactPair
@@ -65,7 +66,7 @@ class NodalContact(ContactPair):
         obstacle's curvature 1/R that has the further eigenvalue eps g/R, which is smaller.
         """
         if kind == "work":
-            return self.pressure * ufl.inner(self._gap[1], self._context.v) * self._measure
+            return self.pressure * ufl.inner(self._normal, self._context.v) * self._measure
         if kind == "energy":
             q = ufl.max_value(self._trial_pressure, 0.0)
             return (q**2 - self.lam**2) / (2 * self.penalty) * self._measure
@@ -74,7 +75,24 @@ class NodalContact(ContactPair):
     @cached_property
     def _gap(self) -> tuple[Expr, Expr]:
         """Gap and normal of the current place."""
-        place = self._context.X + self._context.u - self.shift
+        return self._gap_at(self._context.X + self._context.u - self.shift)
+
+    @cached_property
+    def _ends(self) -> tuple[Expr, Expr]:
+        """Places at both ends of the step."""
+        return self.step.places(self._context.X)
+
+    @cached_property
+    def _normal(self) -> Expr:
+        """Direction of the forces, see `contact_step`."""
+        first, last = self._ends
+        at_middle = self._gap_at((first + last) / 2)[1]
+        if isinstance(self.contact.obstacle, Plane):
+            return at_middle
+        gaps = self._gap_at(first)[0], self._gap_at(last)[0]
+        return self.step.mean_normal(gaps, last - first, at_middle)
+
+    def _gap_at(self, place: Expr) -> tuple[Expr, Expr]:
         use = Operations(self._context.constant, ufl.sqrt, _choose)
         distance, normal = self.contact.obstacle.gap([place[i] for i in range(self._dim)], use)
         return distance, ufl.as_vector(normal)
@@ -86,13 +104,13 @@ class NodalContact(ContactPair):
 
     @cached_property
     def pressure(self) -> Expr:
-        """Contact pressure on the reference area [Pa]."""
-        in_contact = ufl.ge(self._trial_pressure, -self.penalty * self._reach)
-        return ufl.conditional(in_contact, self._trial_pressure, 0.0)
+        """Contact pressure on the reference area [Pa], of the step."""
+        first, last = (self.lam - self.penalty * self._gap_at(place)[0] for place in self._ends)
+        return pressure_of_step(self.step, first, last, -self.penalty * self._reach)
 
     def along(self, way: FloatArray) -> _ForceOfForm:
         """See `ContactPair`."""
-        n = ufl.dot(self._gap[1], self._context.constant([float(x) for x in way]))
+        n = ufl.dot(self._normal, self._context.constant([float(x) for x in way]))
         force = self.pressure * n * self._measure
         return _ForceOfForm(self._context, force, self.penalty * self._measure)
 
@@ -115,7 +133,9 @@ class Touch(NamedTuple):
 
 def touch(pair: NodalContact) -> Touch:
     """What friction needs of a contact. Not collective."""
-    closed = ufl.conditional(ufl.ge(pair._trial_pressure, -pair.penalty * pair._reach), 1.0, 0.0)
+    trials = (pair.lam - pair.penalty * pair._gap_at(place)[0] for place in pair._ends)
+    at_ends = [ufl.ge(trial, -pair.penalty * pair._reach) for trial in trials]
+    closed = ufl.conditional(ufl.Or(*at_ends), 1.0, 0.0)
     pressure = ufl.max_value(pair.pressure, 0.0)
     return Touch(pair._gap[1], pressure, closed, pair._measure)
 

@@ -14,13 +14,14 @@ that of the functions.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import ufl
 from dolfinx import la
 
 from dolfin_elastic.core.parallel import total
-from dolfin_elastic.core.shapes.shapes import Plane
+from dolfin_elastic.core.shapes.shapes import Plane, Shape
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.context import FormContext
@@ -29,6 +30,22 @@ from dolfin_elastic.problem.term import Blocks, Kind, Means
 from dolfin_elastic.problem.terms.contact import ContactPair
 from dolfin_elastic.problem.terms.nodal_contact import RULE
 from dolfin_elastic.problem.terms.vertex_functions import VertexFunctions, blocks_of
+
+
+class _Way(NamedTuple):
+    """What the points of the functions pass in a step.
+
+    Attributes:
+        first: Gaps at its start, shape (facets, points) [m].
+        last: Gaps at its end.
+        along: Direction of the forces, see `contact_step`, shape (facets, points, dim).
+        normals: The obstacle's at the end.
+    """
+
+    first: FloatArray
+    last: FloatArray
+    along: FloatArray
+    normals: FloatArray
 
 
 class _Followed(ContactPair):
@@ -45,6 +62,7 @@ class _Followed(ContactPair):
         super().__init__(contact, context, index, thickness, surfaces)
         if contact.between is None:
             self._of_points = contact.obstacle.followed()
+            self._of_ends = contact.obstacle.followed(), contact.obstacle.followed()
 
     def begin(self, *, moving: bool) -> None:
         """See `Term`."""
@@ -73,8 +91,8 @@ class _Followed(ContactPair):
     def _forget(self) -> None:
         """What an iteration has learnt of an obstacle's normals does not outlive it."""
         if self.contact.between is None:
-            self._at_nodes.forget()
-            self._of_points.forget()
+            for followed in (self._at_nodes, self._of_points, *self._of_ends):
+                followed.forget()
 
 
 class VertexContact(_Followed):
@@ -115,9 +133,29 @@ class VertexContact(_Followed):
 
     def _at_points(self) -> tuple[FloatArray, FloatArray]:
         """Gaps and normals there, shapes (facets, points) and (facets, points, dim)."""
-        x, (first, rows) = self.places_of_points(), self.functions.distinct
-        gaps, normals = self._of_points.gaps(x.reshape(-1, self._dim)[first])
+        return self._measured(self._of_points, self.places_of_points())
+
+    def _measured(self, obstacle: Shape, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        first, rows = self.functions.distinct
+        gaps, normals = obstacle.gaps(x.reshape(-1, self._dim)[first])
         return gaps[rows].reshape(x.shape[:-1]), normals[rows].reshape(x.shape)
+
+    def _over_step(self) -> _Way:
+        """Gaps and normals at the points over the step; of a state all ends are alike."""
+        if not self.step.on:
+            gaps, normals = self._at_points()
+            return _Way(gaps, gaps, normals, normals)
+        first, last = (self.functions.X + self.functions.displacements(u) for u in self.step.ends())
+        before = self._measured(self._of_ends[0], first)[0]
+        gaps, normals = self._measured(self._of_ends[1], last)
+        middle = self._measured(self._of_points, (first + last) / 2)[1]
+        along = self.step.mean_normals((before, gaps), last - first, middle)
+        return _Way(before, gaps, along, normals)
+
+    def end_gaps(self) -> tuple[FloatArray, FloatArray]:
+        """See `ContactPair`: mean gaps."""
+        way = self._over_step()
+        return self._mean(way.first), self._mean(way.last)
 
     def nodal_gaps(self) -> tuple[IndexArray, FloatArray]:
         """See `ContactPair`: those of midside nodes, too."""
@@ -133,14 +171,18 @@ class VertexContact(_Followed):
     def _mean(self, gaps: FloatArray) -> FloatArray:
         return self.functions.means(gaps[..., None])[:, 0]
 
-    def state(self) -> tuple[FloatArray, BoolArray]:
-        """Pressures at the owned vertices, and which of these are in contact. Collective."""
-        return self._state_of(self.pressing_gaps())
+    def state(self) -> tuple[FloatArray, FloatArray]:
+        """Pressures at the owned vertices, and how they fall with their gap [Pa/m]. Collective.
 
-    def _state_of(self, gaps: FloatArray) -> tuple[FloatArray, BoolArray]:
-        trial = self.lam.x.array[self.nodes] - self.eps * gaps
-        active = trial >= -self.eps * self.reach
-        return np.where(active, trial, 0.0), active
+        In a step with the gap at its stage; those that fall are in contact.
+        """
+        return self._state_over(self._over_step())
+
+    def _state_over(self, way: _Way) -> tuple[FloatArray, FloatArray]:
+        lam, least = self.lam.x.array[self.nodes], -self.eps * self.reach
+        first, last = (lam - self.eps * self._mean(gaps) for gaps in (way.first, way.last))
+        pressures = self.step.pressures(first, last, least)
+        return pressures, self.eps * self.step.softening(first, last, least)
 
     def nodal_pressures(self) -> tuple[IndexArray, FloatArray]:
         """See `ContactPair`: linear between the vertices."""
@@ -162,9 +204,9 @@ class VertexContact(_Followed):
 
     def forces(self) -> FloatArray:
         """Nodal forces on the body before the ranks are summed, (nodes * dim,) [N]. Collective."""
-        gaps, normals = self._at_points()
-        pressures, _ = self._state_of(self._mean(gaps))
-        return self.functions.spread(self.functions.at_points(pressures[:, None]) * normals)
+        way = self._over_step()
+        pressures, _ = self._state_over(way)
+        return self.functions.spread(self.functions.at_points(pressures[:, None]) * way.along)
 
     def energy(self) -> float:
         """See `Term`: the potential has the multiplier at rest."""
@@ -180,12 +222,13 @@ class VertexContact(_Followed):
         """
         from scipy.sparse import diags_array
 
-        gaps, normals = self._at_points()
-        pressures, active = self._state_of(self._mean(gaps))
-        self.near |= active
-        nodes, G = self.functions.rows(self.near, normals)
-        stiffness = np.where(active, self.eps / self.functions.areas, 0.0)
-        result = blocks_of(nodes, G.T @ diags_array(stiffness) @ G, G, self._dim)
+        way = self._over_step()
+        pressures, falls = self._state_over(way)
+        self.near |= falls > 0
+        nodes, G = self.functions.rows(self.near, way.normals)
+        pushes = self.functions.rows(self.near, way.along)[1] if self.step.on else G
+        stiffness = diags_array(falls / self.functions.areas)
+        result = blocks_of(nodes, pushes.T @ stiffness @ G, G, self._dim)
         return result if self.flat else result + self._turning(pressures)
 
     def means(self) -> Means:
@@ -202,8 +245,8 @@ class VertexContact(_Followed):
         return isinstance(self.contact.obstacle, Plane)
 
     def normals(self) -> FloatArray:
-        """The obstacle's normals at the points of the functions, (facets, points, dim)."""
-        return self._at_points()[1]
+        """Along which gaps grow at the points of the functions, (facets, points, dim)."""
+        return self._over_step().normals
 
     def curvatures(self) -> FloatArray | None:
         """Second derivatives of the gap at the owned vertices, (n, dim, dim) [1/m]; None: 0."""
@@ -252,9 +295,9 @@ class _ForceOfVertices:
     def row(self) -> FloatArray:
         """See `ForceAlong`."""
         pair, functions, dim = self._pair, self._pair.functions, len(self._way)
-        (pressures, active), normals = pair.state(), pair.normals()
+        (pressures, falls), normals = pair.state(), pair.normals()
         along = functions.means((normals @ self._way)[..., None])[:, 0]
-        softer = functions.at_points(np.where(active, -pair.eps * along, 0.0)[:, None])
+        softer = functions.at_points((-falls * along)[:, None])
         turns = pair.curvatures_of_points() @ self._way
         at_points = softer * normals + functions.at_points(pressures[:, None]) * turns
         W, nodes = self._unknowns.W.dofmap, self._unknowns.V.dofmap.index_map

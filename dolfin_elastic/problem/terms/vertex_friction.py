@@ -73,7 +73,8 @@ class VertexFriction(CoulombFriction):
 
         pair, areas = self._vertices, self.areas
         _, trial, limit = self._tractions()
-        _, active = pair.state()
+        _, falls = pair.state()
+        active = falls > 0
         pair.near |= active
         nodes, h = self._functions.rows(pair.near)
         _, G = self._functions.rows(pair.near, pair.normals())
@@ -89,7 +90,7 @@ class VertexFriction(CoulombFriction):
 
         H = csr_array(kron(h, eye_array(d)))
         rows = diagonal(by_trial @ P * (self._eps / areas)[:, None, None]) @ H
-        softer = np.where(slides, float(self._mu.value) * pair.eps / areas, 0.0)
+        softer = np.where(slides, float(self._mu.value) * falls / areas, 0.0)
         rows += diagonal((softer[:, None] * m)[:, :, None]) @ G
         if (curvatures := pair.curvatures()) is not None:
             y = self._of(self._tau) - self._eps[:, None] * (self._moved() - self._of(self._stuck))

@@ -114,10 +114,14 @@ class VertexFunctions:
         """Sums at the owned vertices of what facets have at theirs, shape (n, columns)."""
         return summed(self._map, self._vertices, rows)[self._pair.nodes]
 
-    def displacements(self) -> FloatArray:
-        """Of the points, shape of `X` [m]. Not collective."""
-        u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
-        return np.asarray(self.shapes @ u[self._nodes])
+    def displacements(self, of_nodes: FloatArray | None = None) -> FloatArray:
+        """Of the points, shape of `X` [m]. Not collective.
+
+        Args:
+            of_nodes: Of all nodes of this rank, (nodes, dim) [m]; None: the present ones.
+        """
+        u = self._context.unknowns.u.x.array if of_nodes is None else of_nodes
+        return np.asarray(self.shapes @ u.reshape(-1, self._dim)[self._nodes])
 
     def means(self, values: FloatArray) -> FloatArray:
         """Means at the owned vertices, shape (n, columns). Collective.

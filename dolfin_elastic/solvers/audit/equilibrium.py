@@ -71,7 +71,9 @@ class EnergyBook:
         self._cells, self._others = (None, None) if strain is None else in_cells(problem, strain)
         forms = {account: form for account in terms if (form := stored(account)) is not None}
         self._terms = dict(zip(forms, compiled(problem, list(forms.values())), strict=True))
-        self._nodal = [t for t in problem.terms if t.nodal and t.restrains and t.account in terms]
+        # Friction has forms of forces, but none of an energy.
+        others = [t for t in problem.terms if t.restrains and (t.nodal or t.dissipates)]
+        self._nodal = [t for t in others if t.account in terms]
 
     def stored(self) -> dict[str, float]:
         """Energies by account [J]. Collective.

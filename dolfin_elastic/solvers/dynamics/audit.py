@@ -200,11 +200,10 @@ class MotionAuditor(EquilibriumAuditor):
 
     def _energy(self, off: float) -> Violations:
         if off > MAX_ENERGY_GAIN:
-            damped = (self._parameters.spectral_radius or 0.0) <= 0.5
-            rubs = self._problem.terms.dissipates and not damped
-            radius = ", or where surfaces slide spectral_radius = 0.5," if rubs else ""
+            hits = self._problem.terms.opens and not self._parameters.midpoint
+            other = f", or for contact {CONSERVING}," if hits else ""
             what = (
-                f"{100 * off:.3g} % of the energy has come from nowhere: a smaller dt{radius} is "
+                f"{100 * off:.3g} % of the energy has come from nowhere: a smaller dt{other} is "
                 "needed"
             )
             return {"energy": Violation(what, off, fails=off > FAILING_GAIN)}

@@ -18,7 +18,7 @@ from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
-from dolfin_elastic.solvers.dynamics.implicit.implicit import Implicit
+from dolfin_elastic.solvers.dynamics.implicit.implicit import Implicit, conserving
 from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
 from dolfin_elastic.solvers.dynamics.schemes import ExplicitRow
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings, refuse_relaxing
@@ -62,7 +62,7 @@ class Dynamics(Marching):
     ) -> None:
         problem.terms.refuse_motion()
         self.problem = problem
-        self.settings = settings_from(DynamicsSettings, settings, fields)
+        self.settings = conserving(settings_from(DynamicsSettings, settings, fields), problem)
         self.linear = linear or LinearSettings()
         self.settings = with_barriers(problem, self.settings)
         if not self.settings.implicit:

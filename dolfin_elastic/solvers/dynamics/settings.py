@@ -131,7 +131,8 @@ class DynamicsSettings(Record):
         tolerance: Error a step may make in the displacement of any node, over the largest
             displacement so far (in the first step, of a step of dt, too), if adaptive.
         spectral_radius: Of the generalized-alpha scheme at infinite frequency: 1 conserves energy
-            and momenta, less damps what the step cannot resolve.
+            and momenta, less damps what the step cannot resolve.  By default 0.9, and 1 where
+            there are obstacles, if the energy of all materials is conserved.
         beta: Of Newmark's method; (gamma + 1/2)^2/4 by default.
         gamma: Of Newmark's method; 1/2 by default, more damps.
         rayleigh: Damping of the whole body (implicit schemes).
@@ -157,7 +158,7 @@ class DynamicsSettings(Record):
     dt: Time | None = Field(default=None, gt=0)
     adaptive: bool = False
     tolerance: float = Field(default=1e-3, gt=0, lt=1)
-    spectral_radius: float = Field(default=0.9, ge=0, le=1)
+    spectral_radius: float | None = Field(default=None, ge=0, le=1)
     beta: float | None = Field(default=None, gt=0)
     gamma: float | None = Field(default=None, ge=0.5)
     rayleigh: Rayleigh | None = None

@@ -96,6 +96,11 @@ def supports_move(problem: Problem) -> bool:
     return any(not s.at_rest for s in problem.supports if s not in problem.springs)
 
 
+def springs_of_friction(problem: Problem) -> float:
+    """What points that stick store [J]. Collective."""
+    return sum(term.energy() for term in problem.terms if term.dissipates)
+
+
 # --- implicit motion ---
 
 
@@ -105,8 +110,8 @@ class EnergyBalance:
     The work of a step is that of the forces in the middle of it on its displacement, of second
     order: forces of the stage where that is the middle, else the mean of those at both ends.
     Penalty energy of contacts counts as the body's, so obstacles do work only where they move.
-    Friction takes up the work over the motion past an obstacle: "friction" is what of it is lost,
-    and what springs of points that stick store.
+    Friction takes up the work over the motion past an obstacle: "friction" is what of it is lost.
+    What springs of points that stick store counts as that of the contact.
     Moving supports do work against the inertia of their nodes, M dv . (v0 + v1)/2: the change of
     their kinetic energy, also of a support that is set going at once, with an unbounded force.
 
@@ -126,6 +131,7 @@ class EnergyBalance:
         problem = moving.problem
         self._constant = problem.loaded and not problem.loads_change
         self._shifts: FloatArray = np.empty(0)
+        self._springs = 0.0
         size = problem.constant(1.0) * problem.weak_form.volume(None, 1)
         volume = integral(problem, compiled(problem, [size])[0])
         self._round_off = _NOISE * np.finfo(float).eps * problem.stiffness * volume
@@ -134,12 +140,14 @@ class EnergyBalance:
         """Takes in positions of obstacles and the velocity that the motion begins with."""
         self._shifts = self._shifts_now()
         self._v = self._velocity_now()
+        self._springs = springs_of_friction(self._moving.problem)
 
-    def add(self, forces: Forces, du: FloatArray) -> None:
+    def add(self, forces: Forces, contact: FloatArray, du: FloatArray) -> None:
         """Adds the work of one step. Collective.
 
         Args:
             forces: In the middle of the step; the problem's time is that of its end.
+            contact: `Forces.contact` of its stage: obstacles feel what the body does.
             du: Change of the displacement, owned entries [m].
         """
         moves = self._moving.displacement_dofs
@@ -147,14 +155,17 @@ class EnergyBalance:
         rows = (outside, forces.damping, -forces.dashpots)
         local = np.array([*(np.dot(row[moves], du) for row in rows), 0.0])
         before, self._shifts = self._shifts, self._shifts_now()
-        steps = zip(self._moving.obstacles, forces.contact, self._shifts - before, strict=True)
+        local[0] -= np.dot(forces.contact.sum(axis=0), du)
+        steps = zip(self._moving.obstacles, contact, self._shifts - before, strict=True)
         for term, push, shift in steps:
-            taken = np.sum(push.reshape(-1, len(shift)) @ shift) - np.dot(push, du)
-            local[0] += taken
-            local[3] += taken * term.dissipates
+            work = np.sum(push.reshape(-1, len(shift)) @ shift)
+            local[0] += work
+            local[3] += (work - np.dot(push, du)) * term.dissipates
         if self._supports_move:
             local[0] += self._work_against_inertia(forces, du)
         sums = total(self._moving.comm, local)
+        springs, self._springs = self._springs, springs_of_friction(self._moving.problem)
+        sums[3] += springs - self._springs
         for name, value in zip(_NAMES, sums, strict=True):
             self._sums[name] += float(value)
 
@@ -327,7 +338,7 @@ class ExternalWork:
         stored = forms_of(resting, "energy")
         self._springs = compiled(problem, [sum(stored)])[0] if stored else None
         self._constant: FloatArray = np.empty(0)
-        self._before = self._local = self._rubbed = self.sum = self.friction = 0.0
+        self._before = self._local = self._rubbed = self.sum = self.friction = self._stored = 0.0
 
     def _add_term(self, term: Term, *, past: bool = False) -> None:
         if (work := term.form("work")) is not None:
@@ -357,6 +368,7 @@ class ExternalWork:
             friction: What friction has taken up so far [J].
         """
         self.sum, self.friction, self._local, self._rubbed = work, friction, 0.0, 0.0
+        self._stored = springs_of_friction(self._problem)
         if self._steady:
             self._constant = self._assembler.reactions.loads()
         self._before = self._of_state()
@@ -396,7 +408,8 @@ class ExternalWork:
         now, comm = self._of_state(), self._problem.body.comm
         self.sum += total(comm, self._local + now - self._before)
         if self._rubs:
-            self.friction += total(comm, self._rubbed)
+            before, self._stored = self._stored, springs_of_friction(self._problem)
+            self.friction += total(comm, self._rubbed) + before - self._stored
         self._local, self._rubbed, self._before = 0.0, 0.0, now
         return self.sum
 

@@ -166,5 +166,4 @@ def test_a_block_bounces():
     stored = [state.energies["contact"] for state in states]
     assert max(stored) > 0.01 * energies[0]
     assert states[-1].momenta["linear"][2] > 0
-    # Vertices that hit within a step: below 1e-3 found.
-    np.testing.assert_allclose(energies, energies[0], rtol=2e-3)
+    np.testing.assert_allclose(energies, energies[0], rtol=1e-10)

@@ -25,6 +25,9 @@ import numpy as np
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import FloatArray
 
+USUAL = 0.9
+"""Spectral radius at infinite frequency if no other is asked for."""
+
 MOST = 0.965
 """Spectral radius of Newmark's method along a constraint with which it has kept its energy over
 hundreds of periods of large oscillations (gamma = 0.52); at 0.998 it has not."""
@@ -51,16 +54,16 @@ class GeneralizedAlphaParameters:
     spectral_radius: float | None = None
 
     @classmethod
-    def generalized_alpha(cls, spectral_radius: float) -> GeneralizedAlphaParameters:
+    def generalized_alpha(cls, spectral_radius: float | None) -> GeneralizedAlphaParameters:
         """Of second order, with a spectral radius from 0 to 1 at infinite frequency.
 
         Source: Chung & Hulbert (1993), (17), (18) and (25).
 
         Args:
             spectral_radius: 1 keeps the energy of a linear body, 0 removes the highest frequencies
-                in one step.
+                in one step; None: `USUAL`.
         """
-        radius = spectral_radius
+        radius = USUAL if spectral_radius is None else spectral_radius
         alpha_m, alpha_f = (2 * radius - 1) / (radius + 1), radius / (radius + 1)
         beta = (1 - alpha_m + alpha_f) ** 2 / 4
         return cls(alpha_m, alpha_f, beta, 0.5 - alpha_m + alpha_f, 0.5 - beta, radius)

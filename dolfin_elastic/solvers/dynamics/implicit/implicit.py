@@ -148,6 +148,22 @@ def suited(problem: Problem, parameters: GeneralizedAlphaParameters) -> Generali
     return parameters.with_pressure() if pressure else parameters
 
 
+def conserving(settings: DynamicsSettings, problem: Problem) -> DynamicsSettings:
+    """The settings with a spectral radius of 1 for bodies in contact, if none is given.
+
+    Below 1 the acceleration of the step before pushes in a step, too: where forces begin and end at
+    once, that makes energy or takes it.  Not collective.
+    """
+    row, laws = settings.row, [part.law for part in problem.regions]
+    if not (row.implicit and row.conserves and "spectral_radius" in row.keys):
+        return settings
+    if settings.spectral_radius is not None or not problem.terms.opens:
+        return settings
+    quadratic = all(law.linear and law.has_energy and not law.relaxes for law in laws)
+    kept = quadratic or (conserves(problem) and all(map(derives_from_strain, laws)))
+    return settings.model_copy(update={"spectral_radius": 1.0}) if kept else settings
+
+
 def conserved(problem: Problem, settings: DynamicsSettings) -> Problem:
     """The problem with the forces of steps where the scheme conserves the energy. Collective.
 
@@ -328,7 +344,7 @@ class Implicit:
         self.problem.terms.advance()
         self._stop_at_goals()
         self.control.end_step()
-        self.balance.add(forces.middle, forces.du)
+        self.balance.add(forces.middle, forces.of_obstacles, forces.du)
         self.auditor.add_step(forces.stage, forces.du)
 
     def _stop_at_goals(self) -> None:

@@ -35,11 +35,18 @@ class StepForces:
         stage: Forces at the stage, where the equation of motion holds.
         middle: Forces in the middle of the step, whose work over `du` is of second order.
         du: Change of the displacement, owned entries [m].
+        contact: `Forces.contact` that has changed the momentum; None: that of the stage.
     """
 
     stage: Forces
     middle: Forces
     du: FloatArray
+    contact: FloatArray | None = None
+
+    @property
+    def of_obstacles(self) -> FloatArray:
+        """What obstacles have exerted, see `Forces.contact`."""
+        return self.stage.contact if self.contact is None else self.contact
 
 
 @dataclass(frozen=True)

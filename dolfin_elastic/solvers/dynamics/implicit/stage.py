@@ -176,6 +176,7 @@ class StageSolver:
         """
         if self._volumes is not None:
             self._volumes.begin(t)
+        self._problem.terms.begin_step()
 
     def solve(self, start: StepStart, h: float) -> tuple[Stage, FloatArray] | None:
         """The stage and the offset of the step's end from the predictor; None: not found.
@@ -202,6 +203,8 @@ class StageSolver:
                 origin[:] = 0.0
             if converged and self._assembler.settle_pressures():
                 self._assemble()
+        if not converged:
+            self._problem.terms.leave_stage(found=False)
         offset = self._newton.solution()[self._moving.displacement_dofs] / (1 - p.alpha_f)
         return (stage, np.asarray(offset)) if converged else None
 
@@ -217,11 +220,12 @@ class StageSolver:
         problem.constraints.check_finite()
         if problem.loads_change:
             self._newton.begin()
-        u_end = np.asarray(problem.constraints.targets)
+        u_end, shifts = np.asarray(problem.constraints.targets), problem.terms.shifts
         u_start = problem.constraints.constrained_part(problem.u.x.array)
         v_end, a_end = prescribed_rates(problem, end, h)
         a = self._prescribed_acceleration(v_end, a_end, h)
         problem.set_time(start.t + (1 - p.alpha_f) * h)
+        problem.terms.enter_stage(p.alpha_f, shifts)
         return Stage(
             parameters=p,
             prescribed=problem.constraints,

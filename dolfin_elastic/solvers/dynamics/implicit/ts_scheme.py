@@ -293,6 +293,7 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         """
         self._stage, old, p = stage, stage.start, self._parameters
         self._stage_forces = self.moving.forces()
+        self.problem.terms.leave_stage(found=True)
         if self.impact_error is not None:
             self.impact_error.at_stage(self._stage_forces)
         size = len(self.moving.displacement_dofs)
@@ -322,13 +323,17 @@ class GeneralizedAlphaScheme(ImplicitScheme):
         assert self._stage_forces is not None
         start = self._stage.start
         end = self._control.without_round_off(start.t + self._stage.h)
-        middle = self._stage_forces
+        middle, contact, p = self._stage_forces, None, self._parameters
         if not self._midpoint:
             self._old_end_forces, self._end_forces = self._end_forces, self._forces_at(end)
             assert self._old_end_forces is not None
             middle = self._old_end_forces.mean(self._end_forces)
+            if p.alpha_f == 0.0:
+                late = min(p.gamma, 1.0)
+                before, after = self._old_end_forces.contact, self._end_forces.contact
+                contact = (1 - late) * before + late * after
         u = self.problem.w.x.array[self.moving.displacement_dofs]
-        self._accepted = StepForces(self._stage_forces, middle, u - start.u)
+        self._accepted = StepForces(self._stage_forces, middle, u - start.u, contact)
         ts.setTime(end)
         ts.setTimeStep(h)
 
