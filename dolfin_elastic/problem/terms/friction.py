@@ -249,9 +249,8 @@ class CoulombFriction(Term):
 
     def energy(self) -> float:
         """See `Term`: of the springs, in motion."""
-        e, n = self._moved() - self._of(self._stuck), self._pair.gaps()[1]
-        e -= np.sum(e * n, axis=1)[:, None] * n
-        return total(self._comm, 0.0 if self._augments else float(self._stored(e).sum()))
+        springs = self.tractions() / self._eps[:, None]
+        return total(self._comm, 0.0 if self._augments else float(self._stored(springs).sum()))
 
     def _stored(self, springs: FloatArray) -> FloatArray:
         """What they store at each node [J]."""

@@ -313,9 +313,19 @@ def test_a_block_comes_to_rest(settings):
     assert states[-1][2]["stick_share_floor"] == 1.0 or exact  # it may hop for ever
 
 
-@pytest.mark.parametrize(("share", "degree"), [(0.9, 1), (1.5, 1), (0.9, 2), (1.5, 2)])
-def test_a_block_on_an_incline(share, degree):
-    """Gravity turns until the slope is a share of mu: it stays, or slides with g (sin - mu cos)."""
+EXPLICIT = {"scheme": "central-differences", "dt": None}
+
+
+@pytest.mark.parametrize(
+    ("share", "degree", "settings", "close"),
+    [(0.9, 1, {}, 0.0), (1.5, 1, {}, 1e-3), (0.9, 2, {}, 0.0), (1.5, 2, {}, 1e-3)]
+    + [(0.9, 1, EXPLICIT, 0.0), (1.5, 1, EXPLICIT, 2e-3)],
+)
+def test_a_block_on_an_incline(share, degree, settings, close):
+    """Gravity turns until the slope is a share of mu: it stays, or slides with g (sin - mu cos).
+
+    Undamped it swings on its contact: explicitly a little more, 1.1e-3 found.
+    """
     angle = np.arctan(share * MU)
     along, across = G * np.sin(angle), G * np.cos(angle)
     problem = Problem(
@@ -328,14 +338,13 @@ def test_a_block_on_an_incline(share, degree):
         contacts=[floor(2, friction=MU)],
         degree=degree,
     )
-    fields = {**IMPLICIT, "dt": 1e-2}
+    fields = {**IMPLICIT, "dt": 1e-2, **settings}
     rows = []
     for state in Dynamics(problem, end=0.6, preload=True, **fields).steps():
         force = state.reactions["floor"]
         rows.append((state.t, centre(state)[0], state.momenta["linear"][0] / 500, *force))
         assert abs(force[0]) <= MU * force[1] * (1 + 1e-9)
-        assert state.audit is not None
-        assert state.audit.verdict == "pass", state.audit.reasons
+        assert settings or (state.audit is not None and state.audit.verdict == "pass")
     t, x, v, *force = np.array(rows).T
     late = t > 0.3
     if share < 1:
@@ -343,7 +352,7 @@ def test_a_block_on_an_incline(share, degree):
         assert state.numbers["stick_share_floor"] == 1.0
     else:
         slope = np.polyfit(t[late], v[late], 1)[0]
-        assert slope == pytest.approx(along - MU * across, rel=1e-3)
+        assert slope == pytest.approx(along - MU * across, rel=close)
         assert force[0][late] == pytest.approx(-MU * force[1][late], rel=1e-8)
 
 
@@ -360,14 +369,16 @@ def states_of(solver: Any, saved: Any = None) -> list[dict[str, float]]:
     ]
 
 
-@pytest.mark.parametrize("kind", ["statics", "generalized-alpha", "symplectic-euler"])
+@pytest.mark.parametrize(
+    "kind", ["statics", "generalized-alpha", "symplectic-euler", "central-differences"]
+)
 def test_a_run_goes_on(kind):
     """From a state on the way, with another problem, as if it had not ended."""
 
     def begun() -> Any:
         if kind == "statics":
             return Statics(pushed("0.02*sin(6*t)", floor(2, friction=MU)), steps=8)
-        if kind == "symplectic-euler":
+        if kind in ("symplectic-euler", "central-differences"):
             return thrown(scheme=kind, end=0.1, every=5)
         return thrown(**{**IMPLICIT, "end": 0.1, "dt": 0.01})
 
@@ -381,6 +392,8 @@ def test_a_run_goes_on(kind):
     assert len(rest) == len(whole) - count - 1
     assert rest[0]["friction_dissipation_floor"] > 0.0
     for again, before in zip(rest, whole[-len(rest) :], strict=True):
+        if kind in ("symplectic-euler", "central-differences"):  # to the last bit
+            assert again == before
         assert again == pytest.approx(before, rel=1e-11, abs=1e-11)
 
 

@@ -222,6 +222,8 @@ class ExplicitScheme(ABC):
             dt: The step [s].
         """
         begin = perf_counter()
+        # Not before: a motion that is restarted has the forces of what the state remembers.
+        self.problem.terms.advance()
         v, change, du = self.velocity, self.change, self._du
         np.multiply(self.out_of_balance, self._factor, out=change)
         change *= self.kick_duration(dt)
@@ -242,7 +244,6 @@ class ExplicitScheme(ABC):
         self.assemble_forces()
         if self._work.paths:
             self._work.step(du)
-        self.problem.terms.advance()
         timing.add("assemble", perf_counter() - middle)
 
     def _without_round_off(self, t: float) -> float:
