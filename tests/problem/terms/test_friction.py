@@ -318,8 +318,14 @@ EXPLICIT = {"scheme": "central-differences", "dt": None}
 
 @pytest.mark.parametrize(
     ("share", "degree", "settings", "close"),
-    [(0.9, 1, {}, 0.0), (1.5, 1, {}, 1e-3), (0.9, 2, {}, 0.0), (1.5, 2, {}, 1e-3)]
-    + [(0.9, 1, EXPLICIT, 0.0), (1.5, 1, EXPLICIT, 2e-3)],
+    [
+        (0.9, 1, {}, 0.0),
+        (1.5, 1, {}, 1e-3),
+        (0.9, 2, {}, 0.0),
+        (1.5, 2, {}, 1e-3),
+        (0.9, 1, EXPLICIT, 0.0),
+        (1.5, 1, EXPLICIT, 2e-3),
+    ],
 )
 def test_a_block_on_an_incline(share, degree, settings, close):
     """Gravity turns until the slope is a share of mu: it stays, or slides with g (sin - mu cos).
