@@ -476,6 +476,7 @@ if TYPE_CHECKING:
     Density: TypeAlias = float
     Acceleration: TypeAlias = float
     Velocity: TypeAlias = float
+    Mass: TypeAlias = float
     Time: TypeAlias = float
     Frequency: TypeAlias = float
     Force: TypeAlias = float
@@ -490,6 +491,7 @@ else:
     Density = quantity("kg/m^3")
     Acceleration = quantity("m/s^2")
     Velocity = quantity("m/s")
+    Mass = quantity("kg")
     Time = quantity("s")
     Frequency = quantity("Hz")
     Force = quantity("N")

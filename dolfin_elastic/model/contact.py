@@ -29,7 +29,7 @@ from dolfin_elastic.core.shapes.shapes import (
 from dolfin_elastic.core.shapes.sharp import BoxObstacle, ConeObstacle
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import ForceDensity, members_of
+from dolfin_elastic.core.units import ForceDensity, Mass, Velocity, members_of
 from dolfin_elastic.model.amplitude import Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.values import OnSurfaces, amplitude_of, at_time, component, components
@@ -60,6 +60,8 @@ class Contact(OnSurfaces):
         force: In place of a motion the force on the obstacle [N], positive along `direction`: a
             number, a text with a unit, or a formula in t.
         direction: Along which a force may move it: x, y, z, -x, ... or components.
+        mass: Of an obstacle that moves along it in implicit motion [kg], under the force, if any.
+        velocity: That such an obstacle begins with, along it [m/s].
         curve: Amplitude of the motion or force over time, as that of a support or load.
         friction: Coulomb's coefficient: tangential over normal force where they slide; 0: none.
         gap_tolerance: Penetration that statics leaves; 1e-3 of the cells' size there, and no more
@@ -83,6 +85,8 @@ class Contact(OnSurfaces):
     motion: list[Any] = Field(default=[])
     force: Any = None
     direction: Direction | None = None
+    mass: Mass | None = Field(default=None, gt=0)
+    velocity: Velocity = Field(default=0.0)
     curve: Curve | None = None
     friction: float = Field(default=0.0, ge=0, allow_inf_nan=False)
     gap_tolerance: PositiveLength | None = None
@@ -133,7 +137,13 @@ class Contact(OnSurfaces):
 
     def _check_force(self) -> None:
         """Raises where force, direction and motion do not fit together."""
-        if (self.force is None) != (self.direction is None):
+        if self.velocity and self.mass is None:
+            raise InputError(
+                "an obstacle without a mass has no velocity of its own",
+                where="velocity",
+                expected="a mass beside it, or a motion in its place",
+            )
+        if (self.force is None and self.mass is None) != (self.direction is None):
             missing = "direction" if self.direction is None else "force"
             raise InputError(
                 "an obstacle that a force moves needs the force and its direction",
@@ -179,9 +189,9 @@ class Contact(OnSurfaces):
 
     @cached_property
     def push(self) -> float | Formula | None:
-        """The force that moves the obstacle along `direction` [N]; None: there is none."""
+        """The force that moves the obstacle along `direction` [N]; None: nothing does."""
         if self.force is None:
-            return None
+            return None if self.mass is None else 0.0
         with keyed("force"):
             return component(self.force, "N")
 

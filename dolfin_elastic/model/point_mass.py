@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from pydantic import Field
 
 from dolfin_elastic.core.si_text import given
-from dolfin_elastic.core.units import quantity
+from dolfin_elastic.core.units import Mass
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.values import OnSurfaces
-
-if TYPE_CHECKING:
-    from typing import TypeAlias
-
-    Kilograms: TypeAlias = float
-else:
-    Kilograms = quantity("kg")
 
 
 class PointMass(OnSurfaces):
@@ -33,7 +24,7 @@ class PointMass(OnSurfaces):
         PointMass(on="right", mass="2 kg")
     """
 
-    mass: Kilograms = Field(gt=0)
+    mass: Mass = Field(gt=0)
 
     def describe(self, setting: Setting = ALONE) -> str:
         """What it is."""

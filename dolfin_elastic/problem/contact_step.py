@@ -32,7 +32,7 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.problem.context import FormContext
-from dolfin_elastic.problem.term import Term
+from dolfin_elastic.problem.term import StepWeights, Term
 
 TINY = np.finfo(float).tiny
 
@@ -174,8 +174,9 @@ class InSteps(Term):
         self.step.begin()
         self._begun = self.shift.value.copy()
 
-    def enter_stage(self, old: float, shift: FloatArray | None) -> None:
+    def enter_stage(self, step: StepWeights, shift: FloatArray | None) -> None:
         """See `Term`; as the body at the stage, the obstacle is at the mean of both ends."""
+        old = step.alpha_f
         self.step.enter(old)
         if shift is not None:
             self.shift.value[:] = (1 - old) * shift + old * self._begun

@@ -64,6 +64,27 @@ class Means:
     nodes: IntArray
 
 
+@dataclass(frozen=True)
+class StepWeights:
+    """Coefficients of the step of a motion, see `solvers.dynamics.implicit.generalized_alpha`.
+
+    Attributes:
+        h: Length of the step [s].
+        alpha_m: Share of the old acceleration in the stage's.
+        alpha_f: Share of the old displacement and velocity in the stage's.
+        beta: Weight of the new acceleration in the displacement.
+        gamma: Weight of the new acceleration in the velocity.
+        start: Weight of the old acceleration in the displacement.
+    """
+
+    h: float
+    alpha_m: float
+    alpha_f: float
+    beta: float
+    gamma: float
+    start: float
+
+
 Acting = Callable[[float], tuple[float, Amplitude]]
 Kind = Literal["work", "energy", "bound", "drag"]
 
@@ -73,6 +94,7 @@ class Term:
 
     Attributes:
         label: What results call it.
+        mass: Its own, that steps of an implicit motion move beside the body [kg].
         linear: Its forces are linear in the displacement.
         symmetric: Its blocks are those of a symmetric matrix.
         nodal: It has forces that are in no form, see `add_forces`.
@@ -92,6 +114,7 @@ class Term:
     """
 
     label: str
+    mass = 0.0
     linear = symmetric = True
     nodal = restrains = changes = opens = bars = only_implicit = False
     at_rest = True
@@ -235,13 +258,15 @@ class Term:
     def begin_step(self) -> None:
         """A step of an implicit motion begins at the present state. Collective."""
 
-    def enter_stage(self, old: float, shift: FloatArray | None) -> None:
-        """Until `leave_stage` forces are those of the step. Not collective.
+    def enter_stage(self, step: StepWeights, shift: FloatArray | None) -> None:
+        """Until `leave_stage` forces are those of the step at its stage. Not collective.
 
         Args:
-            old: Share of the old displacement in that of the stage, which is the present one.
             shift: What `shift` is at the end of the step [m].
         """
+
+    def follow(self) -> None:
+        """Moves what follows the displacement of the stage. Collective."""
 
     def leave_stage(self, *, found: bool) -> None:
         """The stage was found, or there is none. Collective."""
@@ -493,14 +518,19 @@ class Terms(list[Term]):
         """A copy of the shift of each."""
         return [None if term.shift is None else term.shift.value.copy() for term in self]
 
-    def enter_stage(self, old: float, shifts: Sequence[FloatArray | None]) -> None:
+    def enter_stage(self, step: StepWeights, shifts: Sequence[FloatArray | None]) -> None:
         """See `Term`.
 
         Args:
             shifts: Of each at the end of the step [m].
         """
         for term, shift in zip(self, shifts, strict=True):
-            term.enter_stage(old, shift)
+            term.enter_stage(step, shift)
+
+    def follow(self) -> None:
+        """See `Term`."""
+        for term in self:
+            term.follow()
 
     def leave_stage(self, *, found: bool) -> None:
         """See `Term`."""

@@ -149,6 +149,7 @@ SHARED = {
     "problem/terms/test_edges_points.py",
     "problem/terms/test_friction.py",
     "problem/terms/test_loaded_obstacle.py",
+    "problem/terms/test_moving_mass.py",
     "problem/terms/test_rigid_mesh.py",
     "problem/terms/test_rolling.py",
     "problem/terms/test_sharp_obstacles.py",

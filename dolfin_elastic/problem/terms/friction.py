@@ -43,7 +43,7 @@ from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import shear_modulus
-from dolfin_elastic.problem.term import Term
+from dolfin_elastic.problem.term import StepWeights, Term
 from dolfin_elastic.problem.terms.contact import ContactPair, allowed_gap, uniaxial_modulus
 
 log = logging.getLogger("dolfin_elastic")
@@ -238,9 +238,9 @@ class CoulombFriction(Term):
         """See `Term`."""
         self._begun = self._moved()
 
-    def enter_stage(self, old: float, shift: FloatArray | None) -> None:
+    def enter_stage(self, step: StepWeights, shift: FloatArray | None) -> None:
         """See `Term`."""
-        self._old, self._stage = old, None
+        self._old, self._stage = step.alpha_f, None
 
     def leave_stage(self, *, found: bool) -> None:
         """See `Term`."""

@@ -19,14 +19,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import span
-from dolfin_elastic.model.amplitude import PROPORTIONAL
+from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.problem.context import FormContext
-from dolfin_elastic.problem.term import OutOfBalance, ScalarTerm
+from dolfin_elastic.problem.term import Blocks, OutOfBalance, ScalarTerm, StepWeights, Term
 from dolfin_elastic.problem.terms.contact import ContactPair
 
 SAME = 1e-10
@@ -46,6 +47,159 @@ _PAST = 10.0
 
 _TIMES = 101
 """Load factors at which the force must not pull."""
+
+
+_SEARCHES = 100
+"""Newton iterations for the place of a mass: its force is linear but for where nodes hit."""
+
+_SETTLED = 1e-14
+"""Last change of that place over the size of the coordinates."""
+
+
+class MovingMass(Term):
+    """A rigid obstacle with a mass m, which moves along its direction d in implicit motion.
+
+    At the stage of a step m a = F - R, with the force F on it and R = integral of p n . d.  For
+    each displacement of the body its place at the stage is found by Newton's method: R grows with
+    it, so there is one.  What is left is a system of the body alone, with the tangent
+
+        K - (dR/du)^T (dR/du)/(m da/ds + dR/ds),
+
+    the Schur complement of the place s: all nodes in contact are coupled.
+
+    Args:
+        pair: Its contact, the obstacle of which it is.
+        index: Of the contact in the case, from 0.
+    """
+
+    nodal = restrains = follows_path = True
+    at_rest = False
+
+    def __init__(self, pair: ContactPair, context: FormContext, index: int) -> None:
+        assert pair.contact.mass is not None
+        self._pair, self._context, self._where = pair, context, f"contact[{index}]"
+        self._comm, self.label, self.mass = context.body.comm, pair.label, pair.contact.mass
+        self._way, S = pair.contact.way(context.body.dim), pair.lam.function_space
+        self._s, self._v, self._a = fem.Function(S), fem.Function(S), fem.Function(S)
+        names = "place", "velocity", "acceleration"
+        fields = self._s, self._v, self._a
+        self.memory = {
+            f"obstacle_{name}_{index}": one for name, one in zip(names, fields, strict=True)
+        }
+        self._t, self._default = 0.0, CONSTANT
+        self._begun, self._step, self._offset = (0.0, 0.0, 0.0), StepWeights(1, 0, 0, 1, 1, 0), 0.0
+        self._in_stage, self._stiffness = False, np.inf
+
+    def begin(self, *, moving: bool) -> None:
+        """See `Term`."""
+        if not moving:
+            raise InputError(
+                f"the obstacle of '{self.label}' has a mass, which moves in [dynamics] only",
+                where=f"{self._where}.mass",
+                expected="leave it out, or [dynamics] with an implicit scheme",
+            )
+        self._force = self._pair.along(self._way)
+        # The first acceleration follows from the forces at the start of the first step.
+        self._take(0.0, self._pair.contact.velocity, np.nan)
+
+    def set_time(self, t: float, default: Amplitude) -> None:
+        """See `Term`: between steps it is where it was left."""
+        self._t, self._default = t, default
+        self._move(self._now[0])
+
+    @property
+    def _now(self) -> tuple[float, float, float]:
+        """Place [m], velocity [m/s] and acceleration [m/s^2]."""
+        return (
+            float(self._s.x.array[0]),
+            float(self._v.x.array[0]),
+            float(self._a.x.array[0]),
+        )
+
+    def _take(self, s: float, v: float, a: float) -> None:
+        self._s.x.array[:], self._v.x.array[:], self._a.x.array[:] = s, v, a
+        self._move(s)
+
+    def _move(self, s: float) -> None:
+        self._pair.shift.value[:] = s * self._way
+
+    def _given(self) -> float:
+        return self._pair.contact.force_at(self._t, self._default)
+
+    def begin_step(self) -> None:
+        """See `Term`."""
+        s, v, a = self._now
+        if np.isnan(a):
+            a = (self._given() - self._force.value()) / self.mass
+        self._begun = s, v, a
+
+    def enter_stage(self, step: StepWeights, shift: FloatArray | None) -> None:
+        """See `Term`."""
+        self._step, self._offset, self._in_stage = step, 0.0, True
+
+    def _stage(self) -> tuple[float, float]:
+        """Place at the stage [m], and the acceleration there [m/s^2]."""
+        (s, v, a), p = self._begun, self._step
+        end = a + self._offset / (p.beta * p.h**2)
+        way = p.h * v + p.h**2 * (p.start + p.beta) * a + self._offset
+        return s + (1 - p.alpha_f) * way, (1 - p.alpha_m) * end + p.alpha_m * a
+
+    def follow(self) -> None:
+        """See `Term`.
+
+        Raises:
+            InputError: Its force is not finite.
+        """
+        if not self._in_stage:
+            return
+        p, given = self._step, self._given()
+        inertia = self.mass * (1 - p.alpha_m) / ((1 - p.alpha_f) * p.beta * p.h**2)
+        size = largest(self._comm, float(np.max(np.abs(self._pair.places()), initial=0.0)))
+        for _ in range(_SEARCHES):
+            place, acceleration = self._stage()
+            self._move(place)
+            moved = self._rows() @ self._way
+            self._stiffness = inertia - total(self._comm, float(moved.sum()))
+            off = self.mass * acceleration + self._force.value() - given
+            change = off / self._stiffness
+            if not abs(change) > _SETTLED * size:
+                return
+            self._offset -= change / (1 - p.alpha_f)
+
+    def _rows(self) -> FloatArray:
+        """Derivative of its force on the body by the displacements, owned nodes (n, dim) [N/m]."""
+        rows = self._force.row()[self._context.unknowns.displacement_dofs]
+        return np.asarray(rows.reshape(-1, len(self._way)))
+
+    def blocks(self) -> Blocks:
+        """See `Term`: see the class."""
+        rows = self._rows() if self._in_stage else np.zeros((0, len(self._way)))
+        own = np.flatnonzero(np.any(rows != 0.0, axis=1)).astype(np.int32)
+        mine = self._context.unknowns.V.dofmap.index_map.local_to_global(own), rows[own]
+        parts = self._comm.allgather(mine)
+        nodes, others = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+        values = -mine[1][:, None, :, None] * others[None, :, None, :] / self._stiffness
+        i, j = np.broadcast_arrays(mine[0][:, None], nodes[None])
+        d = len(self._way)
+        return Blocks(i.ravel().astype(np.int64), j.ravel(), values.reshape(-1, d, d))
+
+    def leave_stage(self, *, found: bool) -> None:
+        """See `Term`."""
+        (s, v, a), p = self._begun, self._step
+        if found:
+            end = a + self._offset / (p.beta * p.h**2)
+            s += p.h * v + p.h**2 * (p.start + p.beta) * a + self._offset
+            v += p.h * ((1 - p.gamma) * a + p.gamma * end)
+            a = end
+        self._in_stage = False
+        self._take(s, v, a)
+
+    def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
+        """See `Term`: displacement, velocity, and the force on the body."""
+        s, v, _ = self._now
+        result[f"obstacle_displacement_{self.label}"] = s
+        result[f"obstacle_velocity_{self.label}"] = v
+        result[f"obstacle_force_{self.label}"] = self._force.value()
 
 
 class LoadedObstacle(ScalarTerm):
@@ -71,7 +225,7 @@ class LoadedObstacle(ScalarTerm):
         return InputError(
             f"a force moves the obstacle of '{self.label}' in statics only",
             where=f"{self._where}.force",
-            expected="[statics]; or its motion over time; or a part with a mass in its place",
+            expected="a mass of it in implicit motion; or [statics]; or its motion over time",
         )
 
     def commit(self) -> None:
@@ -229,7 +383,7 @@ class LoadedObstacle(ScalarTerm):
 
 def make_loaded_obstacles(
     pairs: Sequence[ContactPair], context: FormContext
-) -> Iterator[LoadedObstacle]:
+) -> Iterator[LoadedObstacle | MovingMass]:
     """Those of the contacts whose obstacle a force moves.
 
     Raises:
@@ -246,4 +400,5 @@ def make_loaded_obstacles(
                 expected="a name of its own",
             )
         labels.add(pair.label)
-        yield LoadedObstacle(pair, context, index)
+        kind = LoadedObstacle if pair.contact.mass is None else MovingMass
+        yield kind(pair, context, index)

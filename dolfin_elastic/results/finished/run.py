@@ -45,6 +45,7 @@ _BEGINNINGS = {
     "bolt_force_": "N",
     "obstacle_force_": "N",
     "obstacle_displacement_": "m",
+    "obstacle_velocity_": "m/s",
     "shortening_": "m",
     "pressure_": "Pa",
     "volume_": "m^3",

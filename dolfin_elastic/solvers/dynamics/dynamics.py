@@ -95,6 +95,12 @@ class Dynamics(Marching):
                 expected="leave it out, or use [statics]",
             )
         s = self.settings
+        if s.preload and any(term.mass for term in self.problem.terms):
+            raise InputError(
+                "an obstacle with a mass has no equilibrium that a preload finds",
+                where="dynamics.preload",
+                expected="leave it out, or `motion` in place of the obstacle's mass",
+            )
         if self.problem.constraints.tied and not s.implicit:
             raise InputError(EXPLICIT_TIES, where="tie[0]", expected=IMPLICIT)
         if s.preload and saved is None:

@@ -8,6 +8,7 @@ from helpers.tangents import against_differences
 from mpi4py import MPI
 
 from dolfin_elastic import Contact, NeoHookean, Problem, rectangle_body
+from dolfin_elastic.problem.term import StepWeights
 from dolfin_elastic.problem.terms.friction import CoulombFriction
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.audit.equilibrium import EnergyBook
@@ -37,7 +38,7 @@ def step_from_here(problem: Problem, old: float, size: float) -> None:
     u += size * np.sin(17 * places[:, ::-1] + 2 * places).ravel()
     problem.terms.begin_step()
     u[:] = here
-    problem.terms.enter_stage(old, problem.terms.shifts)
+    problem.terms.enter_stage(StepWeights(1.0, old, old, 0.25, 0.5, 0.25), problem.terms.shifts)
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: next(iter(shape)))

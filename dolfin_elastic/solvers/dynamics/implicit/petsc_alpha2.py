@@ -61,6 +61,13 @@ class PetscAlpha2(ImplicitScheme):
         Raises:
             InputError: A material is incompressible.
         """
+        for term in problem.terms:
+            if term.mass:
+                raise InputError(
+                    f"PETSc's '{name}' does not move the mass of '{term.label}'",
+                    where="dynamics.scheme",
+                    expected="generalized-alpha",
+                )
         if partly_incompressible(problem):
             raise InputError(
                 f"PETSc's '{name}' keeps volumes at its stages, where the pressure of an "

@@ -15,6 +15,7 @@ from petsc4py import PETSc
 from dolfin_elastic.core.timing import stage as timed
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.constraints.rows import Rows
+from dolfin_elastic.problem.term import StepWeights
 from dolfin_elastic.solvers.assembly.mass import prescribed_rates
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.implicit.scheme import SchemeContext
@@ -151,6 +152,7 @@ class StageSolver:
 
     def _assemble(self) -> None:
         """Assembles the residual at the present state, with the volumes at the end of the step."""
+        self._problem.terms.follow()
         self._assembler.residual.assemble()
         if self._volumes is not None:
             self._volumes.complete()
@@ -225,7 +227,8 @@ class StageSolver:
         v_end, a_end = prescribed_rates(problem, end, h)
         a = self._prescribed_acceleration(v_end, a_end, h)
         problem.set_time(start.t + (1 - p.alpha_f) * h)
-        problem.terms.enter_stage(p.alpha_f, shifts)
+        weights = StepWeights(h, p.alpha_m, p.alpha_f, p.beta, p.gamma, p.start)
+        problem.terms.enter_stage(weights, shifts)
         return Stage(
             parameters=p,
             prescribed=problem.constraints,
