@@ -88,6 +88,7 @@ class MovingMass(Term):
         }
         self._t, self._default = 0.0, CONSTANT
         self._begun, self._step, self._offset = (0.0, 0.0, 0.0), StepWeights(1, 0, 0, 1, 1, 0), 0.0
+        self._kept = self._begun
         self._in_stage, self._stiffness = False, np.inf
 
     def begin(self, *, moving: bool) -> None:
@@ -110,6 +111,8 @@ class MovingMass(Term):
     @property
     def _now(self) -> tuple[float, float, float]:
         """Place [m], velocity [m/s] and acceleration [m/s^2]."""
+        if not len(self._s.x.array):  # a rank without a part of the body
+            return self._kept
         return (
             float(self._s.x.array[0]),
             float(self._v.x.array[0]),
@@ -118,6 +121,7 @@ class MovingMass(Term):
 
     def _take(self, s: float, v: float, a: float) -> None:
         self._s.x.array[:], self._v.x.array[:], self._a.x.array[:] = s, v, a
+        self._kept = s, v, a
         self._move(s)
 
     def _move(self, s: float) -> None:
@@ -128,7 +132,8 @@ class MovingMass(Term):
 
     def begin_step(self) -> None:
         """See `Term`."""
-        s, v, a = self._now
+        every = self._comm.allgather(self._now if len(self._s.x.array) else None)
+        s, v, a = next(one for one in every if one is not None)
         if np.isnan(a):
             a = (self._given() - self._force.value()) / self.mass
         self._begun = s, v, a
