@@ -34,7 +34,7 @@ from dolfin_elastic.model.amplitude import Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.values import OnSurfaces, amplitude_of, at_time, component, components
 
-_OF_OBSTACLES = ("motion", "force", "direction", "curve")
+_OF_OBSTACLES = ("motion", "force", "direction", "mass", "velocity", "curve")
 
 
 def _of_file(value: object) -> object:

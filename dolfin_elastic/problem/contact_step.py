@@ -165,6 +165,7 @@ class InSteps(Term):
         step: Over which forces are taken, see the module.
     """
 
+    in_steps = True
     shift: fem.Constant
     step: ContactStep
     _begun: FloatArray
@@ -177,7 +178,7 @@ class InSteps(Term):
     def enter_stage(self, step: StepWeights, shift: FloatArray | None) -> None:
         """See `Term`; as the body at the stage, the obstacle is at the mean of both ends."""
         old = step.alpha_f
-        self.step.enter(old)
+        self.step.enter(old if self.in_steps else 0.0)
         if shift is not None:
             self.shift.value[:] = (1 - old) * shift + old * self._begun
 

@@ -103,6 +103,7 @@ class Term:
         restrains: These answer to the body's motion; else they are loads.
         changes: As a load it changes in motion.
         opens: Its forces begin and end, as those of contact.
+        in_steps: Those of a step of an implicit motion do the work that it stores.
         at_rest: What it acts from stands still.
         follows_path: The equilibrium under a load depends on those before it.
         shift: Displacement of a rigid obstacle that its forces come from [m]; None of other terms,
@@ -116,7 +117,8 @@ class Term:
     label: str
     mass = 0.0
     linear = symmetric = True
-    nodal = restrains = changes = opens = bars = only_implicit = False
+    nodal = restrains = changes = opens = False
+    in_steps = bars = only_implicit = False
     at_rest = True
     follows_path = dissipates = False
     shift: fem.Constant | None = None

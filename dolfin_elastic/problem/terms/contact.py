@@ -216,9 +216,7 @@ class ContactPair(InSteps):
     def end_gaps(self) -> tuple[FloatArray, FloatArray]:
         """`pressing_gaps` at both ends of the step [m]. Collective."""
         nodes, X = self.nodes_of_displacement, self.places()
-        first, last = (
-            self.contact.obstacle.gaps(X + one[nodes])[0] for one in self.step.ends()
-        )
+        first, last = (self.contact.obstacle.gaps(X + one[nodes])[0] for one in self.step.ends())
         return first, last
 
     def nodal_gaps(self) -> tuple[IndexArray, FloatArray]:

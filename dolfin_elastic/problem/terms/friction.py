@@ -240,7 +240,7 @@ class CoulombFriction(Term):
 
     def enter_stage(self, step: StepWeights, shift: FloatArray | None) -> None:
         """See `Term`."""
-        self._old, self._stage = step.alpha_f, None
+        self._old, self._stage = step.alpha_f if self._pair.in_steps else 0.0, None
 
     def leave_stage(self, *, found: bool) -> None:
         """See `Term`."""
@@ -260,7 +260,7 @@ class CoulombFriction(Term):
         """Moves s by the traction of the step's stage, see the module."""
         old, moved = self._begun - self._of(self._stuck), self._moved()
         e = old + (-t / self._eps[:, None] - old) / (1 - self._old)
-        n, limit = self._pair.gaps()[1], self._tractions()[2]
+        n, limit = self._pair.nodal_normals(), self._tractions()[2]
         e -= np.sum(e * n, axis=1)[:, None] * n
         length = self._eps * np.linalg.norm(e, axis=1)
         e *= np.divide(limit, length, out=np.ones_like(limit), where=length > limit)[:, None]

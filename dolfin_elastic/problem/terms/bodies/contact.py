@@ -2,7 +2,8 @@
 
 One side carries the pressures: that with the finer faces, of alike ones the softer.  Its mean gaps,
 pressures and potential are those of `VertexContact`; forces on both sides come from the same
-points, so that action is reaction.  The tangent leaves the change of the cut out.
+points, so that action is reaction.  The tangent leaves the change of the cut out.  In motion forces
+are those of the stage: the pieces are others at the ends of a step.
 
 Source: P. Wriggers, Computational Contact Mechanics, 2nd ed., Springer 2006, sections 4.3 and 9.5;
 M. A. Puso & T. A. Laursen, Comput. Methods Appl. Mech. Eng. 193 (2004) 601; A. Popp, B. Wohlmuth,
@@ -53,7 +54,7 @@ class BodyContact(VertexContact):
         pieces: What of both lies opposite each other; the same as `functions`.
     """
 
-    flat = False
+    flat = in_steps = False
 
     only_implicit = True
 

@@ -213,9 +213,10 @@ class PieceFunctions(VertexFunctions):
         """See `VertexFunctions`; 0 where nothing lies opposite."""
         return np.where(self.covered[:, None], super().means(values), 0.0)
 
-    def displacements(self) -> FloatArray:
+    def displacements(self, of_nodes: FloatArray | None = None) -> FloatArray:
         """See `VertexFunctions`: relative to the other side. Collective."""
-        return self.relative(self._context.unknowns.u.x.array)
+        u = self._context.unknowns.u.x.array if of_nodes is None else of_nodes
+        return self.relative(u.reshape(-1))
 
     def relative(self, field: FloatArray) -> FloatArray:
         """A field of displacements at the points relative to the other side. Collective.

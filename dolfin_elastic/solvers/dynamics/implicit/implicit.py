@@ -157,10 +157,12 @@ def conserving(settings: DynamicsSettings, problem: Problem) -> DynamicsSettings
     row, laws = settings.row, [part.law for part in problem.regions]
     if not (row.implicit and row.conserves and "spectral_radius" in row.keys):
         return settings
-    if settings.spectral_radius is not None or not problem.terms.opens:
+    opening = [term for term in problem.terms if term.opens]
+    if settings.spectral_radius is not None or not opening:
         return settings
     quadratic = all(law.linear and law.has_energy and not law.relaxes for law in laws)
     kept = quadratic or (conserves(problem) and all(map(derives_from_strain, laws)))
+    kept = kept and all(term.in_steps for term in opening)
     return settings.model_copy(update={"spectral_radius": 1.0}) if kept else settings
 
 
