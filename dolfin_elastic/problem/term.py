@@ -89,7 +89,27 @@ Acting = Callable[[float], tuple[float, Amplitude]]
 Kind = Literal["work", "energy", "bound", "drag"]
 
 
-class Term:
+class _InSteps:
+    """What a term does in the steps of an implicit motion: nothing, unless it says so."""
+
+    def begin_step(self) -> None:
+        """A step of an implicit motion begins at the present state. Collective."""
+
+    def enter_stage(self, step: StepWeights, shift: FloatArray | None) -> None:
+        """Until `leave_stage` forces are those of the step at its stage. Not collective.
+
+        Args:
+            shift: What `shift` is at the end of the step [m].
+        """
+
+    def follow(self) -> None:
+        """Moves what follows the displacement of the stage. Collective."""
+
+    def leave_stage(self, *, found: bool) -> None:
+        """The stage was found, or there is none. Collective."""
+
+
+class Term(_InSteps):
     """One part of the surroundings: what it does not say itself is nothing.
 
     Attributes:
@@ -256,22 +276,6 @@ class Term:
         Its results have been asked for before.  In motion only the start is committed.
         """
         self._committed = [field.x.array.copy() for field in self.memory.values()]
-
-    def begin_step(self) -> None:
-        """A step of an implicit motion begins at the present state. Collective."""
-
-    def enter_stage(self, step: StepWeights, shift: FloatArray | None) -> None:
-        """Until `leave_stage` forces are those of the step at its stage. Not collective.
-
-        Args:
-            shift: What `shift` is at the end of the step [m].
-        """
-
-    def follow(self) -> None:
-        """Moves what follows the displacement of the stage. Collective."""
-
-    def leave_stage(self, *, found: bool) -> None:
-        """The stage was found, or there is none. Collective."""
 
     def advance(self) -> None:
         """A step of a motion is accepted: what depends on the path has passed it. Collective."""

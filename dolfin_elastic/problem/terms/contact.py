@@ -103,8 +103,8 @@ class ForceAlong(Protocol):
         """Its derivative by the unknowns, owned entries [N/m]. Collective."""
 
 
-class ContactPair(InSteps):
-    """One contact on one body. Collective to make.
+class _Pressures(InSteps):
+    """Gaps and pressures of one contact on one body. Collective to make.
 
     Args:
         index: From 0, in the case.
@@ -219,6 +219,11 @@ class ContactPair(InSteps):
         first, last = (self.contact.obstacle.gaps(X + one[nodes])[0] for one in self.step.ends())
         return first, last
 
+    @property
+    def reach(self) -> float:
+        """Gap [m] up to which the surface is in contact."""
+        return float(self._reach.value)
+
     def nodal_gaps(self) -> tuple[IndexArray, FloatArray]:
         """Owned nodes of the displacement on the surface, and gaps there [m]. Not collective."""
         return self.nodes_of_displacement, self.gaps()[0]
@@ -252,6 +257,10 @@ class ContactPair(InSteps):
         """The obstacle's force on the body along a unit vector. Collective."""
         raise NotImplementedError
 
+
+class ContactPair(_Pressures):
+    """One contact on one body. Collective to make."""
+
     def gap_error(self) -> tuple[float, float]:
         """Largest distance from the obstacle of nodes that press or penetrate [m]. Collective.
 
@@ -280,11 +289,6 @@ class ContactPair(InSteps):
     def spots(self) -> tuple[FloatArray, FloatArray]:
         """Gaps [m] where those of the start are judged, and the reference places, (n, dim) [m]."""
         return self.gaps()[0], self.places()
-
-    @property
-    def reach(self) -> float:
-        """Gap [m] up to which the surface is in contact."""
-        return float(self._reach.value)
 
     def assume(self, closed: bool | None) -> None:
         """See `Term`."""

@@ -62,8 +62,8 @@ OPEN, STICK, SLIP = 0, 1, 2
 """Status of a point of the surface."""
 
 
-class CoulombFriction(Term):
-    """Friction of one contact. Collective to make.
+class _Tractions(Term):
+    """Tractions of one contact at its nodes. Collective to make.
 
     Args:
         pair: The contact, whose pressure and nodes it has; its coefficient is above 0.
@@ -102,25 +102,6 @@ class CoulombFriction(Term):
         self._begun: FloatArray = np.empty(0)  # where the nodes were at the start of a step [m]
         self._old = 0.0
         self._stage: FloatArray | None = None  # tractions of the stage that was found [Pa]
-
-    def begin(self, *, moving: bool) -> None:
-        """See `Term`: all points stick where they are, unless a preload has just ended there."""
-        self._augments = not moving
-        if moving:
-            self._tau.x.array[:] = 0.0
-        else:
-            log.info(
-                "friction at '%s': the result depends on the order of the loads, which grow in "
-                "steps",
-                self.label,
-            )
-        self._eps = self._share * self._penalty()
-        moved = self._moved()
-        elsewhere = not (moving and self._moving) or not np.array_equal(moved, self._accepted)
-        if largest(self._comm, float(elsewhere)):
-            self._tau.x.array[:] = self._lost.x.array[:] = 0.0
-            self._put(self._stuck, moved)
-        self._moving = moving
 
     def _penalty(self) -> FloatArray:
         """Of the pressure at the nodes [Pa/m]. Collective."""
@@ -201,7 +182,28 @@ class CoulombFriction(Term):
             some = lengths > 0.1  # those of the other axes span the plane without it
             yield nodes[some], tangents[some] / lengths[some, None]
 
-    # --- a run ---
+
+class CoulombFriction(_Tractions):
+    """Friction of one contact, which remembers where points stick. Collective to make."""
+
+    def begin(self, *, moving: bool) -> None:
+        """See `Term`: all points stick where they are, unless a preload has just ended there."""
+        self._augments = not moving
+        if moving:
+            self._tau.x.array[:] = 0.0
+        else:
+            log.info(
+                "friction at '%s': the result depends on the order of the loads, which grow in "
+                "steps",
+                self.label,
+            )
+        self._eps = self._share * self._penalty()
+        moved = self._moved()
+        elsewhere = not (moving and self._moving) or not np.array_equal(moved, self._accepted)
+        if largest(self._comm, float(elsewhere)):
+            self._tau.x.array[:] = self._lost.x.array[:] = 0.0
+            self._put(self._stuck, moved)
+        self._moving = moving
 
     def unsettled(self) -> bool:
         """See `Term`: a node that sticks is off the place where it does, beyond the tolerance."""

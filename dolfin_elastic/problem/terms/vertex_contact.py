@@ -133,12 +133,7 @@ class VertexContact(_Followed):
 
     def _at_points(self) -> tuple[FloatArray, FloatArray]:
         """Gaps and normals there, shapes (facets, points) and (facets, points, dim)."""
-        return self._measured(self._of_points, self.places_of_points())
-
-    def _measured(self, obstacle: Shape, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        first, rows = self.functions.distinct
-        gaps, normals = obstacle.gaps(x.reshape(-1, self._dim)[first])
-        return gaps[rows].reshape(x.shape[:-1]), normals[rows].reshape(x.shape)
+        return _measured(self.functions, self._of_points, self.places_of_points())
 
     def _over_step(self) -> _Way:
         """Gaps and normals at the points over the step; of a state all ends are alike."""
@@ -146,9 +141,9 @@ class VertexContact(_Followed):
             gaps, normals = self._at_points()
             return _Way(gaps, gaps, normals, normals)
         first, last = (self.functions.X + self.functions.displacements(u) for u in self.step.ends())
-        before = self._measured(self._of_ends[0], first)[0]
-        gaps, normals = self._measured(self._of_ends[1], last)
-        middle = self._measured(self._of_points, (first + last) / 2)[1]
+        before = _measured(self.functions, self._of_ends[0], first)[0]
+        gaps, normals = _measured(self.functions, self._of_ends[1], last)
+        middle = _measured(self.functions, self._of_points, (first + last) / 2)[1]
         along = self.step.mean_normals((before, gaps), last - first, middle)
         return _Way(before, gaps, along, normals)
 
@@ -278,6 +273,15 @@ class VertexContact(_Followed):
     def along(self, way: FloatArray) -> _ForceOfVertices:
         """See `ContactPair`."""
         return _ForceOfVertices(self, self._context.unknowns, way)
+
+
+def _measured(
+    functions: VertexFunctions, obstacle: Shape, x: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Gaps and normals of an obstacle where the points of the functions are."""
+    first, rows = functions.distinct
+    gaps, normals = obstacle.gaps(x.reshape(-1, x.shape[-1])[first])
+    return gaps[rows].reshape(x.shape[:-1]), normals[rows].reshape(x.shape)
 
 
 class _ForceOfVertices:
