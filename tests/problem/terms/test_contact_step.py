@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import meshio
 import numpy as np
 import pytest
 from helpers.tangents import against_differences
 from mpi4py import MPI
 
-from dolfin_elastic import Contact, NeoHookean, Problem, rectangle_body
+from dolfin_elastic import Contact, NeoHookean, Problem, box_body, rectangle_body
 from dolfin_elastic.problem.term import StepWeights
 from dolfin_elastic.problem.terms.friction import CoulombFriction
 from dolfin_elastic.solvers.assembly.assembler import Assembler
@@ -17,6 +18,7 @@ SHAPES = [
     {"plane": {"point": [0, 0.01], "normal": [0.02, 1]}},
     {"sphere": {"center": [0.5, -1.98], "radius": 2.0}},
     {"cylinder": {"point": [0.5, 1.97], "radius": 2.0, "inside": True}},
+    {"box": {"center": [0.5, -0.49], "size": [0.6, 1]}},
 ]
 
 
@@ -34,7 +36,7 @@ def resting(degree: int, friction: float = 0.0, **shape: object) -> Problem:
 def step_from_here(problem: Problem, old: float, size: float) -> None:
     """A step whose start is off the present displacement."""
     u = problem.u.x.array
-    here, places = u.copy(), problem.V.tabulate_dof_coordinates()[:, :2]
+    here, places = u.copy(), problem.V.tabulate_dof_coordinates()[:, : problem.body.dim]
     u += size * np.sin(17 * places[:, ::-1] + 2 * places).ravel()
     problem.terms.begin_step()
     u[:] = here
@@ -45,14 +47,36 @@ def step_from_here(problem: Problem, old: float, size: float) -> None:
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("old", [0.5, 0.4])
 def test_work_of_a_step(old, degree, shape):
-    """It is the change of the energy, to round-off; below alpha = 1/2 less comes out of it.
+    """It is the change of the energy, to round-off; below alpha = 1/2 less comes out of it."""
+    check_work(resting(degree, **shape), old)
 
-    Some nodes hit within the step, some leave and some stay in contact.
-    """
-    problem = resting(degree, **shape)
-    (pair,), u = problem.contact_pairs, problem.u.x.array
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_work_of_a_step_on_triangles(degree, folder, comm):
+    """The same on a rigid mesh, over edges of which normals jump."""
+    points = [(0, 0, 0.06), (2, 0, -0.1), (0, 2, -0.1), (-2, 0, -0.1), (0, -2, -0.1)]
+    fan = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 1)]
+    if comm.rank == 0:
+        cells = [("triangle", np.array(fan))]
+        meshio.write_points_cells(folder / "tip.stl", np.array(points, float), cells)
+    comm.barrier()
+    body = box_body(size=(1, 1, 1), cells=(4, 4, 1), origin=(-0.5, -0.5, 0))
+    contact = {"on": "bottom", "name": "it", "mesh": str(folder / "tip.stl")}
+    problem = Problem(
+        body,
+        NeoHookean(E=1e6, nu=0.3),
+        contacts=[Contact.model_validate(contact)],
+        degree=degree,
+    )
+    problem.terms.begin(moving=True)
+    check_work(problem, 0.5)
+
+
+def check_work(problem: Problem, old: float) -> None:
+    """Some nodes hit within the step, some leave and some stay in contact."""
+    (pair,), u, dim = problem.contact_pairs, problem.u.x.array, problem.body.dim
     assembler, comm = Assembler(problem), problem.body.comm
-    u[:] = 0.05 * np.cos(9 * problem.V.tabulate_dof_coordinates()[:, :2][:, ::-1]).ravel()
+    u[:] = 0.05 * np.cos(9 * problem.V.tabulate_dof_coordinates()[:, :dim][:, ::-1]).ravel()
     own = assembler.size
     step_from_here(problem, old, 0.08)
     start, stage = pair.step.start.x.array.copy(), u.copy()
