@@ -596,3 +596,8 @@ class Terms(list[Term]):
         for term in self:
             term.add_results(result, forces)
         return result
+
+
+def conserve_in_steps(terms: Terms) -> bool:
+    """Some forces begin and end, and those of a step do the work that these terms store."""
+    return terms.opens and all(term.in_steps for term in terms if term.opens)

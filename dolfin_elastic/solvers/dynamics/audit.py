@@ -13,6 +13,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Audit
+from dolfin_elastic.problem.term import conserve_in_steps
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor, no_balance, round_off
 from dolfin_elastic.solvers.audit.violations import FAILING_GAIN, Violation, Violations, restored
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
@@ -200,8 +201,11 @@ class MotionAuditor(EquilibriumAuditor):
 
     def _energy(self, off: float) -> Violations:
         if off > MAX_ENERGY_GAIN:
-            hits = self._problem.terms.opens and not self._parameters.midpoint
-            other = f", or for contact {CONSERVING}," if hits else ""
+            parameters, other = self._parameters, ""
+            if conserve_in_steps(self._problem.terms):
+                other = "" if parameters.midpoint else f", or for contact {CONSERVING},"
+            elif self._problem.terms.dissipates and (parameters.spectral_radius or 0.0) > 0.5:
+                other = ", or where surfaces slide spectral_radius = 0.5,"
             what = (
                 f"{100 * off:.3g} % of the energy has come from nowhere: a smaller dt{other} is "
                 "needed"

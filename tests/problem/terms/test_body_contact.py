@@ -337,7 +337,7 @@ def test_mistakes(keys, where, words):
         Contact.model_validate({"between": ["below", "above"], **keys})
 
 
-def test_explicit_schemes_do_not_know_it():
+def test_what_schemes_do_not_know_of_it():
     problem = Problem(
         stacked((1.0, 1.0), (2, 1), (2, 1)),
         NeoHookean(E=E, nu=NU, density=1000),
@@ -346,6 +346,8 @@ def test_explicit_schemes_do_not_know_it():
     )
     with pytest.raises(InputError, match="knows no forces"):
         list(Dynamics(problem, scheme="central-differences", end=1e-3).steps())
+    # Nor do steps conserve energy with it, as with obstacles, which have a radius of 1.
+    assert Dynamics(problem, end=1e-3, dt=1e-3).settings.spectral_radius is None
 
 
 def test_what_holds_a_body():

@@ -17,6 +17,7 @@ from dolfin_elastic.core.signals import raise_if_agreed
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.problem.problem import Problem, conserves, over_step
 from dolfin_elastic.problem.state import RestartState, SavedState, State, restoring
+from dolfin_elastic.problem.term import conserve_in_steps
 from dolfin_elastic.problem.weak_form import derives_from_strain
 from dolfin_elastic.solvers.assembly.assembler import SupportForces
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass
@@ -157,12 +158,10 @@ def conserving(settings: DynamicsSettings, problem: Problem) -> DynamicsSettings
     row, laws = settings.row, [part.law for part in problem.regions]
     if not (row.implicit and row.conserves and "spectral_radius" in row.keys):
         return settings
-    opening = [term for term in problem.terms if term.opens]
-    if settings.spectral_radius is not None or not opening:
+    if settings.spectral_radius is not None or not conserve_in_steps(problem.terms):
         return settings
     quadratic = all(law.linear and law.has_energy and not law.relaxes for law in laws)
     kept = quadratic or (conserves(problem) and all(map(derives_from_strain, laws)))
-    kept = kept and all(term.in_steps for term in opening)
     return settings.model_copy(update={"spectral_radius": 1.0}) if kept else settings
 
 
