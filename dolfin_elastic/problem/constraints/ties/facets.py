@@ -86,12 +86,17 @@ def opposite(comm: MPI.Comm, near: Facets, far: Facets, margin: float) -> Facets
     return Facets(np.concatenate([x for x, _ in result]), np.concatenate([n for _, n in result]))
 
 
-def areas(facets: Facets) -> FloatArray:
-    """Areas of facets, of curved ones those between their vertices [m^(d-1)]."""
+def areas(facets: Facets, *, axisymmetric: bool = False) -> FloatArray:
+    """Areas of facets, of curved ones those between their vertices [m^(d-1)].
+
+    Args:
+        axisymmetric: Areas are those of rings about the axis, per radian.
+    """
     d = facets.x.shape[2]
     sides = facets.x[:, 1:d] - facets.x[:, :1]
     squares = np.linalg.det(np.einsum("nic,njc->nij", sides, sides))
-    return np.asarray(np.sqrt(np.abs(squares)) / (d - 1))
+    radii = facets.x[:, :d, 0].mean(axis=1) if axisymmetric else 1.0
+    return np.asarray(radii * np.sqrt(np.abs(squares)) / (d - 1))
 
 
 def longest_edge(comm: MPI.Comm, *surfaces: Facets) -> float:

@@ -62,7 +62,7 @@ def integrate(
     Args:
         near: This rank's facets of the tied side.
         far: Facets that may lie opposite.
-        axisymmetric: Areas are those of rings about the axis.
+        axisymmetric: Areas are those of rings about the axis, per radian.
     """
     d = near.x.shape[2]
     count, nodes = near.nodes.shape
@@ -107,18 +107,18 @@ def integrate(
         np.ones(rows.size),
     )
     ends.data[:] = 1.0
-    whole = _full(owners, near, transform)
+    whole = _full(owners, near, transform, areas(near, axisymmetric=axisymmetric))
     D = np.asarray(beside.sum(axis=1))
     return Mortar(M, np.where(COVERED * whole < D, D, 0.0), beside, ends)
 
 
-def _full(owners: Owners, near: Facets, transform: FloatArray) -> FloatArray:
+def _full(owners: Owners, near: Facets, transform: FloatArray, measures: FloatArray) -> FloatArray:
     """Integrals of the owned nodes' functions as if everything were covered. Collective."""
     d = near.x.shape[2]
     mean = np.zeros(near.nodes.shape[1])
     mean[:d] = 1 / d if len(mean) == d else (1 / 6 if d == 2 else 0.0)
     mean[d:] = 2 / 3 if d == 2 else 1 / 3
-    values = areas(near)[:, None] * (mean @ transform)
+    values = measures[:, None] * (mean @ transform)
     result = owners.summed(
         near.nodes.ravel(), np.zeros(near.nodes.size, dtype=np.int64), values.ravel()
     )

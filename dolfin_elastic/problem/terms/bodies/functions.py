@@ -138,7 +138,9 @@ class PieceFunctions(VertexFunctions):
         self.node_owners = Owners(pair.comm, nodes.local_range[0], nodes.size_local)
         self._near, self._far = (Side(context, names, S) for names in sides)
         self.reach, self._thickness = reach, thickness
-        whole = areas(Facets(self._near.X, self._near.nodes)) / self._dim
+        around = 2 * np.pi if context.axisymmetric else 1.0
+        faces = Facets(self._near.X, self._near.nodes)
+        whole = thickness * around / self._dim * areas(faces, axisymmetric=context.axisymmetric)
         self._vertices = self._near.vertices
         self._whole = self._summed(np.repeat(whole[:, None], self._dim, axis=1)[..., None])[:, 0]
         self._at: FloatArray = np.empty(0)
