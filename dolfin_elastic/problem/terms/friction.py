@@ -173,14 +173,12 @@ class _Tractions(Term):
 
     def held(self, *, near: bool = False) -> Iterator[tuple[IndexArray, FloatArray]]:
         """See `Term`: points in contact are held along the obstacle as if they stuck."""
-        gaps, normals = self._pair.gaps()
-        within = gaps <= self._pair.reach
-        nodes, n = self.nodes[within], normals[within]
-        for axis in np.eye(self._context.body.dim):
-            tangents = axis - n * (n @ axis)[:, None]
-            lengths = np.linalg.norm(tangents, axis=1)
-            some = lengths > 0.1  # those of the other axes span the plane without it
-            yield nodes[some], tangents[some] / lengths[some, None]
+        for nodes, n in self._pair.held():
+            for axis in np.eye(self._context.body.dim):
+                tangents = axis - n * (n @ axis)[:, None]
+                lengths = np.linalg.norm(tangents, axis=1)
+                some = lengths > 0.1  # those of the other axes span the plane without it
+                yield nodes[some], tangents[some] / lengths[some, None]
 
 
 class CoulombFriction(_Tractions):
