@@ -208,8 +208,8 @@ def test_edges_of_facets(shape, degree, folder, comm):
     assert end.newton < 30
     assert end.reactions["floor"][2] == pytest.approx(-end.reactions["top"][2], rel=1e-6)
     (pair,) = problem.contact_pairs
-    off, allowed = pair.gap_error()
-    assert off <= allowed
+    # A point may have another facet once the step is accepted: within the largest tolerance.
+    assert pair.gap_error()[0] <= pair.tolerance
 
 
 @pytest.mark.parametrize("degree", [1, 2])
