@@ -343,6 +343,19 @@ def test_mistakes(keys, where, words):
         Contact.model_validate({"between": ["below", "above"], **keys})
 
 
+def test_an_overlap_beyond_the_faces_that_are_compared():
+    """It is refused, though it is less than an element deep: nothing would push back."""
+    problem = Problem(
+        stacked((1.0, 0.6), (40, 1), (40, 1), gap=-0.04),
+        NeoHookean(E=E, nu=NU),
+        contacts=[BETWEEN],
+        degree=1,
+    )
+    (pair,) = problem.contact_pairs
+    with pytest.raises(InputError, match=r"contact\[0\].between: .*overlap by 0.04 m.*0.025 m"):
+        pair.check_start()
+
+
 def test_what_schemes_do_not_know_of_it():
     problem = Problem(
         stacked((1.0, 1.0), (2, 1), (2, 1)),

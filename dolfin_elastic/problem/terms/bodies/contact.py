@@ -115,8 +115,8 @@ class BodyContact(VertexContact):
         places: FloatArray = self.pieces.X.reshape(-1, self._dim)
         farthest = float(span(self._context.body))
         while not total(self.comm, len(gaps)) and reach < FARTHEST:
-            pieces = self.pieces.within(reach * farthest)[2]
-            gaps, places, reach = pieces.gaps, pieces.places, SLOWLY * reach
+            gaps, places = self.pieces.nearest_within(reach * farthest)
+            reach *= SLOWLY
         return gaps, places
 
     def distance(self) -> float:
@@ -181,15 +181,15 @@ class BodyContact(VertexContact):
         """See `Term`: both sides may be held."""
 
     def check_start(self) -> str:
-        """See `Term`: no overlap that is deeper than an element."""
+        """See `Term`: no overlap that is deeper than an element, or out of reach."""
         gap, place = nearest_spot(self)
-        unit = self._context.body.unit
-        if gap < -self.size:
+        unit, deepest = self._context.body.unit, min(self.size, self.pieces.reach)
+        if gap < -deepest:
             raise InputError(
                 f"at the start '{self.label}' overlap by {unit.length(-gap)}, at "
                 f"{unit.point(place)}",
                 where=f"contact[{self._index}].between",
-                expected=f"at most an element deep, {unit.length(self.size)}",
+                expected=f"at most an element deep, {unit.length(deepest)}",
             )
         if gap >= -self.tolerance:
             return ""

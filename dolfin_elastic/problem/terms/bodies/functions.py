@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from dolfinx import fem
 
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import smallest, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.problem.constraints.ties.exchange import Owners
 from dolfin_elastic.problem.constraints.ties.facets import Facets, areas, opposite, owned
@@ -169,10 +169,23 @@ class PieceFunctions(VertexFunctions):
         far = opposite(self._pair.comm, near, self._far.now(), reach)
         return near, far, cut(near, far, reach, facing=True)
 
+    def nearest_within(self, reach: float) -> tuple[FloatArray, FloatArray]:
+        """Gaps of the pieces that are nearest to each other of all, and places [m]. Collective."""
+        near, far, pieces = self.within(reach)
+        least = smallest(self._pair.comm, float(np.min(pieces.gaps, initial=np.inf)))
+        pieces = pieces[pieces.gaps <= least * (1 + 1e-9)]
+        inside = self._opposite(near, far, pieces)[1].gap.mean(axis=1) < 0.0
+        return np.where(inside, -pieces.gaps, pieces.gaps), pieces.places
+
+    def _opposite(self, near: Facets, far: Facets, pieces: Segments) -> tuple[FloatArray, Opposite]:
+        """See `_nearest`: of the points of pieces. Local."""
+        s, i, j = pieces.near_coordinates, pieces.near, pieces.far
+        x = np.einsum("nqk,nkd->nqd", shape_functions(s, near.x.shape[1]), near.x[i])
+        return _nearest(x, far.x[j], pieces.far_coordinates, near.nodes.shape[1])
+
     def _take(self, near: Facets, far: Facets, pieces: Segments) -> None:
         s, i, j, k = pieces.near_coordinates, pieces.near, pieces.far, near.nodes.shape[1]
-        x = np.einsum("nqk,nkd->nqd", shape_functions(s, near.x.shape[1]), near.x[i])
-        self.opposite_hats, self.there = _nearest(x, far.x[j], pieces.far_coordinates, k)
+        self.opposite_hats, self.there = self._opposite(near, far, pieces)
         self.shapes = np.concatenate(
             [shape_functions(s, k), -shape_functions(self.opposite_hats, k)], axis=2
         )
