@@ -81,13 +81,13 @@ def contact_gaps(case: Case, problem: Problem) -> tuple[ContactGap, ...]:
     """
     return tuple(
         ContactGap(
-            f"contact[{i}] '{pair.label}'",
+            f"contact[{pair.index}] '{pair.label}'",
             ", ".join(pair.contact.surfaces),
             pair.contact.shape,
             gap if abs(gap) > _ROUND_OFF * pair.size else 0.0,
             place,
         )
-        for i, (pair, gap, place) in enumerate(_initial_gaps(case, problem))
+        for pair, gap, place in _initial_gaps(case, problem)
     )
 
 
@@ -165,7 +165,7 @@ def touching_notes(problem: Problem) -> Iterator[str]:
 
     remedy = "mesh.join = true joins the bodies, " if problem.body.cad is not None else ""
     unit = problem.body.unit
-    known = [pair.contact.surfaces for pair in problem.contact_pairs]
+    known = [one.surfaces for one in problem.contacts if one.key_of_names != "on"]
     for a, b, area in touching_surfaces(problem):
         if any({a, b} <= set(names) for names in known):
             continue
@@ -239,6 +239,7 @@ def contact_start_notes(case: Case, problem: Problem) -> Iterator[str]:
     for pair, gap, place in _initial_gaps(case, problem):
         if pair.contact.push is not None or not -pair.size <= gap < -pair.tolerance:
             continue
+        what = "its obstacle" if pair.contact.between is None else "the other surface"
         outside = -smallest(pair.comm, float(np.min(-pair.gaps()[0], initial=np.inf)))
         where = (
             "with all of its surface: right in a press fit, else its normal points the wrong way"
@@ -246,7 +247,7 @@ def contact_start_notes(case: Case, problem: Problem) -> Iterator[str]:
             else "from where the first load step pushes it out"
         )
         yield (
-            f"contact '{pair.label}': it begins {unit.length(-gap)} deep in its obstacle, at "
+            f"contact '{pair.label}': it begins {unit.length(-gap)} deep in {what}, at "
             f"{unit.point(place)}, {where}"
         )
     if not problem.terms.dissipates:

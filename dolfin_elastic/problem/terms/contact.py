@@ -114,6 +114,7 @@ class _Pressures(InSteps):
     Attributes:
         contact: What the user wrote.
         label: What results call it.
+        index: As given.
         facets: Local facets of its surfaces, ghosts too.
         lam: Multiplier [Pa], a value at each vertex; 0 in motion.
         penalty: eps [Pa/m], one number a cell beside the surface.
@@ -152,7 +153,7 @@ class _Pressures(InSteps):
         self.lam, self.nodes, self.nodes_of_displacement = nodal(context, facets, 1)
         every = self.lam.function_space.tabulate_dof_coordinates()
         self._places: FloatArray = np.asarray(every[self.nodes, : body.dim])
-        self.memory, self._index = {f"contact_{index}": self.lam}, index
+        self.memory, self.index = {f"contact_{index}": self.lam}, index
         self.follows: Constraints | None = None
         self.at_rest = not contact.values and contact.push is None
         heights = _heights(body, facets)
@@ -292,7 +293,8 @@ class ContactPair(_Pressures):
 
     def assume(self, closed: bool | None) -> None:
         """See `Term`."""
-        self._reach.value = self.slack if closed is None else FAR if closed else -FAR
+        # Closed is what is less than `FAR` away: opposite that there is nothing.
+        self._reach.value = self.slack if closed is None else FAR / 2 if closed else -FAR
 
     def held(self, *, near: bool = False) -> Iterator[tuple[IndexArray, FloatArray]]:
         """See `Term`: as if the obstacle could pull, too; but not along its way under a force."""
@@ -323,7 +325,7 @@ class ContactPair(_Pressures):
             raise InputError(
                 f"at the start '{self.label}' lies {unit.length(-gap)} deep in the obstacle, "
                 f"at {unit.point(place)}",
-                where=f"contact[{self._index}].{self.contact.shape}",
+                where=f"contact[{self.index}].{self.contact.shape}",
                 expected=f"at most an element deep, {unit.length(self.size)}; "
                 "does the normal point to the free side?",
             )
@@ -350,7 +352,7 @@ class ContactPair(_Pressures):
         ((_, *place), gap, names), unit = found, self._context.body.unit
         by = f"the support '{names[0]}'" if names else "the axis"
         text = (
-            f"the obstacle of contact[{self._index}] '{self.label}' pushes {unit.length(-gap)} "
+            f"the obstacle of contact[{self.index}] '{self.label}' pushes {unit.length(-gap)} "
             f"deep into nodes that {by} holds, at {unit.point(place)}"
         )
         return text, tuple(place)

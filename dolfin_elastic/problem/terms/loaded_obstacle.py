@@ -69,22 +69,21 @@ class MovingMass(Term):
 
     Args:
         pair: Its contact, the obstacle of which it is.
-        index: Of the contact in the case, from 0.
     """
 
     nodal = restrains = follows_path = True
     at_rest = False
 
-    def __init__(self, pair: ContactPair, context: FormContext, index: int) -> None:
+    def __init__(self, pair: ContactPair, context: FormContext) -> None:
         assert pair.contact.mass is not None
-        self._pair, self._context, self._where = pair, context, f"contact[{index}]"
+        self._pair, self._context, self._where = pair, context, f"contact[{pair.index}]"
         self._comm, self.label, self.mass = context.body.comm, pair.label, pair.contact.mass
         self._way, S = pair.contact.way(context.body.dim), pair.lam.function_space
         self._s, self._v, self._a = fem.Function(S), fem.Function(S), fem.Function(S)
         names = "place", "velocity", "acceleration"
         fields = self._s, self._v, self._a
         self.memory = {
-            f"obstacle_{name}_{index}": one for name, one in zip(names, fields, strict=True)
+            f"obstacle_{name}_{pair.index}": one for name, one in zip(names, fields, strict=True)
         }
         self._t, self._default = 0.0, CONSTANT
         self._begun, self._step, self._offset = (0.0, 0.0, 0.0), StepWeights(1, 0, 0, 1, 1, 0), 0.0
@@ -212,13 +211,12 @@ class LoadedObstacle(ScalarTerm):
 
     Args:
         pair: Its contact, the obstacle of which it moves.
-        index: Of the contact in the case, from 0.
     """
 
     restrains = True
 
-    def __init__(self, pair: ContactPair, context: FormContext, index: int) -> None:
-        self._pair, self._context, self._where = pair, context, f"contact[{index}]"
+    def __init__(self, pair: ContactPair, context: FormContext) -> None:
+        self._pair, self._context, self._where = pair, context, f"contact[{pair.index}]"
         self._comm, self.label, self.size = context.body.comm, pair.label, 1
         self._way = pair.contact.way(context.body.dim)
         self.steps, self.signs = np.array([_STEP * pair.size]), np.ones(1)
@@ -395,15 +393,15 @@ def make_loaded_obstacles(
         InputError: Two have the same name.
     """
     labels: set[str] = set()
-    for index, pair in enumerate(pairs):
+    for pair in pairs:
         if pair.contact.push is None:
             continue
         if pair.label in labels:
             raise InputError(
                 f"a force moves another obstacle '{pair.label}'",
-                where=f"contact[{index}].name",
+                where=f"contact[{pair.index}].name",
                 expected="a name of its own",
             )
         labels.add(pair.label)
         kind = LoadedObstacle if pair.contact.mass is None else MovingMass
-        yield kind(pair, context, index)
+        yield kind(pair, context)

@@ -188,7 +188,7 @@ class BodyContact(VertexContact):
             raise InputError(
                 f"at the start '{self.label}' overlap by {unit.length(-gap)}, at "
                 f"{unit.point(place)}",
-                where=f"contact[{self._index}].between",
+                where=f"contact[{self.index}].between",
                 expected=f"at most an element deep, {unit.length(deepest)}",
             )
         if gap >= -self.tolerance:
