@@ -280,6 +280,9 @@ class Term(_InSteps):
     def advance(self) -> None:
         """A step of a motion is accepted: what depends on the path has passed it. Collective."""
 
+    def go_on(self) -> None:
+        """A motion starts at the present time, or goes on from a stored state. Not collective."""
+
     def rollback(self) -> None:
         """Goes back to what was committed last. Not collective."""
         for field, saved in zip(self.memory.values(), self._committed, strict=True):
@@ -567,6 +570,11 @@ class Terms(list[Term]):
         """See `Term`."""
         for term in self:
             term.advance()
+
+    def go_on(self) -> None:
+        """See `Term`."""
+        for term in self:
+            term.go_on()
 
     def rollback(self) -> None:
         """See `Term`."""

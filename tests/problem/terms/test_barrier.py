@@ -15,6 +15,7 @@ from dolfin_elastic import Dynamics, Fixed, Gravity, NeoHookean, Problem, SelfCo
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.mesh.geometry.simplices import cell_corners, signed_volumes
 from dolfin_elastic.model.amplitude import CONSTANT
+from dolfin_elastic.problem.state import StateCopy
 from dolfin_elastic.problem.terms.bodies.barrier import Barrier
 
 ipctk = pytest.importorskip("ipctk")
@@ -139,6 +140,33 @@ def test_friction_is_the_coefficient_times_the_push():
     assert change[1] > 10.0
     assert -change[0] == pytest.approx(0.3 * change[1], rel=0.01)
     assert state.energies["friction"] > 0.0
+
+
+def test_a_run_goes_on():
+    """From a state on the way, with another problem, as if it had not ended: bodies that stick."""
+
+    def begun() -> Dynamics:
+        problem = Problem(
+            stacked(**MESHES[2], gap=0.012, shift=0.05, width=0.8),
+            RUBBER,
+            supports=[Fixed(on="bottom")],
+            loads=[Gravity(value=[0.2 * G, -G])],
+            contacts=[SelfContact(all=True, name="skin", friction=0.8)],
+        )
+        return Dynamics(problem, end=0.07, dt=0.01)
+
+    whole = [(state.u.x.array.copy(), state.energies) for state in begun().steps()]
+    first = begun()
+    for count, _ in enumerate(first.steps()):
+        if count == 4:
+            saved = StateCopy(first.restart_state())
+            break
+    rest = [(state.u.x.array.copy(), state.energies) for state in begun().steps(saved)]
+    assert len(rest) == len(whole) - 5
+    assert whole[5][1]["friction"] > whole[4][1]["friction"] > 0.0
+    for again, before in zip(rest, whole[5:], strict=True):
+        np.testing.assert_allclose(again[0], before[0], rtol=0, atol=1e-14)
+        assert again[1] == pytest.approx(before[1], rel=1e-10)
 
 
 def test_momentum_is_that_of_before():

@@ -361,10 +361,14 @@ class SmoothFriction(Term):
 
     def __init__(self, barrier: Barrier, context: FormContext, index: int) -> None:
         self._barrier, self.label, self.shift = barrier, barrier.label, barrier.shift
-        self._surface, self._ipctk = barrier.surface, library()
-        self._start = fem.Function(context.unknowns.V)
+        self._surface, self._ipctk, self._dim = barrier.surface, library(), context.body.dim
+        V = context.unknowns.V
+        self._start, self._last = fem.Function(V), fem.Function(V)  # forces of the last step [N]
         self._u = context.unknowns.u
-        self.memory = {f"friction_start_{index}": self._start}
+        self.memory = {
+            f"friction_start_{index}": self._start,
+            f"friction_last_{index}": self._last,
+        }
         diagonal = np.linalg.norm(np.ptp(self._surface.rest, axis=0))
         self._slow = barrier.contact.slow or SLOW * float(diagonal)
         self._t = self._from = 0.0
@@ -377,13 +381,21 @@ class SmoothFriction(Term):
 
     def begin(self, *, moving: bool) -> None:
         """See `Term`."""
-        self.advance()
+        self._last.x.array[:] = 0.0
+        self._start.x.array[:] = self._u.x.array
+
+    def go_on(self) -> None:
+        """See `Term`."""
+        self._from = self._t
+        self._pairs = np.zeros(0, dtype=np.int64)
 
     def advance(self) -> None:
         """See `Term`: pressures and directions are those of now."""
+        forces = np.zeros(len(self._u.x.array))
+        self.add_forces(forces)
+        self._last.x.array[:] = forces
         self._start.x.array[:] = self._u.x.array
-        self._from = self._t
-        self._pairs = np.zeros(0, dtype=np.int64)
+        self.go_on()
 
     def _present(self) -> tuple[Any, Any, FloatArray]:
         """The potential, this rank's pairs and the motion since the last step. Collective."""
@@ -398,12 +410,16 @@ class SmoothFriction(Term):
             self._sliding = first, places, pairs
         _, places, pairs = self._sliding
         motion = np.asfortranarray(self._surface.places() - places)
-        if not len(pairs) or self._t <= self._from:  # in no time nothing slides
+        if not len(pairs) or self._t <= self._from:
             return None, pairs, motion
         return self._ipctk.FrictionPotential(self._slow * (self._t - self._from)), pairs, motion
 
     def add_forces(self, forces: FloatArray) -> None:
-        """See `Term`."""
+        """See `Term`: where a step begins those at the end of the one before."""
+        if self._t <= self._from:
+            own, rows = self._surface.own, self._last.x.array.reshape(-1, self._dim)
+            forces.reshape(-1, self._dim)[own] += rows[own]
+            return
         potential, pairs, motion = self._present()
         gradient = np.zeros(motion.size)
         if potential is not None:
