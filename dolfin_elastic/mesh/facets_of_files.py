@@ -12,11 +12,14 @@ from dolfin_elastic.core.shapes.rigid_mesh import Facets
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.core.units import METRE, LengthUnit, metres
 from dolfin_elastic.mesh.formats.cad.process import Permission
-from dolfin_elastic.mesh.formats.raw import MeshFile
+from dolfin_elastic.mesh.formats.raw import MeshFile, find_all
 from dolfin_elastic.mesh.read import check_file, reader, stated_unit_of
 
 _SAME = 1e-7
 """Distance of points that are one, over the largest coordinate: files have seven digits."""
+
+_CROWD = 100
+"""Points that are one with each, on average, at most."""
 
 _FLAT = 1e-10
 """Height of a triangle without area over its longest edge."""
@@ -81,22 +84,21 @@ def read_facets(
 def _triangles(file: MeshFile, name: str) -> tuple[FloatArray, IntArray]:
     """Points of three coordinates, and triangles as they stand in a file."""
     points = np.zeros((len(file.points), 3))
-    points[:, : file.points.shape[1]] = file.points
+    given = file.points[:, :3]  # some programs write colours after them
+    points[:, : given.shape[1]] = given
     blocks = [block for block in file.blocks if block.dim > 1 and len(block.nodes)]
     if any(block.dim == 3 for block in blocks):
         if other := [b.kind for b in blocks if b.dim == 3 and not b.kind.startswith("tetra")]:
-            raise MeshError(
-                f"it has elements of the kind {other[0]}, whose surface is not supported",
-                where=name,
-                expected="triangles, quadrilaterals or tetrahedra",
-            )
+            raise _unknown(other[0], name)
         cells = np.concatenate([b.nodes[:, :4] for b in blocks if b.dim == 3])
         faces = cells[:, _FACES].reshape(-1, 3)
         _, first, count = np.unique(
             np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
         )
         return points, faces[first[count == 1]]
-    found = [b.nodes[:, _PARTS[b.kind]].reshape(-1, 3) for b in blocks if b.kind in _PARTS]
+    if other := [b.kind for b in blocks if b.kind not in _PARTS]:
+        raise _unknown(other[0], name)
+    found = [b.nodes[:, _PARTS[b.kind]].reshape(-1, 3) for b in blocks]
     if not found:
         raise MeshError(
             "it has no triangles",
@@ -104,6 +106,14 @@ def _triangles(file: MeshFile, name: str) -> tuple[FloatArray, IntArray]:
             expected="the surface of the obstacle: .stl, .obj, .ply, or a CAD file",
         )
     return points, np.concatenate(found)
+
+
+def _unknown(kind: str, name: str) -> MeshError:
+    return MeshError(
+        f"it has elements of the kind {kind}, whose surface is not supported",
+        where=name,
+        expected="triangles, quadrilaterals or tetrahedra",
+    )
 
 
 def clean(
@@ -119,12 +129,14 @@ def clean(
         unit: By which messages give places.
 
     Raises:
-        MeshError: There are no triangles, more than two meet in an edge, or it has one side only.
+        MeshError: There are no triangles, more than two meet in an edge, it has one side only, or
+            corners that do not exist or are not finite.
     """
-    points, triangles = _merged(points, triangles)
-    used = np.isfinite(points[triangles]).all(axis=(1, 2))
-    if not used.all():
+    used, rows = np.unique(triangles, return_inverse=True)
+    points = points[find_all(np.arange(len(points)), used)]
+    if not np.isfinite(points).all():
         raise MeshError("it has coordinates that are no finite numbers", where=name)
+    points, triangles = _merged(points, rows.reshape(-1, 3), name)
     sound = _has_area(points[triangles])
     flat = int((~sound).sum())
     triangles = triangles[sound]
@@ -144,16 +156,26 @@ def clean(
     return FacetsOfFile(Facets(points[used_points], rows.reshape(-1, 3)), ", ".join(said))
 
 
-def _merged(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
-    """Points of which no two coincide."""
+def _merged(points: FloatArray, triangles: IntArray, name: str) -> tuple[FloatArray, IntArray]:
+    """Points of which no two coincide.
+
+    Raises:
+        MeshError: So many do that it has no shape.
+    """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     points, rows = np.unique(points, axis=0, return_inverse=True)
     near = _SAME * np.abs(points).max(initial=0.0)
-    pairs = cKDTree(points).query_pairs(near, output_type="ndarray")
-    n = len(points)
+    tree, n = cKDTree(points), len(points)
+    if tree.count_neighbors(tree, near) > _CROWD * n:
+        raise MeshError(
+            "its corners coincide to the seven digits of their coordinates",
+            where=name,
+            expected="the origin near the surface",
+        )
+    pairs = tree.query_pairs(near, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     count, label = connected_components(graph, directed=False)
     first = np.full(count, n)

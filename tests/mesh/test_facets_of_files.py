@@ -12,6 +12,7 @@ from dolfin_elastic.mesh.facets_of_files import clean, read_facets
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
 OUTWARD = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+MANY = np.c_[np.arange(600), np.arange(600) % 7, np.arange(600) % 11] / 100
 
 
 def volume(facets) -> float:
@@ -72,8 +73,11 @@ def moebius():
         (*moebius(), "its surface has one side only"),
         (np.vstack([CORNERS, [1, 1, 1]]), np.vstack([OUTWARD, [[0, 1, 4]]]), "3 triangles meet"),
         (CORNERS, np.array([[0, 0, 1]]), "none of its triangles has an area"),
+        (CORNERS, OUTWARD - 1, "1 points that do not exist, for example -1"),
+        (np.vstack([CORNERS[:3], [np.nan] * 3]), OUTWARD, "no finite numbers"),
+        (1e9 + MANY, np.arange(600).reshape(-1, 3), "to the seven digits"),
     ],
-    ids=["moebius", "fin", "flat"],
+    ids=["moebius", "fin", "flat", "lost", "nan", "far"],
 )
 def test_what_is_no_surface(points, triangles, said):
     with pytest.raises(MeshError, match=said):
@@ -98,6 +102,29 @@ def test_kinds_of_files(suffix, kind, rows, count, tmp_path):
     assert len(found.facets.triangles) == count
     if count == 4:
         assert volume(found.facets) == pytest.approx(1 / 6)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.stl", b"x" * 80 + b"\xff" * 54, "it states 4294967295 triangles"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99999999999999999999\n", "too large"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 2 2 0\nf 1 2 3 4 5\n", "kind polygon"),
+    ],
+    ids=["size", "number", "polygon"],
+)
+def test_files_of_strangers(name, content, said, tmp_path):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(MeshError, match=said):
+        read_facets(tmp_path / name, None, METRE, None)
+
+
+def test_colours_and_points_of_no_triangle(tmp_path):
+    """Beside coordinates some programs write colours; what is in no triangle is left out."""
+    rows = ["v 0 0 0 1 0 0", "v 1 0 0 1 0 0", "v 0 1 0 1 0 0", "v nan 0 0 1 0 0", "f 1 2 3"]
+    (tmp_path / "a.obj").write_text("\n".join(rows))
+    found = read_facets(tmp_path / "a.obj", None, METRE, None)
+    np.testing.assert_array_equal(found.facets.points[:, :2], [[0, 0], [0, 1], [1, 0]])
 
 
 def test_faces_of_a_cad_file(tmp_path):

@@ -117,7 +117,11 @@ class Surface:
     def near(self, x: FloatArray) -> Near:
         """Distances and more at points, shape (n, 3). Not collective."""
         n = len(x)
-        triangle, feature, foot = np.zeros(n, np.int64), np.empty(n, np.int64), np.empty((n, 3))
+        triangle, feature, foot = (
+            np.zeros(n, np.int64),
+            np.empty(n, np.int64),
+            np.full((n, 3), np.nan),
+        )
         self._loops.call("find_nearest", n, x, *self._tree, triangle, feature, foot)
         arm, normal = x - foot, self._normals[triangle, feature]
         length = np.linalg.norm(arm, axis=1)

@@ -133,6 +133,8 @@ def _reason(path: Path, error: Exception) -> str:
 def _nodes(cells: meshio.CellBlock, path: Path) -> IntArray:
     try:
         nodes = np.asarray(cells.data, dtype=np.int64)
+    except OverflowError:
+        raise MeshError("numbers of nodes are too large", where=path.name) from None
     except (ValueError, TypeError):  # ragged: polyhedra
         return np.zeros((len(cells.data), 1), dtype=np.int64)
     return nodes.reshape(len(nodes), -1)
@@ -318,11 +320,26 @@ def _check_vtk(path: Path) -> None:
         raise MeshError("it has several grids", where=path.name, expected="one DATASET")
 
 
+def _check_stl(path: Path) -> None:
+    """Binary STL of another size than it states is taken as text, of which nothing is found."""
+    with path.open("rb") as file:
+        head = file.read(84)
+    size, stated = path.stat().st_size, int.from_bytes(head[80:], "little")
+    is_text = b"solid" in head.lower() and b"\0" not in head
+    if not is_text and size != 84 + 50 * stated:
+        raise MeshError(
+            f"it states {stated} triangles, which are {84 + 50 * stated} bytes; it has {size}",
+            where=path.name,
+            expected="all of the file, as it was written",
+        )
+
+
 _CHECKS: dict[str, Callable[[Path], None]] = {
     ".med": _check_med,
     ".cgns": _check_cgns,
     ".dat": _check_tecplot,
     ".tec": _check_tecplot,
+    ".stl": _check_stl,
     ".su2": _check_su2,
     ".vtk": _check_vtk,
 }
