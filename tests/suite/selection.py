@@ -7,12 +7,13 @@ Where the command line names files, all of their tests run, whatever set they be
                    a `sample(k)` k parameters      that run on n ranks, if it is neither `long` nor
                                                    SLOW; where a file runs on 2 and 3, every fourth
                                                    one of the others runs on 3
-    rest (--rest)  all but the quick set           the same, of these files: where they run on 2 and on
-                                                   3, each parameter on one of both, `long` ones on
-                                                   2; where they run on 2 alone, so many parameters
-                                                   as MOST says
-    all (--all)    every test                      every test and parameter of these files that is not
-                                                   ENDURING, on each number of ranks that they run on
+    rest (--rest)  all but the quick set           the same, of these files: where they run on 2 and
+                                                   on 3, each parameter on one of both, `long` ones
+                                                   on 2; where they run on 2 alone, so many
+                                                   parameters as MOST says
+    all (--all)    every test                      every test and parameter of these files that is
+                                                   not ENDURING, on each number of ranks that they
+                                                   run on
 """
 
 from __future__ import annotations

@@ -55,7 +55,6 @@ class BodyContact(VertexContact):
     """
 
     flat = in_steps = False
-
     only_implicit = True
 
     def __init__(
