@@ -262,14 +262,21 @@ class _Pressures(InSteps):
 class ContactPair(_Pressures):
     """One contact on one body. Collective to make."""
 
+    def share(self) -> FloatArray:
+        """Part of the area of each owned node that lies opposite something, (n,). Not collective.
+
+        A pressure on little area hardly moves the gap: its multiplier would grow on and on.
+        """
+        return np.ones(len(self.nodes))
+
     def gap_error(self) -> tuple[float, float]:
         """Largest distance from the obstacle of nodes that press or penetrate [m]. Collective.
 
-        And that at which statics leaves them [m].
+        And that at which statics leaves them [m].  A node counts by its `share`.
         """
         gaps, lam = self.pressing_gaps(), self.lam.x.array[self.nodes]
         least = ENDED * largest(self.comm, float(np.max(lam, initial=0.0)))
-        off = np.abs(gaps[(self.pressures() > least) | (gaps < 0)])
+        off = np.abs(gaps * self.share())[(self.pressures() > least) | (gaps < 0)]
         return largest(self.comm, float(np.max(off, initial=0))), allowed_gap(self)
 
     def unsettled(self) -> bool:

@@ -343,6 +343,21 @@ def test_mistakes(keys, where, words):
         Contact.model_validate({"between": ["below", "above"], **keys})
 
 
+def test_vertices_of_which_little_lies_opposite():
+    """Beside a corner: their multipliers would grow in all updates that a step may have."""
+    problem = Problem(
+        stacked((1.0, 0.6), (9, 2), (3, 2), width=0.6, shift=0.2),
+        NeoHookean(E=E, nu=NU),
+        supports=[Support(on="bottom"), Support(on="top", displacement=[0, FREE])],
+        loads=[Traction(on="top", value=[0, -1e3])],
+        contacts=[BETWEEN],
+        degree=1,
+    )
+    state = last(problem, steps=1)
+    assert state.audit.verdict == "pass"
+    assert not problem.contact_pairs[0].unsettled()
+
+
 def test_an_overlap_beyond_the_faces_that_are_compared():
     """It is refused, though it is less than an element deep: nothing would push back."""
     problem = Problem(

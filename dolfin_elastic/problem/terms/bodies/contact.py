@@ -104,6 +104,10 @@ class BodyContact(VertexContact):
         nodes, gaps = self.pieces.at_nodes(self.pressing_gaps()[:, None])
         return nodes, np.where(gaps[:, 0] < FAR / 4, gaps[:, 0], np.nan)
 
+    def share(self) -> FloatArray:
+        """See `ContactPair`."""
+        return self.pieces.share
+
     def every_gap(self) -> FloatArray:
         """See `ContactPair`: those of all points opposite the other side. Collective."""
         return self._at_points()[0].ravel()

@@ -117,7 +117,8 @@ class PieceFunctions(VertexFunctions):
 
     Attributes:
         reach: As given.
-        covered: Which of the owned vertices lie opposite something.
+        share: Part of the area of each owned vertex that lies opposite something.
+        covered: Of which of them enough does.
         there: What lies opposite the points.
         opposite_hats: Barycentric coordinates there.
     """
@@ -214,7 +215,8 @@ class PieceFunctions(VertexFunctions):
         dual = share * means[:, :, None] * inverse + (1 - share) * np.eye(d)
         self.psi = np.einsum("nq,nij,nqj->nqi", weights, dual[i], s)
         self._areas = self._summed(parts[..., None])[:, 0]
-        self.covered: BoolArray = np.asarray(self._areas > COVERED * self._whole)
+        self.share: FloatArray = np.asarray(np.minimum(self._areas / self._whole, 1.0))
+        self.covered: BoolArray = np.asarray(self.share > COVERED)
 
     @property
     def areas(self) -> FloatArray:  # type: ignore[override]
