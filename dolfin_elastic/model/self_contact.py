@@ -80,8 +80,8 @@ class SelfContact(OnSurfaces):
 
     def describe(self, setting: Setting = ALONE) -> str:
         """What it prevents."""
-        what = "all surfaces never pass" if self.all else "never passes"
-        return f"{what} through itself{other_keys(self, 'on', 'self', 'all')}"
+        what = "no outer surface" if self.all else "never"
+        return f"{what} passes through itself{other_keys(self, 'on', 'self', 'all')}"
 
 
 AnyContact = Contact | SelfContact

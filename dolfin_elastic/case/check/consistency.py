@@ -164,7 +164,7 @@ def _named(case: Case, body: Body) -> Iterator[tuple[str, str, Sequence[str], st
             yield where, name, kinds, rule
     for i, contact in enumerate(case.contact):
         for where, name in _names(
-            f"contact[{i}].{contact.key_of_names}", contact.on or contact.surfaces
+            f"contact[{i}].{contact.key_of_names}", contact.on or contact.surfaces or None
         ):
             yield where, name, ("surface",), "a contact holds surfaces"
     for where, name, rule in _joined_names(case):

@@ -847,6 +847,16 @@ def test_a_contact_that_can_never_touch(tables, said):
     assert len(found) == bool(said) and all(said in note for note in found)
 
 
+def test_contacts_of_several_kinds():
+    """Gaps are those of the rows that have some, whatever is before them."""
+    pytest.importorskip("ipctk")
+    floor = {"on": "top", "plane": {"axis": "z", "at": -1}}
+    run = {"dynamics": {"end": 1, "dt": 0.1}}
+    found = report(case(contact=[{"all": True}, floor], **run))
+    assert [(gap.contact, gap.gap) for gap in found.contacts] == [("contact[1] 'top'", 4.0)]
+    assert "no outer surface passes through itself" in str(found.described)
+
+
 @pytest.mark.parametrize(
     ("row", "said"),
     [
