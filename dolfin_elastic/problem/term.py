@@ -482,16 +482,6 @@ class Terms(list[Term]):
         for term in self.scalars:
             raise term.without_motion()
 
-    def refuse_rest(self) -> None:
-        """Refuses equilibria of what is computed in motion only.
-
-        Raises:
-            InputError: The first such term.
-        """
-        for term in self:
-            if term.bars:
-                raise term.without_rest()
-
     def blocks(self) -> Blocks | None:
         """The blocks of all terms; None where no term has any. Collective."""
         result = [blocks for term in self if (blocks := term.blocks()) is not None]
@@ -609,3 +599,14 @@ class Terms(list[Term]):
 def conserve_in_steps(terms: Terms) -> bool:
     """Some forces begin and end, and those of a step do the work that these terms store."""
     return terms.opens and all(term.in_steps for term in terms if term.opens)
+
+
+def refuse_rest(terms: Terms) -> None:
+    """Refuses equilibria of what is computed in motion only.
+
+    Raises:
+        InputError: The first such term.
+    """
+    for term in terms:
+        if term.bars:
+            raise term.without_rest()

@@ -61,6 +61,7 @@ from dolfin_elastic.mesh.selectors import Selector
 from dolfin_elastic.problem.damping import check_damped
 from dolfin_elastic.problem.material_regions import locking_notes
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.term import refuse_rest
 from dolfin_elastic.results.derived.sections import SectionForces
 from dolfin_elastic.results.fields import name_in_results
 from dolfin_elastic.results.files import why_not_made
@@ -244,7 +245,7 @@ def _solver_notes(case: Case, problem: Problem) -> tuple[str, ...]:
     check_probes(case, problem)
     check_folder(case, problem.body.comm)
     if case.analysis in ("statics", "buckling") or case.preloaded:
-        problem.terms.refuse_rest()
+        refuse_rest(problem.terms)
         check_no_rigid_motion(problem)
     if (start := case.start_of(problem)) is not None:
         start()

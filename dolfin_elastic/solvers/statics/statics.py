@@ -13,6 +13,7 @@ from dolfin_elastic.core.schema import settings_from
 from dolfin_elastic.core.together import failing_together, loop_together
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
+from dolfin_elastic.problem.term import refuse_rest
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.hydrostatic_constant import HydrostaticConstant
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_no_rigid_motion
@@ -54,7 +55,7 @@ class Statics(Marching):
         gradual: bool = False,
         **fields: Any,
     ) -> None:
-        problem.terms.refuse_rest()
+        refuse_rest(problem.terms)
         self.problem, self._preload, self._gradual = problem, preload, gradual
         self.settings = settings_from(StaticsSettings, settings, fields)
         self.linear = linear or LinearSettings()
