@@ -89,7 +89,7 @@ def _triangles(file: MeshFile, name: str) -> tuple[FloatArray, IntArray]:
     blocks = [block for block in file.blocks if block.dim > 1 and len(block.nodes)]
     if any(block.dim == 3 for block in blocks):
         if other := [b.kind for b in blocks if b.dim == 3 and not b.kind.startswith("tetra")]:
-            raise _unknown(other[0], name)
+            raise _no_format(other[0], name)
         cells = np.concatenate([b.nodes[:, :4] for b in blocks if b.dim == 3])
         faces = cells[:, _FACES].reshape(-1, 3)
         _, first, count = np.unique(
@@ -97,7 +97,7 @@ def _triangles(file: MeshFile, name: str) -> tuple[FloatArray, IntArray]:
         )
         return points, faces[first[count == 1]]
     if other := [b.kind for b in blocks if b.kind not in _PARTS]:
-        raise _unknown(other[0], name)
+        raise _no_format(other[0], name)
     found = [b.nodes[:, _PARTS[b.kind]].reshape(-1, 3) for b in blocks]
     if not found:
         raise MeshError(
@@ -108,7 +108,7 @@ def _triangles(file: MeshFile, name: str) -> tuple[FloatArray, IntArray]:
     return points, np.concatenate(found)
 
 
-def _unknown(kind: str, name: str) -> MeshError:
+def _no_format(kind: str, name: str) -> MeshError:
     return MeshError(
         f"it has elements of the kind {kind}, whose surface is not supported",
         where=name,
