@@ -70,20 +70,24 @@ def find_loose_part(assembler: Assembler) -> LoosePart | None:
 
 
 def pulled_off_obstacles(assembler: Assembler) -> bool:
-    """The loads as a whole point away from the obstacles that are near. Collective.
+    """The loads on some body point away from what is near it and might stop it. Collective.
 
     Their resultant is compared with the sum of their sizes: loads that cancel pull nowhere.
     """
     problem, dim = assembler.problem, assembler.problem.body.dim
     if not problem.terms.opens:
         return False
-    near = [one for term in problem.terms if term.opens for one in term.held(near=True)]
-    normals = sum((directions.sum(axis=0) for _, directions in near), np.zeros(dim))
+    bodies = ConnectedBodies(problem)
     forces = assembler.reactions.loads()[assembler.displacement_dofs].reshape(-1, dim)
-    sums = [normals, forces.sum(axis=0), [np.abs(forces).sum()]]
-    result = total(problem.body.comm, np.concatenate(sums))
-    away = float(result[:dim] @ result[dim : 2 * dim])
-    return away > 1e-6 * float(np.linalg.norm(result[:dim])) * float(result[-1])
+    local = np.zeros((bodies.count, 2, dim))
+    for term in problem.terms:
+        for nodes, directions in term.held(near=True) if term.opens else ():
+            np.add.at(local[:, 0], bodies.of_node[nodes], directions)
+    np.add.at(local[:, 1], bodies.of_node[: len(forces)], forces)
+    normals, loads = total(problem.body.comm, local).swapaxes(0, 1)
+    size = total(problem.body.comm, float(np.abs(forces).sum()))
+    away = np.sum(normals * loads, axis=1)
+    return bool(np.any(away > 1e-6 * np.linalg.norm(normals, axis=1) * size))
 
 
 def _motions(assembler: Assembler, inside: BoolArray) -> tuple[list[str], tuple[float, ...]] | None:

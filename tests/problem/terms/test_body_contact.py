@@ -21,7 +21,7 @@ from dolfin_elastic import (
     Traction,
     read_body,
 )
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.problem.state import StateCopy
 from dolfin_elastic.problem.terms.bodies import functions
 from dolfin_elastic.problem.terms.contact import nearest_spot
@@ -341,6 +341,21 @@ def test_motion():
 def test_mistakes(keys, where, words):
     with pytest.raises(ValidationError, match=rf"{where}: .*{words}"):
         Contact.model_validate({"between": ["below", "above"], **keys})
+
+
+@pytest.mark.parametrize("cells", [(9, 2), (3, 2)])
+def test_a_body_that_slides_is_named(cells):
+    """Whichever body carries the pressures."""
+    problem = Problem(
+        stacked((1.0, 0.6), cells, (5, 2), width=0.6, shift=0.2),
+        NeoHookean(E=E, nu=NU),
+        supports=[Support(on="bottom")],
+        loads=[Traction(on="top", value=[400, -1000])],
+        contacts=[Contact(between=["below", "above"], name="joint", friction=0.3)],
+        degree=1,
+    )
+    with pytest.raises(ConvergenceError, match="the body slides over all of contact 'joint'"):
+        last(problem, steps=2)
 
 
 def test_vertices_of_which_little_lies_opposite():

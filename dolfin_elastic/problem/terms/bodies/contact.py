@@ -168,17 +168,10 @@ class BodyContact(VertexContact):
     def held(self, *, near: bool = False) -> Iterator[tuple[IndexArray, FloatArray]]:
         """See `Term`: both sides, each as if the other one stood still."""
         yield from super().held(near=near)
-        pieces = self.pieces
         gaps, normals = self._at_points()
         within = gaps <= (self.size if near else self.reach)
-        half = pieces.shapes.shape[2] // 2
-        far = np.arange(half, half + self._dim)
-        every = np.ones(len(gaps), dtype=bool)
-        hats = pieces.opposite_hats * within[..., None]
-        vectors = pieces.to_owners(pieces.nodes(every)[:, far], hats.swapaxes(1, 2) @ normals)
-        lengths = np.linalg.norm(vectors, axis=1)
-        nodes = np.flatnonzero(lengths > 0).astype(np.int32)
-        yield nodes, vectors[nodes] / lengths[nodes, None]
+        nodes, _, directions = self.pieces.opposite(normals * within[..., None])
+        yield nodes, -directions
 
     def conflict(self, constraints: Constraints) -> None:
         """See `Term`: both sides may be held."""

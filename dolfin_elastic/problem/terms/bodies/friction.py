@@ -13,9 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
 from dolfinx import fem
 
-from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Blocks
 from dolfin_elastic.problem.terms.bodies.contact import BodyContact
@@ -60,6 +61,18 @@ class BodyFriction(VertexFriction):
         """See `VertexFriction`: areas are those opposite each other now."""
         self.areas = self._pieces.areas
         return super().blocks()
+
+    def slip_limits(self) -> tuple[IndexArray, FloatArray, FloatArray]:
+        """See `Term`: of both sides."""
+        self.areas = self._pieces.areas
+        nodes, limits, normals = super().slip_limits()
+        pressures = self._pieces.at_points((limits / self.areas)[:, None])
+        others, more, directions = self._pieces.opposite(pressures * self._vertices.normals())
+        return (
+            np.concatenate([nodes, others]),
+            np.concatenate([limits, more]),
+            np.concatenate([normals, directions]),
+        )
 
     def _step(self) -> tuple[float, float, FloatArray]:
         """See `CoulombFriction`."""

@@ -24,7 +24,7 @@ import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.core.parallel import smallest, total
-from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.constraints.ties.exchange import Owners
 from dolfin_elastic.problem.constraints.ties.facets import Facets, areas, opposite, owned
 from dolfin_elastic.problem.constraints.ties.mortar import (
@@ -261,6 +261,23 @@ class PieceFunctions(VertexFunctions):
         sums: FloatArray = np.stack(parts, axis=1)
         rows, columns = np.repeat(ids, d), np.tile(np.arange(d), len(ids))
         return np.asarray(self.node_owners.summed(rows, columns, sums.ravel(), d).toarray())
+
+    def opposite(self, vectors: FloatArray) -> tuple[IndexArray, FloatArray, FloatArray]:
+        """Vectors at the points, at the owned vertices of the other side where there are any.
+
+        Collective.
+
+        Args:
+            vectors: Shape (pieces, points, dim).
+
+        Returns:
+            Nodes of the displacement, and lengths and directions of the sums there.
+        """
+        half, hats = self.shapes.shape[2] // 2, self.opposite_hats.swapaxes(1, 2)
+        sums = self.to_owners(self._numbers[:, half : half + self._dim], hats @ vectors)
+        lengths = np.linalg.norm(sums, axis=1)
+        nodes = np.flatnonzero(lengths > 0).astype(np.int32)
+        return nodes, lengths[nodes], sums[nodes] / lengths[nodes, None]
 
     def nodes(self, which: BoolArray) -> IntArray:
         """See `VertexFunctions`: of both sides."""
