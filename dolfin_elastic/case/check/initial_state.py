@@ -186,6 +186,12 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     Args:
         case: Its contacts, and what moves the body.
     """
+    for contact in case.contact:
+        if (mu := contact.friction) > _PERCENT:
+            yield (
+                f"contact '{contact.label}': its coefficient of friction is {mu:g}: is it in "
+                f"percent? Then it would be {mu / 100:g}"
+            )
     if not problem.contact_pairs:
         return
     diagonal, (reach, why), unit = span(problem.body), _reach(case, problem), problem.body.unit
@@ -210,11 +216,6 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
             yield (
                 f"contact '{pair.label}': it begins {unit.length(-gap)} deep in the obstacle, "
                 "more than the body is large"
-            )
-        if (mu := pair.contact.friction) > _PERCENT:
-            yield (
-                f"contact '{pair.label}': its coefficient of friction is {mu:g}: is it in percent? "
-                f"Then it would be {mu / 100:g}"
             )
         if text := _coarse_facets(pair, unit):
             yield f"contact '{pair.label}': {text}"
