@@ -561,11 +561,6 @@ class Terms(list[Term]):
         for term in self:
             term.advance()
 
-    def go_on(self) -> None:
-        """See `Term`."""
-        for term in self:
-            term.go_on()
-
     def rollback(self) -> None:
         """See `Term`."""
         for term in self:

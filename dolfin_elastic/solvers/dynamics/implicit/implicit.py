@@ -408,7 +408,8 @@ class Implicit:
             self.problem.history.begin()
         with stage("assemble"):
             self.problem.set_time(0.0)
-            self.problem.terms.go_on()
+            for term in self.problem.terms:
+                term.go_on()
             size = len(self.moving.displacement_dofs)
             self.moving.set_rates(self.v.x.array[:size], np.zeros(size))
             self.assembler.residual.assemble()
@@ -571,7 +572,8 @@ class Implicit:
         self.ts.setTimeStep(numbers["dt"])
         self.control.restore(numbers["scale"])
         self.problem.set_time(numbers["t"])
-        self.problem.terms.go_on()
+        for term in self.problem.terms:
+            term.go_on()
         self.balance.restore(numbers["ledger"])
         self.auditor.restore(numbers["audit"])
         self.scheme.resume(numbers["t"])
