@@ -176,6 +176,16 @@ def touching_notes(problem: Problem) -> Iterator[str]:
         )
 
 
+def _percent_notes(case: Case) -> Iterator[str]:
+    """Coefficients of friction that may be in percent. Local."""
+    for contact in case.contact:
+        if (mu := contact.friction) > _PERCENT:
+            yield (
+                f"contact '{contact.label}': its coefficient of friction is {mu:g}: is it in "
+                f"percent? Then it would be {mu / 100:g}"
+            )
+
+
 def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     """Obstacles that the body can never touch, or in which it begins deeply. Collective.
 
@@ -186,12 +196,7 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     Args:
         case: Its contacts, and what moves the body.
     """
-    for contact in case.contact:
-        if (mu := contact.friction) > _PERCENT:
-            yield (
-                f"contact '{contact.label}': its coefficient of friction is {mu:g}: is it in "
-                f"percent? Then it would be {mu / 100:g}"
-            )
+    yield from _percent_notes(case)
     if not problem.contact_pairs:
         return
     diagonal, (reach, why), unit = span(problem.body), _reach(case, problem), problem.body.unit
