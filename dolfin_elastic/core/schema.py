@@ -26,7 +26,6 @@ from typing import (
 )
 
 from pydantic import (
-    AfterValidator,
     AliasChoices,
     BaseModel,
     BeforeValidator,
@@ -364,8 +363,6 @@ def check_name(name: str, where: str = "") -> str:
     return name
 
 
-Name = Annotated[str, AfterValidator(lambda name: name and check_name(name))]
-"""A pydantic field type: see `check_name`; or no name."""
 _TYPE_NAMES = {
     "string_type": "a text",
     "list_type": "a list",

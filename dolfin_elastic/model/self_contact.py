@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Self
 
 from pydantic import AliasChoices, Field, model_validator
 
@@ -38,7 +38,7 @@ class SelfContact(OnSurfaces):
     friction: float = Field(default=0.0, ge=0, allow_inf_nan=False)
     distance: Size | None = None
     slow: Velocity | None = Field(default=None, gt=0)
-    intersection_free: Literal[True] = True
+    intersection_free: bool = True
 
     @model_validator(mode="after")
     def _somewhere(self) -> Self:
@@ -47,6 +47,12 @@ class SelfContact(OnSurfaces):
                 "both names and all surfaces are given" if self.all else "no name is given",
                 where="self",
                 expected="a surface's name, or all = true in place of `self`",
+            )
+        if not self.intersection_free:
+            raise InputError(
+                "contact of a surface with itself is always free of intersections",
+                where="intersection_free",
+                expected="true, which it is by itself; or contact `between` two surfaces",
             )
         return self
 

@@ -12,7 +12,7 @@ from pydantic_core import core_schema
 
 from dolfin_elastic.core.errors import InputError, dotted, keyed
 from dolfin_elastic.core.formula import Formula
-from dolfin_elastic.core.schema import Name, Record
+from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import (
     LOAD_EXAMPLES,
@@ -35,7 +35,7 @@ class OnSurfaces(Record):
     """
 
     on: str | list[str]
-    name: Name = ""
+    name: str = ""
 
     @model_validator(mode="after")
     def _somewhere(self) -> Self:

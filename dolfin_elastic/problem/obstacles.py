@@ -14,7 +14,6 @@ from dolfin_elastic.core.shapes.rigid_mesh import RigidMesh
 from dolfin_elastic.core.shapes.surface import CODE, LEAF, Surface
 from dolfin_elastic.core.units import LengthUnit, to_si
 from dolfin_elastic.mesh.body import Body
-from dolfin_elastic.mesh.facets_of_files import read_facets
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.self_contact import AnyContact
 
@@ -38,6 +37,8 @@ def with_obstacles(body: Body, contacts: Sequence[AnyContact], folder: Path = Pa
     for index, mesh in _meshes(contacts):
         if mesh.key in obstacles:
             continue
+        from dolfin_elastic.mesh.facets_of_files import read_facets
+
         unit = None if mesh.unit is None else LengthUnit.of(to_si(f"1 {mesh.unit}", "m"))
         try:
             read = partial(read_facets, folder / mesh.file, unit, body.unit, mesh.size)

@@ -46,8 +46,6 @@ from dolfin_elastic.problem.obstacles import with_surfaces
 from dolfin_elastic.problem.pressure.groups import pressure_groups
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Resistance, Terms
-from dolfin_elastic.problem.terms.bodies.contact import make_contacts
-from dolfin_elastic.problem.terms.bodies.friction import make_frictions
 from dolfin_elastic.problem.terms.bolts import make_bolts
 from dolfin_elastic.problem.terms.cavities import make_cavities
 from dolfin_elastic.problem.terms.contact import ContactPair, check_contacts
@@ -256,6 +254,9 @@ class Problem(Shown):
         self.contact_pairs: tuple[ContactPair, ...] = ()
         self.frictions: tuple[CoulombFriction, ...] = ()
         if contacts:
+            from dolfin_elastic.problem.terms.bodies.contact import make_contacts
+            from dolfin_elastic.problem.terms.bodies.friction import make_frictions
+
             self.contact_pairs = make_contacts(contacts, self.context, self.thickness)
             for pair in self.contact_pairs:
                 if pair.contact.mesh is not None:  # of any shape, and as thin as a blade

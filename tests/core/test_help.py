@@ -44,7 +44,7 @@ def test_units_and_texts_are_seen() -> None:
         dolfin_elastic.NeoHookean(E=1, nu=0.3)
         dolfin_elastic.Traction(on="top", value=[0, 0, 1])
     kind = inspect.signature(dolfin_elastic.Contact).parameters["on"]
-    assert str(kind) == "on: str | list[str]"
+    assert str(kind) == "on: str | list[str] = ''"
 
 
 @pytest.mark.parametrize("name", RECORDS)

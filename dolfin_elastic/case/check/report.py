@@ -74,7 +74,6 @@ from dolfin_elastic.solvers.diagnostics.rigid_body import (
     check_no_rigid_motion,
     free_bodies,
 )
-from dolfin_elastic.solvers.dynamics.dynamics import with_barriers
 from dolfin_elastic.solvers.eigen.settings import UNMOVED
 from dolfin_elastic.solvers.linear.choice import Choice, choose
 
@@ -252,7 +251,7 @@ def _solver_notes(case: Case, problem: Problem) -> tuple[str, ...]:
     if case.dynamics is not None:
         if case.dynamics.implicit:
             check_damped(problem, case.dynamics.damping.get("stiffness", 0.0))
-        with_barriers(problem, case.dynamics)
+        _moved_by(case, problem)
         case.dynamics.row.scheme.check(problem, case.dynamics.scheme)
         if case.dynamics.parameters is not None:
             from dolfin_elastic.solvers.dynamics.implicit.implicit import suited
@@ -302,7 +301,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
         degree=problem.degree,
         unknowns=problem.num_dofs,
         analysis=case.analysis,
-        scheme=with_barriers(problem, case.dynamics).scheme if case.dynamics else "",
+        scheme=_moved_by(case, problem) if case.dynamics else "",
         linear_solver="none: explicit scheme" if choice is None else choice.why,
         surfaces=surface_sizes(body, use, faces_used(case, body)),
         edges=lower_sizes(body, "edge", use),
@@ -359,3 +358,15 @@ def _renamed(name: str, body: Body) -> str:
 def _thickness(case: Case, problem: Problem) -> float | None:
     plane = problem.body.dim == 2 and problem.geometry in PLANE
     return case.mesh.metres_thick(problem.body) if plane else None
+
+
+def _moved_by(case: Case, problem: Problem) -> str:
+    """The scheme of a motion, which terms of the problem may choose. Not collective.
+
+    Raises:
+        InputError: It does not see where surfaces touch themselves.
+    """
+    from dolfin_elastic.solvers.dynamics.dynamics import with_barriers
+
+    assert case.dynamics is not None
+    return with_barriers(problem, case.dynamics).scheme

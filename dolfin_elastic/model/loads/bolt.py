@@ -12,7 +12,6 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
-from dolfin_elastic.core.schema import Name
 from dolfin_elastic.core.shapes.directions import Direction, unit_vector
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import Amplitude, amplitude
@@ -54,7 +53,7 @@ class Bolt(ScalarLoad, Eigenstrain):
     on: str | list[str]
     axis: Direction
     locked_at: float | None = Field(default=None, gt=0)
-    name: Name = ""
+    name: str = ""
     unit: ClassVar[str] = "N"
     sentence: ClassVar[str] = "preload of {} in a bolt"
     part_kinds: ClassVar[tuple[str, ...]] = ("region", "surface")

@@ -10,7 +10,6 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
-from dolfin_elastic.core.schema import Name
 from dolfin_elastic.core.shapes.directions import check_components
 from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.si_text import given
@@ -59,7 +58,7 @@ class Cavity(Load):
     volume_ratio: Any = None
     added: Any = None
     origin: Point | None = None
-    name: Name = ""
+    name: str = ""
     along_normal: ClassVar[bool] = True
     follower: ClassVar[bool] = True
     linearises: ClassVar[bool] = True

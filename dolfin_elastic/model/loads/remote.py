@@ -12,7 +12,6 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.errors import InputError, keyed
 from dolfin_elastic.core.formula import Formula
-from dolfin_elastic.core.schema import Name
 from dolfin_elastic.core.shapes.directions import check_count
 from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.si_text import given
@@ -61,7 +60,7 @@ class RemoteForce(Load):
     force: list[float | str] | None = None
     moment: float | str | list[float | str] | None = None
     coupling: Literal["averaging", "rigid"] = "averaging"
-    name: Name = ""
+    name: str = ""
     lengths: ClassVar[tuple[str, ...]] = ("point",)
 
     @cached_property

@@ -73,7 +73,7 @@ def test_three_points_hold_a_bar_without_stress(degree: int) -> None:
         Support(on="a"),
         Support(on="b", displacement=["free", "free", 0]),
         Support(on="c", displacement=[0, "free", "free"]),
-        Support(on="b", name="b_again", displacement=[0, "free", "free"]),
+        Support(on="b", name="b again", displacement=[0, "free", "free"]),
     ]
     problem = Problem(
         bar(),
