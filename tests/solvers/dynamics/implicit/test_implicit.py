@@ -555,6 +555,7 @@ def test_a_motion_goes_on_with_the_linear_solver_it_has_come_to():
     given: dict[str, Any] = {
         "end": 0.004,
         "dt": 1e-3,
+        "spectral_radius": 0.9,  # with 1 the stress of steps has no symmetric tangent
         "linear": LinearSettings(method="iterative"),
     }
 
