@@ -279,6 +279,7 @@ def test_sliding(friction, folder, comm):
     assert lost[-1] == pytest.approx(slip, rel=0.1)
 
 
+@pytest.mark.long
 def test_a_run_goes_on():
     """From a state on the way, with another problem, as if it had not ended."""
 

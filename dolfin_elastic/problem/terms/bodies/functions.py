@@ -46,6 +46,9 @@ AROUND = 3.0
 NEWTON = 6
 """Iterations to the nearest point of a quadratic face: they converge quadratically."""
 
+_NONE = 1e-20
+"""Share of a vertex's area that counts as none."""
+
 _SINGULAR = 1e-12
 """Eigenvalue of a face's mass matrix over its largest below which it is round-off."""
 
@@ -220,9 +223,12 @@ class PieceFunctions(VertexFunctions):
 
     @property
     def areas(self) -> FloatArray:  # type: ignore[override]
-        """See `VertexFunctions`: of what lies opposite something now. Collective."""
+        """See `VertexFunctions`: of what lies opposite something now. Collective.
+
+        Where nothing does it is none, as good as: it is divided by.
+        """
         self.renew()
-        return np.where(self.covered, self._areas, 1.0)
+        return np.where(self.covered, self._areas, _NONE * self._whole)
 
     # --- as of one side ---
 
