@@ -72,7 +72,8 @@ def flow_to_equilibrium(
         that, None if it is none.
     """
     newton = retry.newton
-    sizes = [1e-2 * newton.cell_size, *(share * newton.span for share in PERTURBATIONS)]
+    farther = [1e-2 * newton.cell_size, *(share * newton.span for share in PERTURBATIONS)]
+    sizes = [sign * size for size in farther for sign in (1.0, -1.0)]  # a mode has no sign
     result, verdict = NewtonResult(converged=True), unstable
     if verdict is None:
         result = _flow(retry)
