@@ -73,7 +73,7 @@ def flow_to_equilibrium(
     """
     newton = retry.newton
     farther = [1e-2 * newton.cell_size, *(share * newton.span for share in PERTURBATIONS)]
-    sizes = [sign * size for size in farther for sign in (1.0, -1.0)]  # a mode has no sign
+    sizes = [*farther, -farther[0]]  # a little to the other side, too
     result, verdict = NewtonResult(converged=True), unstable
     if verdict is None:
         result = _flow(retry)
