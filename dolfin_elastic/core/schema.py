@@ -354,15 +354,6 @@ def quoted(value: object) -> str:
     return text if len(text) <= LONGEST_QUOTED else text[: LONGEST_QUOTED - 3] + "..."
 
 
-def check_name(name: str, where: str = "") -> str:
-    """A name that names of columns, fields or formulas may contain, or an `InputError`."""
-    if not (name.isascii() and name.isidentifier()):
-        raise InputError(
-            f"{quoted(name)} cannot be a name", where=where, expected="letters, digits and _"
-        )
-    return name
-
-
 _TYPE_NAMES = {
     "string_type": "a text",
     "list_type": "a list",

@@ -512,9 +512,9 @@ def wholly_incompressible(problem: Problem) -> bool:
 
 def parts_held(problem: Problem) -> dict[str, list[str]]:
     """Label of supports, springs, contacts and ties to the parts that they act on."""
+    contacts = [pair.contact for pair in problem.contact_pairs]
     ties = [] if problem.constraints.ties is None else problem.constraints.ties.given
     result: dict[str, list[str]] = defaultdict(list)
-    contacts = [pair.contact for pair in problem.contact_pairs]
     every: list[OnSurfaces] = [*problem.supports, *contacts, *ties]
     for holder in every:
         result[holder.label] += holder.surfaces

@@ -199,9 +199,9 @@ class Term(_InSteps):
         """
         return 1.0
 
-    def without_rest(self) -> InputError:
-        """That a term which bars steps acts in motion only, with what to do."""
-        raise NotImplementedError
+    def without_rest(self) -> InputError | None:
+        """That it acts in motion only, with what to do; None: it does not."""
+        return None
 
     # --- where its forces begin and end ---
 
@@ -603,5 +603,5 @@ def refuse_rest(terms: Terms) -> None:
         InputError: The first such term.
     """
     for term in terms:
-        if term.bars:
-            raise term.without_rest()
+        if (error := term.without_rest()) is not None:
+            raise error

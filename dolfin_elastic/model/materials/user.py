@@ -15,7 +15,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import FormulaError, InputError, keyed, nearest
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.formula_functions import CONSTANTS, FUNCTIONS
-from dolfin_elastic.core.schema import check_name, quoted
+from dolfin_elastic.core.schema import quoted
 from dolfin_elastic.core.units import SpatialValue, Stress, to_base
 from dolfin_elastic.model.kinematics import gradient_symbol
 from dolfin_elastic.model.materials import spatial, user_names
@@ -219,7 +219,10 @@ class SplitFormulaEnergy(UserVolumetric, FormulaEnergy):
 
 def _check_parameter(name: str, taken: frozenset[str]) -> None:
     where = f"parameters.{name}"
-    check_name(name, where)
+    if not (name.isascii() and name.isidentifier()):
+        raise InputError(
+            f"{quoted(name)} cannot be a name", where=where, expected="letters, digits and _"
+        )
     if name in taken or name in FUNCTIONS or name in user_names.TENSORS:
         raise InputError(f"the name '{name}' is in use", where=where, expected="choose another")
     if name in CONSTANTS and name == "pi":

@@ -135,20 +135,14 @@ class _Pressures(InSteps):
     states = "open", "pressed"
 
     def __init__(
-        self,
-        contact: Contact,
-        context: FormContext,
-        index: int,
-        thickness: float,
-        surfaces: Sequence[str] = (),
+        self, contact: Contact, context: FormContext, index: int, thickness: float
     ) -> None:
         body = context.body
         self.contact, self.label, self._context = contact, contact.label, context
         self._axisymmetric = context.geometry == "axisymmetric"
         self.comm, self._dim = body.comm, body.dim
         prepare_facets(body.mesh)
-        names = surfaces or contact.surfaces
-        facets = np.unique(np.concatenate([body.surface(name) for name in names]))
+        facets = np.unique(np.concatenate([body.surface(name) for name in self._names(contact)]))
         self.facets = facets.astype(np.int32)
         self.lam, self.nodes, self.nodes_of_displacement = nodal(context, facets, 1)
         every = self.lam.function_space.tabulate_dof_coordinates()
@@ -172,6 +166,10 @@ class _Pressures(InSteps):
         self.slack, self._augments = SLACK * cell_size(body), True
         self._reach = context.constant(self.slack)
         self.step = ContactStep(context, self.shift, self.size)
+
+    def _names(self, contact: Contact) -> Sequence[str]:
+        """Of the surfaces that carry the pressures."""
+        return contact.surfaces
 
     def begin(self, *, moving: bool) -> None:
         """See `Term`: motion has penalties alone, and softer ones where the user gave none."""
@@ -216,6 +214,9 @@ class _Pressures(InSteps):
 
     def end_gaps(self) -> tuple[FloatArray, FloatArray]:
         """`pressing_gaps` at both ends of the step [m]. Collective."""
+        if not self.step.on:
+            gaps = self.pressing_gaps()
+            return gaps, gaps
         nodes, X = self.nodes_of_displacement, self.places()
         first, last = (self.contact.obstacle.gaps(X + one[nodes])[0] for one in self.step.ends())
         return first, last
@@ -284,8 +285,10 @@ class ContactPair(_Pressures):
 
         Under the law of motion it may be.
         """
+        if not self._augments:
+            return False
         off, allowed = self.gap_error()
-        return self._augments and off > allowed
+        return off > allowed
 
     def augment(self) -> None:
         """Uzawa's update lam <- max(0, lam - eps g). Collective."""

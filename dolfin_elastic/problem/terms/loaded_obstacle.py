@@ -143,10 +143,15 @@ class MovingMass(Term):
 
     def _stage(self) -> tuple[float, float]:
         """Place at the stage [m], and the acceleration there [m/s^2]."""
-        (s, v, a), p = self._begun, self._step
+        (s, _, a), p, (way, _, end) = self._begun, self._step, self._step_made()
+        return s + (1 - p.alpha_f) * way, (1 - p.alpha_m) * end + p.alpha_m * a
+
+    def _step_made(self) -> tuple[float, float, float]:
+        """Way over the step [m], and velocity [m/s] and acceleration [m/s^2] at its end."""
+        (_, v, a), p = self._begun, self._step
         end = a + self._offset / (p.beta * p.h**2)
         way = p.h * v + p.h**2 * (p.start + p.beta) * a + self._offset
-        return s + (1 - p.alpha_f) * way, (1 - p.alpha_m) * end + p.alpha_m * a
+        return way, v + p.h * ((1 - p.gamma) * a + p.gamma * end), end
 
     def follow(self) -> None:
         """See `Term`.
@@ -189,12 +194,10 @@ class MovingMass(Term):
 
     def leave_stage(self, *, found: bool) -> None:
         """See `Term`."""
-        (s, v, a), p = self._begun, self._step
+        s, v, a = self._begun
         if found:
-            end = a + self._offset / (p.beta * p.h**2)
-            s += p.h * v + p.h**2 * (p.start + p.beta) * a + self._offset
-            v += p.h * ((1 - p.gamma) * a + p.gamma * end)
-            a = end
+            way, v, a = self._step_made()
+            s += way
         self._in_stage = False
         self._take(s, v, a)
 

@@ -13,7 +13,6 @@ that of the functions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -51,18 +50,7 @@ class _Way(NamedTuple):
 class _Followed(ContactPair):
     """A contact whose obstacle is followed through an iteration, see `Shape.followed`."""
 
-    def __init__(
-        self,
-        contact: Contact,
-        context: FormContext,
-        index: int,
-        thickness: float,
-        surfaces: Sequence[str] = (),
-    ) -> None:
-        super().__init__(contact, context, index, thickness, surfaces)
-        if contact.between is None:
-            self._of_points = contact.obstacle.followed()
-            self._of_ends = contact.obstacle.followed(), contact.obstacle.followed()
+    _followed: tuple[Shape, ...] = ()
 
     def begin(self, *, moving: bool) -> None:
         """See `Term`."""
@@ -90,9 +78,8 @@ class _Followed(ContactPair):
 
     def _forget(self) -> None:
         """What an iteration has learnt of an obstacle's normals does not outlive it."""
-        if self.contact.between is None:
-            for followed in (self._at_nodes, self._of_points, *self._of_ends):
-                followed.forget()
+        for obstacle in self._followed:
+            obstacle.forget()
 
 
 class VertexContact(_Followed):
@@ -110,14 +97,12 @@ class VertexContact(_Followed):
     nodal = True
 
     def __init__(
-        self,
-        contact: Contact,
-        context: FormContext,
-        index: int,
-        thickness: float,
-        surfaces: Sequence[str] = (),
+        self, contact: Contact, context: FormContext, index: int, thickness: float
     ) -> None:
-        super().__init__(contact, context, index, thickness, surfaces)
+        super().__init__(contact, context, index, thickness)
+        if contact.between is None:
+            self._of_points, *self._of_ends = (contact.obstacle.followed() for _ in range(3))
+            self._followed = self._at_nodes, self._of_points, *self._of_ends
         self.functions = self._make_functions(thickness)
         self.near: BoolArray = np.zeros(len(self.nodes), dtype=bool)
 
@@ -149,8 +134,12 @@ class VertexContact(_Followed):
 
     def end_gaps(self) -> tuple[FloatArray, FloatArray]:
         """See `ContactPair`: mean gaps."""
-        way = self._over_step()
-        return self._mean(way.first), self._mean(way.last)
+        return self._means_over(self._over_step())
+
+    def _means_over(self, way: _Way) -> tuple[FloatArray, FloatArray]:
+        """Mean gaps at both ends of the step. Collective."""
+        first = self._mean(way.first)
+        return first, self._mean(way.last) if self.step.on else first
 
     def nodal_gaps(self) -> tuple[IndexArray, FloatArray]:
         """See `ContactPair`: those of midside nodes, too."""
@@ -166,16 +155,17 @@ class VertexContact(_Followed):
     def _mean(self, gaps: FloatArray) -> FloatArray:
         return self.functions.means(gaps[..., None])[:, 0]
 
-    def state(self) -> tuple[FloatArray, FloatArray]:
+    def state(self, way: _Way | None = None) -> tuple[FloatArray, FloatArray]:
         """Pressures at the owned vertices, and how they fall with their gap [Pa/m]. Collective.
 
         In a step with the gap at its stage; those that fall are in contact.
-        """
-        return self._state_over(self._over_step())
 
-    def _state_over(self, way: _Way) -> tuple[FloatArray, FloatArray]:
+        Args:
+            way: Of `_over_step`, where it is known.
+        """
+        way = self._over_step() if way is None else way
         lam, least = self.lam.x.array[self.nodes], -self.eps * self.reach
-        first, last = (lam - self.eps * self._mean(gaps) for gaps in (way.first, way.last))
+        first, last = (lam - self.eps * gaps for gaps in self._means_over(way))
         pressures = self.step.pressures(first, last, least)
         return pressures, self.eps * self.step.softening(first, last, least)
 
@@ -200,7 +190,7 @@ class VertexContact(_Followed):
     def forces(self) -> FloatArray:
         """Nodal forces on the body before the ranks are summed, (nodes * dim,) [N]. Collective."""
         way = self._over_step()
-        pressures, _ = self._state_over(way)
+        pressures, _ = self.state(way)
         return self.functions.spread(self.functions.at_points(pressures[:, None]) * way.along)
 
     def energy(self) -> float:
@@ -218,7 +208,7 @@ class VertexContact(_Followed):
         from scipy.sparse import diags_array
 
         way = self._over_step()
-        pressures, falls = self._state_over(way)
+        pressures, falls = self.state(way)
         self.near |= falls > 0
         nodes, G = self.functions.rows(self.near, way.normals)
         pushes = self.functions.rows(self.near, way.along)[1] if self.step.on else G

@@ -34,7 +34,7 @@ from dolfin_elastic.core.parallel import smallest, total
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.simplices import boundary_facets, dofs_on_facets, prepare_facets
 from dolfin_elastic.model.amplitude import Amplitude
-from dolfin_elastic.model.self_contact import SelfContact
+from dolfin_elastic.model.self_contact import AnyContact, SelfContact
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import shear_modulus
 from dolfin_elastic.problem.term import Blocks, Term
@@ -192,12 +192,8 @@ class Barrier(Term):
         self, contact: SelfContact, context: FormContext, index: int, thickness: float
     ) -> None:
         body, ipctk = context.body, library()
-        self.contact, self.label, self._index, self._context = (
-            contact,
-            contact.label,
-            index,
-            context,
-        )
+        self.contact, self.label, self._index = contact, contact.label, index
+        self._context = context
         self.comm, self._dim, self._ipctk = body.comm, body.dim, ipctk
         prepare_facets(body.mesh)
         if contact.all:
@@ -208,7 +204,9 @@ class Barrier(Term):
         self.surface = CollisionSurface(context, facets, ipctk)
         self.shift = context.constant([0.0] * body.dim)
         self.reach = float(contact.distance or 0.0) or NEAR * self.surface.edge
-        self._beside = {kind: self._neighbours(kind) for kind in _KINDS[body.dim]}
+        candidates = ipctk.Candidates()
+        candidates.build(self.surface.mesh, self.surface.rest, self.reach)
+        self._beside = {kind: self._neighbours(candidates, kind) for kind in _KINDS[body.dim]}
         unit = ipctk.BarrierPotential(self.reach, 1.0)
         modulus = 3 * min(shear_modulus(region.typical) for region in context.regions)
         pressure = abs(unit.force_magnitude((self.reach / 2) ** 2, 0.0))
@@ -219,15 +217,13 @@ class Barrier(Term):
         self.projection = ipctk.PSDProjectionMethod.CLAMP
         self._now: tuple[FloatArray, Any] | None = None
 
-    def _neighbours(self, kind: str) -> set[tuple[int, int]]:
+    def _neighbours(self, candidates: Any, kind: str) -> set[tuple[int, int]]:
         """Candidates that are close at rest because they are beside each other. Local.
 
         A face of a sliver and the far vertex of its neighbour are: the elements between them, not
         the barrier, are what keeps them apart.
         """
         rest, adjacent = self.surface.rest, self.surface.adjacent
-        candidates = self._ipctk.Candidates()
-        candidates.build(self.surface.mesh, rest, self.reach)
         ids, first, second = _KINDS[self._dim][kind]
         mesh, result = self.surface.mesh, set()
         for pair in getattr(candidates, kind):
@@ -262,13 +258,6 @@ class Barrier(Term):
         pairs.use_area_weighting = True
         pairs.build(self._share(candidates), mesh, places, self.reach)
         return pairs
-
-    def _least(self, places: FloatArray) -> float:
-        """Smallest distance of two parts that meet in no node, at most `reach` [m]. Collective."""
-        pairs, least = self.pairs_at(places), self.reach
-        if len(pairs):
-            least = float(np.sqrt(pairs.compute_minimum_distance(self.surface.mesh, places)))
-        return smallest(self.comm, least)
 
     def _present(self) -> tuple[FloatArray, Any]:
         """Places of the surface, and this rank's pairs. Collective."""
@@ -346,7 +335,10 @@ class Barrier(Term):
 
     def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
         """See `Term`: smallest distance [m], at most that at which forces begin."""
-        result[f"smallest_distance_{self.label}"] = self._least(self.surface.places())
+        (places, pairs), least = self._present(), self.reach
+        if len(pairs):
+            least = float(np.sqrt(pairs.compute_minimum_distance(self.surface.mesh, places)))
+        result[f"smallest_distance_{self.label}"] = smallest(self.comm, least)
 
 
 class SmoothFriction(Term):
@@ -440,7 +432,7 @@ class SmoothFriction(Term):
 
 
 def make_barriers(
-    contacts: Sequence[object], context: FormContext, thickness: float
+    contacts: Sequence[AnyContact], context: FormContext, thickness: float
 ) -> Iterator[Term]:
     """Those of the contacts of surfaces with themselves, each followed by its friction. Collective.
 

@@ -62,13 +62,17 @@ class BodyContact(VertexContact):
     ) -> None:
         self.sides, softer, text = _carrier_first(contact, context)
         log.info("contact '%s': %s", contact.label, text)
-        super().__init__(contact, context, index, thickness, self.sides[0])
+        super().__init__(contact, context, index, thickness)
         if contact.stiffness is None:  # that of the softer side: the stiffer one is not to crush it
             self.penalty.x.array[:] *= softer
             self.eps *= softer
             self._first = self.penalty.x.array.copy(), self.eps.copy()
         self.carrier = np.zeros(context.unknowns.V.dofmap.index_map.size_local, dtype=bool)
         self.carrier[self.functions.every[2]] = True
+
+    def _names(self, contact: Contact) -> Sequence[str]:
+        """See `ContactPair`."""
+        return self.sides[0]
 
     def _make_functions(self, thickness: float) -> PieceFunctions:
         context = self._context
