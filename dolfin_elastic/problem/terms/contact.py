@@ -243,14 +243,26 @@ class _Pressures(InSteps):
         return self.nodes_of_displacement, self.pressures()
 
     def area(self) -> float:
-        """Reference area on which there is pressure [m^2]. Collective.
+        """Reference area on which there is pressure [m^2]. Collective."""
+        return self.area_above(self.levels())
 
-        Linear between vertices, the pressure ends where it meets minus the gap over the softness.
+    def levels(self) -> FloatArray:
+        """Pressures at the owned nodes, where there is none minus the gap over the softness [Pa].
+
+        Linear between vertices, it ends where there is neither. Collective.
+        """
+        pressures, gaps = self.pressures(), self.pressing_gaps()
+        return np.where(pressures > 0.0, pressures, -np.abs(gaps) / self.softness)
+
+    def area_above(self, levels: FloatArray) -> float:
+        """Reference area on which a function that is linear on facets is above 0 [m^2]. Collective.
+
+        Args:
+            levels: Its values at the owned nodes.
         """
         S = self.lam.function_space
         level = np.zeros((S.dofmap.index_map.size_local, 1))
-        pressures, gaps = self.pressures(), self.pressing_gaps()
-        level[self.nodes, 0] = np.where(pressures > 0.0, pressures, -np.abs(gaps) / self.softness)
+        level[self.nodes, 0] = levels
         own, areas = self._areas
         corners = with_ghosts(S.dofmap.index_map, level)[dofs_on_facets(S, own), 0]
         return total(self.comm, float(areas @ positive_share(corners)))

@@ -44,7 +44,12 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import shear_modulus
 from dolfin_elastic.problem.term import StepWeights, Term
-from dolfin_elastic.problem.terms.contact import ContactPair, allowed_gap, uniaxial_modulus
+from dolfin_elastic.problem.terms.contact import (
+    FACTOR,
+    ContactPair,
+    allowed_gap,
+    uniaxial_modulus,
+)
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -275,7 +280,7 @@ class CoulombFriction(_Tractions):
             self._advance_by_step(stage)
             self._accepted = np.empty(0)
             return
-        self._lost.x.array[self._pair.nodes] += self._step()[2]
+        self._lost.x.array[self._pair.nodes] += self._lost_now()
         t, trial, limit = self._tractions()
         moves = np.linalg.norm(trial, axis=1) > limit / ALL
         moves |= limit == 0.0
@@ -295,17 +300,29 @@ class CoulombFriction(_Tractions):
 
     # --- results ---
 
-    def _step(self) -> tuple[float, float, FloatArray]:
-        """Area under pressure, what sticks of it [m^2], and the work that the step's slip has lost.
+    def _lost_now(self) -> FloatArray:
+        """Work that the step's slip has lost, of each owned node [J]. Collective."""
+        _, trial, limit = self._tractions()
+        beyond = np.maximum(np.linalg.norm(trial, axis=1) - limit, 0.0)
+        return np.asarray(self.areas * limit * beyond / self._eps)
 
-        On this rank; the work of each owned node [J]. Collective.
+    def stuck_area(self) -> float:
+        """Reference area that sticks [m^2]. Collective.
+
+        As the pressure does, what is left to Coulomb's limit ends within an element: where it meets
+        minus the slip of the step times the stiffness of the element behind it.
         """
-        raise NotImplementedError
+        (_, trial, limit), status = self._tractions(), self.status()
+        left = limit - np.linalg.norm(trial, axis=1)
+        slides = np.minimum(left, 0.0) / FACTOR
+        levels = np.where(status == STICK, left, slides)
+        opens = status == OPEN
+        levels[opens] = (float(self._mu.value) * np.minimum(self._pair.levels(), 0.0))[opens]
+        return self._pair.area_above(levels)
 
     def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
         """See `Term`: share of the area under pressure that sticks, and the work lost [J]."""
-        pressed, stuck, lost = self._step()
-        before = self._lost.x.array[self._pair.nodes]
-        sums = total(self._comm, np.array([pressed, stuck, lost.sum() + before.sum()]))
-        result[f"stick_share_{self.label}"] = float(sums[1] / sums[0]) if sums[0] > 0.0 else 0.0
-        result[f"friction_dissipation_{self.label}"] = float(sums[2])
+        area, before = self._pair.area(), self._lost.x.array[self._pair.nodes]
+        lost = float(self._lost_now().sum() + before.sum())
+        result[f"stick_share_{self.label}"] = self.stuck_area() / area if area > 0.0 else 0.0
+        result[f"friction_dissipation_{self.label}"] = total(self._comm, lost)

@@ -114,13 +114,3 @@ class VertexFriction(CoulombFriction):
             (np.ones(len(there)), (there, places[there])), shape=(len(own), len(nodes))
         )
         return csr_array(kron(picked, eye_array(d)))
-
-    # --- results ---
-
-    def _step(self) -> tuple[float, float, FloatArray]:
-        """See `CoulombFriction`."""
-        areas, status = self.areas, self.status()
-        _, trial, limit = self._tractions()
-        beyond = np.maximum(np.linalg.norm(trial, axis=1) - limit, 0.0)
-        pressed, stuck = areas[status != OPEN].sum(), areas[status == STICK].sum()
-        return float(pressed), float(stuck), areas * limit * beyond / self._eps

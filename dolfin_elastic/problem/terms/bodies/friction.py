@@ -74,10 +74,10 @@ class BodyFriction(VertexFriction):
             np.concatenate([normals, directions]),
         )
 
-    def _step(self) -> tuple[float, float, FloatArray]:
+    def _lost_now(self) -> FloatArray:
         """See `CoulombFriction`."""
         self.areas = self._pieces.areas
-        return super()._step()
+        return super()._lost_now()
 
 
 def make_frictions(pairs: Sequence[ContactPair], context: FormContext) -> Iterator[CoulombFriction]:
