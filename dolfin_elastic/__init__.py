@@ -26,11 +26,14 @@ if TYPE_CHECKING:
     from dolfin_elastic.case.run import run as run
     from dolfin_elastic.mesh import Body as Body
     from dolfin_elastic.mesh import EdgeSelector as EdgeSelector
+    from dolfin_elastic.mesh import Placed as Placed
     from dolfin_elastic.mesh import PointSelector as PointSelector
     from dolfin_elastic.mesh import Selector as Selector
+    from dolfin_elastic.mesh import Turn as Turn
     from dolfin_elastic.mesh import box_body as box_body
     from dolfin_elastic.mesh import mesh_body as mesh_body
     from dolfin_elastic.mesh import name_parts as name_parts
+    from dolfin_elastic.mesh import parts_body as parts_body
     from dolfin_elastic.mesh import read_body as read_body
     from dolfin_elastic.mesh import rectangle_body as rectangle_body
     from dolfin_elastic.model.axes import CylindricalAxes as CylindricalAxes
@@ -113,11 +116,14 @@ _PLACES = {
     "mesh": (
         "Body",
         "EdgeSelector",
+        "Placed",
         "PointSelector",
         "Selector",
+        "Turn",
         "box_body",
         "mesh_body",
         "name_parts",
+        "parts_body",
         "read_body",
         "rectangle_body",
     ),

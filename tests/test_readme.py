@@ -20,13 +20,14 @@ from mpi4py import MPI
 from pydantic import BaseModel
 
 from dolfin_elastic import Dynamics, Gravity, LinearElastic, Problem, Statics, box_body
-from dolfin_elastic.case import tables
+from dolfin_elastic.case import mesh_table, tables
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.run import open_outputs
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula_functions import FUNCTIONS
 from dolfin_elastic.core.shapes.shapes import CylinderObstacle, Plane, SphereObstacle
 from dolfin_elastic.mesh import Cylinder, EdgeSelector, PointSelector, Selector, Sphere
+from dolfin_elastic.mesh.placement import Turn
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads import LOADS
 from dolfin_elastic.model.materials.registry import MATERIALS
@@ -54,9 +55,11 @@ GUIDE = "".join(text for name, text in PAGES.items() if name.startswith("docs/gu
 """What people have written about the keys; the pages in docs/reference/ are made from the code."""
 MODELS: list[type[BaseModel]] = [
     Case,
-    tables.MeshTable,
-    tables.Box,
-    tables.Rectangle,
+    mesh_table.MeshTable,
+    mesh_table.Part,
+    mesh_table.Box,
+    mesh_table.Rectangle,
+    Turn,
     Selector,
     Sphere,
     Cylinder,
@@ -119,7 +122,7 @@ def test_faces_and_smaller_elements() -> None:
     surfaces = {n: Selector(**keys) for n, keys in tomllib.loads(text)["surfaces"].items()}
     assert all(selector.by_face for selector in surfaces.values())
     (text,) = blocks("toml-refine")
-    mesh = tables.MeshTable(**tomllib.loads(text)["mesh"])
+    mesh = mesh_table.MeshTable(**tomllib.loads(text)["mesh"])
     assert isinstance(mesh.refine, list) and len(mesh.refine) == 2
 
 

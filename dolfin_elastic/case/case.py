@@ -39,6 +39,7 @@ from dolfin_elastic.problem.problem import Problem
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.analysis import Solver
+    from dolfin_elastic.case.mesh_table import Source
     from dolfin_elastic.core.types import FloatArray
     from dolfin_elastic.solvers.dynamics.dynamics import Dynamics
 
@@ -132,24 +133,30 @@ class Case(AnalysisTables):
             add_fields(finer, self.model_tables(), self.folder)
             if self.contact:
                 finer = with_obstacles(finer, self.contact, self.folder)
-        with locate_errors(self.file, f"mesh.{self._mesh_key}"):
+        with locate_errors(self.file, f"mesh.{self.mesh.kind}"):
             check_elements(comm, finer.num_cells, finer.dim, self.degree, made=True)
         return finer
 
-    @property
-    def _mesh_key(self) -> str:
-        return next(k for k in ("file", "box", "rectangle") if getattr(self.mesh, k) is not None)
-
     def read_mesh(self, comm: MPI.Comm) -> Body:
-        """The mesh with the names of its file, without those of the case. Collective."""
-        key = self._mesh_key
-        with locate_errors(self.file, f"mesh.{key}"):
-            if cells := self.mesh.generated_cells:
-                check_elements(comm, cells, 2 if key == "rectangle" else 3, self.degree)
-        with locate_errors(self.file, f"mesh.{key}", exact=False):
-            return self.mesh.body(
-                self.folder, comm, curved=self.curved, surfaces=self.surfaces, trust=self._trusted
-            )
+        """The mesh with the names of its files, without those of the case. Collective."""
+        mesh, read = self.mesh, list[tuple[Source, Body]]()
+        with locate_errors(self.file, f"mesh.{mesh.kind}"):
+            if cells := mesh.generated_cells:
+                check_elements(comm, cells, mesh.dim_made, self.degree)
+        for table, source in mesh.sources.items():
+            body = next((body for other, body in read if other == source), None)
+            if body is None:
+                with locate_errors(self.file, f"{table}.{source.kind}", exact=False):
+                    body = source.body(
+                        self.folder,
+                        comm,
+                        curved=source.curved if source.curved is not None else self.curved,
+                        local=mesh.local_sizes(self.surfaces),
+                        trust=self._trusted,
+                    )
+            read.append((source, body))
+        with locate_errors(self.file, "mesh.parts"):
+            return mesh.together([body for _, body in read])
 
     def name_parts(self, body: Body) -> Body:
         """A mesh with the names of the case. Collective."""
@@ -283,7 +290,7 @@ def locate_errors(file: str, key: str = "", *, exact: bool = True) -> Iterator[N
             if exact or where in ("size", "cells", "origin"):
                 parts = [file, dotted(key, where)]
             elif where == "mesh.size" or where.startswith("mesh.refine"):
-                parts = [file, where]
+                parts = [file, where.replace("mesh", key.rpartition(".")[0], 1)]
             else:
                 parts = [file, key, where]
             return ": ".join(filter(None, parts))

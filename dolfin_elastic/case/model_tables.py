@@ -13,9 +13,9 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
+from dolfin_elastic.case.mesh_table import MeshTable
 from dolfin_elastic.case.tables import (
     Material,
-    MeshTable,
     as_table,
     class_named,
     read_list,

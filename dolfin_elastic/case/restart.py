@@ -298,18 +298,18 @@ def portable(case: Case) -> dict[str, Any]:
         for key, rows in given.items()
     }
     tables = case.model_copy(update=inlined).to_dict()
-    if case.mesh.file is not None:
-        tables["mesh"]["file"] = str((case.folder / case.mesh.file).resolve())
     if (file := case.file_of_start) is not None:
         tables["dynamics"]["start"]["file"] = str((case.folder / file).resolve())
-    for mesh in _obstacles(tables):
+    for mesh in _meshes(tables):
         mesh["file"] = str((case.folder / mesh["file"]).resolve())
     return tables
 
 
-def _obstacles(tables: dict[str, Any]) -> list[dict[str, Any]]:
-    """Tables of obstacles from files."""
-    return [row["mesh"] for row in tables.get("contact", []) if "mesh" in row]
+def _meshes(tables: dict[str, Any]) -> list[dict[str, Any]]:
+    """Tables of meshes and obstacles from files."""
+    mesh = tables["mesh"]
+    obstacles = [row["mesh"] for row in tables.get("contact", []) if "mesh" in row]
+    return [one for one in (mesh, *mesh.get("parts", {}).values(), *obstacles) if "file" in one]
 
 
 def written_tables(case: Case) -> dict[str, Any]:
@@ -321,11 +321,9 @@ def written_tables(case: Case) -> dict[str, Any]:
         The tables; empty of a case with Python functions, which no file holds.
     """
     tables = portable(case)
-    if case.mesh.file is not None:
-        tables["mesh"]["file"] = Path(case.mesh.file).name
     if (file := case.file_of_start) is not None:
         tables["dynamics"]["start"]["file"] = Path(file).name
-    for mesh in _obstacles(tables):
+    for mesh in _meshes(tables):
         mesh["file"] = Path(mesh["file"]).name
     if case.output.folder is not None and Path(case.output.folder).is_absolute():
         tables["output"]["folder"] = Path(case.output.folder).name
@@ -379,9 +377,10 @@ def _warn_if_changed(written: Case, file: str, comm: MPI.Comm) -> None:
 
 
 def _tables(case: Case) -> dict[str, Any]:
-    """Tables by which two cases are compared; without the mesh file, which has a fingerprint."""
+    """Tables by which two cases are compared; without mesh files, which have a fingerprint."""
     tables = json.loads(json.dumps(portable(case.whole), default=repr))
-    tables["mesh"].pop("file", None)
+    for mesh in (tables["mesh"], *tables["mesh"].get("parts", {}).values()):
+        mesh.pop("file", None)
     return dict(tables)
 
 

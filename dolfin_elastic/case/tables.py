@@ -1,22 +1,20 @@
-"""The tables [mesh], [materials.NAME] and [output] of a case file, and how tables are read.
+"""The tables [materials.NAME] and [output] of a case file, and how tables are read.
 
 An error names the key inside its table; the caller that reads the table puts its own key in front.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
-from mpi4py import MPI
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import (
     InputError,
     MeshError,
-    UnitError,
     all_errors,
     keyed,
     nearest,
@@ -28,21 +26,14 @@ from dolfin_elastic.core.schema import (
     quoted,
 )
 from dolfin_elastic.core.shapes.shapes import Point
-from dolfin_elastic.core.units import MESH_UNITS, MeshLength, Time, metres, to_si
+from dolfin_elastic.core.units import metres
 from dolfin_elastic.mesh import (
     Body,
-    box_body,
-    rectangle_body,
 )
-from dolfin_elastic.mesh.distribute import is_cad
-from dolfin_elastic.mesh.generate import number_of_cells
-from dolfin_elastic.mesh.local_size import MOST_CELLS, CadSizes, LocalSize
 from dolfin_elastic.mesh.selectors import Place, Selector
-from dolfin_elastic.model.kinematics import Geometry
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.library import completed, containing, library
 from dolfin_elastic.model.materials.registry import MATERIALS
-from dolfin_elastic.problem.material_regions import Formulation
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.checkpoint.checkpoints import CheckpointSettings
 from dolfin_elastic.results.derived.sections import Section
@@ -68,206 +59,6 @@ Named = TypeVar("Named")
 Count = Annotated[int, Field(gt=0)]
 Reference = str | Point
 """A point of reference of a moment, see `check_reference`."""
-
-
-class Box(Record):
-    """A box of tetrahedra with surfaces left, right (x), front, back (y), bottom, top (z).
-
-    Attributes:
-        size: Lengths of the three edges.
-        cells: Number of little cubes along each edge; each makes six tetrahedra.
-        origin: The corner with the smallest coordinates.
-    """
-
-    size: Annotated[list[MeshLength], Field(min_length=3, max_length=3)]
-    cells: Annotated[list[Count], Field(min_length=3, max_length=3)]
-    origin: Annotated[list[MeshLength], Field(min_length=3, max_length=3)] = Field(
-        default=[0, 0, 0]
-    )
-
-
-class Rectangle(Record):
-    """A rectangle of triangles (plane strain) with surfaces left, right (x), bottom, top (y).
-
-    Attributes:
-        size: Lengths of the two edges.
-        cells: Number of little squares along each edge; each makes two triangles.
-        origin: The corner with the smallest coordinates.
-    """
-
-    size: Annotated[list[MeshLength], Field(min_length=2, max_length=2)]
-    cells: Annotated[list[Count], Field(min_length=2, max_length=2)]
-    origin: Annotated[list[MeshLength], Field(min_length=2, max_length=2)] = Field(default=[0, 0])
-
-
-class MeshTable(Record):
-    """The table [mesh]: exactly one of `file`, `box` and `rectangle`.
-
-    Attributes:
-        file: Mesh or CAD file, relative to the case file's folder.
-        box: A box made on the spot.
-        rectangle: A rectangle made on the spot.
-        size: Size of the elements, for CAD files only.
-        refine: How often every edge is halved, or places where the elements are smaller.
-        time_limit: Time that Gmsh may take for a file.
-        join: Whether bodies of a STEP, IGES or BREP file that touch are joined; True by default.
-        curved: Whether a CAD file's elements follow curved surfaces; by default where the
-            displacement is quadratic.  Of a finished mesh, false: its elements are straight.
-        unit: Unit of length of the mesh and of bare numbers about it; by default that of a STEP or
-            IGES file, else "m".
-        degree: Degree of the displacement in the elements, 1 or 2; by default 2, in explicit motion
-            1.
-        formulation: "displacement", "mixed" (with a pressure, for nearly incompressible materials)
-            or "auto".
-        geometry: What a two-dimensional body is: "plane-strain", "plane-stress" or "axisymmetric".
-        thickness: Of a plane body; 1 m by default.
-        quadrature_degree: Overrides the degree of exactness of the internal forces' integral.
-    """
-
-    file: str | None = None
-    box: WhenGiven[Box] | None = None
-    rectangle: WhenGiven[Rectangle] | None = None
-    size: MeshLength | None = None
-    refine: Annotated[int, Field(ge=0, le=10)] | list[WhenGiven[LocalSize]] | None = None
-    time_limit: Time = Field(default=600.0, gt=0)
-    curved: bool | None = None
-    join: bool | None = None
-    unit: str | None = None
-    degree: Literal[1, 2] | None = None
-    formulation: Formulation = "auto"
-    geometry: Geometry = "plane-strain"
-    thickness: MeshLength | None = None
-    quadrature_degree: Annotated[int, Field(ge=0, le=20)] | None = None
-
-    @field_validator("unit")
-    @classmethod
-    def _is_length(cls, unit: str | None) -> str | None:
-        if unit is not None and unit not in MESH_UNITS:
-            raise UnitError(
-                f"'{unit}' is no unit of length of a mesh",
-                expected=nearest_first(unit, MESH_UNITS),
-            )
-        return unit
-
-    @model_validator(mode="after")
-    def _one_mesh(self) -> Self:
-        kinds = ("file", "box", "rectangle")
-        given = [key for key in kinds if getattr(self, key) is not None]
-        if len(given) != 1:
-            what = f"{' and '.join(given)} given together" if given else "no mesh is given"
-            raise InputError(what, expected=f"expected exactly one of {', '.join(kinds)}")
-        if self.size is not None and not self.file:
-            raise InputError(
-                f"a {given[0]} takes no element size",
-                where="size",
-                expected=f"use {given[0]}.cells",
-            )
-        if self.curved and not self.file:
-            raise InputError(
-                f"a {given[0]} has no curved surfaces", where="curved", expected="leave it out"
-            )
-        if self.join is not None and not self.file:
-            raise InputError(
-                f"a {given[0]} is a single body", where="join", expected="leave it out"
-            )
-        return self
-
-    @property
-    def metres(self) -> float | None:
-        """The key `unit` in metres; None without it."""
-        return None if self.unit is None else to_si(f"1 {self.unit}", "m")
-
-    def metres_thick(self, body: Body) -> float:
-        """Thickness of a plane body [m]."""
-        return 1.0 if self.thickness is None else metres(self.thickness, body.unit.metres)
-
-    def body(
-        self,
-        folder: Path,
-        comm: MPI.Comm,
-        *,
-        curved: bool | None,
-        surfaces: Mapping[str, Sequence[Selector]] | None = None,
-        trust: bool = False,
-    ) -> Body:
-        """Reads or generates the mesh; `refined` remains to be called. Collective.
-
-        Args:
-            folder: Folder that `file` is relative to.
-            comm: The ranks that share the mesh.
-            curved: Of CAD files, see `read_body`; of a finished mesh the key itself counts.
-            surfaces: Name to selectors, for the places in `refine` of a CAD file.
-            trust: A script may do all that its user may, see `read_body`.
-
-        Raises:
-            MeshError: The file cannot be read, or is no mesh of triangles or tetrahedra.
-        """
-        if self.file is not None:
-            from dolfin_elastic.mesh import read_body
-
-            curved = curved if is_cad(self.file) else self.curved
-            return read_body(
-                folder / self.file,
-                comm=comm,
-                scale=self.metres,
-                size=self.size,
-                curved=curved,
-                join=self.join,
-                trust=trust,
-                time_limit=self.time_limit,
-                local=CadSizes(self._places if is_cad(self.file) else (), surfaces),
-            )
-        made = self.box or self.rectangle
-        assert made is not None
-        make, scale = box_body if self.box else rectangle_body, self.metres or 1.0
-
-        def number(length: float | str) -> float:
-            return to_si(length, "m") / scale if isinstance(length, str) else float(length)
-
-        return make(
-            size=[number(length) for length in made.size],
-            cells=made.cells,
-            origin=[number(length) for length in made.origin],
-            comm=comm,
-            scale=scale,
-        )
-
-    @property
-    def generated_cells(self) -> float:
-        """Number of triangles or tetrahedra of a box or rectangle; 0 of a file.
-
-        Where elements are smaller in some places, those before these are made.
-        """
-        made = self.box or self.rectangle
-        if made is None:
-            return 0.0
-        times = self.refine if isinstance(self.refine, int) else 0
-        number = float(number_of_cells(made.cells))
-        refined = number * 2.0 ** (len(made.cells) * times)
-        return refined if refined <= MOST_CELLS else number  # else `mesh.refine` is refused
-
-    @property
-    def _places(self) -> Sequence[LocalSize]:
-        """Where the elements are smaller."""
-        return self.refine if isinstance(self.refine, list) else ()
-
-    def refined(self, body: Body) -> Body:
-        """The mesh with its names, refined where Gmsh has not done so. Collective.
-
-        Args:
-            body: From `body`, with all names.
-
-        Raises:
-            MeshError: A place does not exist, or there would be too many cells.
-        """
-        if not self.refine:
-            return body
-        from dolfin_elastic.mesh.refine.local import refined_locally, refined_uniformly
-
-        if isinstance(self.refine, int):
-            return refined_uniformly(body, self.refine)
-        done = self.file is not None and is_cad(self.file)
-        return body if done else refined_locally(body, self.refine)
 
 
 class Material(Record):

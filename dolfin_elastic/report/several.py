@@ -156,7 +156,7 @@ def rows_of_cases(cases: Sequence[Table]) -> Rows:
 
 def _given(key: str, value: object) -> str:
     """A value of a case; of the file of a mesh the name: where it lay is nobody's business."""
-    if key == "mesh.file":
+    if key.startswith("mesh.") and key.endswith(".file"):
         return Path(str(value)).name
     if value in ("", []):
         return "empty"

@@ -15,7 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dolfin_elastic.case.case import Case
-from dolfin_elastic.case.tables import MeshTable, Output
+from dolfin_elastic.case.mesh_table import MeshTable
+from dolfin_elastic.case.tables import Output
 from dolfin_elastic.core.files import memory
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.eigen.settings import ModalSettings

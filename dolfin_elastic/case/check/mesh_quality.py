@@ -14,7 +14,6 @@ from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.core.units import metres
 from dolfin_elastic.mesh.body import Body, cell_size, span
-from dolfin_elastic.mesh.distribute import is_cad
 from dolfin_elastic.mesh.geometry.quality import worst_cells
 from dolfin_elastic.mesh.geometry.ridges import ridge_angles
 from dolfin_elastic.mesh.geometry.simplices import (
@@ -107,7 +106,7 @@ def shape_notes(case: Case, problem: Problem) -> list[str]:
             + ("straight elements" if case.explicit else "mesh.degree = 2")
         ]
     # In motion, where no error of the stress is estimated, a mesh is mostly all that there is.
-    finished = case.mesh.file is not None and not is_cad(case.mesh.file)
+    finished = any(one.file is not None and not one.cad for one in case.mesh.sources.values())
     if curved or problem.degree == 1 or not finished or case.dynamics is not None:
         return []
     angles = np.degrees(ridge_angles(mesh))

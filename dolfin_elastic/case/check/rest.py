@@ -159,7 +159,7 @@ class _Rest:
         if "library" in tables or not rest.get("materials"):
             rest["materials"] = {"any": _ANY_MATERIAL}
             wrong.add("materials")
-        limit = {"time_limit": _PATIENCE} if "file" in mesh else {}
+        limit = {"time_limit": _PATIENCE} if mesh.keys() & {"file", "parts"} else {}
         rest["mesh"] = {**{k: v for k, v in mesh.items() if k != "refine"}, **limit}
         return cls(rest, frozenset(wrong), kept)
 

@@ -177,4 +177,4 @@ def _points(
     # Coordinates are multiples of 1/4.
     same = (np.abs(coordinates[:, :, None] - reference) < 0.1).all(axis=3)
     own = np.einsum("ckn,cnp->ckp", same.astype(np.uint8), of_parent)
-    return _named(parts, own, mesh.geometry.dofmap)
+    return _named(parts, own, mesh.geometry.dofmap[:, : own.shape[1]])  # vertices first
