@@ -27,6 +27,7 @@ from dolfin_elastic.case.analysis import ANALYSES, AnalysisTables
 from dolfin_elastic.case.check.memory import check_elements
 from dolfin_elastic.case.curve_files import has_curve_files, with_curves
 from dolfin_elastic.case.field_files import add_fields
+from dolfin_elastic.case.mesh_table import Source
 from dolfin_elastic.case.model_tables import read_material_tables, with_library
 from dolfin_elastic.case.tables import Material, table_of
 from dolfin_elastic.case.toml import position, read_toml, toml_text
@@ -39,7 +40,6 @@ from dolfin_elastic.problem.problem import Problem
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.analysis import Solver
-    from dolfin_elastic.case.mesh_table import Source
     from dolfin_elastic.core.types import FloatArray
     from dolfin_elastic.solvers.dynamics.dynamics import Dynamics
 
@@ -140,9 +140,10 @@ class Case(AnalysisTables):
     def read_mesh(self, comm: MPI.Comm) -> Body:
         """The mesh with the names of its files, without those of the case. Collective."""
         mesh, read = self.mesh, list[tuple[Source, Body]]()
-        with locate_errors(self.file, f"mesh.{mesh.kind}"):
-            if cells := mesh.generated_cells:
-                check_elements(comm, cells, mesh.dim_made, self.degree)
+        for table, source in mesh.sources.items():
+            with locate_errors(self.file, f"{table}.{source.kind}"):
+                if source.cells_made:
+                    check_elements(comm, mesh.generated_cells, mesh.dim_made, self.degree)
         for table, source in mesh.sources.items():
             body = next((body for other, body in read if other == source), None)
             if body is None:

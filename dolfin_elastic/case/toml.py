@@ -38,11 +38,18 @@ def _is_table(value: object) -> bool:
 
 
 def _blocks(key: str, table: Mapping[str, object]) -> list[str]:
-    """The table ``[key]``, or ``[key.name]`` for each where all are materials."""
+    """The table ``[key]``, or ``[key.name]`` for each: of materials and parts of [mesh]."""
+    if isinstance(parts := table.get("parts"), Mapping):
+        rest = {name: value for name, value in table.items() if name != "parts"}
+        return [*([_block(f"[{key}]", rest)] if rest else []), *_named(f"{key}.parts", parts)]
     materials = {n: row for n, row in table.items() if isinstance(row, Mapping) and "law" in row}
     if not table or len(materials) < len(table):
         return [_block(f"[{key}]", table)]
-    return [_block(f"[{key}.{key_text(name)}]", row) for name, row in materials.items()]
+    return _named(key, materials)
+
+
+def _named(key: str, tables: Mapping[str, Mapping[str, object]]) -> list[str]:
+    return [_block(f"[{key}.{key_text(name)}]", row) for name, row in tables.items()]
 
 
 def _block(head: str, table: Mapping[str, object]) -> str:

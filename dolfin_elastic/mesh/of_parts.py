@@ -23,9 +23,10 @@ from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import make_mesh
 from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.mesh.geometry.boundary_shape import KnownSurface
+from dolfin_elastic.mesh.geometry.overlap import overlapping
 from dolfin_elastic.mesh.geometry.simplices import boundary_facets, cells_beside_facets
 from dolfin_elastic.mesh.placement import Placed, check_names
-from dolfin_elastic.mesh.refine.division import lagrange
+from dolfin_elastic.mesh.refine.division import barycentric, lagrange
 from dolfin_elastic.mesh.refine.parts import carry_parts, carry_surface
 from dolfin_elastic.mesh.refine.refinement import CellLinks
 
@@ -79,7 +80,13 @@ def parts_body(parts: Mapping[str, Body | Placed], *, unit: LengthUnit | None = 
         named["regions"],
         named["surfaces"],
         "parts " + ", ".join(bodies),
-        tuple(f"part '{n}': {text}" for n, body in bodies.items() for text in body.notes),
+        (
+            *(f"part '{n}': {text}" for n, body in bodies.items() for text in body.notes),
+            *(
+                f"the parts '{a}' and '{b}' overlap: is that meant?"
+                for a, b in overlapping(joined.mesh, {n: named["regions"][n] for n in bodies})
+            ),
+        ),
         fields,
         edges=named["edges"],
         points=named["points"],
@@ -252,7 +259,11 @@ def _nodes(part: Placed, order: int, name: str) -> _Nodes:
     else:
         space = fem.functionspace(mesh, ("Lagrange", order))
         of_cells, index = space.dofmap.list, space.dofmap.index_map
-        x = space.tabulate_dof_coordinates()
+        # Means of both ends: the same to the last bit from each element, on any ranks.
+        ends = [np.flatnonzero(row)[[0, -1]] for row in barycentric(lagrange(d, order).points)]
+        corners = mesh.geometry.x[mesh.geometry.dofmap[:, np.array(ends)]].mean(axis=2)
+        x = np.empty((index.size_local + index.num_ghosts, 3))
+        x[of_cells] = corners
     try:
         placed = part.points(x[: index.size_local, :d])
     except MeshError as error:

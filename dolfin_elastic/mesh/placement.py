@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.errors import MeshError, UnitError
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.shapes.directions import Direction, unit_vector
 from dolfin_elastic.core.types import FloatArray
@@ -31,7 +31,11 @@ def _degrees(angle: float | str) -> float:
 
 
 def _angle(angle: float | str) -> float | str:
-    _degrees(angle)
+    try:
+        _degrees(angle)
+    except UnitError as error:
+        wanted = 'expected a number in degrees, or a text such as "0.5 rad"'
+        raise UnitError(error.what, expected=wanted) from None
     return angle
 
 
@@ -98,7 +102,9 @@ class Placed:
         if (rotation := self.rotation) is None:
             return v
         d = len(rotation)
-        return np.concatenate([v[..., :d] @ rotation.T, v[..., d:]], axis=-1)
+        # Not by BLAS, whose round-off depends on how many vectors a rank has.
+        rows = [sum(v[..., j] * rotation[i, j] for j in range(d)) for i in range(d)]
+        return np.concatenate([np.stack(rows, axis=-1), v[..., d:]], axis=-1)
 
     def points(self, x: FloatArray) -> FloatArray:
         """Points [m] of the body in their final positions, shape (n, dim).

@@ -68,9 +68,8 @@ def _around(mesh: Mesh, dim: int) -> IndexArray:
     mesh.topology.create_entities(dim)
     mesh.topology.create_connectivity(d, dim)
     mesh.topology.create_connectivity(dim, d)
-    return np.asarray(mesh.topology.connectivity(d, dim).array).reshape(
-        len(mesh.geometry.dofmap), -1
-    )
+    each = len(basix.topology(_SHAPES[d])[dim])
+    return np.asarray(mesh.topology.connectivity(d, dim).array).reshape(-1, each)
 
 
 def _entities(
