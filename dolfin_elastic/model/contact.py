@@ -13,9 +13,9 @@ from functools import cached_property
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from dolfin_elastic.core.errors import InputError, keyed
+from dolfin_elastic.core.errors import InputError, UnitError, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.shapes.directions import Direction, check_components, unit_vector
 from dolfin_elastic.core.shapes.rigid_mesh import RigidMesh
@@ -29,16 +29,36 @@ from dolfin_elastic.core.shapes.shapes import (
 from dolfin_elastic.core.shapes.sharp import BoxObstacle, ConeObstacle
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import ForceDensity, Mass, Velocity, members_of
+from dolfin_elastic.core.units import (
+    ForceDensity,
+    Mass,
+    Velocity,
+    finite_length,
+    members_of,
+)
 from dolfin_elastic.model.amplitude import Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.values import OnSurfaces, amplitude_of, at_time, component, components
 
-_OF_OBSTACLES = ("motion", "force", "direction", "mass", "velocity", "curve")
+_OF_OBSTACLES = ("motion", "force", "direction", "mass", "velocity")
+_OF_BODIES = ("interference", "adjust")
+_WORDS = ("resolve", "ignore")
 
 
 def _of_file(value: object) -> object:
     return {"file": value} if isinstance(value, str) else value
+
+
+def _word_or_length(value: float | str) -> float | str:
+    if value in _WORDS:
+        return value
+    try:
+        return finite_length(value)
+    except (UnitError, ValueError):
+        raise InputError(
+            f"'{value}' is no interference",
+            expected=f'"{_WORDS[0]}", "{_WORDS[1]}" or a length such as "0.02 mm"',
+        ) from None
 
 
 class Contact(OnSurfaces):
@@ -62,17 +82,20 @@ class Contact(OnSurfaces):
         direction: Along which a force may move it: x, y, z, -x, ... or components.
         mass: Of an obstacle that moves along it in implicit motion [kg], under the force, if any.
         velocity: That such an obstacle begins with, along it [m/s].
-        curve: Amplitude of the motion or force over time, as that of a support or load.
+        curve: Amplitude of the motion, force or interference over time, as that of a load.
         friction: Coulomb's coefficient: tangential over normal force where they slide; 0: none.
         gap_tolerance: Penetration that statics leaves; 1e-3 of the cells' size there, and no more
             than 1e-2 of how far the pressure squeezes a cell.
         stiffness: Pressure per depth [Pa/m]; about 10 (K + 4 mu/3)/h of the cells there.
+        interference: What becomes of an overlap of `between` at the start: "resolve", it acts with
+            the amplitude; "ignore", it counts as no gap; or a length that acts in its place.
+        adjust: Gaps and overlaps of `between` at the start up to this one count as none.
 
     Example:
         Contact(on="bottom", plane={"point": [0, 0, 0], "normal": [0, 0, 1]})
     """
 
-    lengths: ClassVar[tuple[str, ...]] = ("gap_tolerance",)
+    lengths: ClassVar[tuple[str, ...]] = ("gap_tolerance", *_OF_BODIES)
 
     on: str | list[str] = ""
     between: list[str | list[str]] | None = None
@@ -91,6 +114,13 @@ class Contact(OnSurfaces):
     friction: float = Field(default=0.0, ge=0, allow_inf_nan=False)
     gap_tolerance: PositiveLength | None = None
     stiffness: ForceDensity | None = Field(default=None, gt=0)
+    interference: Annotated[float | str, AfterValidator(_word_or_length)] = "resolve"
+    adjust: PositiveLength | None = None
+
+    def given_lengths(self) -> dict[str, object]:
+        """See `Record`: an interference may be a word."""
+        every = super().given_lengths()
+        return {key: value for key, value in every.items() if value not in _WORDS}
 
     def _check_sides(self) -> None:
         """Raises where `between` is no two surfaces, or something of an obstacle is given, too."""
@@ -120,6 +150,12 @@ class Contact(OnSurfaces):
     def _one_shape(self) -> Contact:
         if self.between is not None:
             self._check_sides()
+        elif other := self.model_fields_set.intersection(_OF_BODIES):
+            raise InputError(
+                "an obstacle begins where it is drawn",
+                where=min(other),
+                expected="contact `between` two surfaces; a `motion` of the obstacle",
+            )
         known = obstacle_shapes()
         given = [key for key in known if getattr(self, key) is not None]
         if len(given) != (self.between is None):
@@ -170,6 +206,18 @@ class Contact(OnSurfaces):
                 where="force",
                 expected='for example "200*t"',
             )
+
+    def overlap_at(self, t: float, default: Amplitude) -> tuple[float, float]:
+        """Share of the overlap of the mesh that acts at time t, and what is added to it [m].
+
+        Args:
+            t: Time [s], or load parameter.
+            default: Amplitude where the contact has no curve.
+        """
+        share = default.of(self.curve, t)
+        if isinstance(self.interference, str):
+            return (min(max(share, 0.0), 1.0) if self.interference == "resolve" else 0.0), 0.0
+        return 0.0, share * self.interference
 
     @property
     def key_of_names(self) -> str:

@@ -48,7 +48,7 @@ from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Resistance, Terms
 from dolfin_elastic.problem.terms.bolts import make_bolts
 from dolfin_elastic.problem.terms.cavities import make_cavities
-from dolfin_elastic.problem.terms.contact import ContactPair, check_contacts
+from dolfin_elastic.problem.terms.contact import ContactPair, check_contacts, check_pairs
 from dolfin_elastic.problem.terms.friction import CoulombFriction
 from dolfin_elastic.problem.terms.loaded_obstacle import make_loaded_obstacles
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
@@ -181,6 +181,7 @@ class Problem(Shown):
         axisymmetric = self.geometry == "axisymmetric"
         if contacts:
             check_contacts(contacts, body, turned=axisymmetric)
+            check_pairs(contacts, ties, body)
             contacts = with_surfaces(contacts, body)
         _check_normals(body, self.supports, self.loads, contacts)
         self.cell: Cell | None = None

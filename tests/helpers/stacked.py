@@ -60,20 +60,20 @@ def stacked(
         cells, points = cells[:0], points[:0]
     body = Body(make_mesh(comm, cells, points, 1))
     mesh, z = body.mesh, dim - 1
-    middle = mesh.geometry.x[mesh.geometry.dofmap][:, :, z].mean(axis=1)
+    low = np.asarray(mesh.topology.original_cell_index) < len(a[1])
     facets = boundary_facets(mesh)
     flat = np.ptp(mesh.geometry.x[facet_nodes(mesh, facets)][:, :, z], axis=1) < 1e-9
     beside, _ = cells_beside_facets(mesh, facets)
     at = mesh.geometry.x[facet_nodes(mesh, facets)][:, :, z].mean(axis=1)
-    inside = flat & (at > half / 2) & (at < half * 1.5 + gap)
+    inside = flat & (np.abs(at - half - np.where(low[beside], 0.0, gap)) < 1e-9)
     named = body.named(
         regions={
-            "lower": np.flatnonzero(middle < half).astype(np.int32),
-            "upper": np.flatnonzero(middle > half).astype(np.int32),
+            "lower": np.flatnonzero(low).astype(np.int32),
+            "upper": np.flatnonzero(~low).astype(np.int32),
         },
         surfaces={
-            "below": facets[inside & (middle[beside] < half)],
-            "above": facets[inside & (middle[beside] > half)],
+            "below": facets[inside & low[beside]],
+            "above": facets[inside & ~low[beside]],
         },
     )
     axes = {"left": ("x", "min"), "right": ("x", "max")}

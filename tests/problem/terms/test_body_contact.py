@@ -18,6 +18,7 @@ from dolfin_elastic import (
     Problem,
     Statics,
     Support,
+    Tie,
     Traction,
     read_body,
 )
@@ -35,6 +36,7 @@ MESHES: dict[int, dict[str, Any]] = {
 }
 LOOSE = ("move and turn freely",)
 BETWEEN = Contact(between=["below", "above"], name="joint")
+SWAPPED = Contact(between=["above", "below"])
 
 
 def last(problem: Problem, **settings: Any) -> Any:
@@ -215,29 +217,59 @@ def test_hertz(degree, order, folder, comm):
     )
 
 
-def test_press_fit():
-    """A ring around another one that is too large for it, in plane strain, against Lamé.
+def fit(order: int, overlap: float, **keys: Any) -> tuple[Problem, float]:
+    """A ring around another one that is too large for it, and Lamé's force on a quarter.
+
+    In plane strain.
 
     Source: S. Timoshenko & J. N. Goodier, Theory of Elasticity, 3rd ed. (1970), section 28.
     """
-    a, b, c, overlap = 1.0, 1.5, 2.5, 1e-3
+    a, b, c = 1.0, 1.5, 2.5
     problem = Problem(
-        quarter_rings((a, b, c), (10, 2), (14, 3), 2, overlap=overlap),
+        quarter_rings((a, b, c), (10, 2), (14, 3), order, overlap=overlap),
         LinearElastic(E=E, nu=NU),
         supports=[
             Support(on="bottom", displacement=[FREE, 0]),
             Support(on="left", displacement=[0, FREE]),
         ],
-        contacts=[Contact(between=["outside", "inside"], name="fit", gap_tolerance=1e-6)],
+        contacts=[
+            Contact(between=["outside", "inside"], name="fit", gap_tolerance=1e-6, **keys),
+        ],
         degree=2,
     )
-    assert check_start(problem) == pytest.approx(overlap, rel=0.02)
-    state = last(problem, steps=1)
     rings = (c**2 + b**2) / (c**2 - b**2) + (b**2 + a**2) / (b**2 - a**2)
-    exact = overlap * E / (1 - NU**2) / b / rings
+    return problem, 1e-3 * E / (1 - NU**2) / rings
+
+
+def test_press_fit():
+    """Curved faces that overlap."""
+    problem, exact = fit(2, 1e-3)
+    assert check_start(problem) == pytest.approx(1e-3, rel=0.02)
+    state = last(problem, steps=1)
     # On the inner ring, from the quarter's force: the faces are off a circle by 2e-6.
-    force = np.abs(state.reactions["fit"])
-    np.testing.assert_allclose(force, exact * b, rtol=0.005)
+    np.testing.assert_allclose(np.abs(state.reactions["fit"]), exact, rtol=0.005)
+
+
+@pytest.mark.parametrize("overlap", [0.0, 2e-3])
+def test_a_given_interference(overlap):
+    """In place of the overlap of straight faces, which are off a circle by more than that.
+
+    The faces' chords are up to 4.6e-3 inside the circle, and the two rings' differ.
+    """
+    problem, exact = fit(1, overlap, interference=1e-3)
+    state = last(problem, steps=2)
+    np.testing.assert_allclose(np.abs(state.reactions["fit"]), exact, rtol=0.005)
+
+
+def test_faceted_surfaces_touch_without_stress():
+    """`adjust`: gaps and overlaps of the chords of one circle count as none."""
+    problem, _ = fit(1, 0.0, adjust=5e-3)
+    (pair,) = problem.contact_pairs
+    assert np.ptp(pair.pieces.there.gap) > 2e-3
+    assert pair.distance() == 0.0
+    state = last(problem, steps=1)
+    assert np.linalg.norm(problem.u.x.array) == pytest.approx(0, abs=1e-12)
+    assert state.numbers["penetration_fit"] < 5e-3
 
 
 def check_start(problem: Problem) -> float:
@@ -344,6 +376,29 @@ def test_mistakes(keys, where, words):
         Contact.model_validate({"between": ["below", "above"], **keys})
 
 
+def test_a_word_that_is_no_interference():
+    with pytest.raises(InputError, match="interference: 'fade' is no interference.*resolve"):
+        Contact(between=["below", "above"], interference="fade")
+    with pytest.raises(InputError, match="adjust: an obstacle begins where it is drawn"):
+        Contact(on="below", plane={"axis": "z", "at": 0}, adjust="1 mm")
+
+
+@pytest.mark.parametrize(
+    ("contacts", "ties", "where", "words"),
+    [
+        ([BETWEEN, SWAPPED], [], r"contact\[1\]", r"contact\[0\], too"),
+        ([BETWEEN], [Tie(on="below", to="above")], r"contact\[0\]", r"tie\[0\], too"),
+        ([Contact(between=["joint", "above"])], [], r"contact\[0\]", "on both sides"),
+    ],
+)
+def test_pairs_that_are_joined_twice(contacts, ties, where, words):
+    body = stacked((1.0, 0.6), (2, 1), (2, 1))
+    both = np.concatenate([body.surface("below"), body.surface("above")])
+    body = body.named(surfaces={"joint": np.unique(both)})
+    with pytest.raises(InputError, match=rf"{where}.between: .*{words}"):
+        Problem(body, LinearElastic(E=E, nu=NU), contacts=contacts, ties=ties, degree=1)
+
+
 @pytest.mark.parametrize("cells", [(9, 2), (3, 2)])
 def test_a_body_that_slides_is_named(cells):
     """Whichever body carries the pressures."""
@@ -372,19 +427,36 @@ def test_vertices_of_which_little_lies_opposite():
     state = last(problem, steps=1)
     assert state.audit.verdict == "pass"
     assert not problem.contact_pairs[0].unsettled()
+    # Of faces that are covered in part, that part; the block widens by 4e-4.
+    assert state.numbers["contact_area_joint"] == pytest.approx(0.6, rel=5e-4)
 
 
-def test_an_overlap_beyond_the_faces_that_are_compared():
-    """It is refused, though it is less than an element deep: nothing would push back."""
+@pytest.mark.parametrize(("word", "squeezed"), [("resolve", 0.02), ("ignore", 0.0)])
+def test_an_overlap_beyond_the_faces(word, squeezed):
+    """Deeper than their edges: it grows from nothing, or counts as no gap."""
     problem = Problem(
         stacked((1.0, 0.6), (40, 1), (40, 1), gap=-0.04),
-        NeoHookean(E=E, nu=NU),
+        LinearElastic(E=E, nu=0.0),
+        supports=[Support(on=["bottom", "top"])],
+        contacts=[Contact(between=["below", "above"], interference=word, gap_tolerance=1e-9)],
+        degree=1,
+    )
+    forces = {s.t: s.reactions["below+above"][1] for s in Statics(problem, times=[0.5]).steps()}
+    expected = E * np.array([0, squeezed / 2, squeezed]) / 0.3
+    forces = [forces[t] for t in (0.0, 0.5, 1.0)]
+    np.testing.assert_allclose(np.abs(forces), expected, atol=1e-6 * E)
+
+
+def test_a_deep_overlap_in_motion():
+    """All of it acts at once: more than an element deep it is refused."""
+    problem = Problem(
+        stacked((1.0, 0.6), (8, 8), (8, 8), gap=-0.06),
+        NeoHookean(E=E, nu=NU, density=1000),
         contacts=[BETWEEN],
         degree=1,
     )
-    (pair,) = problem.contact_pairs
-    with pytest.raises(InputError, match=r"contact\[0\].between: .*overlap by 0.04 m.*0.025 m"):
-        pair.check_start()
+    with pytest.raises(InputError, match=r"contact\[0\].between: .*overlap by 0.06 m.*ignore"):
+        problem.check_start()
 
 
 def test_what_schemes_do_not_know_of_it():

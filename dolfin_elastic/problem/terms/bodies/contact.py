@@ -18,11 +18,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import smallest, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.mesh.geometry.curved import facet_areas
 from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets, prepare_facets
+from dolfin_elastic.model.amplitude import CONSTANT, Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.self_contact import AnyContact
 from dolfin_elastic.problem.constraints.rows import Constraints
@@ -30,6 +31,7 @@ from dolfin_elastic.problem.constraints.ties.facets import longest_edge, owned
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Blocks
 from dolfin_elastic.problem.terms.bodies.functions import PieceFunctions
+from dolfin_elastic.problem.terms.bodies.start import StartOffsets, overlap_reach
 from dolfin_elastic.problem.terms.contact import FAR, ContactPair, nearest_spot, uniaxial_modulus
 from dolfin_elastic.problem.terms.nodal_contact import NodalContact
 from dolfin_elastic.problem.terms.vertex_contact import VertexContact
@@ -52,6 +54,7 @@ class BodyContact(VertexContact):
     Attributes:
         sides: Names of the surfaces that carry the pressures, and of the others.
         pieces: What of both lies opposite each other; the same as `functions`.
+        offsets: What counts as no gap.
     """
 
     flat = in_steps = False
@@ -67,6 +70,11 @@ class BodyContact(VertexContact):
             self.penalty.x.array[:] *= softer
             self.eps *= softer
             self._first = self.penalty.x.array.copy(), self.eps.copy()
+        edge, self.offsets = self.pieces.reach, StartOffsets(contact, self.lam.function_space)
+        if (reach := overlap_reach(self.pieces, context.body)) > edge:
+            self.pieces.look_within(reach)
+        self.offsets.take(self.nodes, self._mean(self._at_points()[0]), edge)
+        self.offsets.set_time(0.0, CONSTANT)
         self.carrier = np.zeros(context.unknowns.V.dofmap.index_map.size_local, dtype=bool)
         self.carrier[self.functions.every[2]] = True
 
@@ -89,7 +97,12 @@ class BodyContact(VertexContact):
         return there.gap if finite else np.full_like(there.gap, np.nan), there.normal
 
     def _mean(self, gaps: FloatArray) -> FloatArray:
-        return np.where(self.pieces.covered, super()._mean(gaps), FAR)
+        offsets = self.offsets.field.x.array[self.nodes]
+        return np.where(self.pieces.covered, super()._mean(gaps) - offsets, FAR)
+
+    def set_time(self, t: float, default: Amplitude) -> None:
+        """See `Term`: how much of the initial overlap acts."""
+        self.offsets.set_time(t, default)
 
     def gaps(self) -> tuple[FloatArray, FloatArray]:
         """See `ContactPair`: mean ones. Collective."""
@@ -112,13 +125,23 @@ class BodyContact(VertexContact):
         """See `ContactPair`."""
         return self.pieces.share
 
+    def opposed(self) -> FloatArray:
+        """See `ContactPair`."""
+        return self.pieces.opposed
+
     def every_gap(self) -> FloatArray:
         """See `ContactPair`: those of all points opposite the other side. Collective."""
-        return self._at_points()[0].ravel()
+        return self._acting()[0].ravel()
+
+    def _acting(self) -> tuple[FloatArray, FloatArray]:
+        """Gaps less their offsets at the points, and normals. Collective."""
+        gaps, normals = self._at_points()
+        return gaps - self.pieces.between_vertices(self.offsets.field.x.array), normals
 
     def spots(self) -> tuple[FloatArray, FloatArray]:
-        """See `ContactPair`: as far away as they are. Collective."""
-        gaps, reach = self.every_gap(), FIRST
+        """See `ContactPair`: of the meshes, as far away as they are. Collective."""
+        reach = FIRST
+        gaps: FloatArray = self._at_points()[0].reshape(-1)
         places: FloatArray = self.pieces.X.reshape(-1, self._dim)
         farthest = float(span(self._context.body))
         while not total(self.comm, len(gaps)) and reach < FARTHEST:
@@ -128,8 +151,8 @@ class BodyContact(VertexContact):
 
     def distance(self) -> float:
         """See `Term`."""
-        gap = nearest_spot(self)[0]
-        return gap if gap > self.reach else 0.0
+        acting = smallest(self.comm, float(np.min(self.pressing_gaps(), initial=np.inf)))
+        return nearest_spot(self)[0] if acting > self.reach else 0.0
 
     # --- the tangent ---
 
@@ -172,7 +195,7 @@ class BodyContact(VertexContact):
     def held(self, *, near: bool = False) -> Iterator[tuple[IndexArray, FloatArray]]:
         """See `Term`: both sides, each as if the other one stood still."""
         yield from super().held(near=near)
-        gaps, normals = self._at_points()
+        gaps, normals = self._acting()
         within = gaps <= (self.size if near else self.reach)
         nodes, _, directions = self.pieces.opposite(normals * within[..., None])
         yield nodes, -directions
@@ -181,22 +204,24 @@ class BodyContact(VertexContact):
         """See `Term`: both sides may be held."""
 
     def check_start(self) -> str:
-        """See `Term`: no overlap that is deeper than an element, or out of reach."""
-        gap, place = nearest_spot(self)
-        unit, deepest = self._context.body.unit, min(self.size, self.pieces.reach)
-        if gap < -deepest:
-            raise InputError(
-                f"at the start '{self.label}' overlap by {unit.length(-gap)}, at "
-                f"{unit.point(place)}",
-                where=f"contact[{self.index}].between",
-                expected=f"at most an element deep, {unit.length(deepest)}",
-            )
+        """See `Term`: no overlap acts that is deeper than an element."""
+        acting = self.pressing_gaps()
+        gap, unit = (
+            smallest(self.comm, float(np.min(acting, initial=np.inf))),
+            self._context.body.unit,
+        )
         if gap >= -self.tolerance:
             return ""
-        return (
-            f"at the start '{self.label}' overlap by {unit.length(-gap)}, at {unit.point(place)}: "
-            "what the penalty stores there throws them apart"
-        )
+        text = f"at the start '{self.label}' overlap by {unit.length(-gap)}, at "
+        text += unit.point(nearest_spot(self)[1])
+        if gap < -self.size:
+            raise InputError(
+                text,
+                where=f"contact[{self.index}].between",
+                expected=f"at most an element deep, {unit.length(self.size)}; "
+                'interference = "ignore"; in statics it grows with the load',
+            )
+        return f"{text}: what the penalty stores there throws them apart"
 
 
 def _carrier_first(

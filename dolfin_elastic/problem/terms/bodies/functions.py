@@ -122,6 +122,8 @@ class PieceFunctions(VertexFunctions):
         reach: As given.
         share: Part of the area of each owned vertex that lies opposite something.
         covered: Of which of them enough does.
+        opposed: Part of each owned face that lies opposite something.
+        hats: Barycentric coordinates of the points, shape (pieces, points, dim).
         there: What lies opposite the points.
         opposite_hats: Barycentric coordinates there.
     """
@@ -175,11 +177,16 @@ class PieceFunctions(VertexFunctions):
 
     def nearest_within(self, reach: float) -> tuple[FloatArray, FloatArray]:
         """Gaps of the pieces that are nearest to each other of all, and places [m]. Collective."""
-        near, far, pieces = self.within(reach)
+        _, _, pieces, gaps = self.signed_within(reach)
         least = smallest(self._pair.comm, float(np.min(pieces.gaps, initial=np.inf)))
-        pieces = pieces[pieces.gaps <= least * (1 + 1e-9)]
+        some = pieces.gaps <= least * (1 + 1e-9)
+        return gaps[some], pieces.places[some]
+
+    def signed_within(self, reach: float) -> tuple[Facets, Facets, Segments, FloatArray]:
+        """See `within`; and gaps of the pieces, negative where they overlap [m]. Collective."""
+        near, far, pieces = self.within(reach)
         inside = self._opposite(near, far, pieces)[1].gap.mean(axis=1) < 0.0
-        return np.where(inside, -pieces.gaps, pieces.gaps), pieces.places
+        return near, far, pieces, np.where(inside, -pieces.gaps, pieces.gaps)
 
     def _opposite(self, near: Facets, far: Facets, pieces: Segments) -> tuple[FloatArray, Opposite]:
         """See `_nearest`: of the points of pieces. Local."""
@@ -189,6 +196,7 @@ class PieceFunctions(VertexFunctions):
 
     def _take(self, near: Facets, far: Facets, pieces: Segments) -> None:
         s, i, j, k = pieces.near_coordinates, pieces.near, pieces.far, near.nodes.shape[1]
+        self.hats = s
         self.opposite_hats, self.there = self._opposite(near, far, pieces)
         self.shapes = np.concatenate(
             [shape_functions(s, k), -shape_functions(self.opposite_hats, k)], axis=2
@@ -217,6 +225,7 @@ class PieceFunctions(VertexFunctions):
         inverse = np.linalg.pinv(masses, rcond=_SINGULAR, hermitian=True)
         dual = share * means[:, :, None] * inverse + (1 - share) * np.eye(d)
         self.psi = np.einsum("nq,nij,nqj->nqi", weights, dual[i], s)
+        self.opposed = np.minimum(covered, 1.0)
         self._areas = self._summed(parts[..., None])[:, 0]
         self.share: FloatArray = np.asarray(np.minimum(self._areas / self._whole, 1.0))
         self.covered: BoolArray = np.asarray(self.share > COVERED)
@@ -229,6 +238,19 @@ class PieceFunctions(VertexFunctions):
         """
         self.renew()
         return np.where(self.covered, self._areas, _NONE * self._whole)
+
+    def look_within(self, reach: float) -> None:
+        """Changes the distance beyond which nothing lies opposite [m]. Collective."""
+        self.reach, self._at = reach, np.empty(0)
+        self.renew()
+
+    def between_vertices(self, values: FloatArray) -> FloatArray:
+        """A linear function of the vertices at the points, shape (pieces, points). Local.
+
+        Args:
+            values: At local vertices, owned ones first.
+        """
+        return np.einsum("nqi,ni->nq", self.hats, values[self._vertices])
 
     # --- as of one side ---
 
