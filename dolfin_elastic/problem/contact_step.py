@@ -52,13 +52,14 @@ class ContactStep:
         start: Displacement past the obstacle at the start of the step [m].
         share: 1 in a step; 0 at a state, which is all of the step then.
         old: Share alpha of the old displacement in the stage's.
+        short: See `SHORT` [m^2].
     """
 
     def __init__(self, context: FormContext, shift: fem.Constant, size: float) -> None:
         self._context, self._shift = context, shift
         self.start = fem.Function(context.unknowns.V)
         self.share, self.old = context.constant(0.0), context.constant(0.0)
-        self._short = SHORT * size**2
+        self.short = SHORT * size**2
 
     @property
     def on(self) -> bool:
@@ -103,8 +104,8 @@ class ContactStep:
             normal: The unit normal of the obstacle at the middle of the way.
         """
         square = ufl.inner(way, way)
-        missing = (gaps[1] - gaps[0] - ufl.dot(normal, way)) / ufl.max_value(square, self._short)
-        return normal + ufl.conditional(ufl.gt(square, self._short), missing, 0.0) * way
+        missing = (gaps[1] - gaps[0] - ufl.dot(normal, way)) / ufl.max_value(square, self.short)
+        return normal + ufl.conditional(ufl.gt(square, self.short), missing, 0.0) * way
 
     # --- numbers ---
 
@@ -153,7 +154,7 @@ class ContactStep:
         """See `mean_normal`; the last axis is that of components."""
         square = np.sum(way * way, axis=-1)
         missing = gaps[1] - gaps[0] - np.sum(normals * way, axis=-1)
-        factor = np.where(square > self._short, missing / np.maximum(square, self._short), 0.0)
+        factor = np.where(square > self.short, missing / np.maximum(square, self.short), 0.0)
         return np.asarray(normals + factor[..., None] * way)
 
 

@@ -254,23 +254,30 @@ class CoulombFriction(_Tractions):
 
     def energy(self) -> float:
         """See `Term`: of the springs, in motion."""
-        springs = self.tractions() / self._eps[:, None]
-        return total(self._comm, 0.0 if self._augments else float(self._stored(springs).sum()))
+        stored = self._stored(self.tractions() / self._eps[:, None], self.areas)
+        return total(self._comm, 0.0 if self._augments else float(stored.sum()))
 
-    def _stored(self, springs: FloatArray) -> FloatArray:
+    def _stored(self, springs: FloatArray, areas: FloatArray) -> FloatArray:
         """What they store at each node [J]."""
-        return np.asarray(self.areas * self._eps * np.sum(springs**2, axis=1) / 2)
+        return np.asarray(areas * self._eps * np.sum(springs**2, axis=1) / 2)
+
+    def _in_step(self) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
+        """The motion of a step past the obstacle [m]; areas before, in and after it. Collective."""
+        return self._moved() - self._begun, (self.areas, self.areas, self.areas)
 
     def _advance_by_step(self, t: FloatArray) -> None:
         """Moves s by the traction of the step's stage, see the module."""
-        old, moved = self._begun - self._of(self._stuck), self._moved()
+        way, (before, within, after) = self._in_step()
+        first, moved = self._begun - self._of(self._stuck), self._begun + way
+        old = first * shortened(before, within)
         e = old + (-t / self._eps[:, None] - old) / (1 - self._old)
         n, limit = self._pair.nodal_normals(), self._tractions()[2]
         e -= np.sum(e * n, axis=1)[:, None] * n
         length = self._eps * np.linalg.norm(e, axis=1)
         e *= np.divide(limit, length, out=np.ones_like(limit), where=length > limit)[:, None]
-        work = -self.areas * np.sum(t * (moved - self._begun), axis=1)
-        self._lost.x.array[self._pair.nodes] += work + self._stored(old) - self._stored(e)
+        e *= shortened(within, after)
+        work = self._stored(first, before) - within * np.sum(t * way, axis=1)
+        self._lost.x.array[self._pair.nodes] += work - self._stored(e, after)
         self._put(self._stuck, moved - e)
 
     def advance(self) -> None:
@@ -326,3 +333,8 @@ class CoulombFriction(_Tractions):
         lost = float(self._lost_now().sum() + before.sum())
         result[f"stick_share_{self.label}"] = self.stuck_area() / area if area > 0.0 else 0.0
         result[f"friction_dissipation_{self.label}"] = total(self._comm, lost)
+
+
+def shortened(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Length of springs over that on another area, (n, 1): what they store does not grow."""
+    return np.asarray(np.sqrt(np.minimum(1.0, before / after)))[:, None]

@@ -31,7 +31,7 @@ from dolfin_elastic.problem.terms.nodal_contact import RULE
 from dolfin_elastic.problem.terms.vertex_functions import VertexFunctions, blocks_of
 
 
-class _Way(NamedTuple):
+class Way(NamedTuple):
     """What the points of the functions pass in a step.
 
     Attributes:
@@ -120,23 +120,23 @@ class VertexContact(_Followed):
         """Gaps and normals there, shapes (facets, points) and (facets, points, dim)."""
         return _measured(self.functions, self._of_points, self.places_of_points())
 
-    def _over_step(self) -> _Way:
+    def _over_step(self) -> Way:
         """Gaps and normals at the points over the step; of a state all ends are alike."""
         if not self.step.on:
             gaps, normals = self._at_points()
-            return _Way(gaps, gaps, normals, normals)
+            return Way(gaps, gaps, normals, normals)
         first, last = (self.functions.X + self.functions.displacements(u) for u in self.step.ends())
         before = _measured(self.functions, self._of_ends[0], first)[0]
         gaps, normals = _measured(self.functions, self._of_ends[1], last)
         middle = _measured(self.functions, self._of_points, (first + last) / 2)[1]
         along = self.step.mean_normals((before, gaps), last - first, middle)
-        return _Way(before, gaps, along, normals)
+        return Way(before, gaps, along, normals)
 
     def end_gaps(self) -> tuple[FloatArray, FloatArray]:
         """See `ContactPair`: mean gaps."""
         return self._means_over(self._over_step())
 
-    def _means_over(self, way: _Way) -> tuple[FloatArray, FloatArray]:
+    def _means_over(self, way: Way) -> tuple[FloatArray, FloatArray]:
         """Mean gaps at both ends of the step. Collective."""
         first = self._mean(way.first)
         return first, self._mean(way.last) if self.step.on else first
@@ -155,7 +155,7 @@ class VertexContact(_Followed):
     def _mean(self, gaps: FloatArray) -> FloatArray:
         return self.functions.means(gaps[..., None])[:, 0]
 
-    def state(self, way: _Way | None = None) -> tuple[FloatArray, FloatArray]:
+    def state(self, way: Way | None = None) -> tuple[FloatArray, FloatArray]:
         """Pressures at the owned vertices, and how they fall with their gap [Pa/m]. Collective.
 
         In a step with the gap at its stage; those that fall are in contact.
@@ -195,9 +195,13 @@ class VertexContact(_Followed):
 
     def energy(self) -> float:
         """See `Term`: the potential has the multiplier at rest."""
+        return self._stored(self.pressing_gaps(), self.functions.areas)
+
+    def _stored(self, gaps: FloatArray, areas: FloatArray) -> float:
+        """The energy of mean gaps at vertices with some areas [J]. Collective."""
         lam = self.lam.x.array[self.nodes]
-        squares = np.maximum(lam - self.eps * self.pressing_gaps(), 0.0) ** 2 - lam**2
-        return total(self.comm, float(np.sum(self.functions.areas * squares / (2 * self.eps))))
+        squares = np.maximum(lam - self.eps * gaps, 0.0) ** 2 - lam**2
+        return total(self.comm, float(np.sum(areas * squares / (2 * self.eps))))
 
     def blocks(self) -> Blocks:
         """See `Term`: sum of (eps/A_I) G_I G_I, less that of the pressures by the normals' turn.
@@ -211,7 +215,8 @@ class VertexContact(_Followed):
         pressures, falls = self.state(way)
         self.near |= falls > 0
         nodes, G = self.functions.rows(self.near, way.normals)
-        pushes = self.functions.rows(self.near, way.along)[1] if self.step.on else G
+        same = way.along is way.normals
+        pushes = G if same else self.functions.rows(self.near, way.along)[1]
         stiffness = diags_array(falls / self.functions.areas)
         result = blocks_of(nodes, pushes.T @ stiffness @ G, G, self._dim)
         return result if self.flat else result + self._turning(pressures)

@@ -2,12 +2,21 @@
 
 One side carries the pressures: that with the finer faces, of alike ones the softer.  Its mean gaps,
 pressures and potential are those of `VertexContact`; forces on both sides come from the same
-points, so that action is reaction.  The tangent leaves the change of the cut out.  In motion forces
-are those of the stage: the pieces are others at the ends of a step.
+points, so that action is reaction.  The tangent leaves the change of the cut out.
+
+In a step of an implicit motion the cut is that of its stage, and the pressures are those of
+`contact_step` with the mean gaps of the cuts at both ends.  As these weight gaps otherwise, the
+work of the pressures in the step is a little off the change of the energy W.  With the mean motions
+w_I past each other, forces k p_I A_I w_I beside the pressures do the rest of the work,
+
+    k sum of A_I p_I w_I . w_I = W0 - W1 - sum of A_I p_I n_I . w_I,
+
+a discrete gradient of W by these motions: energy, and both momenta, for each force has an opposite
+one on the same line, are conserved exactly in the midpoint rule.
 
 Source: P. Wriggers, Computational Contact Mechanics, 2nd ed., Springer 2006, sections 4.3 and 9.5;
 M. A. Puso & T. A. Laursen, Comput. Methods Appl. Mech. Eng. 193 (2004) 601; A. Popp, B. Wohlmuth,
-M. W. Gee & W. A. Wall, SIAM J. Sci. Comput. 34 (2012) B421.
+M. W. Gee & W. A. Wall, SIAM J. Sci. Comput. 34 (2012) B421; in steps that of `contact_step`.
 """
 
 from __future__ import annotations
@@ -16,6 +25,7 @@ import logging
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import smallest, total
@@ -34,7 +44,7 @@ from dolfin_elastic.problem.terms.bodies.functions import PieceFunctions
 from dolfin_elastic.problem.terms.bodies.start import StartOffsets, overlap_reach
 from dolfin_elastic.problem.terms.contact import FAR, ContactPair, nearest_spot, uniaxial_modulus
 from dolfin_elastic.problem.terms.nodal_contact import NodalContact
-from dolfin_elastic.problem.terms.vertex_contact import VertexContact
+from dolfin_elastic.problem.terms.vertex_contact import VertexContact, Way
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -57,8 +67,9 @@ class BodyContact(VertexContact):
         offsets: What counts as no gap.
     """
 
-    flat = in_steps = False
+    flat = False
     only_implicit = True
+    _start: tuple[FloatArray, float]  # mean gaps [m] and energy [J] at the start of a step
 
     def __init__(
         self, contact: Contact, context: FormContext, index: int, thickness: float
@@ -86,7 +97,11 @@ class BodyContact(VertexContact):
         context = self._context
         sides = (owned(context.body, context.unknowns.V, names) for names in self.sides)
         reach = longest_edge(self.comm, *sides)
-        self.pieces = PieceFunctions(self, context, self.sides, reach, thickness)
+        self._end = fem.Function(context.unknowns.V)
+        self.pieces, self._at_end = (
+            PieceFunctions(self, context, self.sides, reach, thickness, u)
+            for u in (None, self._end)
+        )
         return self.pieces
 
     # --- gaps ---
@@ -96,13 +111,60 @@ class BodyContact(VertexContact):
         finite, there = self.pieces.renew(), self.pieces.there
         return there.gap if finite else np.full_like(there.gap, np.nan), there.normal
 
+    def _over_step(self) -> Way:
+        """See `VertexContact`: at the stage, whose pieces all directions are of."""
+        gaps, normals = self._at_points()
+        return Way(gaps, gaps, normals, normals)
+
     def _mean(self, gaps: FloatArray) -> FloatArray:
+        return self._mean_of(self.pieces, gaps)
+
+    def _mean_of(self, pieces: PieceFunctions, gaps: FloatArray) -> FloatArray:
         offsets = self.offsets.field.x.array[self.nodes]
-        return np.where(self.pieces.covered, super()._mean(gaps) - offsets, FAR)
+        return np.where(pieces.covered, pieces.means(gaps[..., None])[:, 0] - offsets, FAR)
 
     def set_time(self, t: float, default: Amplitude) -> None:
         """See `Term`: how much of the initial overlap acts."""
         self.offsets.set_time(t, default)
+
+    def _means_over(self, way: Way) -> tuple[FloatArray, FloatArray]:
+        """See `VertexContact`: each with the cut of its end."""
+        if not self.step.on:
+            return super()._means_over(way)
+        self._end.x.array[:] = self.step.ends()[1].reshape(-1)
+        finite, gaps = self._at_end.renew(), self._at_end.there.gap
+        return self._start[0], self._mean_of(self._at_end, gaps if finite else gaps + np.nan)
+
+    def begin_step(self) -> None:
+        """See `Term`."""
+        super().begin_step()
+        self._start = self.pressing_gaps(), self.energy()
+
+    def forces(self) -> FloatArray:
+        """See `VertexContact`; in the midpoint rule with what is missing, see the module."""
+        way = self._over_step()
+        pressures, _ = self.state(way)
+        vectors = self.pieces.at_points(pressures[:, None]) * way.along
+        if self.step.on and self.step.ahead == 1.0:
+            vectors += self.pieces.at_points(self._missing(pressures, vectors))
+        return self.pieces.spread(vectors)
+
+    def _missing(self, pressures: FloatArray, vectors: FloatArray) -> FloatArray:
+        """k p_I w_I at the owned vertices [Pa]. Collective.
+
+        Args:
+            pressures: There [Pa].
+            vectors: Forces of these at the points, integrals included [N].
+        """
+        moved = self.pieces.relative(self._end.x.array - self.step.start.x.array)
+        w, gaps = self.pieces.means(moved), self._at_end.there.gap
+        energy = self._stored(self._mean_of(self._at_end, gaps), self._at_end.areas)
+        weights = self.pieces.areas * pressures
+        local = np.array([np.sum(weights[:, None] * w * w), weights.sum(), np.sum(vectors * moved)])
+        square, force, work = total(self.comm, local)
+        if not square > self.step.short * force:
+            return np.zeros_like(w)
+        return np.asarray((self._start[1] - energy - work) / square * pressures[:, None] * w)
 
     def gaps(self) -> tuple[FloatArray, FloatArray]:
         """See `ContactPair`: mean ones. Collective."""

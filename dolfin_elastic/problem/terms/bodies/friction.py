@@ -3,6 +3,8 @@
 What moves past each other is compared where points lie opposite each other now: the motion w of
 `CoulombFriction` grows in each step by the mean of the difference of both sides' displacements in
 that step.  So it is that of the step's pairs, and a rigid motion of both together adds nothing.
+In an implicit motion the pairs are those of the stage.  Springs store no more on another area than
+they did: they become shorter where it grows, and what they lose where it shrinks is dissipated.
 The tangent leaves the turn of the normal and the change of pairs out.
 
 Source: T. W. McDevitt & T. A. Laursen, Int. J. Numer. Meth. Engng 48 (2000) 1525; that of
@@ -21,7 +23,7 @@ from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Blocks
 from dolfin_elastic.problem.terms.bodies.contact import BodyContact
 from dolfin_elastic.problem.terms.contact import ContactPair
-from dolfin_elastic.problem.terms.friction import CoulombFriction
+from dolfin_elastic.problem.terms.friction import CoulombFriction, shortened
 from dolfin_elastic.problem.terms.nodal_contact import NodalContact
 from dolfin_elastic.problem.terms.nodal_friction import NodalFriction
 from dolfin_elastic.problem.terms.vertex_contact import VertexContact
@@ -32,6 +34,9 @@ class BodyFriction(VertexFriction):
     """Friction of one contact between two surfaces of the mesh. Collective to make."""
 
     only_implicit = True
+    _first_areas: FloatArray | None = None  # at the start of a step [m^2]
+    _way: FloatArray  # of the whole step, by the pairs of its stage [m]
+    _within: FloatArray
 
     def __init__(self, pair: BodyContact, context: FormContext, index: int) -> None:
         self._pieces = pair.pieces
@@ -43,19 +48,52 @@ class BodyFriction(VertexFriction):
 
     def _moved(self) -> FloatArray:
         """See `CoulombFriction`."""
-        step = self._pieces.relative(self._context.unknowns.u.x.array - self._before.x.array)
-        return self._of(self._path) + self._pieces.means(step)
+        result = self._of(self._path) + self._pieces.means(self._step_so_far())
+        if self._first_areas is not None:
+            springs = self._of(self._path) - self._of(self._stuck)
+            result -= (1 - shortened(self._first_areas, self._pieces.areas)) * springs
+        return result
+
+    def _step_so_far(self) -> FloatArray:
+        """What points have moved past each other in the step [m]. Collective."""
+        u = self._context.unknowns.u.x.array
+        return self._pieces.relative(u - self._before.x.array)
 
     def begin(self, *, moving: bool) -> None:
         """See `CoulombFriction`."""
         self._before.x.array[:] = self._context.unknowns.u.x.array
         super().begin(moving=moving)
 
+    def begin_step(self) -> None:
+        """See `Term`."""
+        super().begin_step()
+        self._first_areas = self._pieces.areas
+
+    def leave_stage(self, *, found: bool) -> None:
+        """See `Term`."""
+        super().leave_stage(found=found)
+        if self._stage is not None:
+            way = self._pieces.means(self._step_so_far())
+            self._way = np.asarray(way / (1 - self._old))
+            self._within = self._pieces.areas
+
+    def _in_step(self) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
+        """See `CoulombFriction`."""
+        assert self._first_areas is not None
+        return self._way, (self._first_areas, self._within, self._pieces.areas)
+
     def advance(self) -> None:
         """See `CoulombFriction`."""
+        moved = self._moved() if self._stage is None else self._begun + self._way
         super().advance()
-        self._put(self._path, self._moved())
+        self._first_areas = None
+        self._put(self._path, moved)
         self._before.x.array[:] = self._context.unknowns.u.x.array
+
+    def energy(self) -> float:
+        """See `CoulombFriction`: on what lies opposite each other now."""
+        self.areas = self._pieces.areas
+        return super().energy()
 
     def blocks(self) -> Blocks:
         """See `VertexFriction`: areas are those opposite each other now."""

@@ -7,8 +7,15 @@ the outward normal n of the other side there, the gap is
 
     g = n . (x_s - x_m),    its first variation    n . (N_s du_s - N_m du_m),
 
-for x_s - x_m is along n.  The functions are those of `VertexFunctions` on the carrying side, made
-of the part of each face that lies opposite something; areas are those of the reference surface.
+for x_s - x_m is along n.  Relative to the other side, and its normal carried along, the point moves
+by
+
+    N_s du_s - N_m du_m - g dn,    dn = - sum of (n . N_m,i du_m) a_i
+
+with the dual tangents a_i: not at all where both sides turn together.  So forces on both sides have
+no moment, neither that of the pressures nor that of friction.  The functions are those of
+`VertexFunctions` on the carrying side, made of the part of each face that lies opposite something;
+areas are those of the reference surface.
 
 Source: B. I. Wohlmuth, SIAM J. Numer. Anal. 38 (2000) 989; T. Cichosz & M. Bischoff, Comput.
 Methods Appl. Mech. Engrg. 200 (2011) 1317 (faces covered in part); P. Wriggers, Computational
@@ -65,7 +72,7 @@ class Side:
 
     def __init__(self, context: FormContext, names: Sequence[str], S: fem.FunctionSpace) -> None:
         body, V = context.body, context.unknowns.V
-        self._u, found = context.unknowns.u, owned(body, V, names)
+        found = owned(body, V, names)
         self.nodes, shape = found.nodes, found.nodes.shape
         self._count = max(found.x.shape[1], shape[1])
         self.X = _at_nodes(found.x, self._count)
@@ -73,10 +80,10 @@ class Side:
         vertices = owned(body, S, names).nodes
         self.vertices = S.dofmap.index_map.global_to_local(vertices.ravel()).reshape(vertices.shape)
 
-    def now(self) -> Facets:
-        """The facets where they are now. Local."""
-        u = self._u.x.array.reshape(-1, self.X.shape[2])
-        return Facets(self.X + _at_nodes(u[self._local], self._count), self.nodes)
+    def at(self, u: FloatArray) -> Facets:
+        """The facets where a displacement puts them. Local."""
+        moved = u.reshape(-1, self.X.shape[2])[self._local]
+        return Facets(self.X + _at_nodes(moved, self._count), self.nodes)
 
 
 def _at_nodes(values: FloatArray, count: int) -> FloatArray:
@@ -117,6 +124,7 @@ class PieceFunctions(VertexFunctions):
         sides: Names of the surfaces of the carrying and of the other side.
         reach: Distance beyond which nothing lies opposite [m].
         thickness: Of a plane body [m].
+        u: The displacement; by default the present one.
 
     Attributes:
         reach: As given.
@@ -135,7 +143,9 @@ class PieceFunctions(VertexFunctions):
         sides: Sequence[Sequence[str]],
         reach: float,
         thickness: float,
+        u: fem.Function | None = None,
     ) -> None:
+        self._u = context.unknowns.u if u is None else u
         S, V = pair.lam.function_space, context.unknowns.V
         self._context, self._pair, self._dim = context, pair, context.body.dim
         self._map, self._node_map = S.dofmap.index_map, V.dofmap.index_map
@@ -156,7 +166,7 @@ class PieceFunctions(VertexFunctions):
 
     def renew(self) -> bool:
         """Cuts the faces anew if anything has moved; False: a place is not finite. Collective."""
-        pair, u = self._pair, self._context.unknowns.u.x.array
+        pair, u = self._pair, self._u.x.array
         moved, finite = not np.array_equal(u, self._at), bool(np.all(np.isfinite(u)))
         changes = total(pair.comm, np.array([moved, not finite], dtype=float))
         if changes[1] > 0.0:
@@ -171,8 +181,8 @@ class PieceFunctions(VertexFunctions):
 
     def within(self, reach: float) -> tuple[Facets, Facets, Segments]:
         """Facets of both sides, and pieces that are no farther from each other. Collective."""
-        near = self._near.now()
-        far = opposite(self._pair.comm, near, self._far.now(), reach)
+        near = self._near.at(self._u.x.array)
+        far = opposite(self._pair.comm, near, self._far.at(self._u.x.array), reach)
         return near, far, cut(near, far, reach, facing=True)
 
     def nearest_within(self, reach: float) -> tuple[FloatArray, FloatArray]:
@@ -260,11 +270,10 @@ class PieceFunctions(VertexFunctions):
 
     def displacements(self, of_nodes: FloatArray | None = None) -> FloatArray:
         """See `VertexFunctions`: relative to the other side. Collective."""
-        u = self._context.unknowns.u.x.array if of_nodes is None else of_nodes
-        return self.relative(u.reshape(-1))
+        return self.relative((self._u.x.array if of_nodes is None else of_nodes).reshape(-1))
 
     def relative(self, field: FloatArray) -> FloatArray:
-        """A field of displacements at the points relative to the other side. Collective.
+        """A field of displacements at the points, see the module. Collective.
 
         Args:
             field: Its local entries, owned ones first.
@@ -272,14 +281,31 @@ class PieceFunctions(VertexFunctions):
         self.renew()
         rows = field[: self.node_owners.count * self._dim].reshape(-1, self._dim)
         found = self.node_owners.values_at(rows, self._numbers)
-        return np.asarray(self.shapes @ found.reshape(*self._numbers.shape, self._dim))
+        found = found.reshape(*self._numbers.shape, self._dim)
+        turns = np.einsum("nqd,nqka,nkd->nqa", *self._levers[:2], self._far_half(found))
+        return np.asarray(self.shapes @ found + np.einsum("nqda,nqa->nqd", self._levers[2], turns))
 
     def spread(self, vectors: FloatArray) -> FloatArray:
         """See `VertexFunctions`: those on the other side are opposite. Collective."""
-        added = self.to_owners(self._numbers, self.shapes.swapaxes(1, 2) @ vectors)
+        at_nodes, (n, slopes, a) = self.shapes.swapaxes(1, 2) @ vectors, self._levers
+        at_far = self._far_half(at_nodes)
+        at_far += np.einsum("nqd,nqka,nqea,nqe->nkd", n, slopes, a, vectors, optimize=True)
+        added = self.to_owners(self._numbers, at_nodes)
         result = np.zeros((self._node_map.size_local + self._node_map.num_ghosts, self._dim))
         result[: len(added)] = added
         return result.reshape(-1)
+
+    @property
+    def _levers(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Normals, slopes, and dual tangents times the gap: where forces act beside the face."""
+        there = self.there
+        t = there.tangents
+        dual = t @ np.linalg.inv(t.swapaxes(-1, -2) @ t)
+        return there.normal, there.slopes, there.gap[..., None, None] * dual
+
+    def _far_half(self, of_nodes: FloatArray) -> FloatArray:
+        """What of values at the nodes of both sides is that of the other side: a view."""
+        return of_nodes[:, of_nodes.shape[1] // 2 :]
 
     def to_owners(self, nodes: IntArray, vectors: FloatArray) -> FloatArray:
         """Sums vectors at global nodes, at those that this rank owns, (nodes, dim). Collective."""
