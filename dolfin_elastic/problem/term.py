@@ -494,7 +494,7 @@ class Terms(list[Term]):
 
     def longest_step(self, motion: FloatArray) -> float:
         """See `Term`: of all terms."""
-        return min((term.longest_step(motion) for term in self if term.bars), default=1.0)
+        return min((term.longest_step(motion) for term in self if term.opens), default=1.0)
 
     @contextmanager
     def assumed(self, *, closed: bool) -> Iterator[None]:

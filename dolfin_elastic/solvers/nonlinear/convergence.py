@@ -395,9 +395,10 @@ class ConvergenceTest:
         guard = self._guard
         if guard is None:
             return False
-        if self._check is not None and guard.rejected:
+        shortened = guard.rejected + guard.passes
+        if self._check is not None and shortened:
             return True
-        return guard.stuck or (guard.rejected > PATIENCE and not self._patient)
+        return guard.stuck or (shortened > PATIENCE and not self._patient)
 
     def _scalars_hold(self) -> bool:
         bordered = self._bordered

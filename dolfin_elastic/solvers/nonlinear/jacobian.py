@@ -22,6 +22,7 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.two_stage.form import tabulated
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered
+from dolfin_elastic.solvers.nonlinear.passage import free_share
 
 BLOCK = 8192
 """Cells that are evaluated at once: the values of their displacements stay in the cache of a core,
@@ -277,6 +278,8 @@ PATIENCE = 12
 class InversionGuard:
     """Shortens Newton steps that would turn a cell inside out, before they are tried.
 
+    Before, it shortens those in which surfaces would pass each other unseen, see `longest_step`.
+
     Laws that grow without bound as J goes to zero say so by an infinite residual; others let a
     cell pass through zero volume and find an equilibrium on the other side of it.  So det F is
     looked at itself, at the points where the energy is integrated.  Cells of laws that survive
@@ -290,18 +293,19 @@ class InversionGuard:
         rejected: Trial states refused since `begin`.
         worst: Smallest det F of them and the reference place of its cell [m].
         stuck: No part of the last step was without inverted cells.
+        passes: Steps shortened since `begin` lest surfaces pass each other.
     """
 
     def __init__(
         self, assembler: Assembler, watch: JacobianWatch, bordered: Bordered | None = None
     ) -> None:
         self._assembler, self.watch, self._bordered = assembler, watch, bordered
-        self.rejected, self.stuck, self._lets_pass = 0, False, False
+        self.rejected, self.stuck, self._lets_pass, self.passes = 0, False, False, 0
         self.worst: Extreme = (np.inf, NOWHERE)
 
     def begin(self) -> None:
         """Begins a new solve: nothing has been refused. Collective."""
-        self.rejected, self.stuck = 0, False
+        self.rejected, self.stuck, self.passes = 0, False, 0
         self.worst = (np.inf, NOWHERE)
         self._lets_pass = self.watch.survives and self.watch.inverted() > 0
 
@@ -311,7 +315,12 @@ class InversionGuard:
         Returns:
             Whether y was changed.
         """
-        refused = self.rejected
+        refused, free = self.rejected, 1.0
+        if self._assembler.problem.terms.opens:
+            free = free_share(self._assembler, x, y)
+            if free < 1.0:
+                self.passes += 1
+                y.scale(free)
         share = self._upright_share(x, y)
         if share is None and self.watch.survives and not self._lets_pass:
             self._lets_pass, self.rejected = True, refused
@@ -321,7 +330,7 @@ class InversionGuard:
             share = 0.5 ** (HALVINGS + 1)
         if share < 1.0:
             y.scale(share)
-        return share < 1.0
+        return min(share, free) < 1.0
 
     def _upright_share(self, x: PETSc.Vec, y: PETSc.Vec) -> float | None:
         """Share of the step y with which no cell is inverted that must not be. Collective.

@@ -38,7 +38,7 @@ class PassageGuard:
             Whether y was changed.
         """
         slope = self._snes.getFunction()[0].dot(y)
-        share = self._free_share(x, y)
+        share = free_share(self._assembler, x, y)
         for _ in range(HALVINGS):
             self._trial.waxpy(-share, y, x)
             self._snes.computeFunction(self._trial, self._f)
@@ -50,16 +50,24 @@ class PassageGuard:
             y.scale(share)
         return share < 1.0
 
-    def _free_share(self, x: PETSc.Vec, y: PETSc.Vec) -> float:
-        """The share of the step before anything meets. Collective."""
-        problem = self._assembler.problem
-        self._trial.waxpy(-1.0, y, x)
-        self._assembler.put(self._trial)
-        end: FloatArray = problem.u.x.array.copy()
-        self._assembler.put(x)
-        return problem.terms.longest_step(end - problem.u.x.array)
-
     def destroy(self) -> None:
         """Frees its vectors."""
         self._trial.destroy()
         self._f.destroy()
+
+
+def free_share(assembler: Assembler, x: PETSc.Vec, y: PETSc.Vec) -> float:
+    """The share of the step from x to x - y before anything passes unseen. Collective.
+
+    The problem is at x afterwards.
+    """
+    problem, own, ends = assembler.problem, assembler.size, []
+    for part in (1.0, 0.0):
+        w = problem.w.x
+        w.array[:own] = assembler.origin + (x.array_r[:own] - part * y.array_r[:own])
+        assembler.extend(w.array)
+        w.scatter_forward()
+        problem.unknowns.w_to_u()
+        ends.append(problem.u.x.array.copy())
+    motion: FloatArray = ends[0] - ends[1]
+    return problem.terms.longest_step(motion)

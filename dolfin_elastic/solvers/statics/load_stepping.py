@@ -304,8 +304,17 @@ class LoadStepping:
         if self._previous is not None and step.t > self._previous[0]:
             before, was = self._previous
             further = now + (step.goal - step.t) / (step.t - before) * (now - was)
-            starts.append(("along the path", further))
+            if self._problem.terms.longest_step(self._motion_to(further)) >= 1.0:
+                starts.append(("along the path", further))
         return self._retry.solve(starts)
+
+    def _motion_to(self, unknowns: FloatArray) -> FloatArray:
+        """Displacement from the present state to another one, local array [m]. Not collective."""
+        now, u = self._newton.unknowns(), self._problem.u.x.array.copy()
+        self._newton.put_back(unknowns)
+        motion: FloatArray = self._problem.u.x.array - u
+        self._newton.put_back(now)
+        return motion
 
     def _accept(self, step: _Step, goal: float, result: NewtonResult, *, left_path: bool) -> None:
         """Takes the present equilibrium as the next point of the path.

@@ -546,3 +546,18 @@ def test_what_holds_a_body():
         lower, upper = free_bodies(problem)
         assert (lower.motions, upper.motions) == ((), motions)
         assert problem.contact_pairs[0].distance() == pytest.approx(gap, abs=1e-9)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_nothing_passes_unseen(degree):
+    """Blocks are driven into each other by three edges of a face in one load step."""
+    problem = Problem(
+        stacked((1.0, 0.6), (20, 2), (20, 2), gap=0.02),
+        LinearElastic(E=E, nu=0.0),
+        degree=degree,
+        supports=[Support(on="bottom"), Support(on="top", displacement=[0, "-0.17*t"])],
+        contacts=[Contact(between=["below", "above"], name="joint", gap_tolerance=1e-7)],
+    )
+    state = last(problem, steps=1)
+    # Linear in the shortening, but for the penetration that is left.
+    assert abs(state.reactions["joint"][1]) == pytest.approx(E * 0.15 / 0.6, rel=1e-6)

@@ -54,6 +54,9 @@ ALIKE = 1.2
 FIRST, SLOWLY, FARTHEST = 0.01, 4.0, 3.0
 """Distances over the diagonal of all bodies at which the other side is looked for, step by step."""
 
+PASSED = 0.5
+"""Depth over that beyond which nothing lies opposite down to which a step may lead."""
+
 
 class BodyContact(VertexContact):
     """One contact between two surfaces of the mesh. Collective to make.
@@ -215,6 +218,24 @@ class BodyContact(VertexContact):
         """See `Term`."""
         acting = smallest(self.comm, float(np.min(self.pressing_gaps(), initial=np.inf)))
         return nearest_spot(self)[0] if acting > self.reach else 0.0
+
+    def longest_step(self, motion: FloatArray) -> float:
+        """See `Term`: points get no deeper than half of what is compared with the other side.
+
+        Collective.
+        """
+        pieces, limit = self.pieces, PASSED * self.pieces.reach
+        most = pieces.farthest(motion)
+        deepest = smallest(self.comm, float(np.min(self._acting()[0], initial=np.inf)))
+        if (most <= limit and deepest >= -limit) or not np.isfinite(most):
+            return 1.0
+        share, offsets = 1.0, self.offsets.field.x.array
+        for after in (False, True):
+            first, change = pieces.gaps_over(motion, pieces.reach + most, offsets, after=after)
+            floor = np.minimum(-limit, (first - pieces.reach) / 2)
+            passes = (first > -pieces.reach) & (first + change < floor)
+            share = min(share, float(np.min((floor - first)[passes] / change[passes], initial=1.0)))
+        return smallest(self.comm, share)
 
     # --- the tangent ---
 

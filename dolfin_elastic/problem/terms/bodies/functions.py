@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from dolfinx import fem
 
-from dolfin_elastic.core.parallel import smallest, total
+from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.constraints.ties.exchange import Owners
 from dolfin_elastic.problem.constraints.ties.facets import Facets, areas, opposite, owned
@@ -179,11 +179,46 @@ class PieceFunctions(VertexFunctions):
             self._take(near, far, pieces[nearest[pieces.near] <= self.reach])
         return True
 
-    def within(self, reach: float) -> tuple[Facets, Facets, Segments]:
-        """Facets of both sides, and pieces that are no farther from each other. Collective."""
-        near = self._near.at(self._u.x.array)
-        far = opposite(self._pair.comm, near, self._far.at(self._u.x.array), reach)
+    def within(
+        self, reach: float, motion: FloatArray | None = None
+    ) -> tuple[Facets, Facets, Segments]:
+        """Facets of both sides, and pieces that are no farther from each other. Collective.
+
+        Args:
+            motion: After this one of all local nodes [m].
+        """
+        u = self._u.x.array if motion is None else self._u.x.array + motion
+        near = self._near.at(u)
+        far = opposite(self._pair.comm, near, self._far.at(u), reach)
         return near, far, cut(near, far, reach, facing=True)
+
+    def farthest(self, motion: FloatArray) -> float:
+        """By how much a motion of all local nodes moves both sides together [m]. Collective."""
+        ways = (side.at(motion).x - side.X for side in (self._near, self._far))
+        most = [float(np.max(np.linalg.norm(way, axis=2), initial=0.0)) for way in ways]
+        return sum(largest(self._pair.comm, one) for one in most)
+
+    def gaps_over(
+        self, motion: FloatArray, reach: float, offsets: FloatArray, *, after: bool
+    ) -> tuple[FloatArray, FloatArray]:
+        """Gaps of all points that are within reach before or after a motion [m]. Collective.
+
+        Args:
+            motion: Of all local nodes [m].
+            offsets: At local vertices, which gaps are less by [m].
+            after: The points are those after it.
+
+        Returns:
+            Gaps before the motion, and their changes.
+        """
+        near, far, pieces = self.within(reach, motion if after else None)
+        hats, there = self._opposite(near, far, pieces)
+        numbers = np.concatenate([near.nodes[pieces.near], far.nodes[pieces.far]], axis=1)
+        shapes = _shapes(pieces.near_coordinates, hats, near.nodes.shape[1])
+        change = np.sum(there.normal * (shapes @ self._values(motion, numbers)), axis=2)
+        of = self._near.vertices[pieces.near]
+        gaps = there.gap - np.einsum("nqi,ni->nq", pieces.near_coordinates, offsets[of])
+        return gaps - change if after else gaps, change
 
     def nearest_within(self, reach: float) -> tuple[FloatArray, FloatArray]:
         """Gaps of the pieces that are nearest to each other of all, and places [m]. Collective."""
@@ -208,9 +243,7 @@ class PieceFunctions(VertexFunctions):
         s, i, j, k = pieces.near_coordinates, pieces.near, pieces.far, near.nodes.shape[1]
         self.hats = s
         self.opposite_hats, self.there = self._opposite(near, far, pieces)
-        self.shapes = np.concatenate(
-            [shape_functions(s, k), -shape_functions(self.opposite_hats, k)], axis=2
-        )
+        self.shapes = _shapes(s, self.opposite_hats, k)
         self._numbers = np.concatenate([near.nodes[i], far.nodes[j]], axis=1)
         self._vertices = self._near.vertices[i]
         self.X = np.einsum("nqk,nkd->nqd", shape_functions(s, near.x.shape[1]), self._near.X[i])
@@ -279,11 +312,13 @@ class PieceFunctions(VertexFunctions):
             field: Its local entries, owned ones first.
         """
         self.renew()
-        rows = field[: self.node_owners.count * self._dim].reshape(-1, self._dim)
-        found = self.node_owners.values_at(rows, self._numbers)
-        found = found.reshape(*self._numbers.shape, self._dim)
+        found = self._values(field, self._numbers)
         turns = np.einsum("nqd,nqka,nkd->nqa", *self._levers[:2], self._far_half(found))
         return np.asarray(self.shapes @ found + np.einsum("nqda,nqa->nqd", self._levers[2], turns))
+
+    def _values(self, field: FloatArray, nodes: IntArray) -> FloatArray:
+        rows = field[: self.node_owners.count * self._dim].reshape(-1, self._dim)
+        return self.node_owners.values_at(rows, nodes).reshape(*nodes.shape, self._dim)
 
     def spread(self, vectors: FloatArray) -> FloatArray:
         """See `VertexFunctions`: those on the other side are opposite. Collective."""
@@ -336,6 +371,11 @@ class PieceFunctions(VertexFunctions):
     def nodes(self, which: BoolArray) -> IntArray:
         """See `VertexFunctions`: of both sides."""
         return np.asarray(self._numbers[which])
+
+
+def _shapes(near: FloatArray, far: FloatArray, count: int) -> FloatArray:
+    """Shape functions of a point's displacement relative to the one opposite, both with `count`."""
+    return np.concatenate([shape_functions(near, count), -shape_functions(far, count)], axis=2)
 
 
 def _nearest(

@@ -284,7 +284,7 @@ class StageSolver:
         stage.prescribed.impose(u, stage.u)
         predicted[moves] = u
         old = stage.start.w
-        if self._problem.terms.bars and self._passes(predicted, old):
+        if self._problem.terms.opens and self._passes(predicted, old):
             return [old]
         if self._problem.linear:
             return [predicted]
