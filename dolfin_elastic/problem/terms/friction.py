@@ -92,12 +92,13 @@ class _Tractions(Term):
             shear_modulus(region.typical) / uniaxial_modulus(region) for region in context.regions
         )
         V = context.unknowns.V
-        self._tau, self._stuck = fem.Function(V), fem.Function(V)
+        self._tau, self._stuck, self._slid = (fem.Function(V) for _ in range(3))
         self._lost = fem.Function(pair.lam.function_space)
         self.memory = {
             f"friction_{index}": self._tau,
             f"stick_{index}": self._stuck,
             f"friction_work_{index}": self._lost,
+            f"slip_{index}": self._slid,
         }
         self._augments, self._moving = True, False
         # Known once a run begins: [Pa/m] at the nodes, and where they were accepted last [m].
@@ -204,7 +205,8 @@ class CoulombFriction(_Tractions):
         moved = self._moved()
         elsewhere = not (moving and self._moving) or not np.array_equal(moved, self._accepted)
         if largest(self._comm, float(elsewhere)):
-            self._tau.x.array[:] = self._lost.x.array[:] = 0.0
+            for field in (self._tau, self._lost, self._slid):
+                field.x.array[:] = 0.0
             self._put(self._stuck, moved)
         self._moving = moving
 
@@ -282,6 +284,7 @@ class CoulombFriction(_Tractions):
 
     def advance(self) -> None:
         """See `Term`: points that slip stick where they are now, under the present traction."""
+        self._put(self._slid, self._slides())
         if self._stage is not None:
             stage, self._stage = self._stage, None
             self._advance_by_step(stage)
@@ -313,19 +316,27 @@ class CoulombFriction(_Tractions):
         beyond = np.maximum(np.linalg.norm(trial, axis=1) - limit, 0.0)
         return np.asarray(self.areas * limit * beyond / self._eps)
 
+    def _slides(self) -> FloatArray:
+        """How far the owned nodes have slid since they stuck or turned, (n, dim). Collective.
+
+        Times the springs, against the motion [Pa].
+        """
+        t, trial, _ = self._tractions()
+        now, before = (trial - t) * (self.status() == SLIP)[:, None], self._of(self._slid)
+        return now + before * (np.sum(now * before, axis=1) > 0.0)[:, None]
+
     def stuck_area(self) -> float:
         """Reference area that sticks [m^2]. Collective.
 
         As the pressure does, what is left to Coulomb's limit ends within an element: where it meets
-        minus the slip of the step times the stiffness of the element behind it.
+        minus the slip since points stuck over the softness of the element behind them.
         """
-        (_, trial, limit), status = self._tractions(), self.status()
-        left = limit - np.linalg.norm(trial, axis=1)
-        slides = np.minimum(left, 0.0) / FACTOR
-        levels = np.where(status == STICK, left, slides)
-        opens = status == OPEN
-        levels[opens] = (float(self._mu.value) * np.minimum(self._pair.levels(), 0.0))[opens]
-        return self._pair.area_above(levels)
+        (t, _, limit), status = self._tractions(), self.status()
+        slides = -np.linalg.norm(self._slides(), axis=1) / FACTOR
+        opens = float(self._mu.value) * np.minimum(self._pair.levels(), 0.0)
+        left = limit - np.linalg.norm(t, axis=1)
+        choices = [status == STICK, status == SLIP]
+        return self._pair.area_above(np.select(choices, [left, slides], opens))
 
     def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
         """See `Term`: share of the area under pressure that sticks, and the work lost [J]."""
