@@ -158,8 +158,8 @@ class RigidMesh(Shape):
 
         corners = self._shown.points
         distance, row = cKDTree(corners).query(points)
-        arms, none = points - corners[row], np.zeros(len(points))
-        return Near(distance, arms, np.zeros_like(arms), none, corners[row], row)
+        arms = points - corners[row]
+        return Near(distance, arms, np.zeros((*arms.shape, 3)), corners[row], row)
 
     @cached_property
     def _shown(self) -> Facets:
@@ -171,12 +171,9 @@ class RigidMesh(Shape):
         return self._surface.near(np.ascontiguousarray(points.reshape(-1, 3)))
 
     def curvature(self, x: FloatArray) -> FloatArray:
-        """See `Shape.curvature`: 0 on faces, (1 - n n - t t)/d along edges of the direction t."""
-        near = self._near(x)
-        n, t = (a[:, :, None] * a[:, None] for a in (near.normal, near.edge))
-        d = np.where(near.bend > 0, near.distance, 1.0)
-        result = (near.bend / d)[:, None, None] * (np.eye(3) - n - t)
-        return np.asarray((-result if self.hollow else result).reshape(*x.shape, 3))
+        """See `Shape.curvature`."""
+        result = self._near(x).curvature.reshape(*x.shape, 3)
+        return -result if self.hollow else result
 
     def triangles(self, near: Box, dim: int) -> Triangles:
         """See `Shape.triangles`: those of the file."""

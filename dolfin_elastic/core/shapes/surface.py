@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from dolfin_elastic.core.types import FloatArray, IntArray
+from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from dolfin_elastic.core.native.functions import CFunctions
@@ -45,18 +45,22 @@ class Near(NamedTuple):
     Attributes:
         distance: Signed [m], shape (n,).
         normal: Its gradient, shape (n, 3).
-        edge: Unit vector along the edge on which the nearest point is, shape (n, 3); else 0.
-        bend: 1 where the nearest point is on an edge or a corner, 0 on faces, shape (n,).
+        curvature: Its second derivatives [1/m], shape (n, 3, 3): 0 at faces, (1 - n n - t t)/d at
+            edges of the direction t, and (1 - n n)/d at corners.
         foot: The nearest point [m], shape (n, 3).
         feature: A number of the face, edge or corner on which that is, shape (n,).
     """
 
     distance: FloatArray
     normal: FloatArray
-    edge: FloatArray
-    bend: FloatArray
+    curvature: FloatArray
     foot: FloatArray
     feature: IntArray
+
+    @property
+    def bent(self) -> BoolArray:
+        """Where the normal turns."""
+        return np.asarray(self.curvature.any(axis=(1, 2)))
 
 
 class Surface:
@@ -130,32 +134,35 @@ class Surface:
         normal[bend] = (side[:, None] * arm)[bend] / length[bend, None]
         # Straight above an edge, which may be one within a plane, it is as above the face.
         bend &= np.einsum("ni,ni->n", normal, self._normals[triangle, 0]) < 1 - _STRAIGHT
-        on_edge = bend & (feature <= 3)
         edge = np.zeros((n, 3))
+        on_edge = bend & (feature <= 3)
         edge[on_edge] = self._edges[triangle[on_edge], feature[on_edge] - 1]
-        return Near(
-            side * length, normal, edge, bend.astype(float), foot, FEATURES * triangle + feature
-        )
+        distance = side * length
+        outer = (a[:, :, None] * a[:, None] for a in (normal, edge))
+        curvature = (np.eye(3) - sum(outer)) / np.where(bend, distance, np.inf)[:, None, None]
+        return Near(distance, normal, curvature, foot, FEATURES * triangle + feature)
 
 
 class Followed:
-    """Distances of points that move, each of which may change to another feature a few times only.
+    """Distances of points that move, whose normals jump a few times only.
 
-    Where the nearest points of two features are alike the normal jumps, and an equilibrium may lie
-    just there, which Newton's method would pass for ever.  A point that has changed often stays
-    with the plane through its nearest point, across the normal there, until all is forgotten: which
-    plane it is makes no difference to the distance where the nearest points are alike.
+    Where the nearest points of two features are alike, as in a valley of the surface, the normal
+    jumps, and an equilibrium may lie just there, which Newton's method would pass for ever.  A
+    point that comes back to the feature before the last one stays in the plane through both their
+    planes, whose normal is between theirs, until all is forgotten: along where they meet it has
+    the distance of both.  A point that has changed often otherwise stays in the plane of the last.
     """
 
     def __init__(self, surface: Surface) -> None:
         self._surface = surface
         self._x: FloatArray = np.empty((0, 3))
         self._turns: IntArray | None = None
-        self._last = surface.near(self._x)
+        self._stays: BoolArray = np.empty(0, dtype=bool)
+        self._last = self._before = surface.near(self._x)
 
     def forget(self) -> None:
         """All points may change again."""
-        if self._turns is not None and (self._turns > _TURNS).any():
+        if self._turns is not None and self._stays.any():
             self._x = np.empty((0, 3))
         self._turns = None
 
@@ -164,23 +171,53 @@ class Followed:
         known = np.array_equal(x, self._x)
         if self._turns is None:
             self._last = self._last if known else self._surface.near(x)
-            self._turns = np.zeros(len(x), dtype=np.int64)
+            self._before = self._last
+            self._turns, self._stays = np.zeros(len(x), dtype=np.int64), np.zeros(len(x), bool)
         elif not known:
-            last, new = self._last, self._surface.near(x)
-            self._turns += new.feature != last.feature
-            stays = self._turns > _TURNS
-            flat = np.einsum("ni,ni->n", x - last.foot, last.normal)
-            one, row = stays[:, None], np.zeros(3)
-            self._last = Near(
-                np.where(stays, flat, new.distance),
-                np.where(one, last.normal, new.normal),
-                np.where(one, row, new.edge),
-                np.where(stays, 0.0, new.bend),
-                np.where(one, last.foot, new.foot),
-                np.where(stays, last.feature, new.feature),
-            )
+            self._move(x)
         self._x = x.copy()
         return self._last
+
+    def _move(self, x: FloatArray) -> None:
+        last, new, before = self._last, self._surface.near(x), self._before
+        assert self._turns is not None
+        changed = (new.feature != last.feature) & ~self._stays
+        often = changed & (self._turns >= _TURNS)
+        # Between a face and an edge the normal does not jump.
+        back = changed & (new.feature == before.feature) & ~new.bent & ~last.bent
+        self._turns += changed
+        self._before = _chosen(changed, last, before)
+        foot, normal = _between(last, new)
+        still = (self._stays | (often & ~back))[:, None]
+        foot, normal = np.where(still, last.foot, foot), np.where(still, last.normal, normal)
+        self._stays |= often | back
+        flat = np.einsum("ni,ni->n", x - foot, normal)
+        plane = Near(flat, normal, np.zeros_like(new.curvature), foot, last.feature)
+        self._last = _chosen(self._stays, plane, new)
+
+
+def _chosen(which: BoolArray, one: Near, other: Near) -> Near:
+    """Rows of one, elsewhere of another."""
+    return Near._make(
+        np.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+        for a, b in zip(one, other, strict=True)
+    )
+
+
+def _between(one: Near, two: Near) -> tuple[FloatArray, FloatArray]:
+    """The plane through where two planes meet, by a point and the normal between theirs.
+
+    Of planes that face each other the first.
+    """
+    arm, cosine = (one.foot - two.foot) / 2, np.einsum("ni,ni->n", one.normal, two.normal)
+    a, b = np.einsum("ni,ni->n", arm, one.normal), -np.einsum("ni,ni->n", arm, two.normal)
+    square = np.maximum(1 - cosine**2, _STRAIGHT)
+    a, b = (a - cosine * b) / square, (b - cosine * a) / square
+    middle = one.foot - arm + a[:, None] * one.normal + b[:, None] * two.normal
+    faces = (cosine < -0.5)[:, None]
+    normal = np.where(faces, one.normal, one.normal + two.normal)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    return np.where(faces, one.foot, middle), normal
 
 
 def _tree(corners: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -71,11 +71,6 @@ class _Followed(ContactPair):
         super().rollback()
         self._forget()
 
-    def augment(self) -> None:
-        """See `Term`."""
-        super().augment()
-        self._forget()
-
     def _forget(self) -> None:
         """What an iteration has learnt of an obstacle's normals does not outlive it."""
         for obstacle in self._followed:

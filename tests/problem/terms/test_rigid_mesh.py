@@ -212,6 +212,17 @@ def test_edges_of_facets(shape, degree, folder, comm):
     assert pair.gap_error()[0] <= pair.tolerance
 
 
+def test_friction_in_valleys(folder, comm):
+    """Points that come to lie where facets meet, and stick there, end no iteration late."""
+    cup = sheet(12, lambda x, y: 0.3 * ((x - 0.5) ** 2 + (y - 0.5) ** 2))
+    file = written(folder / "cup.stl", *cup, comm)
+    problem = pressed(1, {"mesh": file, "friction": 0.3}, displacement=["0.05*t", 0, "-0.1*t"])
+    states = list(Statics(problem, steps=3).steps())
+    assert [state.t for state in states[1:]] == pytest.approx([1 / 3, 2 / 3, 1])
+    # Points that pass between facets for as long as they may take 115.
+    assert max(state.newton for state in states) <= 20
+
+
 @pytest.mark.parametrize("degree", [1, 2])
 def test_tangent_on_edges(degree, folder, comm):
     """With points beyond an edge and a corner, of which the surface is round."""
