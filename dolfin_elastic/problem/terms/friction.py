@@ -321,9 +321,11 @@ class CoulombFriction(_Tractions):
 
         Times the springs, against the motion [Pa].
         """
-        t, trial, _ = self._tractions()
-        now, before = (trial - t) * (self.status() == SLIP)[:, None], self._of(self._slid)
-        return now + before * (np.sum(now * before, axis=1) > 0.0)[:, None]
+        (t, trial, _), before = self._tractions(), self._of(self._slid)
+        now, slips = trial - t, self.status() == SLIP
+        # After `advance`, which may be called again, the step's slip is 0 and counted in before.
+        goes_on = np.sum(now * before, axis=1) >= 0.0
+        return np.asarray((now + before * goes_on[:, None]) * slips[:, None])
 
     def stuck_area(self) -> float:
         """Reference area that sticks [m^2]. Collective.

@@ -62,6 +62,11 @@ class _Followed(ContactPair):
         super().commit()
         self._forget()
 
+    def leave_stage(self, *, found: bool) -> None:
+        """See `Term`."""
+        super().leave_stage(found=found)
+        self._forget()
+
     def advance(self) -> None:
         """See `Term`."""
         self._forget()
