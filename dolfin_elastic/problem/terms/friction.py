@@ -63,6 +63,9 @@ the next, as if the load turned round; else the tangent there would have no stif
 ROUGH = 1e9
 """Coefficient at which nothing slides."""
 
+HALF_SPACE = 2.0
+"""Stiffness per length of a surface along itself over the shear modulus, at least: 2/(1 - nu)."""
+
 OPEN, STICK, SLIP = 0, 1, 2
 """Status of a point of the surface."""
 
@@ -331,10 +334,10 @@ class CoulombFriction(_Tractions):
         """Reference area that sticks [m^2]. Collective.
 
         As the pressure does, what is left to Coulomb's limit ends within an element: where it meets
-        minus the slip since points stuck over the softness of the element behind them.
+        minus the traction that would undo the slip since points stuck, over an element's length.
         """
         (t, _, limit), status = self._tractions(), self.status()
-        slides = -np.linalg.norm(self._slides(), axis=1) / FACTOR
+        slides = -HALF_SPACE / FACTOR * np.linalg.norm(self._slides(), axis=1)
         opens = float(self._mu.value) * np.minimum(self._pair.levels(), 0.0)
         left = limit - np.linalg.norm(t, axis=1)
         choices = [status == STICK, status == SLIP]
