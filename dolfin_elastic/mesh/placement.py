@@ -66,7 +66,7 @@ class Turn(Record):
                 "a plane body turns about z only", where="turn.axis", expected="leave it out"
             )
         angle = np.radians(_degrees(self.angle))
-        cross = np.cross(np.eye(3), n).T  # cross @ a = n x a
+        cross = np.cross(n, np.eye(3)).T  # cross @ a = n x a
         result = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
         return np.asarray(result[:dim, :dim])
 

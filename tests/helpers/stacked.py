@@ -12,7 +12,7 @@ from dolfin_elastic.mesh.distribute import make_mesh
 from dolfin_elastic.mesh.geometry.simplices import boundary_facets, cells_beside_facets, facet_nodes
 
 
-def _grid(size: tuple[float, ...], cells: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+def grid(size: tuple[float, ...], cells: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Points and simplices of a box with a corner at the origin (Kuhn's partition)."""
     dim = len(size)
     counts = np.array(cells) + 1
@@ -50,7 +50,7 @@ def stacked(
         (x), in 3D "front" and "back" (y) of both.
     """
     dim, half = len(size), size[-1] / 2
-    a, b = (_grid((*size[:-1], half), cells) for cells in (lower, upper))
+    a, b = (grid((*size[:-1], half), cells) for cells in (lower, upper))
     over = b[0] * np.array([(width or size[0]) / size[0], *[1.0] * (dim - 1)])
     over[:, 0] += shift
     over[:, -1] += half + gap

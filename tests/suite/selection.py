@@ -133,6 +133,7 @@ SHARED = {
     "hostile/test_generated.py",
     "mesh/test_arrays.py",
     "mesh/test_edges_and_points.py",
+    "mesh/test_parts.py",
     "mesh/test_read.py",
     "mesh/test_refine.py",
     "model/loads/test_bearing.py",
