@@ -27,7 +27,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula_functions import FUNCTIONS
 from dolfin_elastic.core.shapes.shapes import CylinderObstacle, Plane, SphereObstacle
 from dolfin_elastic.mesh import Cylinder, EdgeSelector, PointSelector, Selector, Sphere
-from dolfin_elastic.mesh.placement import Turn
+from dolfin_elastic.mesh.assembly.placement import Turn
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads import LOADS
 from dolfin_elastic.model.materials.registry import MATERIALS
@@ -124,6 +124,15 @@ def test_faces_and_smaller_elements() -> None:
     (text,) = blocks("toml-refine")
     mesh = mesh_table.MeshTable(**tomllib.loads(text)["mesh"])
     assert isinstance(mesh.refine, list) and len(mesh.refine) == 2
+
+
+def test_separate_parts() -> None:
+    """The example of parts is solved, and its legs bear the load of the plate."""
+    (text,) = blocks("toml-parts")
+    case = Case.from_dict(tomllib.loads(text))
+    *_, state = case.make_solver(case.make_problem(case.read_body())).steps()
+    (foot,) = (r for name, r in state.reactions.items() if not name.startswith("tie"))
+    np.testing.assert_allclose(foot, [0, 0, 12.0], atol=1e-9)
 
 
 def test_selectors_of_edges_and_points() -> None:

@@ -13,12 +13,12 @@ from pydantic import Field, field_validator, model_validator
 from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import InputError, UnitError, nearest_first
 from dolfin_elastic.core.schema import Record, WhenGiven
-from dolfin_elastic.core.units import MESH_UNITS, LengthUnit, MeshLength, Time, metres, to_si
+from dolfin_elastic.core.units import MESH_UNITS, LengthUnit, MeshLength, Time, to_si
 from dolfin_elastic.mesh import Body, box_body, rectangle_body
+from dolfin_elastic.mesh.assembly.placement import Place, Placed, Turn, check_names
 from dolfin_elastic.mesh.distribute import is_cad
 from dolfin_elastic.mesh.generate import number_of_cells
 from dolfin_elastic.mesh.local_size import MOST_CELLS, NO_SIZES, CadSizes, LocalSize
-from dolfin_elastic.mesh.placement import Place, Placed, Turn, check_names
 from dolfin_elastic.mesh.selectors import Selector
 from dolfin_elastic.model.kinematics import Geometry
 from dolfin_elastic.problem.material_regions import Formulation
@@ -240,10 +240,6 @@ class MeshTable(Source):
             check_names(parts)
         return parts
 
-    def metres_thick(self, body: Body) -> float:
-        """Thickness of a plane body [m]."""
-        return 1.0 if self.thickness is None else metres(self.thickness, body.unit.metres)
-
     @property
     def sources(self) -> Mapping[str, Source]:
         """Dotted key to each mesh, parts with the keys that [mesh] has for all of them."""
@@ -293,7 +289,7 @@ class MeshTable(Source):
         """
         if self.parts is None:
             return bodies[0]
-        from dolfin_elastic.mesh.of_parts import parts_body
+        from dolfin_elastic.mesh.assembly.of_parts import parts_body
 
         every = zip(self.parts.items(), self.sources.values(), bodies, strict=True)
         placed, unknown = {}, list[str]()

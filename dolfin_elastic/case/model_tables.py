@@ -26,6 +26,7 @@ from dolfin_elastic.case.tables import (
 from dolfin_elastic.case.toml import key_text, read_toml
 from dolfin_elastic.core.errors import InputError, all_errors, joined, keyed
 from dolfin_elastic.core.schema import AlreadyRead, Record, WhenGiven, quoted
+from dolfin_elastic.core.units import metres
 from dolfin_elastic.mesh import Body, EdgeSelector, PointSelector, Selector
 from dolfin_elastic.model.axes import AXES, LocalAxes, check_name
 from dolfin_elastic.model.contact import Contact
@@ -150,6 +151,11 @@ class ModelTables(Record):
         every = enumerate(self.contact)
         return {f"contact[{i}]": one for i, one in every if isinstance(one, Contact)}
 
+    def metres_thick(self, body: Body) -> float:
+        """Thickness of a plane body [m]."""
+        thickness = self.mesh.thickness
+        return 1.0 if thickness is None else metres(thickness, body.unit.metres)
+
     def problem_on(self, body: Body, degree: int) -> Problem:
         """The boundary value problem on a body. Collective.
 
@@ -169,7 +175,7 @@ class ModelTables(Record):
             quadrature_degree=self.mesh.quadrature_degree,
             formulation=self.mesh.formulation,
             geometry=self.mesh.geometry,
-            thickness=self.mesh.metres_thick(body),
+            thickness=self.metres_thick(body),
             periodic=self.periodic,
             axes=self.axes,
         )

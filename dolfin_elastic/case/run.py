@@ -500,7 +500,7 @@ def check_problem(
     Raises:
         CaseError: A formula has a pole in the body, see `check_poles`.
     """
-    integrals = Integrals(problem, case.mesh.metres_thick(problem.body))
+    integrals = Integrals(problem, case.metres_thick(problem.body))
     with locate_errors(case.file):
         check_poles(case, integrals)
     finders = tie_notes, contact_notes, bending_notes, shape_notes, section_notes

@@ -14,6 +14,9 @@ import dolfin_elastic.core.startup.started  # noqa: F401  # before anything star
 if TYPE_CHECKING:
     from dolfin_elastic.core.shapes.shapes import Cylinder as Cylinder
     from dolfin_elastic.core.shapes.shapes import Sphere as Sphere
+    from dolfin_elastic.mesh.assembly.of_parts import parts_body as parts_body
+    from dolfin_elastic.mesh.assembly.placement import Placed as Placed
+    from dolfin_elastic.mesh.assembly.placement import Turn as Turn
     from dolfin_elastic.mesh.body import Body as Body
     from dolfin_elastic.mesh.field_files import FieldFile as FieldFile
     from dolfin_elastic.mesh.generate import box_body as box_body
@@ -21,9 +24,6 @@ if TYPE_CHECKING:
     from dolfin_elastic.mesh.generate import rectangle_body as rectangle_body
     from dolfin_elastic.mesh.geometry.quality import MeshStatistics as MeshStatistics
     from dolfin_elastic.mesh.geometry.quality import mesh_statistics as mesh_statistics
-    from dolfin_elastic.mesh.of_parts import parts_body as parts_body
-    from dolfin_elastic.mesh.placement import Placed as Placed
-    from dolfin_elastic.mesh.placement import Turn as Turn
     from dolfin_elastic.mesh.read import read_body as read_body
     from dolfin_elastic.mesh.selection import name_parts as name_parts
     from dolfin_elastic.mesh.selectors import EdgeSelector as EdgeSelector
@@ -36,16 +36,16 @@ _WHERE = {
     "EdgeSelector": "selectors",
     "FieldFile": "field_files",
     "MeshStatistics": "geometry.quality",
-    "Placed": "placement",
+    "Placed": "assembly.placement",
     "PointSelector": "selectors",
     "Selector": "selectors",
     "Sphere": "selectors",
-    "Turn": "placement",
+    "Turn": "assembly.placement",
     "box_body": "generate",
     "mesh_body": "generate",
     "mesh_statistics": "geometry.quality",
     "name_parts": "selection",
-    "parts_body": "of_parts",
+    "parts_body": "assembly.of_parts",
     "read_body": "read",
     "rectangle_body": "generate",
 }

@@ -112,7 +112,7 @@ def quarter_rings(
     points, cells, first = [], [], 0
     spans = radii[:2], (radii[1] - overlap, radii[2])
     for (low, high), counts in zip(spans, (inner, outer), strict=True):
-        polar, rows = _grid((np.pi / 2, high - low), counts)
+        polar, rows = grid((np.pi / 2, high - low), counts)
         rows = rows[:, [0, 1, 2]]
         if order == 2:
             edges = np.concatenate([rows[:, [1, 2]], rows[:, [0, 2]], rows[:, [0, 1]]])

@@ -68,15 +68,13 @@ def test_parts_are_as_one_file(joint: str, folder: Path) -> None:
     over = UPPER[0] + [0, 0, 1]
     both = np.concatenate([LOWER[0], over]), np.concatenate([LOWER[1], UPPER[1] + len(LOWER[0])])
     write(folder / "both.vtu", *both)
-    halves = [{"box": [[-1, -1, z], [9, 9, z + 1]]} for z in (0, 1)]
+    halves = {n: {"box": [[-1, -1, z], [9, 9, z + 1]]} for n, z in (("lower", 0), ("upper", 1))}
     tie = {"tie": [{"on": "above", "to": "below"}]}
     rest: dict[str, Any] = {
         "support": [{"on": "foot"}, {"on": "head", "displacement": [0, 0, "-1 mm"]}],
         **(tie if joint == "tie" else {"contact": [{"between": ["above", "below"]}]}),
     }
-    one = tables(
-        {"file": "both.vtu", "degree": 1}, regions=dict(zip(("lower", "upper"), halves)), **rest
-    )
+    one = tables({"file": "both.vtu", "degree": 1}, regions=halves, **rest)
     turn = {"axis": "x", "angle": 90}
     parts = {
         "lower": {"file": "lower.vtu", "unit": "mm"},

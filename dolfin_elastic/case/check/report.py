@@ -278,7 +278,7 @@ def _inner_surfaces(case: Case) -> set[str | None]:
 
 def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...]) -> Report:
     """The report of a case without faults. Collective."""
-    integrals = Integrals(problem, case.mesh.metres_thick(body))
+    integrals = Integrals(problem, case.metres_thick(body))
     check_formulas(case, integrals)
     sums = load_sums(case, integrals)
     choice = _solver_choice(case, problem)
@@ -357,7 +357,7 @@ def _renamed(name: str, body: Body) -> str:
 
 def _thickness(case: Case, problem: Problem) -> float | None:
     plane = problem.body.dim == 2 and problem.geometry in PLANE
-    return case.mesh.metres_thick(problem.body) if plane else None
+    return case.metres_thick(problem.body) if plane else None
 
 
 def _moved_by(case: Case, problem: Problem) -> str:

@@ -62,7 +62,7 @@ def look_at(
         try:
             problem = placed.make_problem(body)
             notes = (*notes, *untied_notes(placed, problem))
-            integrals = Integrals(problem, placed.mesh.metres_thick(body))
+            integrals = Integrals(problem, placed.metres_thick(body))
             glyphs = glyphs_of(placed, body, load_sums(placed, integrals))
         except InputError as error:
             text = f"the case has a fault, so that loads and supports may be missing: {error}"

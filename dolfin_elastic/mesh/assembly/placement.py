@@ -63,7 +63,7 @@ class Turn(Record):
         n = np.array(unit_vector(self.axis or "z"))
         if dim == 2 and (n[0] or n[1]):
             raise MeshError(
-                "a plane body turns about z only", where="turn.axis", expected="leave it out"
+                "a plane part turns about z only", where="turn.axis", expected="leave it out"
             )
         angle = np.radians(_degrees(self.angle))
         cross = np.cross(n, np.eye(3)).T  # cross @ a = n x a

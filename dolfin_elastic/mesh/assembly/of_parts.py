@@ -19,13 +19,13 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import RankExchange
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.core.units import METRE, LengthUnit
+from dolfin_elastic.mesh.assembly.overlap import overlapping
+from dolfin_elastic.mesh.assembly.placement import Placed, check_names
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.distribute import make_mesh
 from dolfin_elastic.mesh.fields import MeshField
 from dolfin_elastic.mesh.geometry.boundary_shape import KnownSurface
-from dolfin_elastic.mesh.geometry.overlap import overlapping
 from dolfin_elastic.mesh.geometry.simplices import boundary_facets, cells_beside_facets
-from dolfin_elastic.mesh.placement import Placed, check_names
 from dolfin_elastic.mesh.refine.division import barycentric, lagrange
 from dolfin_elastic.mesh.refine.parts import carry_parts, carry_surface
 from dolfin_elastic.mesh.refine.refinement import CellLinks
@@ -135,7 +135,7 @@ class _Joined:
     """The mesh of all parts, and how rows of their cells get to it. Collective to make.
 
     Args:
-        order: Geometric degree of the mesh.
+        order: 2 where one of the parts has quadratic elements, else 1.
 
     Attributes:
         mesh: All parts, numbered one after the other, as their files have their cells.

@@ -1,0 +1,1 @@
+"""Bodies of separate parts: each turned and moved, all on one mesh."""
