@@ -109,7 +109,32 @@ class _InSteps:
         """The stage was found, or there is none. Collective."""
 
 
-class Term(_InSteps):
+class _Joining(_InSteps):
+    """What a term does that holds parts of the body by each other."""
+
+    def partings(self, fields: Sequence[FloatArray]) -> FloatArray:
+        """How parts that it holds by each other would part under displacements. Collective.
+
+        Args:
+            fields: Of all local nodes, each of shape (nodes * dim,).
+
+        Returns:
+            A row for each way in which it holds them at a point, a column for each field.
+        """
+        return np.empty((0, len(fields)))
+
+    def way_to_meet(self, motion: FloatArray) -> float:
+        """How much of a motion brings the next points together that it would hold by each other.
+
+        Infinity: no part of it does. Collective.
+
+        Args:
+            motion: Of all local nodes, its largest component 1.
+        """
+        return np.inf
+
+
+class Term(_Joining):
     """One part of the surroundings: what it does not say itself is nothing.
 
     Attributes:
@@ -123,6 +148,7 @@ class Term(_InSteps):
         restrains: These answer to the body's motion; else they are loads.
         changes: As a load it changes in motion.
         opens: Its forces begin and end, as those of contact.
+        joins: It holds parts of the body by each other, see `partings`.
         in_steps: Those of a step of an implicit motion do the work that it stores.
         at_rest: What it acts from stands still.
         follows_path: The equilibrium under a load depends on those before it.
@@ -138,7 +164,7 @@ class Term(_InSteps):
     mass = 0.0
     linear = symmetric = True
     nodal = restrains = changes = opens = False
-    in_steps = bars = only_implicit = False
+    in_steps = bars = only_implicit = joins = False
     at_rest = True
     follows_path = dissipates = False
     shift: fem.Constant | None = None

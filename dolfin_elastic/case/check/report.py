@@ -245,7 +245,7 @@ def _solver_notes(case: Case, problem: Problem) -> tuple[str, ...]:
     check_folder(case, problem.body.comm)
     if case.analysis in ("statics", "buckling") or case.preloaded:
         refuse_rest(problem.terms)
-        check_no_rigid_motion(problem)
+        check_no_rigid_motion(problem, stay=True)
     if (start := case.start_of(problem)) is not None:
         start()
     if case.dynamics is not None:

@@ -6,11 +6,17 @@ what is left free.
 
 A rigid surface constrains its nodes only as far as it is constrained itself: A m - G q = 0 for a
 body's motion m and the surface's free degrees of freedom q.  The null space of all such equations,
-restricted to a body, is what that body can do.
+restricted to a body, is what that body can do.  Contact between bodies holds them by each other.
+
+Before it touches, a body that nothing but contact holds has no equilibrium.  As a rigid one it
+moves along its loads, without any force between, until a vertex meets another surface; then along
+what that leaves free.  This is where the first step starts, and nothing else: no spring, no damping
+is left in the equilibrium.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -28,12 +34,27 @@ from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.rigid_body_names import motions_in_words
 from dolfin_elastic.solvers.linear.ksp import null_combinations
 
+log = logging.getLogger("dolfin_elastic")
+
 FREE = 1e-10
 """Stiffness against a rigid motion, over that of the diagonal, which counts as none."""
 
 MANY = 50
 """Number of parts above which none is checked: so many are fragments of a broken mesh, and each
-costs six products with the tangent."""
+costs six products with the tangent.  Nor is it looked at then how bodies hold each other."""
+
+
+TIMES = 1.0, 0.5, 0.1
+"""Load factors whose loads say where bodies go: the first at which there are any."""
+
+MEETINGS = 10
+"""Motions up to the next meeting, for each body."""
+
+SHOWN = 5
+"""Bodies that one message names."""
+
+SLOW = 1e-9
+"""Speed over that of the fastest body, and power over the sizes of all loads, that are none."""
 
 
 @dataclass(frozen=True)
@@ -147,8 +168,6 @@ _ROUND_OFF = 1e-10
 
 LOOSE = "float about"
 """What a body in a periodic cell can do that is connected to no other."""
-_SHOWN = 5
-"""Bodies that one message names."""
 
 
 @dataclass(frozen=True)
@@ -178,8 +197,13 @@ class FreeBody:
 
 
 @stage("checks")
-def check_no_rigid_motion(problem: Problem) -> None:
+def check_no_rigid_motion(problem: Problem, *, stay: bool = False) -> None:
     """Supports must prevent every rigid motion of each connected body in equilibrium. Collective.
+
+    Bodies that only contact holds are moved to where they touch.
+
+    Args:
+        stay: The displacement is that from before in the end.
 
     Raises:
         InputError: They do not.
@@ -187,10 +211,10 @@ def check_no_rigid_motion(problem: Problem) -> None:
     problem.check_start(default=PROPORTIONAL)
     bodies = free_bodies(problem)
     free = [body for body in bodies if body.motions]
-    if not free:
+    if not free or (problem.terms.opens and bring_together(problem, stay=stay)):
         return
     if problem.cell is not None:
-        text = ", ".join(f"`{body.name}`" for body in free[:_SHOWN])
+        text = ", ".join(f"`{body.name}`" for body in free[:SHOWN])
         raise InputError(
             f"{text} can {LOOSE}: the cell has {len(bodies)} bodies that share no nodes, not even "
             "across its faces",
@@ -203,8 +227,8 @@ def check_no_rigid_motion(problem: Problem) -> None:
     text = f"as a rigid body it can {', '.join(free[0].motions)}"
     if len(bodies) > 1:
         what = "the supports leave bodies free" if problem.supports else what
-        text = "; ".join(f"`{b.name}` can {', '.join(b.motions)}" for b in free[:_SHOWN])
-        more = f" and {len(free) - _SHOWN} more bodies" if len(free) > _SHOWN else ""
+        text = "; ".join(f"`{b.name}` can {', '.join(b.motions)}" for b in free[:SHOWN])
+        more = f" and {len(free) - SHOWN} more bodies" if len(free) > SHOWN else ""
         text = f"of {len(bodies)} bodies that share no nodes, {text}{more}"
     raise InputError(
         f"{what}: {text}",
@@ -269,6 +293,8 @@ class Freedom:
         centres: Middles of their bounding boxes, shape (bodies, dim) [m].
         sizes: Of these boxes [m].
         kinds: Motions that the problem's geometry has, of those of `rigid_motions`.
+        joint: Bodies whose motions depend on each other, and the orthonormal free motions of all of
+            them together; None: there are none.
     """
 
     bodies: ConnectedBodies
@@ -276,11 +302,30 @@ class Freedom:
     centres: FloatArray
     sizes: FloatArray
     kinds: slice
+    joint: tuple[IntArray, FloatArray] | None = None
+
+    def along(self, powers: FloatArray) -> FloatArray:
+        """Free motions along which the powers of unit motions are largest, (bodies, motions).
+
+        Args:
+            powers: Shape (bodies, motions) [W].
+        """
+        result = np.array([n @ (n.T @ p) for n, p in zip(self.nulls, powers, strict=True)])
+        if self.joint is not None:
+            which, null = self.joint
+            rows = null[: powers[which].size]
+            result[which] = (rows @ (rows.T @ powers[which].ravel())).reshape(len(which), -1)
+        return result
 
     def motions(self, k: int, nodes: IndexArray) -> FloatArray:
         """Displacement of nodes under the free motions of body k, shape (nodes, dim, motions)."""
-        arms = (self.bodies.places[nodes] - self.centres[k]) / self.sizes[k]
-        return np.asarray(rigid_motions(arms)[:, :, self.kinds] @ self.nulls[k])
+        return np.asarray(self.every()[nodes] @ self.nulls[k])
+
+    def every(self) -> FloatArray:
+        """Displacement of all local nodes under all motions of their bodies, (n, dim, motions)."""
+        of = self.bodies.of_node
+        arms = (self.bodies.places - self.centres[of]) / self.sizes[of, None]
+        return rigid_motions(arms)[:, :, self.kinds]
 
 
 def rigid_freedom(problem: Problem, *, rubbing: bool = True) -> Freedom:
@@ -291,22 +336,49 @@ def rigid_freedom(problem: Problem, *, rubbing: bool = True) -> Freedom:
     """
     bodies = ConnectedBodies(problem)
     centres, sizes = _bounding_boxes(bodies)
-    directions = constrained_directions(problem, rubbing=rubbing)
-    sums = _constraint_products(bodies, directions, centres, sizes)
-    nulls = [_null_space(problem, matrix) for matrix in sums]
-    if any(len(motion.free) for motion in problem.constraints.rigid_motions):
-
-        def motions_at(nodes: IndexArray) -> FloatArray:
-            of = bodies.of_node[nodes]
-            return rigid_motions((bodies.places[nodes] - centres[of]) / sizes[of, None])
-
-        which, joint = _coupled_products(problem, bodies, sums, motions_at, sizes)
-        n = sums.shape[1]
-        null = _null_space(problem, joint)
-        for k, body in enumerate(which):
-            nulls[body] = _restricted(null, k, n)
+    few = bodies.count <= MANY
+    directions = constrained_directions(problem, rubbing=rubbing, joined=not few)
     kinds = slice(1, 2) if problem.geometry == "axisymmetric" else slice(None)
-    return Freedom(bodies, nulls, centres, sizes, kinds)
+
+    def motions_at(nodes: IndexArray) -> FloatArray:
+        of = bodies.of_node[nodes]
+        arms = (bodies.places[nodes] - centres[of]) / sizes[of, None]
+        return rigid_motions(arms)[:, :, kinds]
+
+    sums = _constraint_products(bodies, directions, motions_at)
+    nulls, joint = [_null_space(matrix) for matrix in sums], None
+    between = _between_bodies(problem, bodies, motions_at, rubbing=rubbing) if few else None
+    if between is not None or any(len(one.free) for one in problem.constraints.rigid_motions):
+        which, matrix = _coupled_products(problem, bodies, sums, motions_at, sizes, between)
+        joint = which, _null_space(matrix)
+        for k, body in enumerate(which):
+            nulls[body] = _restricted(joint[1], k, sums.shape[1])
+    return Freedom(bodies, nulls, centres, sizes, kinds, joint)
+
+
+def _between_bodies(
+    problem: Problem,
+    bodies: ConnectedBodies,
+    motions_at: Callable[[IndexArray], FloatArray],
+    *,
+    rubbing: bool,
+) -> FloatArray | None:
+    """Products of the motions of all bodies by what bodies hold of each other. Collective.
+
+    None: nothing.
+    """
+    every = [term for term in problem.terms if term.joins and (rubbing or not term.dissipates)]
+    if not every or bodies.count == 1:
+        return None
+    nodes = np.arange(len(bodies.of_node), dtype=np.int32)
+    motions = motions_at(nodes)
+    fields = [
+        (np.where((bodies.of_node == k)[:, None], motions[:, :, m], 0.0)).ravel()
+        for k in range(bodies.count)
+        for m in range(motions.shape[2])
+    ]
+    rows = np.concatenate([term.partings(fields) for term in every])
+    return np.asarray(total(bodies.comm, rows.T @ rows))
 
 
 def _parts_of_cell(problem: Problem, bodies: ConnectedBodies) -> list[FreeBody]:
@@ -320,13 +392,16 @@ def _parts_of_cell(problem: Problem, bodies: ConnectedBodies) -> list[FreeBody]:
     ]
 
 
-def constrained_directions(problem: Problem, *, rubbing: bool = True) -> Constraints:
+def constrained_directions(
+    problem: Problem, *, rubbing: bool = True, joined: bool = False
+) -> Constraints:
     """Directions in which this rank's nodes are constrained. Collective.
 
     Prescribed components and directions, and what terms hold: springs, and obstacles that touch.
 
     Args:
         rubbing: See `free_bodies`.
+        joined: What bodies hold of each other counts, as if the other one stood still.
     """
     dim, prescribed = problem.body.dim, problem.constraints
     held = prescribed.prescribed_dofs
@@ -335,7 +410,7 @@ def constrained_directions(problem: Problem, *, rubbing: bool = True) -> Constra
         nodes = np.repeat(prescribed.skew_dofs[:, 0] // dim, dim)
         rows.append(Constraints(nodes, prescribed.P.reshape(-1, dim)))
     terms = [term for term in problem.terms if rubbing or not term.dissipates]
-    rows += [Constraints(*one) for term in terms for one in term.held()]
+    rows += [Constraints(*one) for term in terms if joined or not term.joins for one in term.held()]
     return Constraints(
         np.concatenate([row.nodes for row in rows]).astype(np.int32),
         np.concatenate([row.directions for row in rows]),
@@ -353,30 +428,28 @@ def _bounding_boxes(bodies: ConnectedBodies) -> tuple[FloatArray, FloatArray]:
 
 
 def _constraint_products(
-    bodies: ConnectedBodies, constraints: Constraints, centres: FloatArray, sizes: FloatArray
+    bodies: ConnectedBodies,
+    constraints: Constraints,
+    motions_at: Callable[[IndexArray], FloatArray],
 ) -> FloatArray:
     """The sum of products of constraints on rigid motions, for each body. Collective.
 
     Args:
         constraints: Of this rank's nodes.
-        centres: Of rotations, shape (bodies, dim) [m].
-        sizes: Length by which places are divided, shape (bodies,) [m].
+        motions_at: See `_coupled_products`.
 
     Returns:
         Shape (bodies, motions, motions).
     """
-    of = bodies.of_node[constraints.nodes]
-    arms = (bodies.places[constraints.nodes] - centres[of]) / sizes[of, None]
-    rows = np.einsum("rc,rcm->rm", constraints.directions, rigid_motions(arms))
+    of, motions = bodies.of_node[constraints.nodes], motions_at(constraints.nodes)
+    rows = np.einsum("rc,rcm->rm", constraints.directions, motions)
     sums = np.zeros((bodies.count, rows.shape[1], rows.shape[1]))
     np.add.at(sums, of, rows[:, :, None] * rows[:, None, :])
     return np.asarray(total(bodies.comm, sums))
 
 
-def _null_space(problem: Problem, matrix: FloatArray) -> FloatArray:
+def _null_space(matrix: FloatArray) -> FloatArray:
     """Orthonormal null space of a matrix of products."""
-    if problem.geometry == "axisymmetric":  # of rigid motions only the one along the axis is one
-        matrix = matrix[1:2, 1:2]
     values, vectors = np.linalg.eigh(matrix)
     return np.asarray(vectors[:, values <= _ROUND_OFF * max(values[-1], 1.0)])
 
@@ -418,14 +491,18 @@ def _coupled_products(
     products: FloatArray,
     motions_at: Callable[[IndexArray], FloatArray],
     sizes: FloatArray,
+    between: FloatArray | None,
 ) -> tuple[IntArray, FloatArray]:
     """The joint matrix of all bodies that have rigid surfaces with free motion. Collective.
+
+    Of all bodies where some hold each other.
 
     Args:
         products: Matrix of each body, as if the surfaces were fixed, shape (bodies, n, n).
         motions_at: From nodes to their displacement under unit motions of their body, shape
             (nodes, dim, n).
         sizes: Length by which the places of each body are divided [m].
+        between: See `_between_bodies`.
 
     Returns:
         Numbers of these bodies, and the matrix of their motions and then those of the surfaces.
@@ -434,7 +511,7 @@ def _coupled_products(
     surfaces = [motion for motion in problem.constraints.rigid_motions if len(motion.free)]
     count = sum(len(motion.free) for motion in surfaces)
     mixed, own = np.zeros((bodies.count, n, count)), np.zeros((count, count))
-    touched, first = np.zeros(bodies.count, dtype=np.int64), 0
+    touched, first = np.full(bodies.count, int(between is not None)), 0
     last = len(problem.constraints.values.x.array)
     owned = np.zeros(last, dtype=bool)
     owned[problem.constraints.prescribed_dofs] = True
@@ -460,6 +537,8 @@ def _coupled_products(
         joint[rows, size:] = -mixed[body]
         joint[size:, rows] = -mixed[body].T
     joint[size:, size:] = own
+    if between is not None:
+        joint[:size, :size] += between
     return which, joint
 
 
@@ -471,3 +550,78 @@ def _restricted(null: FloatArray, k: int, n: int) -> FloatArray:
     """
     left, sizes, _ = np.linalg.svd(null[k * n : (k + 1) * n], full_matrices=False)
     return np.asarray(left[:, sizes > _SAME])
+
+
+# --- bodies that only contact holds ---
+
+
+def bring_together(problem: Problem, *, stay: bool = False) -> bool:
+    """Moves free bodies until they touch each other. Collective.
+
+    The displacement is put back if that leads nowhere.
+
+    Args:
+        stay: It is put back where that ends, too.
+
+    Returns:
+        Whether none is free any more.
+    """
+    meeting = [term for term in problem.terms if term.joins]
+    if not meeting or problem.cell is not None or (loads := _loads(problem)) is None:
+        return False
+    u, freedom = problem.u.x.array, rigid_freedom(problem)
+    start = u.copy()
+    for _ in range(MEETINGS * freedom.bodies.count):
+        motion = _fall(problem, freedom, loads)
+        share = np.inf if motion is None else min(term.way_to_meet(motion) for term in meeting)
+        if motion is None or not np.isfinite(share):
+            break
+        u += share * motion
+        freedom = rigid_freedom(problem)
+    found = not any(null.shape[1] for null in freedom.nulls)
+    if found:
+        far = largest(problem.body.comm, float(np.max(np.abs(u - start), initial=0.0)))
+        log.info(
+            "bodies that only contact holds begin where they touch, up to %s from where they are",
+            problem.body.unit.length(far),
+        )
+    if stay or not found:
+        u[:] = start
+    problem.unknowns.u_to_w()
+    return found
+
+
+def _loads(problem: Problem) -> FloatArray | None:
+    """Nodal forces of the loads at owned nodes, (nodes, dim) [N]; None: there are none. Collective.
+
+    Of the first of `TIMES` at which there are any.
+    """
+    assembler = Assembler(problem)
+    try:
+        for t in TIMES:
+            problem.set_time(t, default=PROPORTIONAL)
+            forces = assembler.reactions.loads()[assembler.displacement_dofs]
+            if total(problem.body.comm, float(forces @ forces)) > 0.0:
+                return np.asarray(forces.reshape(-1, problem.body.dim))
+        return None
+    finally:
+        problem.set_time(0.0, default=PROPORTIONAL)
+        assembler.destroy()
+
+
+def _fall(problem: Problem, freedom: Freedom, loads: FloatArray) -> FloatArray | None:
+    """A motion of all local nodes along the loads, its largest component 1; None: none. Collective.
+
+    Args:
+        loads: At owned nodes, (nodes, dim) [N].
+    """
+    bodies, comm = freedom.bodies, problem.body.comm
+    motions, own = freedom.every(), len(loads)
+    powers = np.zeros((bodies.count, motions.shape[2]))
+    np.add.at(powers, bodies.of_node[:own], np.einsum("nd,ndm->nm", loads, motions[:own]))
+    along = freedom.along(np.asarray(total(comm, powers)))
+    motion = np.einsum("ndm,nm->nd", motions, along[bodies.of_node]).ravel()
+    fastest = largest(comm, float(np.max(np.abs(motion), initial=0.0)))
+    if fastest <= SLOW * total(comm, float(np.abs(loads).sum())):
+        return None
+    return np.asarray(motion / fastest)

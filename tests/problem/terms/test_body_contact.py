@@ -11,6 +11,7 @@ from helpers.tangents import against_differences
 from pydantic import ValidationError
 
 from dolfin_elastic import (
+    BodyForce,
     Contact,
     Dynamics,
     LinearElastic,
@@ -30,7 +31,7 @@ from dolfin_elastic.problem.terms.bodies import functions
 from dolfin_elastic.problem.terms.contact import nearest_spot
 from dolfin_elastic.problem.terms.friction import CoulombFriction
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.diagnostics.rigid_body import free_bodies
+from dolfin_elastic.solvers.diagnostics.rigid_body import free_bodies, rigid_freedom
 
 FREE = "free"
 E, NU = 1e6, 0.3
@@ -330,7 +331,8 @@ def test_faceted_surfaces_touch_without_stress():
     """`adjust`: gaps and overlaps of the chords of one circle count as none."""
     problem, _ = fit(1, 0.0, adjust=5e-3)
     (pair,) = problem.contact_pairs
-    assert np.ptp(pair.pieces.there.gap) > 2e-3
+    gaps = np.concatenate(pair.comm.allgather(pair.pieces.there.gap.ravel()))
+    assert np.ptp(gaps) > 2e-3
     assert pair.distance() == 0.0
     state = last(problem, steps=1)
     assert np.linalg.norm(problem.u.x.array) == pytest.approx(0, abs=1e-12)
@@ -623,3 +625,61 @@ def test_nothing_passes_unseen(degree):
     state = last(problem, steps=1)
     # Linear in the shortening, but for the penetration that is left.
     assert abs(state.reactions["joint"][1]) == pytest.approx(E * 0.15 / 0.6, rel=1e-6)
+
+
+def test_what_bodies_hold_of_each_other():
+    """Two bodies that no support holds: together they are as free as one."""
+    for friction, motions in ((0.3, LOOSE), (0.0, LOOSE)):
+        problem = Problem(
+            stacked((1.0, 0.6), (3, 2), (5, 2)),
+            NeoHookean(E=E, nu=NU),
+            contacts=[Contact(between=["below", "above"], name="joint", friction=friction)],
+            degree=1,
+        )
+        assert [body.motions for body in free_bodies(problem)] == [motions, motions]
+        joint = rigid_freedom(problem).joint
+        assert joint is not None
+        assert joint[1].shape[1] == (3 if friction else 4)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_pile_comes_together(degree):
+    """Two blocks that nothing but contact, friction and weight hold, on a floor.
+
+    The gap between them closes before the load grows: of that nothing is left.
+    """
+
+    def pile(gap: float) -> Any:
+        contacts = [
+            Contact(on="bottom", plane={"axis": "y", "at": 0}, friction=0.5),
+            Contact(between=["below", "above"], name="joint", friction=0.5),
+        ]
+        problem = Problem(
+            stacked((1.0, 0.6), (3, 1), (4, 1), gap=gap),
+            NeoHookean(E=E, nu=NU),
+            degree=degree,
+            loads=[BodyForce(value=[0, -1e4])],
+            contacts=[one.model_copy(update={"gap_tolerance": 1e-7}) for one in contacts],
+        )
+        return last(problem, steps=1)
+
+    apart, touching = pile(0.05), pile(0.0)
+    assert apart.reactions["joint"][1] == pytest.approx(3000, rel=1e-5)
+    assert apart.energies["strain"] == pytest.approx(touching.energies["strain"], rel=1e-8)
+    moved = [state.max_displacement for state in (apart, touching)]
+    assert moved[0] - moved[1] == pytest.approx(0.05, rel=1e-3)
+
+
+def test_what_falls_nowhere_is_refused():
+    """A body that its loads move along the other one."""
+    problem = Problem(
+        stacked((1.0, 0.6), (3, 1), (4, 1), gap=0.05),
+        NeoHookean(E=E, nu=NU),
+        degree=1,
+        supports=[Support(on="bottom")],
+        loads=[Traction(on="top", value=[1e3, 0])],
+        contacts=[BETWEEN],
+    )
+    with pytest.raises(InputError, match="the supports leave bodies free"):
+        last(problem, steps=1)
+    assert not np.any(problem.u.x.array)

@@ -54,6 +54,10 @@ ALIKE = 1.2
 FIRST, SLOWLY, FARTHEST = 0.01, 4.0, 3.0
 """Distances over the diagonal of all bodies at which the other side is looked for, step by step."""
 
+SLOW, LEFT = 1e-9, 0.5
+"""Speed over that of the fastest body that is none; and the gap, over the distance up to which both
+sides are compared, that a motion of bodies leaves which has begun beyond it."""
+
 PASSED = 0.5
 """Depth over that beyond which nothing lies opposite down to which a step may lead."""
 
@@ -71,7 +75,7 @@ class BodyContact(VertexContact):
     """
 
     flat = False
-    only_implicit = True
+    only_implicit = joins = True
     _start: tuple[FloatArray, float]  # mean gaps [m] and energy [J] at the start of a step
 
     def __init__(
@@ -282,6 +286,41 @@ class BodyContact(VertexContact):
         within = gaps <= (self.size if near else self.reach)
         nodes, _, directions = self.pieces.opposite(normals * within[..., None])
         yield nodes, -directions
+
+    def partings(self, fields: Sequence[FloatArray], *, all_ways: bool = False) -> FloatArray:
+        """See `Term`.
+
+        Args:
+            all_ways: Not only along the normal.
+        """
+        closed, means = self.pressing_gaps() <= self.reach, self.pieces.means
+        columns = [
+            (means(self.pieces.relative(one)) if all_ways else self.rates(one))[closed].ravel()
+            for one in fields
+        ]
+        return np.stack(columns, axis=1)
+
+    def rates(self, motion: FloatArray) -> FloatArray:
+        """Changes of the mean gaps of owned vertices by a motion of local nodes [m]. Collective.
+
+        Without the turn of normals.
+        """
+        along = np.sum(self._at_points()[1] * self.pieces.relative(motion), axis=2)
+        return self.pieces.means(along[..., None])[:, 0]
+
+    def way_to_meet(self, motion: FloatArray) -> float:
+        """See `Term`: of vertices; of all points as far as the other side is compared with."""
+        pieces, gaps, rates = self.pieces, self.pressing_gaps(), self.rates(motion)
+        meets = pieces.covered & (gaps > self.slack) & (rates < -SLOW)
+        share = smallest(self.comm, float(np.min(gaps[meets] / -rates[meets], initial=np.inf)))
+        reach, far = 2 * pieces.reach, FARTHEST * float(span(self._context.body))
+        while not np.isfinite(share) and reach < far:
+            first, change = pieces.gaps_over(motion, reach, self.offsets.field.x.array, after=False)
+            meets = (first > pieces.reach) & (change < -SLOW)
+            ways = (first[meets] - LEFT * pieces.reach) / -change[meets]
+            share = smallest(self.comm, float(np.min(ways, initial=np.inf)))
+            reach *= 2
+        return share
 
     def conflict(self, constraints: Constraints) -> None:
         """See `Term`: both sides may be held."""

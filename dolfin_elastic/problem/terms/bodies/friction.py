@@ -33,13 +33,13 @@ from dolfin_elastic.problem.terms.vertex_friction import VertexFriction
 class BodyFriction(VertexFriction):
     """Friction of one contact between two surfaces of the mesh. Collective to make."""
 
-    only_implicit = True
+    only_implicit = joins = True
     _first_areas: FloatArray | None = None  # at the start of a step [m^2]
     _way: FloatArray  # of the whole step, by the pairs of its stage [m]
     _within: FloatArray
 
     def __init__(self, pair: BodyContact, context: FormContext, index: int) -> None:
-        self._pieces = pair.pieces
+        self._bodies, self._pieces = pair, pair.pieces
         V = context.unknowns.V
         self._path, self._before = fem.Function(V), fem.Function(V)
         super().__init__(pair, context, index)
@@ -111,6 +111,10 @@ class BodyFriction(VertexFriction):
             np.concatenate([limits, more]),
             np.concatenate([normals, directions]),
         )
+
+    def partings(self, fields: Sequence[FloatArray]) -> FloatArray:
+        """See `Term`: points in contact do not part along the surfaces, either."""
+        return self._bodies.partings(fields, all_ways=True)
 
     def _lost_now(self) -> FloatArray:
         """See `CoulombFriction`."""
