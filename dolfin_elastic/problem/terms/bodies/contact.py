@@ -25,10 +25,11 @@ import logging
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+import ufl
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.parallel import smallest, total
+from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.mesh.geometry.curved import facet_areas
@@ -39,7 +40,7 @@ from dolfin_elastic.model.self_contact import AnyContact
 from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.constraints.ties.facets import longest_edge, owned
 from dolfin_elastic.problem.context import FormContext
-from dolfin_elastic.problem.term import Blocks
+from dolfin_elastic.problem.term import Blocks, Kind
 from dolfin_elastic.problem.terms.bodies.functions import PieceFunctions
 from dolfin_elastic.problem.terms.bodies.start import StartOffsets, overlap_reach
 from dolfin_elastic.problem.terms.contact import FAR, ContactPair, nearest_spot, uniaxial_modulus
@@ -75,7 +76,7 @@ class BodyContact(VertexContact):
     """
 
     flat = False
-    only_implicit = joins = True
+    joins = True
     _start: tuple[FloatArray, float]  # mean gaps [m] and energy [J] at the start of a step
 
     def __init__(
@@ -87,7 +88,8 @@ class BodyContact(VertexContact):
         if contact.stiffness is None:  # that of the softer side: the stiffer one is not to crush it
             self.penalty.x.array[:] *= softer
             self.eps *= softer
-            self._first = self.penalty.x.array.copy(), self.eps.copy()
+        self._bound_other_side()
+        self._first = self.penalty.x.array.copy(), self.eps.copy()
         edge, self.offsets = self.pieces.reach, StartOffsets(contact, self.lam.function_space)
         if (reach := overlap_reach(self.pieces, context.body)) > edge:
             self.pieces.look_within(reach)
@@ -99,6 +101,20 @@ class BodyContact(VertexContact):
     def _names(self, contact: Contact) -> Sequence[str]:
         """See `ContactPair`."""
         return self.sides[0]
+
+    def _bound_other_side(self) -> None:
+        """Puts the largest penalty into the elements beside the other side, for `form`."""
+        mesh = self._context.body.mesh
+        facets = np.concatenate([self._context.body.surface(name) for name in self.sides[1]])
+        cells, _ = cells_beside_facets(mesh, np.unique(facets).astype(np.int32))
+        largest_one = largest(self.comm, float(np.max(self.penalty.x.array, initial=0.0)))
+        self.penalty.x.array[self.penalty.function_space.dofmap.list[cells, 0]] = largest_one
+        self.penalty.x.scatter_forward()
+
+    def form(self, kind: Kind) -> ufl.Form | None:
+        """See `Term`: a row of the tangent has the nodes of both sides."""
+        bound = super().form(kind)
+        return None if bound is None else 2 * bound
 
     def _make_functions(self, thickness: float) -> PieceFunctions:
         context = self._context

@@ -33,7 +33,7 @@ from dolfin_elastic.problem.terms.vertex_friction import VertexFriction
 class BodyFriction(VertexFriction):
     """Friction of one contact between two surfaces of the mesh. Collective to make."""
 
-    only_implicit = joins = True
+    joins = True
     _first_areas: FloatArray | None = None  # at the start of a step [m^2]
     _way: FloatArray  # of the whole step, by the pairs of its stage [m]
     _within: FloatArray

@@ -244,6 +244,8 @@ class PieceFunctions(VertexFunctions):
         self.hats = s
         self.opposite_hats, self.there = self._opposite(near, far, pieces)
         self.shapes = _shapes(s, self.opposite_hats, k)
+        t = self.there.tangents  # with the gap times dual ones forces act beside the face
+        self._levers = self.there.gap[..., None, None] * t @ np.linalg.inv(t.swapaxes(2, 3) @ t)
         self._numbers = np.concatenate([near.nodes[i], far.nodes[j]], axis=1)
         self._vertices = self._near.vertices[i]
         self.X = np.einsum("nqk,nkd->nqd", shape_functions(s, near.x.shape[1]), self._near.X[i])
@@ -313,8 +315,9 @@ class PieceFunctions(VertexFunctions):
         """
         self.renew()
         found = self._values(field, self._numbers)
-        turns = np.einsum("nqd,nqka,nkd->nqa", *self._levers[:2], self._far_half(found))
-        return np.asarray(self.shapes @ found + np.einsum("nqda,nqa->nqd", self._levers[2], turns))
+        along = self.there.normal @ self._far_half(found).swapaxes(1, 2)
+        turns = along[:, :, None] @ self.there.slopes @ self._levers.swapaxes(2, 3)
+        return np.asarray(self.shapes @ found + turns[:, :, 0])
 
     def _values(self, field: FloatArray, nodes: IntArray) -> FloatArray:
         rows = field[: self.node_owners.count * self._dim].reshape(-1, self._dim)
@@ -322,21 +325,13 @@ class PieceFunctions(VertexFunctions):
 
     def spread(self, vectors: FloatArray) -> FloatArray:
         """See `VertexFunctions`: those on the other side are opposite. Collective."""
-        at_nodes, (n, slopes, a) = self.shapes.swapaxes(1, 2) @ vectors, self._levers
-        at_far = self._far_half(at_nodes)
-        at_far += np.einsum("nqd,nqka,nqea,nqe->nkd", n, slopes, a, vectors, optimize=True)
+        at_nodes, there = self.shapes.swapaxes(1, 2) @ vectors, self.there
+        turns = vectors[:, :, None] @ self._levers @ there.slopes.swapaxes(2, 3)
+        self._far_half(at_nodes)[:] += turns[:, :, 0].swapaxes(1, 2) @ there.normal
         added = self.to_owners(self._numbers, at_nodes)
         result = np.zeros((self._node_map.size_local + self._node_map.num_ghosts, self._dim))
         result[: len(added)] = added
         return result.reshape(-1)
-
-    @property
-    def _levers(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Normals, slopes, and dual tangents times the gap: where forces act beside the face."""
-        there = self.there
-        t = there.tangents
-        dual = t @ np.linalg.inv(t.swapaxes(-1, -2) @ t)
-        return there.normal, there.slopes, there.gap[..., None, None] * dual
 
     def _far_half(self, of_nodes: FloatArray) -> FloatArray:
         """What of values at the nodes of both sides is that of the other side: a view."""
