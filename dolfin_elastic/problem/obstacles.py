@@ -11,7 +11,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.jit import compile_c, options
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.shapes.rigid_mesh import RigidMesh
-from dolfin_elastic.core.shapes.surface import CODE, LEAF, Surface
+from dolfin_elastic.core.shapes.surface import CODE, LEAF
 from dolfin_elastic.core.units import LengthUnit, to_si
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.model.contact import Contact
@@ -66,7 +66,6 @@ def with_surfaces(contacts: Sequence[AnyContact], body: Body) -> list[AnyContact
     obstacles = with_obstacles(body, contacts).obstacles
     loops = compile_c(body.comm, CODE, {"LEAF": LEAF}, options(body.comm))
     for index, mesh in _meshes(contacts):
-        facets = obstacles[mesh.key]
-        ready = mesh.with_facets(facets, Surface(*facets, loops))
+        ready = mesh.with_facets(obstacles[mesh.key], loops)
         result[index] = contacts[index].model_copy(update={"mesh": ready})
     return result

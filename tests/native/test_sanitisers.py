@@ -226,7 +226,7 @@ def of_triangles(sizes: dict[str, int], lanes: int) -> Iterator[Call]:
     """Boxes that all points and rays meet, so that each leaf is looked at."""
     leaves, count = 2, 5
     triangles = sizes["LEAF"] * leaves - 1
-    values = {"count": count, "triangles": triangles, "leaves": leaves}
+    values = {"count": count, "triangles": triangles, "leaves": leaves, "curved": triangles}
     values |= {"boxes": np.tile([-1.0, -1.0, -1.0, 3.0, 3.0, 3.0], 2 * leaves - 1)}
     values |= {"order": np.minimum(np.arange(triangles + 1), triangles - 1)}
     for name in ("find_nearest", "find_backs"):
@@ -320,7 +320,7 @@ FAULTS = [
     ("tangent.c", "fixed[nodes[a] + i]", "fixed[nodes[a] + i + 1]", "buffer-overflow"),
     ("thickness.c", "volumes[c] = fabs(det)", "volumes[c + 1] = fabs(det)", "buffer-overflow"),
     ("thickness.c", "inverse[n]", "inverse[n + 1]", "buffer-overflow"),
-    ("triangles.c", "corners, order[k], p", "corners, order[k + 1], p", "buffer-overflow"),
+    ("triangles.c", "{corners + 9 * order[k],", "{corners + 9 * order[k + 1],", "buffer-overflow"),
     ("triangles.c", "lengths[i] = INF", "lengths[i + 1] = INF", "buffer-overflow"),
 ]
 """One entry beyond, read and written, and one undefined result."""

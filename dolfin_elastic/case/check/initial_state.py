@@ -327,7 +327,7 @@ def _gaps_over_time(case: Case, pair: ContactPair) -> list[float]:
 def _coarse_facets(pair: ContactPair, unit: LengthUnit) -> str:
     """That an obstacle's facets are coarse for the elements that touch it. Collective."""
     mesh = pair.contact.mesh
-    if mesh is None:
+    if mesh is None or mesh.smooth:
         return ""
     surface = mesh.surface
     beside = surface.near(pair.places() - pair.shift.value).feature // FEATURES

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, PrivateAttr, field_validator
 
-from dolfin_elastic.core.errors import InputError, nearest_first
+from dolfin_elastic.core.errors import InputError, keyed, nearest_first
 from dolfin_elastic.core.shapes.box import Box
-from dolfin_elastic.core.shapes.shapes import Distance, Operations, Shape
+from dolfin_elastic.core.shapes.shapes import Coordinate, Distance, Operations, Shape
 from dolfin_elastic.core.shapes.surface import Followed, Near, Surface
 from dolfin_elastic.core.shapes.triangles import Triangles
+from dolfin_elastic.core.shapes.turn import Turn
 from dolfin_elastic.core.types import FloatArray, IntArray, Scalar
 from dolfin_elastic.core.units import MESH_UNITS, Size
+
+if TYPE_CHECKING:
+    from dolfin_elastic.core.native.functions import CFunctions
 
 _DRAWN = 5000
 """Triangles that are drawn at most."""
@@ -70,15 +74,22 @@ class RigidMesh(Shape):
         size: Size of the facets of a CAD file, in its unit; by default a tenth of its diagonal.
         offset: Thickness that is added to the surface, of which edges become round.
         inside: The body is inside: the obstacle is all that lies outside of the triangles.
+        turn: A rotation of the mesh where its file has it, before `move`.
+        move: By how much it is moved along x, y and z from there.
+        smooth: The surface is curved between the corners, but sharp where facets are at more than
+            30 degrees.
     """
 
     in_forms: ClassVar[bool] = False
-    lengths: ClassVar[tuple[str, ...]] = ("offset",)
+    lengths: ClassVar[tuple[str, ...]] = ("offset", "move")
     file: str = Field(min_length=1)
     unit: str | None = None
     size: Size | None = None
     offset: Size | None = None
     inside: bool = False
+    turn: Turn | None = None
+    move: Annotated[tuple[Coordinate, ...], Field(min_length=3, max_length=3)] | None = None
+    smooth: bool = False
     _facets: Facets | None = PrivateAttr(default=None)
     _surface: Surface | Followed | None = PrivateAttr(default=None)
 
@@ -97,14 +108,24 @@ class RigidMesh(Shape):
         """What its facets depend on."""
         return f"{self.file} in {self.unit or 'its unit'}, size {self.size}"
 
-    def with_facets(self, facets: Facets, surface: Surface | None = None) -> Self:
-        """The same obstacle, the file of which has been read.
+    def in_metres(self, scale: float) -> Self:
+        """See `Record`: its rotation, too."""
+        turn = None if self.turn is None else self.turn.in_metres(scale)
+        return super().in_metres(scale).converted({"turn": turn})
+
+    def with_facets(self, facets: Facets, loops: CFunctions | None = None) -> Self:
+        """The same obstacle, in metres, the file of which has been read.
 
         Args:
-            surface: Of these facets; without it the obstacle can only be drawn.
+            facets: Where the file has them.
+            loops: Of `Surface`; without them the obstacle can only be drawn.
         """
-        result = self.model_copy()
-        result._facets, result._surface = facets, surface
+        result, points = self.model_copy(), facets.points
+        points = points if self.turn is None else self.turn.points(points)
+        points = points if self.move is None else points + np.array(self.move, dtype=np.float64)
+        result._facets = Facets(points, facets.triangles)
+        if loops is not None:
+            result._surface = Surface(*result._facets, loops, smooth=self.smooth)
         return result
 
     @property
@@ -142,6 +163,9 @@ class RigidMesh(Shape):
                 "a plane body meets no mesh of triangles",
                 expected="plane, sphere or cylinder; or a three-dimensional body",
             )
+        if self.turn is not None:
+            with keyed("turn"):
+                self.turn.check()
 
     def distance(self, x: Sequence[Scalar], use: Operations) -> Distance:
         """See `Shape.distance`: of arrays only."""

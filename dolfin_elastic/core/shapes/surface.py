@@ -4,6 +4,9 @@ The distance is that from the nearest point of all triangles; it is positive on 
 the normal there points.  At edges and corners that is the sum of the normals of the triangles that
 meet, weighted by their angles: the side is right then, which no other weights give.
 
+A smooth surface has curved triangles, see `nagata`, of which the nearest points are those of the
+curved ones.
+
 Source: J. A. Baerentzen & H. Aanaes, IEEE Transactions on Visualization and Computer Graphics 11
 (2005) 243.
 """
@@ -15,6 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from dolfin_elastic.core.shapes.nagata import SHARP, Patches
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -58,9 +62,9 @@ class Near(NamedTuple):
     feature: IntArray
 
     @property
-    def bent(self) -> BoolArray:
-        """Where the normal turns."""
-        return np.asarray(self.curvature.any(axis=(1, 2)))
+    def on_face(self) -> BoolArray:
+        """Where that is a face."""
+        return np.asarray(self.feature % FEATURES == 0)
 
 
 class Surface:
@@ -70,16 +74,24 @@ class Surface:
         points: Corners [m], shape (n, 3).
         triangles: Rows of `points`, at least one, none without area, shape (m, 3).
         loops: The compiled `CODE`.
+        smooth: The surface is curved between these corners.
     """
 
-    def __init__(self, points: FloatArray, triangles: IntArray, loops: CFunctions) -> None:
+    def __init__(
+        self, points: FloatArray, triangles: IntArray, loops: CFunctions, *, smooth: bool = False
+    ) -> None:
         self._corners = np.ascontiguousarray(points[triangles])
         self._triangles, self._loops = triangles, loops
         self._size = float(np.linalg.norm(np.ptp(points, axis=0)))
         self._edges = np.roll(self._corners, -1, axis=1) - self._corners
         self._edges /= np.linalg.norm(self._edges, axis=2)[:, :, None]
         self._normals = self._pseudonormals()
-        order, boxes = _tree(self._corners)
+        self._patches = Patches.of(self._corners, triangles) if smooth else None
+        self._sharp: BoolArray = np.ones((len(triangles), FEATURES), dtype=bool)
+        self._bows: FloatArray = np.zeros((0, 3, 3))
+        if self._patches is not None:
+            self._sharp, self._bows = self._patches.sharp, self._patches.bows
+        order, boxes = _tree(self._corners, self._bows)
         self._tree = len(triangles), self._corners, len(order) // LEAF, boxes, order
 
     def _pseudonormals(self) -> FloatArray:
@@ -98,6 +110,11 @@ class Surface:
         result = np.concatenate([face[:, None], at_edges[edge], at_points[triangles]], axis=1)
         length = np.linalg.norm(result, axis=2)[:, :, None]
         return np.where(length > 0, result / np.where(length > 0, length, 1.0), face[:, None])
+
+    @property
+    def smooth(self) -> bool:
+        """The surface is curved between the corners."""
+        return self._patches is not None
 
     @cached_property
     def thickness(self) -> float:
@@ -121,26 +138,40 @@ class Surface:
     def near(self, x: FloatArray) -> Near:
         """Distances and more at points, shape (n, 3). Not collective."""
         n = len(x)
-        triangle, feature, foot = (
-            np.zeros(n, np.int64),
-            np.empty(n, np.int64),
-            np.full((n, 3), np.nan),
-        )
-        self._loops.call("find_nearest", n, x, *self._tree, triangle, feature, foot)
+        triangle, feature = np.zeros(n, np.int64), np.empty(n, np.int64)
+        foot, local = np.full((n, 3), np.nan), np.empty((n, 2))
+        bows = len(self._bows), self._bows
+        self._loops.call("find_nearest", n, x, *self._tree, *bows, triangle, feature, foot, local)
         arm, normal = x - foot, self._normals[triangle, feature]
-        length = np.linalg.norm(arm, axis=1)
+        length, bend = np.linalg.norm(arm, axis=1), self._sharp[triangle, feature] & (feature > 0)
+        of_patches = None
+        if self._patches is not None:
+            of_patches = self._patches.derivatives(triangle, local)
+            normal = np.where(bend[:, None], normal, of_patches.normals)
         side = np.where(np.einsum("ni,ni->n", arm, normal) < 0, -1.0, 1.0)
-        bend = (feature > 0) & (length > _ROUND_OFF * self._size)
-        normal[bend] = (side[:, None] * arm)[bend] / length[bend, None]
+        distance, away = side * length, (feature > 0) & (length > _ROUND_OFF * self._size)
+        normal[away] = (side[:, None] * arm)[away] / length[away, None]
         # Straight above an edge, which may be one within a plane, it is as above the face.
-        bend &= np.einsum("ni,ni->n", normal, self._normals[triangle, 0]) < 1 - _STRAIGHT
-        edge = np.zeros((n, 3))
+        bend &= away & (np.einsum("ni,ni->n", normal, self._normals[triangle, 0]) < 1 - _STRAIGHT)
+        curvature: FloatArray = np.zeros((n, 3, 3))
+        if of_patches is not None:
+            curvature = of_patches.curvature(normal, distance)
+        curvature[bend] = (np.eye(3) - _outer(normal[bend])) / distance[bend, None, None]
         on_edge = bend & (feature <= 3)
-        edge[on_edge] = self._edges[triangle[on_edge], feature[on_edge] - 1]
-        distance = side * length
-        outer = (a[:, :, None] * a[:, None] for a in (normal, edge))
-        curvature = (np.eye(3) - sum(outer)) / np.where(bend, distance, np.inf)[:, None, None]
+        if on_edge.any():
+            this, edge, d = triangle[on_edge], feature[on_edge] - 1, distance[on_edge]
+            along = self._edges[this, edge]
+            if self._patches is not None:
+                of_edges = self._patches.of_edges(this, edge, local[on_edge])
+                curvature[on_edge] += of_edges.curvature(normal[on_edge], d)
+                along = of_edges.directions
+            curvature[on_edge] -= _outer(along) / d[:, None, None]
         return Near(distance, normal, curvature, foot, FEATURES * triangle + feature)
+
+
+def _outer(a: FloatArray) -> FloatArray:
+    """Products of vectors with themselves, (n, 3, 3)."""
+    return np.asarray(a[:, :, None] * a[:, None])
 
 
 class Followed:
@@ -182,9 +213,11 @@ class Followed:
         last, new, before = self._last, self._surface.near(x), self._before
         assert self._turns is not None
         changed = (new.feature != last.feature) & ~self._stays
+        if self._surface.smooth:  # else the normal does not jump
+            changed &= np.einsum("ni,ni->n", new.normal, last.normal) < np.cos(SHARP)
         often = changed & (self._turns >= _TURNS)
         # Between a face and an edge the normal does not jump.
-        back = changed & (new.feature == before.feature) & ~new.bent & ~last.bent
+        back = changed & (new.feature == before.feature) & new.on_face & last.on_face
         self._turns += changed
         self._before = _chosen(changed, last, before)
         foot, normal = _between(last, new)
@@ -220,8 +253,12 @@ def _between(one: Near, two: Near) -> tuple[FloatArray, FloatArray]:
     return np.where(faces, one.foot, middle), normal
 
 
-def _tree(corners: FloatArray) -> tuple[IntArray, FloatArray]:
-    """The order of triangles in the leaves, and the boxes of all nodes, see triangles.c."""
+def _tree(corners: FloatArray, bows: FloatArray) -> tuple[IntArray, FloatArray]:
+    """The order of triangles in the leaves, and the boxes of all nodes, see triangles.c.
+
+    Curved ones are within the control points of Bezier triangles: corners, and middles of the edges
+    less c/2.
+    """
     m = len(corners)
     depth = max(0, int(np.ceil(np.log2(m / LEAF))))
     order = np.minimum(np.arange(LEAF << depth), m - 1)  # the last one is repeated
@@ -233,7 +270,10 @@ def _tree(corners: FloatArray) -> tuple[IntArray, FloatArray]:
         x = np.take_along_axis(x, along[:, None, None], axis=2)[:, :, 0]
         order = np.take_along_axis(parts, np.argsort(x, axis=1, kind="stable"), axis=1).ravel()
     boxes = np.empty((2 * (1 << depth) - 1, 6))
-    low, high = corners.min(axis=1)[order], corners.max(axis=1)[order]
+    control = corners
+    if len(bows):
+        control = np.hstack([corners, (corners + np.roll(corners, -1, axis=1) - bows) / 2])
+    low, high = control.min(axis=1)[order], control.max(axis=1)[order]
     for level in range(depth, -1, -1):
         n = 1 << level
         low, high = low.reshape(n, -1, 3).min(axis=1), high.reshape(n, -1, 3).max(axis=1)
