@@ -186,11 +186,20 @@ def cylinders(
 
 
 @pytest.mark.sample(1)
-@pytest.mark.parametrize(("degree", "order"), [(1, 1), (2, 1), (2, 2)])
-def test_hertz(degree, order, folder, comm):
-    """Two cylinders in plane strain, five elements in the half-width.
+@pytest.mark.parametrize(
+    ("degree", "order", "geometry"),
+    [
+        (1, 1, "plane-strain"),
+        (2, 1, "plane-strain"),
+        (2, 2, "plane-strain"),
+        (2, 1, "axisymmetric"),
+        (2, 2, "axisymmetric"),
+    ],
+)
+def test_hertz(degree, order, geometry, folder, comm):
+    """Two cylinders, five elements in the half-width, or two balls, seven in the radius.
 
-    Source: K. L. Johnson, Contact Mechanics (1985), (4.43) to (4.45).
+    Source: K. L. Johnson, Contact Mechanics (1985), (4.22) to (4.24) and (4.43) to (4.45).
     """
     if comm.rank == 0:
         cylinders(folder / "two.msh", 0.012, order)
@@ -199,6 +208,7 @@ def test_hertz(degree, order, folder, comm):
         read_body(folder / "two.msh"),
         {"upper": LinearElastic(E=E, nu=NU), "lower": LinearElastic(E=3 * E, nu=NU)},
         degree=degree,
+        geometry=geometry,
         supports=[
             Support(on="x0", displacement=[0, FREE]),
             Support(on="top", displacement=[FREE, -0.01]),
@@ -210,8 +220,12 @@ def test_hertz(degree, order, folder, comm):
     (pair,) = problem.contact_pairs
     assert pair.sides == (("above",), ("below",))  # the finer faces
     P, effective = state.reactions["joint"][1], E / (1 - NU**2) / (1 + 1 / 3)
-    half_width = np.sqrt(4 * 2 * P * (2 / 3) / (np.pi * effective))
-    peak = 2 * 2 * P / (np.pi * half_width)
+    if balls := geometry == "axisymmetric":
+        half_width = (3 * P * (2 / 3) / 4 / effective) ** (1 / 3)
+        peak = 3 * P / (2 * np.pi * half_width**2)
+    else:
+        half_width = np.sqrt(4 * 2 * P * (2 / 3) / (np.pi * effective))
+        peak = 2 * 2 * P / (np.pi * half_width)
     x, p, areas = (
         np.concatenate(comm.allgather(array))
         for array in (pair.places()[:, 0], pair.pressures(), pair.functions.areas)
@@ -219,10 +233,14 @@ def test_hertz(degree, order, folder, comm):
     exact = peak * np.sqrt(np.maximum(0, 1 - (x / half_width) ** 2))
     inner = x < 0.9 * half_width
     # Found: 1.1 % (linear), 0.2 % and below (quadratic) on the axis; 2.1 and 1.3 % everywhere.
-    assert abs(p.max() / peak - 1) < (0.015 if degree == 1 else 0.01)
+    # Of balls, of which the axis has little area: 1.5 and 1.7 %, with five elements 2 %.
+    assert abs(p.max() / peak - 1) < (0.02 if balls else 0.015 if degree == 1 else 0.01)
     assert np.sqrt(np.mean((p - exact)[inner] ** 2)) < 0.025 * peak
-    # Vertices that press count with half an element beyond the edge.
-    assert areas[p > 0].sum() - 0.006 == pytest.approx(half_width, rel=0.03)
+    if balls:
+        width = np.sqrt(state.numbers["contact_area_joint"] / np.pi)
+    else:  # vertices that press count with half an element beyond the edge
+        width = areas[p > 0].sum() - 0.006
+    assert width == pytest.approx(half_width, rel=0.03)
     # Action is reaction, to round-off.
     assert state.reactions["top"][1] + state.reactions["bottom"][1] == pytest.approx(
         0, abs=1e-9 * P
