@@ -12,6 +12,7 @@ from helpers.stacked import grid
 from mpi4py import MPI
 
 from dolfin_elastic import Body, Case, Placed, Statics, Turn, box_body, parts_body, restart, run
+from dolfin_elastic.case.check.initial_state import touching_notes
 from dolfin_elastic.case.restart import written_tables
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root
@@ -181,6 +182,21 @@ def test_parts_that_overlap() -> None:
     box = box_body(size=[1, 1, 1], cells=[2, 2, 2])
     body = parts_body({"a": box, "b": Placed(box, [0.4, 0, 0]), "on_a": Placed(box, [0, 0, 1])})
     assert body.notes == ("the parts 'a' and 'b' overlap: is that meant?",)
+
+
+def test_touching_surfaces() -> None:
+    """Two parts that touch: a note on the smallest surfaces, none with contact."""
+    box = {"box": {"size": [1, 1, 1], "cells": [1, 1, 1]}}
+    mesh = {"parts": {"a": box, "b": {**box, "move": [0, 0, 1]}}, "degree": 1}
+    rest = {"materials": {"any": STEEL}, "support": [{"on": "a.bottom"}], "statics": {}}
+
+    def notes(**more: Any) -> list[str]:
+        case = Case.from_dict({"mesh": mesh, **rest, **more})
+        return [*touching_notes(case.make_problem(case.read_body(COMM)))]
+
+    (note,) = notes()
+    assert "'a.top' and 'b.bottom' of two bodies touch on 1 m^2" in note
+    assert notes(contact=[{"between": ["a", "b"]}]) == []
 
 
 PIN = {"pin": RECTANGLE}

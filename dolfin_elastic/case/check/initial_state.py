@@ -11,7 +11,7 @@ from dolfinx import fem
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.parallel import largest, smallest
+from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.shapes.surface import FEATURES
 from dolfin_elastic.core.units import LengthUnit
@@ -166,8 +166,19 @@ def touching_notes(problem: Problem) -> Iterator[str]:
     remedy = "mesh.join = true joins the bodies, " if problem.body.cad is not None else ""
     unit = problem.body.unit
     known = [one.surfaces for one in problem.contacts if one.key_of_names != "on"]
-    for a, b, area in touching_surfaces(problem):
-        if any({a, b} <= set(names) for names in known):
+    pairs, body = [*touching_surfaces(problem)], problem.body
+
+    def within(inner: Sequence[str], outer: Sequence[str]) -> bool:
+        """Each surface is a part of one of others; none: of the whole boundary. Collective."""
+        own = {name: body.owned_facets(name) for name in (*inner, *outer)}
+        if not outer:
+            return True
+        lost = np.array([[len(np.setdiff1d(own[a], own[b])) for b in outer] for a in inner])
+        return bool((total(body.comm, lost).min(axis=1) == 0).all())
+
+    for a, b, area in pairs:
+        others = [pair for *pair, _ in pairs if within(pair, (a, b)) and not within((a, b), pair)]
+        if others or any(within((a, b), names) for names in known):
             continue
         yield (
             f"the surfaces '{a}' and '{b}' of two bodies touch on "

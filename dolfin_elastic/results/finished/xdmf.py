@@ -32,7 +32,7 @@ _CELLS = {
 
 _COLUMNS = 9
 """Numbers of a value, at most: those of a tensor."""
-_NAME = re.compile(r"\w[\w -]{0,99}")
+_NAME = re.compile(r"\w[\w .-]{0,99}")
 
 
 @dataclass(frozen=True)
