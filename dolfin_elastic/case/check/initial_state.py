@@ -20,7 +20,7 @@ from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.terms.contact import ContactPair, nearest_spot
+from dolfin_elastic.problem.terms.contact import FAR, ContactPair, nearest_spot
 from dolfin_elastic.solvers.diagnostics.rigid_body import free_bodies
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.messages import RELEASE
@@ -217,7 +217,8 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
         if pair.contact.push is not None:  # it goes to where it touches, or the run refuses it
             pressed = True
             continue
-        nearest = min(gap, *_gaps_over_time(case, pair))
+        later = _gaps_over_time(case, pair)
+        nearest = min([*later, gap] if pair.contact.between is None else later)
         pressed |= nearest < -_ROUND_OFF * pair.size
         if nearest > max(reach, _ROUND_OFF * pair.size):
             what = "the obstacle comes" if pair.contact.between is None else "the surfaces come"
@@ -254,19 +255,24 @@ def contact_start_notes(case: Case, problem: Problem) -> Iterator[str]:
         return
     unit = problem.body.unit
     for pair, gap, place in _initial_gaps(case, problem):
-        if pair.contact.push is not None or not -pair.size <= gap < -pair.tolerance:
+        if pair.contact.push is not None or not gap < -pair.tolerance:
             continue
-        what = "its obstacle" if pair.contact.between is None else "the other surface"
+        begins = f"contact '{pair.label}': it begins {unit.length(-gap)} deep in"
+        if pair.contact.between is not None:
+            if pair.contact.interference == "resolve" and not -gap <= (pair.contact.adjust or 0.0):
+                yield (
+                    f"{begins} the other surface, at {unit.point(place)}: this overlap grows in "
+                    'the load steps, as in a press fit; interference = "ignore" removes it'
+                )
+            continue
         outside = -smallest(pair.comm, float(np.min(-pair.gaps()[0], initial=np.inf)))
         where = (
             "with all of its surface: right in a press fit, else its normal points the wrong way"
             if outside < -pair.tolerance
             else "from where the first load step pushes it out"
         )
-        yield (
-            f"contact '{pair.label}': it begins {unit.length(-gap)} deep in {what}, at "
-            f"{unit.point(place)}, {where}"
-        )
+        if gap >= -pair.size:  # else the run is refused
+            yield f"{begins} its obstacle, at {unit.point(place)}, {where}"
     if not problem.terms.dissipates:
         return
     bodies = zip(free_bodies(problem), free_bodies(problem, rubbing=False), strict=True)
@@ -324,9 +330,12 @@ def _reach(case: Case, problem: Problem) -> tuple[float, str]:
 
 def _gaps_over_time(case: Case, pair: ContactPair) -> list[float]:
     """Smallest gap of the body at rest as the obstacle moves [m]. Collective."""
-    if pair.contact.between is not None:
-        return [nearest_spot(pair)[0]]
     end, default = _end(case)
+    if pair.contact.between is not None:  # less what counts as no gap
+        pair.set_time(end, default)
+        acting = smallest(pair.comm, float(np.min(pair.pressing_gaps(), initial=np.inf)))
+        pair.set_time(0.0, default)
+        return [acting if acting < FAR / 4 else nearest_spot(pair)[0]]
     x, result = pair.places(), []
     for t in np.linspace(0.0, end, TIMES if pair.contact.values else 1):
         shift = pair.contact.displacement_at(float(t), default, x.shape[1])

@@ -239,7 +239,7 @@ def _pieces(raw: RawMesh) -> RawMesh:
     raw = _noted(
         raw,
         f"the mesh is in {len(sizes)} unconnected pieces of {text} elements: each "
-        "needs its own support, or a [[tie]]",
+        "moves on its own where no contact or [[tie]] holds it",
     )
     same = _same_places(raw, label)
     if not len(same):

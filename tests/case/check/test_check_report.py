@@ -883,6 +883,36 @@ def test_the_start_of_a_contact(row, said):
         assert text in note
 
 
+STACK = """
+Rectangle(1) = {0, 0, 0, 1, 1}; Rectangle(2) = {0, GAP + 1, 0, 1, 1};
+Physical Surface("base") = {1}; Physical Surface("lid") = {2};
+Physical Curve("foot") = {1}; Physical Curve("up") = {3};
+Physical Curve("down") = {5}; Physical Curve("head") = {7};
+"""
+
+
+@pytest.mark.parametrize(
+    ("gap", "row", "said"),
+    [
+        (-0.1, {}, ["begins 0.1 m deep in the other surface, at (0.02254, 1) m: this overlap"]),
+        (-0.1, {"interference": "ignore"}, ["nothing will move"]),
+        (0.1, {}, ["can never touch: the surfaces come no nearer than 0.1 m", "nothing will"]),
+        (0.1, {"adjust": 0.1, "interference": 0.01}, []),
+        (0.0, {"friction": 0.3}, ["friction alone supports `lid`, which could else move along x"]),
+    ],
+)
+def test_the_start_of_contact_between_bodies(gap, row, said, folder: Path):
+    """Overlaps with depth and place, pairs that never meet, and what only friction supports."""
+    supports = [{"on": ["foot"] if "friction" in row else ["foot", "head"]}]
+    load = [{"kind": "gravity"}] if "friction" in row else []
+    geo = 'SetFactory("OpenCASCADE");' + STACK.replace("GAP", str(gap))
+    contact = [{"between": ["up", "down"], **row}]
+    notes = report(meshed(folder, geo, support=supports, load=load, contact=contact)).notes
+    assert len(notes) == len(said)
+    for note, text in zip(notes, said, strict=True):
+        assert text in note
+
+
 @pytest.mark.parametrize(
     ("tables", "deep"),
     [

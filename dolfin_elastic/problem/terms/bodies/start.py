@@ -49,7 +49,7 @@ class StartOffsets:
             edge: Longest edge of the faces [m].
         """
         given = not isinstance(self._contact.interference, str)
-        near = self._contact.adjust or (GAP * edge if given else 0.0)
+        near = (1 + 1e-9) * (self._contact.adjust or (GAP * edge if given else 0.0))
         self._fixed.x.array[nodes] = np.where(np.abs(gaps) <= near, gaps, 0.0)
         self._fading.x.array[nodes] = np.where(gaps < -near, gaps, 0.0)
         for one in (self._fixed, self._fading):
