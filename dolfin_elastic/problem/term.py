@@ -592,6 +592,14 @@ class Terms(list[Term]):
         for term in self:
             term.rollback()
 
+    def passed(self, back: FloatArray) -> bool:
+        """Whether a motion back from the present state leads through any. Collective.
+
+        Args:
+            back: See `longest_step`.
+        """
+        return any(term.longest_step(back) < 1.0 for term in self)
+
     def unsettled(self) -> bool:
         """See `Term`: of any."""
         return any(term.unsettled() for term in self)

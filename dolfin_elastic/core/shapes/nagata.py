@@ -128,7 +128,7 @@ def _unit(a: FloatArray) -> FloatArray:
 
 
 def _twins(triangles: IntArray) -> IntArray:
-    """The same edge of the neighbour, for each edge of each triangle; on a rim itself."""
+    """The same edge of the neighbour, for each edge of each triangle; on a border itself."""
     ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
     edge = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True)[1].reshape(-1)
     order, result = np.argsort(edge, kind="stable"), np.arange(triangles.size)

@@ -407,6 +407,23 @@ class ContactPair(_Pressures):
             goal = t + (goal - t) / 2
         return goal
 
+    def longest_step(self, motion: FloatArray) -> float:
+        """See `Term`: of nodes that are outside of the obstacle, and deep in it on the way."""
+        depth = np.inf if self.contact.between else self.contact.obstacle.thickness
+        if not np.isfinite(depth):
+            return 1.0
+        x, way = self._moved(), motion.reshape(-1, self._dim)[self.nodes_of_displacement]
+        lengths, (gaps, _) = np.linalg.norm(way, axis=1), self.contact.obstacle.gaps(x)
+        some = (lengths > STRIDE * depth) & (gaps > -depth / 2) & (gaps < lengths)
+        x, way = x[some], way[some]
+        count, share = int(np.ceil(2 * np.max(lengths[some], initial=0.0) / depth)), 1.0
+        for part in range(1, count):
+            gaps, _ = self.contact.obstacle.gaps(x + part / count * way)
+            if np.min(gaps, initial=0.0) < -depth / 2:
+                share = part / count
+                break
+        return smallest(self.comm, share)
+
     # --- results ---
 
     @stage("contact")

@@ -21,6 +21,7 @@ from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
     BEYOND,
+    PASSED,
     UNSTABLE,
     NewtonResult,
 )
@@ -272,9 +273,10 @@ class LoadStepping:
             goal = sizes.goal(self._t)
             goal = self._problem.terms.within_stride(self._t, goal, self._problem.acting)
             step = _Step(self._t, goal, self._newton.unknowns())
+            before = self._problem.u.x.array.copy()
             result = self._solve(step)
             last = goal >= self._settings.end
-            refusal = self._refusal(last=last) if result.converged else result.reason
+            refusal = self._refusal(before, last=last) if result.converged else result.reason
             if refusal:
                 if refusal == ANOTHER:
                     self._jumped_to = goal, self._newton.unknowns()
@@ -337,15 +339,20 @@ class LoadStepping:
         self._problem.terms.commit()
         return state
 
-    def _refusal(self, *, last: bool) -> str:
+    def _refusal(self, before: FloatArray, *, last: bool) -> str:
         """Why the equilibrium is not the next point of the path; empty: it is. Collective.
 
         Newton's method may find an unstable equilibrium, one on another path, or one where a
         material's energy has no finite value.
+
+        Args:
+            before: Displacements at the start of the step, local array [m].
         """
         if self._problem.linear:
             self._verdict = judge(self._newton)
             return UNSTABLE if self._verdict.stable is False else ""
+        if self._problem.terms.passed(before - self._problem.u.x.array):
+            return PASSED
         self._path_check.evaluate()
         if not self._path_check.finite():
             return BEYOND
@@ -369,9 +376,9 @@ class LoadStepping:
           jumped to: it was refused then only because a smaller step might have stayed on the path.
         - A stable equilibrium of another path (`ANOTHER`) at every size of step: then the path
           has ended, the jump is what the body does, and it is taken as it is.
-        - A material beyond its limit, or no equilibrium at all next to the unloaded body: no flow
-          leads out of the first, and the second is a fault of the input (loads, supports), which
-          is reported.
+        - A material beyond its limit, an obstacle that was passed, or no equilibrium at all next to
+          the unloaded body: no flow leads out of the first two, and the last is a fault of the
+          input (loads, supports), which is reported.
 
         Args:
             result: How it ended; if it converged, the problem holds what was refused.
@@ -385,7 +392,7 @@ class LoadStepping:
         """
         goal, newton = step.goal, self._newton
         failed = newton.unknowns() if result.converged else self._retry.failed
-        hopeless = refusal == BEYOND or (step.t == 0.0 and not result.converged)
+        hopeless = refusal in (BEYOND, PASSED) or (step.t == 0.0 and not result.converged)
         if not self._settings.snap or self._problem.linear or hopeless:
             raise self._failure(step.t, goal, result.refused(refusal), step.start, failed)
         if refusal != ANOTHER:

@@ -20,6 +20,7 @@ from dolfin_elastic import (
     Problem,
     Statics,
     Support,
+    Traction,
     box_body,
     restart,
     run,
@@ -291,6 +292,26 @@ def test_a_blade_does_not_pass(folder, comm):
     states = list(Statics(problem, steps=1).steps())
     assert np.diff([state.t for state in states]).max() <= 0.5 * 0.1 / 2 / 0.4 + 1e-12
     assert states[-1].numbers["penetration_floor"] <= problem.contact_pairs[0].tolerance
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_a_load_does_not_pass(degree, folder, comm):
+    """A load presses a beam on a thin plate below its end: as on a half space, in more steps."""
+    file = written(folder / "plate.stl", *brick((2, -1, -0.12), (5, 2, -0.1)), comm)
+    found = []
+    for shape in ({"plane": {"axis": "z", "at": -0.1}}, {"mesh": file}):
+        problem = Problem(
+            box_body(size=(4, 1, 1), cells=(4, 1, 1)),
+            NeoHookean(E=E, nu=NU),
+            degree=degree,
+            supports=[Support(on="left")],
+            loads=[Traction(on="right", value=[0, 0, "-0.02 MPa"])],
+            contacts=[Contact.model_validate({"on": "bottom", "name": "floor", **shape})],
+        )
+        found.append(last(problem, steps=2).reactions["floor"][2])
+    assert found[0] > 0.0
+    # Both end within the tolerance of gaps, 1e-2 of what the pressure shortens an element by.
+    assert found[1] == pytest.approx(found[0], rel=0.01)
 
 
 # --- motion, runs that go on, cases ---
