@@ -258,6 +258,9 @@ class Term(_Joining):
         """
         return None
 
+    def delay_opening(self) -> None:
+        """What acts in further iterations does not end before equilibrium is found. Local."""
+
     def assume(self, closed: bool | None) -> None:
         """All that may open counts as closed, or as open; None: as it is. Not collective."""
 

@@ -126,6 +126,7 @@ class _Pressures(InSteps):
             contact's; None: all of the surface.
         softness: By how much a pressure there shortens the element behind it [m/Pa].
         slack: Gap that counts as none [m], see `SLACK`.
+        pulls_to: Gap up to which each owned vertex pulls until the next update [m]; 0: none.
         nodes: Owned vertices of the surface in the space of `lam`.
         nodes_of_displacement: The same vertices in the displacement's space.
         follows: Supports that must not move the body through the obstacle in one step.
@@ -164,6 +165,7 @@ class _Pressures(InSteps):
         self.shift: fem.Constant = context.constant([0.0] * body.dim)
         if contact.between is None:
             self._at_nodes = contact.obstacle.followed()
+        self.pulls_to: FloatArray = np.zeros(len(self.nodes))
         self.slack, self._augments = SLACK * cell_size(body), True
         self._reach = context.constant(self.slack)
         self.step = ContactStep(context, self.shift, self.size)
@@ -211,7 +213,8 @@ class _Pressures(InSteps):
         """
         lam, eps = self.lam.x.array[self.nodes], self.eps if penalty is None else penalty
         first, last = (lam - eps * gaps for gaps in self.end_gaps())
-        return np.maximum(0.0, self.step.pressures(first, last, -eps * self.reach))
+        found = self.step.pressures(first, last, -eps * (self.reach + self.pulls_to))
+        return np.where(self.pulls_to > 0.0, found, np.maximum(0.0, found))
 
     def end_gaps(self) -> tuple[FloatArray, FloatArray]:
         """`pressing_gaps` at both ends of the step [m]. Collective."""
@@ -309,7 +312,7 @@ class ContactPair(_Pressures):
 
     def augment(self) -> None:
         """Uzawa's update lam <- max(0, lam - eps g). Collective."""
-        self.lam.x.array[self.nodes] = self.pressures()
+        self.lam.x.array[self.nodes] = np.maximum(0.0, self.pressures())
         self.lam.x.scatter_forward()
 
     # --- where it touches ---

@@ -7,8 +7,12 @@ With the mean gap g_I at a vertex, see `vertex_functions`, the penalty eps and t
 and the virtual work is the sum of p_I times the integral of psi_I n . v.  It has the potential sum
 of A_I (p_I^2 - lam_I^2)/(2 eps); uniform pressures pass the patch test.
 
-Source: P. Wriggers, Computational Contact Mechanics, 2nd ed., Springer 2006, section 6.3.4; and
-that of the functions.
+In statics a vertex that pressed in the last equilibrium pulls until the next one is found, and
+opens with the update of its multiplier: in the first iterations a body that bends or turns would
+leave what it presses on, fall back on it, and leave it again.
+
+Source: P. Wriggers, Computational Contact Mechanics, 2nd ed., Springer 2006, sections 6.3.4 and
+10.3.4 (sets of active constraints that change between equilibria); and that of the functions.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ import numpy as np
 import ufl
 from dolfinx import la
 
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.shapes.shapes import Plane, Shape
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.model.contact import Contact
@@ -105,6 +109,7 @@ class VertexContact(_Followed):
             self._followed = self._at_nodes, self._of_points, *self._of_ends
         self.functions = self._make_functions(thickness)
         self.near: BoolArray = np.zeros(len(self.nodes), dtype=bool)
+        self._delays = False
 
     def _make_functions(self, thickness: float) -> VertexFunctions:
         return VertexFunctions(self, self._context, thickness)
@@ -164,7 +169,7 @@ class VertexContact(_Followed):
             way: Of `_over_step`, where it is known.
         """
         way = self._over_step() if way is None else way
-        lam, least = self.lam.x.array[self.nodes], -self.eps * self.reach
+        lam, least = self.lam.x.array[self.nodes], -self.eps * (self.reach + self.pulls_to)
         first, last = (lam - self.eps * gaps for gaps in self._means_over(way))
         pressures = self.step.pressures(first, last, least)
         return pressures, self.eps * self.step.softening(first, last, least)
@@ -214,12 +219,31 @@ class VertexContact(_Followed):
         way = self._over_step()
         pressures, falls = self.state(way)
         self.near |= falls > 0
+        if self._delays:
+            self.pulls_to[falls > 0] = self.size
         nodes, G = self.functions.rows(self.near, way.normals)
         same = way.along is way.normals
         pushes = G if same else self.functions.rows(self.near, way.along)[1]
         stiffness = diags_array(falls / self.functions.areas)
         result = blocks_of(nodes, pushes.T @ stiffness @ G, G, self._dim)
         return result if self.flat else result + self._turning(pressures)
+
+    # --- points that open ---
+
+    def delay_opening(self) -> None:
+        """See `Term`: in statics; from the next tangent on."""
+        self._delays = self._augments
+
+    def unsettled(self) -> bool:
+        """See `Term`: or a vertex pulls, which the next update opens."""
+        pulls = (self.pulls_to > 0.0) & (self.state()[0] < -self.eps * self.reach)
+        return largest(self.comm, float(np.any(pulls))) > 0.0 or super().unsettled()
+
+    def _forget(self) -> None:
+        """Vertices that pressed in the last equilibrium pull before they open."""
+        super()._forget()
+        self._delays = False
+        self.pulls_to[:] = np.where(self.lam.x.array[self.nodes] > 0.0, self.size, 0.0)
 
     def means(self) -> Means:
         """See `Term`."""

@@ -50,6 +50,9 @@ FALLING = 0.3
 VANISHING = 1e-2
 """Free residual over its round-off that cannot fall any more."""
 
+ALTERNATION = 3
+"""Iterations that have to halve the residual, where forces begin and end."""
+
 STALL = 6
 """Backtracking iterations over which the residual has to fall by a third."""
 
@@ -249,6 +252,7 @@ class ConvergenceTest:
             False,
         )
         self._check: IterationCheck | None = None
+        self._alternates, self._delayed = False, 0
 
     def begin(
         self,
@@ -271,7 +275,7 @@ class ConvergenceTest:
         self._backtracks, self._patient, self._check = backtracks, patient, check
         self._max_iterations = max_iterations or self._tolerance.max_iterations
         self.residuals.clear()
-        self.predicted = 0.0
+        self.predicted, self._alternates, self._delayed = 0.0, False, 0
         self.take_loads()
         if not np.isfinite(self._applied):
             problem = self._assembler.problem
@@ -309,6 +313,24 @@ class ConvergenceTest:
         before, now = self.residuals[-2:]
         quadratic = now < before and now * (now / before) ** 2 <= 0.5 * self.target()
         return quadratic and self._norm > 0 and self._needed() >= LAST_FORCING
+
+    def alternates(self) -> bool:
+        """States of contact go on to alternate although none opens any more. Not collective.
+
+        They alternate where three iterations have not halved the least residual before.  Then what
+        closes is first kept from opening again; where that does not help, a point slides to and
+        fro, and sticks between.
+        """
+        since, r = self._delayed, self.residuals
+        opens = self._assembler.problem.terms.opens and not self._backtracks
+        before, last = r[since + 1 : -ALTERNATION], r[-ALTERNATION:]
+        if opens and len(before) > 1 and min(last) > 0.5 * min(before):
+            self._alternates = since > 0
+            if not since:
+                self._delayed = len(r)
+                for term in self._assembler.problem.terms:
+                    term.delay_opening()
+        return self._alternates
 
     def target(self) -> float:
         """Norm of the free residual that is small enough [N]. Collective."""

@@ -152,10 +152,12 @@ class Newton:
         if taken != chosen:
             log.info("PETSc options make it: %s with %s", taken["ksp_type"], taken["pc_type"])
         self.install_test()
-        if self.guard is not None and not self.assembler.problem.linear:
-            self.snes.setLineSearchPreCheck(self.guard.shorten)
-        if self.assembler.problem.terms.bars:
+        if not self.assembler.problem.linear:
+            self.snes.setLineSearchPreCheck(self._shorten)
+        terms = self.assembler.problem.terms
+        if terms.opens or terms.bars:
             self._passage = PassageGuard(self.assembler, self.snes)
+        if self._passage is not None and terms.bars:
             self.snes.setLineSearchPreCheck(self._passage.shorten)
 
     def install_test(self, max_iterations: int | None = None) -> None:
@@ -338,6 +340,13 @@ class Newton:
         if self.shift > 0.0:
             self.assembler.tangent.shift_diagonal(self.shift)
         self.linear.take(self.assembler.tangent.matrix)
+
+    def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
+        """Shortens a step between states that alternate, and lest elements turn inside out."""
+        shorter = False
+        if self._passage is not None and self.test.alternates():
+            shorter = self._passage.shorten(x, y)
+        return (self.guard is not None and self.guard.shorten(x, y)) or shorter
 
     def take_tangent(self, P: PETSc.Mat) -> None:
         """Sets the linear tolerance and the round-off floor from a fresh tangent. Collective.
