@@ -225,6 +225,10 @@ class Term(_Joining):
         """
         return 1.0
 
+    def make_convex(self) -> bool:
+        """Makes its blocks semidefinite until steps are short again; whether that changes them."""
+        return False
+
     def without_rest(self) -> InputError | None:
         """That it acts in motion only, with what to do; None: it does not."""
         return None
@@ -524,6 +528,11 @@ class Terms(list[Term]):
     def longest_step(self, motion: FloatArray) -> float:
         """See `Term`: of all terms."""
         return min((term.longest_step(motion) for term in self if term.opens), default=1.0)
+
+    def make_convex(self) -> bool:
+        """See `Term`: of all terms."""
+        changed = [term.make_convex() for term in self]
+        return any(changed)
 
     @contextmanager
     def assumed(self, *, closed: bool) -> Iterator[None]:

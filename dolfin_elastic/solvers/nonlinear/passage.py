@@ -14,17 +14,26 @@ OVERSHOOT = 0.5
 HALVINGS = 12
 """Of a step that overshoots."""
 
+FLAT = 0.5
+"""Slope at the end of a step over that at its start from which on the step is too short."""
+
+DOUBLINGS = 3
+"""Of a step that is too short."""
+
 
 class PassageGuard:
-    """Ends a step before anything meets, and halves it while it overshoots its minimum.
+    """Ends a step before anything meets, and at about the minimum of the potential along it.
 
     Barriers grow without bound as bodies approach, so a full step of Newton's method may end far up
-    the other side.  The slope of the potential along a step y is the work of the residual f on it,
-    -f . y; where it is positive and not much smaller than it was, the minimum lies well before.
-    That asks for no energy, which not all laws and forces have.
+    the other side; where one body rolls off another, the semidefinite tangent is much too stiff.
+    The slope of the potential along a step y is the work of the residual f on it, -f . y; while it
+    is positive and not much smaller than it was, the minimum lies well before, and while it has
+    hardly changed, far behind.  That asks for no energy, which not all laws and forces have.  An
+    exact tangent that leads up is replaced by the semidefinite one.
 
     Source: J. Nocedal & S. J. Wright, Numerical Optimization, 2nd ed., Springer 2006, section 3.1
-    (curvature condition); Li et al. (2020), see `bodies.barrier` (steps up to contact).
+    (curvature condition, modified tangents); Li et al. (2020), see `bodies.barrier` (steps up to
+    contact).
     """
 
     def __init__(self, assembler: Assembler, snes: PETSc.SNES) -> None:
@@ -32,23 +41,61 @@ class PassageGuard:
         self._trial, self._f = assembler.create_vector(), assembler.create_vector()
 
     def shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
-        """Shortens the step y from x to x - y. Collective.
+        """Shortens the step y from x to x - y, or makes it longer or another one. Collective.
 
         Returns:
             Whether y was changed.
         """
+        other = self._turn_down(x, y)
         slope = self._snes.getFunction()[0].dot(y)
         share = free_share(self._assembler, x, y)
         for _ in range(HALVINGS):
-            self._trial.waxpy(-share, y, x)
-            self._snes.computeFunction(self._trial, self._f)
-            end = self._f.dot(y)
+            end = self._slope_at(x, y, share)
             if np.isfinite(end) and end >= -OVERSHOOT * abs(slope):
                 break
             share /= 2
-        if share < 1.0:
+        if share == 1.0:
+            share = self._lengthened(x, y, slope, end)
+        if share != 1.0:
             y.scale(share)
-        return share < 1.0
+        return other or share != 1.0
+
+    def _turn_down(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
+        """Replaces a step of an exact tangent that leads up. Collective."""
+        f = self._snes.getFunction()[0]
+        if f.dot(y) > 0.0 or not self._assembler.problem.terms.make_convex():
+            return False
+        J, P = self._snes.getJacobian()[:2]
+        self._snes.computeJacobian(x, J, P)
+        self._snes.ksp.setOperators(J, P)
+        self._snes.ksp.solve(f, y)
+        return True
+
+    def _lengthened(self, x: PETSc.Vec, y: PETSc.Vec, slope: float, end: float) -> float:
+        """The share to which a whole step, which is free, is lengthened. Collective.
+
+        Args:
+            slope: At x.
+            end: The slope at x - y.
+        """
+        share = 1.0
+        for _ in range(DOUBLINGS):
+            if not end > FLAT * slope > 0.0:
+                break
+            free = free_share(self._assembler, x, y, share)
+            end = self._slope_at(x, y, share * (1 + free))
+            if not (np.isfinite(end) and end >= -OVERSHOOT * slope):
+                break
+            share *= 1 + free
+            if free < 1.0:
+                break
+        return share
+
+    def _slope_at(self, x: PETSc.Vec, y: PETSc.Vec, share: float) -> float:
+        """Minus the slope of the potential along y, after a share of it. Collective."""
+        self._trial.waxpy(-share, y, x)
+        self._snes.computeFunction(self._trial, self._f)
+        return float(self._f.dot(y))
 
     def destroy(self) -> None:
         """Frees its vectors."""
@@ -56,13 +103,18 @@ class PassageGuard:
         self._f.destroy()
 
 
-def free_share(assembler: Assembler, x: PETSc.Vec, y: PETSc.Vec) -> float:
+def free_share(
+    assembler: Assembler, x: PETSc.Vec, y: PETSc.Vec, start: float = 0.0
+) -> float:
     """The share of the step from x to x - y before anything passes unseen. Collective.
 
-    The problem is at x afterwards.
+    The problem is where the step begins afterwards.
+
+    Args:
+        start: Share of y that lies behind; the step is as long once more, or y itself.
     """
     problem, own, ends = assembler.problem, assembler.size, []
-    for part in (1.0, 0.0):
+    for part in (2 * start if start else 1.0, start):
         w = problem.w.x
         w.array[:own] = assembler.origin + (x.array_r[:own] - part * y.array_r[:own])
         assembler.extend(w.array)

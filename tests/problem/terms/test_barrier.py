@@ -98,6 +98,35 @@ def test_the_tangent_is_that_of_differences(friction):
         assert off < 1e-6 * size
 
 
+def test_the_tangent_is_made_semidefinite_where_it_leads_up():
+    """Its least eigenvalue: of a gap that may turn it is negative, then round-off of the largest.
+
+    The pairs of each rank by themselves.
+    """
+    problem = blocks(2, 1)
+    press(problem, 0.01)
+    term = barrier(problem)
+    term.longest_step(np.zeros(len(problem.u.x.array)))
+
+    def eigenvalues() -> np.ndarray:
+        pairs, size = term.blocks(), 2 * len(term.surface.nodes)
+        rows, columns = (
+            np.searchsorted(term.surface.nodes, n) for n in (pairs.rows, pairs.columns)
+        )
+        K = np.zeros((size, size))
+        for i, j, block in zip(rows, columns, pairs.values, strict=True):
+            K[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] += block
+        every = problem.body.comm.allgather(np.linalg.eigvalsh(K))
+        return np.concatenate(every)
+
+    exact = eigenvalues()
+    assert exact.min() < -1e-4 * exact.max()
+    assert term.make_convex()
+    assert not term.make_convex()
+    convex = eigenvalues()
+    assert convex.min() > -1e-13 * convex.max()
+
+
 @pytest.mark.parametrize(("dim", "degree"), [(2, 1), (2, 2), (3, 1)])
 def test_a_block_falls_on_another(dim, degree):
     """Nothing intersects at any state, no energy appears, and Newton's method needs few steps."""

@@ -23,6 +23,7 @@ Contact, arXiv 2307.15908 (2023).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from operator import attrgetter
 from types import ModuleType
 from typing import Any
 
@@ -42,8 +43,9 @@ from dolfin_elastic.problem.term import Blocks, Term
 NEAR = 0.1
 """Distance at which surfaces begin to repel each other, over the median edge."""
 
-PRESSED = 0.05
-"""Pressure at half that distance, over three shear moduli: Young's modulus, or a bit less."""
+PRESSED = 0.5
+"""Pressure at half that distance, over three shear moduli, which are Young's modulus or a bit more.
+A softer barrier is compressed to a small part of its distance, where it takes many iterations."""
 
 SLOW = 1e-3
 """Speed up to which friction is smoothed, sizes of the surface a second: Li et al. (2020), 5.3."""
@@ -245,7 +247,8 @@ class Barrier(Term):
             ids, every = _KINDS[self._dim][kind][0], getattr(candidates, kind)
             share = every[self.comm.rank :: self.comm.size]
             if beside:
-                share = [p for p in share if tuple(getattr(p, n) for n in ids) not in beside]
+                numbers = attrgetter(*ids)
+                share = [pair for pair in share if numbers(pair) not in beside]
             setattr(candidates, kind, share)
         return candidates
 
@@ -301,6 +304,11 @@ class Barrier(Term):
         share = smallest(self.comm, float(share))
         return 1.0 if share >= 1.0 else CLEAR * share
 
+    def make_convex(self) -> bool:
+        """See `Term`."""
+        before, self.projection = self.projection, self._ipctk.PSDProjectionMethod.CLAMP
+        return bool(before != self.projection)
+
     # --- a run ---
 
     def without_rest(self) -> InputError:
@@ -332,6 +340,7 @@ class Barrier(Term):
     def advance(self) -> None:
         """See `Term`: pairs that were near long ago leave the tangent's pattern."""
         self._pairs = np.zeros(0, dtype=np.int64)
+        self.make_convex()
 
     def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
         """See `Term`: smallest distance [m], at most that at which forces begin."""
