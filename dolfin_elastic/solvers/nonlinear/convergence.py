@@ -94,6 +94,7 @@ class NewtonResult:
     Attributes:
         residuals: Norm of the free residual at each iterate [N].
         newton: Iterations.
+        longest: Of several solves in a row, the iterations of the longest one.
         krylov: Linear iterations.
         reason: PETSc's name of why it ended.
         converged: Whether equilibrium was found.
@@ -105,6 +106,7 @@ class NewtonResult:
 
     residuals: tuple[float, ...] = ()
     newton: int = 0
+    longest: int = 0
     krylov: int = 0
     reason: str = ""
     converged: bool = False

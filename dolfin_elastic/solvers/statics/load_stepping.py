@@ -327,7 +327,7 @@ class LoadStepping:
         self._path_check.accept()
         self._speed.accept(known=not left_path)
         self._previous = step.t, step.start
-        self._sizes.succeeded(step.t, goal, result.newton)
+        self._sizes.succeeded(step.t, goal, result.longest)
         if left_path:
             self._sizes.begin_anew()
         self._t = goal

@@ -267,14 +267,17 @@ class RetryStrategy:
         Returns:
             How the last solve ended, with the iterations of all and the prediction of the first.
         """
-        first, newton, krylov = result, result.newton, result.krylov
+        first, newton, longest, krylov = result, result.newton, result.newton, result.krylov
         terms, solve = self.newton.assembler.problem.terms, solve or self.newton.solve
         for _ in range(AUGMENTATIONS):
             if not (result.converged and terms.solve_again()):
                 break
             result = solve(line_search)
             newton, krylov = newton + result.newton, krylov + result.krylov
-        result = replace(result, newton=newton, krylov=krylov, predicted=first.predicted)
+            longest = max(longest, result.newton)
+        result = replace(
+            result, newton=newton, longest=longest, krylov=krylov, predicted=first.predicted
+        )
         return self._refuse_inverted(result)
 
     def _refuse_inverted(self, result: NewtonResult) -> NewtonResult:
