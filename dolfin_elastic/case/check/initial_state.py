@@ -69,6 +69,9 @@ class ContactGap:
     place: tuple[float, ...]
 
 
+_UNLIKE = 100.0
+"""Ratio of the sizes of body and rigid mesh from which on one may be in another unit."""
+
 _TIE = "[[tie]]"
 """What joins bodies, in the notes of meshes that are not joined."""
 
@@ -234,7 +237,7 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
                 f"contact '{pair.label}': it begins {unit.length(-gap)} deep in the obstacle, "
                 "more than the body is large"
             )
-        if text := _coarse_facets(pair, unit):
+        if text := _coarse_facets(pair, unit) or _other_size(pair, unit, diagonal):
             yield f"contact '{pair.label}': {text}"
         if text := _in_another_unit(unit, one, pair, diagonal):
             yield f"contact '{pair.label}': {text}"
@@ -357,6 +360,19 @@ def _coarse_facets(pair: ContactPair, unit: LengthUnit) -> str:
     return (
         f"facets of {mesh.file} are up to {unit.length(size)} long where it is curved, elements "
         f"{unit.length(pair.size)} high: the body follows each facet; a finer file is smoother"
+    )
+
+
+def _other_size(pair: ContactPair, unit: LengthUnit, diagonal: float) -> str:
+    """That the sizes of a rigid mesh and of the body differ as units of length do. Local."""
+    if (mesh := pair.contact.mesh) is None:
+        return ""
+    size = mesh.surface.size
+    if 1 / _UNLIKE < size / diagonal < _UNLIKE:
+        return ""
+    return (
+        f"{mesh.file} is {unit.length(size)} large, the body {unit.length(diagonal)}: is the file "
+        "in another unit? `unit` beside `file` states it"
     )
 
 

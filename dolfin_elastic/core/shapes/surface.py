@@ -75,6 +75,9 @@ class Surface:
         triangles: Rows of `points`, at least one, none without area, shape (m, 3).
         loops: The compiled `CODE`.
         smooth: The surface is curved between these corners.
+
+    Attributes:
+        size: Diagonal of the box around it [m].
     """
 
     def __init__(
@@ -82,7 +85,7 @@ class Surface:
     ) -> None:
         self._corners = np.ascontiguousarray(points[triangles])
         self._triangles, self._loops = triangles, loops
-        self._size = float(np.linalg.norm(np.ptp(points, axis=0)))
+        self.size = float(np.linalg.norm(np.ptp(points, axis=0)))
         self._edges = np.roll(self._corners, -1, axis=1) - self._corners
         self._edges /= np.linalg.norm(self._edges, axis=2)[:, :, None]
         self._normals = self._pseudonormals()
@@ -149,7 +152,7 @@ class Surface:
             of_patches = self._patches.derivatives(triangle, local)
             normal = np.where(bend[:, None], normal, of_patches.normals)
         side = np.where(np.einsum("ni,ni->n", arm, normal) < 0, -1.0, 1.0)
-        distance, away = side * length, (feature > 0) & (length > _ROUND_OFF * self._size)
+        distance, away = side * length, (feature > 0) & (length > _ROUND_OFF * self.size)
         normal[away] = (side[:, None] * arm)[away] / length[away, None]
         # Straight above an edge, which may be one within a plane, it is as above the face.
         bend &= away & (np.einsum("ni,ni->n", normal, self._normals[triangle, 0]) < 1 - _STRAIGHT)

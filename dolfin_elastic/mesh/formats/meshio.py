@@ -328,7 +328,8 @@ def _check_stl(path: Path) -> None:
     is_text = b"solid" in head.lower() and b"\0" not in head
     if not is_text and size != 84 + 50 * stated:
         raise MeshError(
-            f"it states {stated} triangles, which are {84 + 50 * stated} bytes; it has {size}",
+            "it is no STL file, or a part of one: it does not begin with 'solid', and as a binary "
+            f"one it states {stated} triangles, which are {84 + 50 * stated} bytes; it has {size}",
             where=path.name,
             expected="all of the file, as it was written",
         )

@@ -103,9 +103,7 @@ class PassageGuard:
         self._f.destroy()
 
 
-def free_share(
-    assembler: Assembler, x: PETSc.Vec, y: PETSc.Vec, start: float = 0.0
-) -> float:
+def free_share(assembler: Assembler, x: PETSc.Vec, y: PETSc.Vec, start: float = 0.0) -> float:
     """The share of the step from x to x - y before anything passes unseen. Collective.
 
     The problem is where the step begins afterwards.
