@@ -521,13 +521,18 @@ class Terms(list[Term]):
         return sum(result[1:], result[0]) if result else None
 
     @property
+    def joins(self) -> bool:
+        """See `Term`: any does."""
+        return any(term.joins for term in self)
+
+    @property
     def bars(self) -> bool:
         """See `Term`: of any."""
         return any(term.bars for term in self)
 
     def longest_step(self, motion: FloatArray) -> float:
         """See `Term`: of all terms."""
-        return min((term.longest_step(motion) for term in self if term.opens), default=1.0)
+        return min((term.longest_step(motion) for term in self), default=1.0)
 
     def make_convex(self) -> bool:
         """See `Term`: of all terms."""

@@ -316,7 +316,7 @@ class InversionGuard:
             Whether y was changed.
         """
         refused, free = self.rejected, 1.0
-        if self._assembler.problem.terms.opens:
+        if self._assembler.problem.terms.joins:
             free = free_share(self._assembler, x, y)
             if free < 1.0:
                 self.passes += 1

@@ -31,7 +31,7 @@ from dolfin_elastic.solvers.nonlinear.convergence import (
     Tolerance,
 )
 from dolfin_elastic.solvers.nonlinear.jacobian import InversionGuard, JacobianWatch
-from dolfin_elastic.solvers.nonlinear.passage import PassageGuard
+from dolfin_elastic.solvers.nonlinear.passage import PassageGuard, free_share
 from dolfin_elastic.solvers.nonlinear.scalars import FreeStrains, UniformPressure
 from dolfin_elastic.solvers.petsc.monitors import FileMonitors
 from dolfin_elastic.solvers.petsc.options import Options, ksp_reason, snes_reason
@@ -159,6 +159,15 @@ class Newton:
             self._passage = PassageGuard(self.assembler, self.snes)
         if self._passage is not None and terms.bars:
             self.snes.setLineSearchPreCheck(self._passage.shorten)
+        elif self.guard is None and self.assembler.problem.terms.joins:
+            self.snes.setLineSearchPreCheck(self._pass_nothing)
+
+    def _pass_nothing(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
+        """Shortens a step in which surfaces would pass each other unseen. Collective."""
+        share = free_share(self.assembler, x, y)
+        if share < 1.0:
+            y.scale(share)
+        return share < 1.0
 
     def install_test(self, max_iterations: int | None = None) -> None:
         """Makes the SNES use our test of convergence, and none of PETSc's tolerances."""

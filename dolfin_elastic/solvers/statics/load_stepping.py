@@ -306,17 +306,20 @@ class LoadStepping:
         if self._previous is not None and step.t > self._previous[0]:
             before, was = self._previous
             further = now + (step.goal - step.t) / (step.t - before) * (now - was)
-            if self._problem.terms.longest_step(self._motion_to(further)) >= 1.0:
+            if not self._passes(further):
                 starts.append(("along the path", further))
         return self._retry.solve(starts)
 
-    def _motion_to(self, unknowns: FloatArray) -> FloatArray:
-        """Displacement from the present state to another one, local array [m]. Not collective."""
-        now, u = self._newton.unknowns(), self._problem.u.x.array.copy()
+    def _passes(self, unknowns: FloatArray) -> bool:
+        """Whether surfaces pass each other unseen on the way to other unknowns. Collective."""
+        terms, u = self._problem.terms, self._problem.u.x.array
+        if not terms.joins:
+            return False
+        now, start = self._newton.unknowns(), u.copy()
         self._newton.put_back(unknowns)
-        motion: FloatArray = self._problem.u.x.array - u
+        motion: FloatArray = u - start
         self._newton.put_back(now)
-        return motion
+        return terms.longest_step(motion) < 1.0
 
     def _accept(self, step: _Step, goal: float, result: NewtonResult, *, left_path: bool) -> None:
         """Takes the present equilibrium as the next point of the path.

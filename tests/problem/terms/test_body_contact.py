@@ -433,18 +433,21 @@ def test_sliding(friction, folder, comm):
 
 @pytest.mark.long
 def test_a_run_goes_on():
-    """From a state on the way, with another problem, as if it had not ended."""
+    """From a state on the way, with another problem, as if it had not ended.
+
+    So does what counts as no gap.
+    """
 
     def begun() -> Statics:
         problem = Problem(
-            stacked((1.0, 0.6), (4, 1), (3, 1), width=0.7, shift=0.1),
+            stacked((1.0, 0.6), (4, 1), (3, 1), width=0.7, shift=0.1, gap=1e-3),
             NeoHookean(E=E, nu=0.0),
             degree=1,
             supports=[
                 Support(on="bottom"),
                 Support(on="top", displacement=["0.02*sin(6*t)", "-0.002*min(1, 4*t)"]),
             ],
-            contacts=[Contact(between=["below", "above"], name="joint", friction=0.3)],
+            contacts=[BETWEEN.model_copy(update={"friction": 0.3, "adjust": 1e-3})],
         )
         return Statics(problem, steps=6)
 
@@ -725,6 +728,23 @@ def test_nothing_passes_unseen(degree):
     state = last(problem, steps=1)
     # Linear in the shortening, but for the penetration that is left.
     assert abs(state.reactions["joint"][1]) == pytest.approx(E * 0.15 / 0.6, rel=1e-6)
+
+
+def test_nothing_passes_unseen_in_motion():
+    """A block that moves by three edges of a face in a time step hits another one."""
+    problem = Problem(
+        stacked((1.0, 0.6), (20, 1), (20, 1), gap=0.01),
+        NeoHookean(E=E, nu=0.0, density=1000),
+        supports=[Support(on="bottom")],
+        contacts=[BETWEEN],
+        degree=1,
+    )
+    start = ["0", "-3*min(1, max(0, 1000*(y - 0.3)))"]
+    run = Dynamics(problem, initial_velocity=start, dt=0.05, end=0.05).steps()
+    *_, state = run
+    # Without contact it moves on by 0.15 m.
+    assert 0.0 < state.numbers["penetration_joint"] < 0.05
+    assert state.energies["contact"] > 0.0
 
 
 def test_what_bodies_hold_of_each_other():

@@ -284,7 +284,8 @@ class StageSolver:
         stage.prescribed.impose(u, stage.u)
         predicted[moves] = u
         old = stage.start.w
-        if self._problem.terms.opens and self._passes(predicted, old):
+        terms = self._problem.terms
+        if (terms.bars or terms.joins) and self._passes(predicted, old):
             return [old]
         if self._problem.linear:
             return [predicted]
