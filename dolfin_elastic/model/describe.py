@@ -40,7 +40,7 @@ def other_keys(record: Record, *told: str) -> str:
         told: Keys that its sentence has said already.
     """
     table = record.model_dump(exclude_unset=True, exclude_none=True, by_alias=True)
-    units = {**_UNITS, **dict.fromkeys(record.lengths, "m")}
+    units = {**_UNITS, **dict.fromkeys(record.given_lengths(), "m")}
     units |= {**units_of(type(record)), **_units_in_lists(type(record))}
     return "".join(
         f"; {key.replace('_', ' ')} {given(value, units.get(key, ''))}"

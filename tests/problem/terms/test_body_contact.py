@@ -27,6 +27,7 @@ from dolfin_elastic import (
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.mesh.geometry.simplices import boundary_facets, facet_nodes
+from dolfin_elastic.model.amplitude import CONSTANT
 from dolfin_elastic.problem.state import StateCopy
 from dolfin_elastic.problem.term import StepWeights
 from dolfin_elastic.problem.terms.bodies import functions
@@ -551,6 +552,15 @@ def test_work_of_a_step(keys):
 def test_mistakes(keys, where, words):
     with pytest.raises(ValidationError, match=rf"{where}: .*{words}"):
         Contact.model_validate({"between": ["below", "above"], **keys})
+
+
+def test_interference_as_written():
+    """A word or a length, and when it acts."""
+    ignored = Contact(between=["below", "above"], interference="ignore")
+    assert ignored.describe() == "may touch each other; interference ignore"
+    curve = [[0, 0], [0.5, 1], [1, 1]]
+    given = Contact(between=["below", "above"], interference="0.02 mm", curve=curve).in_metres(1)
+    assert given.overlap_at(0.25, CONSTANT) == (0.0, pytest.approx(1e-5))
 
 
 def test_a_word_that_is_no_interference():
