@@ -200,13 +200,7 @@ class VertexContact(_Followed):
 
     def energy(self) -> float:
         """See `Term`: the potential has the multiplier at rest."""
-        return self._stored(self.pressing_gaps(), self.functions.areas)
-
-    def _stored(self, gaps: FloatArray, areas: FloatArray) -> float:
-        """The energy of mean gaps at vertices with some areas [J]. Collective."""
-        lam = self.lam.x.array[self.nodes]
-        squares = np.maximum(lam - self.eps * gaps, 0.0) ** 2 - lam**2
-        return total(self.comm, float(np.sum(areas * squares / (2 * self.eps))))
+        return stored(self, self.pressing_gaps(), self.functions.areas)
 
     def blocks(self) -> Blocks:
         """See `Term`: sum of (eps/A_I) G_I G_I, less that of the pressures by the normals' turn.
@@ -292,6 +286,13 @@ class VertexContact(_Followed):
     def along(self, way: FloatArray) -> _ForceOfVertices:
         """See `ContactPair`."""
         return _ForceOfVertices(self, self._context.unknowns, way)
+
+
+def stored(pair: VertexContact, gaps: FloatArray, areas: FloatArray) -> float:
+    """The energy of mean gaps at vertices with some areas [J]. Collective."""
+    lam = pair.lam.x.array[pair.nodes]
+    squares = np.maximum(lam - pair.eps * gaps, 0.0) ** 2 - lam**2
+    return total(pair.comm, float(np.sum(areas * squares / (2 * pair.eps))))
 
 
 def _measured(

@@ -45,7 +45,7 @@ from dolfin_elastic.problem.terms.bodies.functions import PieceFunctions
 from dolfin_elastic.problem.terms.bodies.start import StartOffsets, overlap_reach
 from dolfin_elastic.problem.terms.contact import FAR, ContactPair, nearest_spot, uniaxial_modulus
 from dolfin_elastic.problem.terms.nodal_contact import NodalContact
-from dolfin_elastic.problem.terms.vertex_contact import VertexContact, Way
+from dolfin_elastic.problem.terms.vertex_contact import VertexContact, Way, stored
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -181,7 +181,7 @@ class BodyContact(VertexContact):
         """
         moved = self.pieces.relative(self._end.x.array - self.step.start.x.array)
         w, gaps = self.pieces.means(moved), self._at_end.there.gap
-        energy = self._stored(self._mean_of(self._at_end, gaps), self._at_end.areas)
+        energy = stored(self, self._mean_of(self._at_end, gaps), self._at_end.areas)
         weights = self.pieces.areas * pressures
         local = np.array([np.sum(weights[:, None] * w * w), weights.sum(), np.sum(vectors * moved)])
         square, force, work = total(self.comm, local)
