@@ -18,7 +18,7 @@ DEMOS = ROOT / "demos"
 SCRIPTS = sorted(DEMOS.glob("*/*.py"))
 CASES = sorted(DEMOS.glob("*/*.toml"))
 # They take longest: the other demos run the same paths in the quick set.
-LONG = {"bounce", "bridge", "duck", "incline", "inverted", "tipping", "turek_hron"}
+LONG = {"bounce", "bridge", "duck", "incline", "inverted", "snap_fit", "tipping", "turek_hron"}
 
 
 def runs() -> Iterator[Any]:
@@ -44,6 +44,7 @@ CHECKED = {  # what a script says last about its number
     "tuning_fork": r"tone 440\.\d+ Hz, off by \d\.\de-0[4-9]",
     "inverted": r"left of the displacement over the size: \d\.\de-(0[4-9]|1\d)",
     "incline": r"of the block off by \d\.\de-0[5-9], of the ball by \d\.\de-0[3-9]",
+    "snap_fit": r"P off by \d\.\de-0[2-9], W/P by \d\.\de-(0[4-9]|1\d)",
     "jelly": r"difference of the periods: \d\.\de-0[3-9]",
 }
 pytestmark = pytest.mark.usefixtures("serial_only")

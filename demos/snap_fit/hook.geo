@@ -1,0 +1,20 @@
+// A cantilever of length 44 and height 2 with a round nose on its end, in mm.
+SetFactory("OpenCASCADE");
+Point(1) = {0, 0, 0};
+Point(2) = {44, 0, 0};
+Point(3) = {44, 2, 0};
+Point(4) = {43, 2, 0};
+Point(5) = {43, 3, 0};
+Point(6) = {42, 2, 0};
+Point(7) = {0, 2, 0};
+Line(1) = {1, 2};
+Line(2) = {2, 3};
+Circle(3) = {3, 4, 5};
+Circle(4) = {5, 4, 6};
+Line(5) = {6, 7};
+Line(6) = {7, 1};
+Curve Loop(1) = {1:6};
+Plane Surface(1) = {1};
+Physical Surface("hook") = {1};
+Physical Curve("root") = {6};
+Physical Curve("nose") = {3, 4};
