@@ -149,6 +149,7 @@ class Term(_Joining):
         changes: As a load it changes in motion.
         opens: Its forces begin and end, as those of contact.
         joins: It holds parts of the body by each other, see `partings`.
+        delays: What acts in an iteration does not end before equilibrium is found.
         in_steps: Those of a step of an implicit motion do the work that it stores.
         at_rest: What it acts from stands still.
         follows_path: The equilibrium under a load depends on those before it.
@@ -163,7 +164,7 @@ class Term(_Joining):
     label: str
     mass = 0.0
     linear = symmetric = True
-    nodal = restrains = changes = opens = False
+    nodal = restrains = changes = opens = delays = False
     in_steps = bars = only_implicit = joins = False
     at_rest = True
     follows_path = dissipates = False
@@ -261,9 +262,6 @@ class Term(_Joining):
         Collective.
         """
         return None
-
-    def delay_opening(self) -> None:
-        """What acts in further iterations does not end before equilibrium is found. Local."""
 
     def assume(self, closed: bool | None) -> None:
         """All that may open counts as closed, or as open; None: as it is. Not collective."""

@@ -80,10 +80,26 @@ class _Followed(ContactPair):
         super().rollback()
         self._forget()
 
+    def unsettled(self) -> bool:
+        """See `Term`: or a vertex pulls, which the next update opens."""
+        pulls = (self.pulls_to > 0.0) & (self.pressures() < -self.eps * self.reach)
+        return largest(self.comm, float(np.any(pulls))) > 0.0 or super().unsettled()
+
+    def augment(self) -> None:
+        """See `Term`."""
+        super().augment()
+        self._open()
+
     def _forget(self) -> None:
         """What an iteration has learnt of an obstacle's normals does not outlive it."""
         for obstacle in self._followed:
             obstacle.forget()
+        self._open()
+
+    def _open(self) -> None:
+        """Vertices that pressed in the last equilibrium pull before they open, others do not."""
+        self.delays = False
+        self.pulls_to[:] = np.where(self.lam.x.array[self.nodes] > 0.0, self.size, 0.0)
 
 
 class VertexContact(_Followed):
@@ -109,7 +125,6 @@ class VertexContact(_Followed):
             self._followed = self._at_nodes, self._of_points, *self._of_ends
         self.functions = self._make_functions(thickness)
         self.near: BoolArray = np.zeros(len(self.nodes), dtype=bool)
-        self._delays = False
 
     def _make_functions(self, thickness: float) -> VertexFunctions:
         return VertexFunctions(self, self._context, thickness)
@@ -213,7 +228,7 @@ class VertexContact(_Followed):
         way = self._over_step()
         pressures, falls = self.state(way)
         self.near |= falls > 0
-        if self._delays:
+        if self.delays and self._augments:
             self.pulls_to[falls > 0] = self.size
         nodes, G = self.functions.rows(self.near, way.normals)
         same = way.along is way.normals
@@ -221,23 +236,6 @@ class VertexContact(_Followed):
         stiffness = diags_array(falls / self.functions.areas)
         result = blocks_of(nodes, pushes.T @ stiffness @ G, G, self._dim)
         return result if self.flat else result + self._turning(pressures)
-
-    # --- points that open ---
-
-    def delay_opening(self) -> None:
-        """See `Term`: in statics; from the next tangent on."""
-        self._delays = self._augments
-
-    def unsettled(self) -> bool:
-        """See `Term`: or a vertex pulls, which the next update opens."""
-        pulls = (self.pulls_to > 0.0) & (self.state()[0] < -self.eps * self.reach)
-        return largest(self.comm, float(np.any(pulls))) > 0.0 or super().unsettled()
-
-    def _forget(self) -> None:
-        """Vertices that pressed in the last equilibrium pull before they open."""
-        super()._forget()
-        self._delays = False
-        self.pulls_to[:] = np.where(self.lam.x.array[self.nodes] > 0.0, self.size, 0.0)
 
     def means(self) -> Means:
         """See `Term`."""

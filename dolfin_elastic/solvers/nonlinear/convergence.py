@@ -331,7 +331,7 @@ class ConvergenceTest:
             if not since:
                 self._delayed = len(r)
                 for term in self._assembler.problem.terms:
-                    term.delay_opening()
+                    term.delays = term.opens
         return self._alternates
 
     def target(self) -> float:

@@ -15,6 +15,8 @@ from dolfin_elastic import (
     LinearElastic,
     NeoHookean,
     Problem,
+    Statics,
+    StVenantKirchhoff,
     Support,
     box_body,
     read_body,
@@ -167,3 +169,30 @@ def test_a_block_bounces():
     assert max(stored) > 0.01 * energies[0]
     assert states[-1].momenta["linear"][2] > 0
     np.testing.assert_allclose(energies, energies[0], rtol=1e-10)
+
+
+def test_a_slender_body_stays_on_what_it_presses_on():
+    """A cantilever that a round edge bends and rubs.
+
+    Where vertices open in any iteration, steps end unsettled, with forces ten times too large.
+    """
+    problem = Problem(
+        rectangle_body(size=(40.0, 1.0), cells=(60, 2)),
+        StVenantKirchhoff(E=1e9, nu=NU),
+        degree=2,
+        geometry="plane-stress",
+        supports=[Support(on="left")],
+        contacts=[
+            Contact(
+                on="top",
+                name="edge",
+                cylinder={"axis": "z", "point": [38.0, 2.05], "radius": 1.0},
+                motion=["-t", "-0.6*t"],
+                friction=0.2,
+            )
+        ],
+    )
+    for state in Statics(problem).steps():
+        assert not state.audit.reasons
+    # 3 E I/L^3 times the deflection; the moment of friction about the axis, and the edge, add 7 %.
+    assert -state.reactions["edge"][1] == pytest.approx(1e9 / 4 / 37**3 * 0.55, rel=0.1)
