@@ -292,15 +292,17 @@ class MeshTable(Source):
         from dolfin_elastic.mesh.assembly.of_parts import parts_body
 
         every = zip(self.parts.items(), self.sources.values(), bodies, strict=True)
-        placed, unknown = {}, list[str]()
+        placed, bare, known = {}, list[str](), True
         for (name, part), source, body in every:
             placed[name] = Placed(body, part.move, part.turn)
-            if source.file is not None and source.unit is None and not body.unit.stated:
-                unknown.append(name)
+            if source.unit is None and not body.unit.stated:
+                bare += [name] if source.file is not None else []
+                known = False
         unit = None if self.metres is None else LengthUnit.of(self.metres)
         result = parts_body(placed, unit=unit)
-        text = f"lengths of {', '.join(unknown)} in m: neither file nor unit says what they are in"
-        return replace(result, information=(*result.information, text)) if unknown else result
+        text = f"lengths of {', '.join(bare)} in m: neither file nor unit says what they are in"
+        information = (*result.information, text) if bare else result.information
+        return replace(result, unit=replace(result.unit, stated=known), information=information)
 
     def refined(self, body: Body) -> Body:
         """The mesh with its names, refined where Gmsh has not done so. Collective.
