@@ -60,6 +60,9 @@ Up to mu p over it points stick in the law: those that slid in the last step do 
 the next, as if the load turned round; else the tangent there would have no stiffness against it.
 """
 
+STILL = 1e-9
+"""Slip over that since a point stuck up to which it has not turned: it may rest, to round-off."""
+
 ROUGH = 1e9
 """Coefficient at which nothing slides."""
 
@@ -324,11 +327,11 @@ class CoulombFriction(_Tractions):
 
         Times the springs, against the motion [Pa].
         """
-        (t, trial, _), before = self._tractions(), self._of(self._slid)
-        now, slips = trial - t, self.status() == SLIP
-        # After `advance`, which may be called again, the step's slip is 0 and counted in before.
-        goes_on = np.sum(now * before, axis=1) >= 0.0
-        return np.asarray((now + before * goes_on[:, None]) * slips[:, None])
+        t, trial, _ = self._tractions()
+        slips, before = (self.status() == SLIP)[:, None], self._of(self._slid)
+        now = (trial - t) * slips
+        along, square = np.sum(now * before, axis=1), np.sum(before**2, axis=1)
+        return now + before * slips * (along >= -STILL * square)[:, None]
 
     def stuck_area(self) -> float:
         """Reference area that sticks [m^2]. Collective.
