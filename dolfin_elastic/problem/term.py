@@ -105,6 +105,10 @@ class _InSteps:
     def follow(self) -> None:
         """Moves what follows the displacement of the stage. Collective."""
 
+    def make_convex(self) -> bool:
+        """Makes its blocks semidefinite until steps are short again; whether that changes them."""
+        return False
+
     def leave_stage(self, *, found: bool) -> None:
         """The stage was found, or there is none. Collective."""
 
@@ -225,10 +229,6 @@ class Term(_Joining):
             motion: Of the displacement's nodes, local array [m].
         """
         return 1.0
-
-    def make_convex(self) -> bool:
-        """Makes its blocks semidefinite until steps are short again; whether that changes them."""
-        return False
 
     def without_rest(self) -> InputError | None:
         """That it acts in motion only, with what to do; None: it does not."""

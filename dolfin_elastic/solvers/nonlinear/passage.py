@@ -75,8 +75,8 @@ class PassageGuard:
         """The share to which a whole step, which is free, is lengthened. Collective.
 
         Args:
-            slope: At x.
-            end: The slope at x - y.
+            slope: Minus the slope of the potential along y at x, see `_slope_at` [J].
+            end: The same at x - y, after the whole step [J].
         """
         share = 1.0
         for _ in range(DOUBLINGS):
