@@ -60,6 +60,7 @@ class ContactStep:
         self.start = fem.Function(context.unknowns.V)
         self.share, self.old = context.constant(0.0), context.constant(0.0)
         self.short = SHORT * size**2
+        self.begun = False
 
     @property
     def on(self) -> bool:
@@ -74,6 +75,7 @@ class ContactStep:
 
     def begin(self) -> None:
         """The step begins at the present state. Not collective."""
+        self.begun = True
         self.start.x.array[:] = self._past().reshape(-1)
 
     def enter(self, old: float) -> None:
@@ -83,6 +85,11 @@ class ContactStep:
     def leave(self) -> None:
         """Forces are those of a state again. Not collective."""
         self.share.value = 0.0
+
+    def both(self) -> tuple[FloatArray, FloatArray]:
+        """Displacements past the obstacle where the step began and now, (nodes, dim) [m]."""
+        past = self._past()
+        return self.start.x.array.reshape(past.shape), past
 
     # --- in UFL ---
 

@@ -19,7 +19,7 @@ from typing import Protocol
 import numpy as np
 from dolfinx import fem
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.ghosts import summed, with_ghosts
 from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.timing import stage
@@ -76,6 +76,12 @@ FAR = 1e30
 
 STRIDE = 0.5
 """Share of an obstacle's radius that it may move in one step, lest it jump over a surface."""
+
+TOUCHING = 0.25
+"""Gap, over the height of the elements, up to which faces show on which side of it the body is."""
+
+MOST_PLACES = 200
+"""On the way of a node through a thin obstacle that are looked at."""
 
 HALVINGS = 30
 """Of a step in which an obstacle moves too far."""
@@ -349,7 +355,9 @@ class ContactPair(_Pressures):
 
     @stage("contact")
     def check_start(self) -> str:
-        """See `Term`: no surface begins deep inside its obstacle."""
+        """See `Term`: no surface begins deep inside its obstacle, or touches it from within."""
+        if self.contact.push is not None and self.contact.mass is None:
+            return ""  # the force moves it to where it touches
         (gap, place), unit = nearest_spot(self), self._context.body.unit
         if gap < -self.size:
             raise InputError(
@@ -359,12 +367,33 @@ class ContactPair(_Pressures):
                 expected=f"at most an element deep, {unit.length(self.size)}; "
                 "does the normal point to the free side?",
             )
+        if gap < self.size and self._lies_behind():
+            raise InputError(
+                f"the body lies inside the obstacle that '{self.label}' touches, at "
+                f"{unit.point(place)}",
+                where=f"contact[{self.index}].{self.contact.shape}",
+                expected="the body on its free side: turn the normal round, or change `inside`",
+            )
         if gap >= -self.tolerance:
             return ""
         return (
             f"at the start '{self.label}' lies {unit.length(-gap)} deep in its obstacle, at "
             f"{unit.point(place)}: what the penalty stores there throws it off"
         )
+
+    def _lies_behind(self) -> bool:
+        """Whether elements are deeper in the obstacle than their faces that touch. Collective."""
+        mesh, d = self._context.body.mesh, self._dim
+        if largest(self.comm, float(np.max(np.abs(self._context.unknowns.u.x.array), initial=0))):
+            return False  # it begins elsewhere
+        beside, _ = cells_beside_facets(mesh, self.facets)
+        middles = (
+            corners.mean(axis=1)[:, :d] - self.shift.value
+            for corners in (facet_corners(mesh, self.facets), cell_corners(mesh, beside))
+        )
+        outer, inner = (self.contact.obstacle.gaps(places)[0] for places in middles)
+        touches = np.abs(outer) < TOUCHING * self.size
+        return total(self.comm, float(np.sum((inner - outer)[touches]))) < 0.0
 
     def conflict(self, constraints: Constraints) -> tuple[str, tuple[float, ...]] | None:
         """See `Term`: the obstacle pushes into nodes that are held along its normal.
@@ -412,20 +441,48 @@ class ContactPair(_Pressures):
 
     def longest_step(self, motion: FloatArray) -> float:
         """See `Term`: of nodes that are outside of the obstacle, and deep in it on the way."""
-        depth = np.inf if self.contact.between else self.contact.obstacle.thickness
+        way = motion.reshape(-1, self._dim)[self.nodes_of_displacement]
+        return smallest(self.comm, float(np.min(self._free_shares(way), initial=1.0)))
+
+    def _free_shares(self, way: FloatArray) -> FloatArray:
+        """The share of its straight way after which each node is deep in a thin obstacle.
+
+        Args:
+            way: From here on, (n, dim) [m].
+        """
+        depth, shares = self.contact.obstacle.thickness, np.ones(len(way))
         if not np.isfinite(depth):
-            return 1.0
-        x, way = self._moved(), motion.reshape(-1, self._dim)[self.nodes_of_displacement]
-        lengths, (gaps, _) = np.linalg.norm(way, axis=1), self.contact.obstacle.gaps(x)
+            return shares
+        x, lengths = self._moved(), np.linalg.norm(way, axis=1)
+        gaps, _ = self.contact.obstacle.gaps(x)
         some = (lengths > STRIDE * depth) & (gaps > -depth / 2) & (gaps < lengths)
-        x, way = x[some], way[some]
-        count, share = int(np.ceil(2 * np.max(lengths[some], initial=0.0) / depth)), 1.0
-        for part in range(1, count):
+        x, way, found = x[some], way[some], shares[some]
+        count = int(np.ceil(2 * np.max(lengths[some], initial=0.0) / depth))
+        for part in range(1, min(count, MOST_PLACES)):
             gaps, _ = self.contact.obstacle.gaps(x + part / count * way)
-            if np.min(gaps, initial=0.0) < -depth / 2:
-                share = part / count
-                break
-        return smallest(self.comm, share)
+            found = np.where((found == 1.0) & (gaps < -depth / 2), part / count, found)
+        shares[some] = found
+        return shares
+
+    def advance(self) -> None:
+        """See `Term`: no node has passed through its obstacle within the time step.
+
+        Raises:
+            ConvergenceError: One has.
+        """
+        if self.contact.between is not None or not self.step.begun:
+            return
+        start, end = (u[self.nodes_of_displacement] for u in self.step.both())
+        mine = self.places()[self._free_shares(start - end) < 1.0]
+        if places := sum(self.comm.allgather(mine.round(12).tolist()), []):
+            unit, depth = self._context.body.unit, self.contact.obstacle.thickness
+            farthest = largest(self.comm, float(np.linalg.norm(end - start, axis=1).max(initial=0)))
+            raise ConvergenceError(
+                f"{len(places)} nodes of '{self.label}' pass through its obstacle within one time "
+                f"step, one of them that at {unit.point(min(places))}: they move by up to "
+                f"{unit.length(farthest)}, the obstacle is {unit.length(2 * depth)} thick",
+                advice=f"a dt {farthest / depth / STRIDE:.2g} times as small, or a thicker obstacle",
+            )
 
     # --- results ---
 

@@ -73,6 +73,7 @@ class _Followed(ContactPair):
 
     def advance(self) -> None:
         """See `Term`."""
+        super().advance()
         self._forget()
 
     def rollback(self) -> None:
