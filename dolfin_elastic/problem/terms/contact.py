@@ -39,7 +39,7 @@ from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.self_contact import AnyContact
 from dolfin_elastic.model.tie import Tie
 from dolfin_elastic.problem.constraints.rows import Constraints
-from dolfin_elastic.problem.contact_step import ContactStep, InSteps
+from dolfin_elastic.problem.contact_step import MOST_PLACES, ContactStep, InSteps
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion, shear_modulus, volume_modulus
 from dolfin_elastic.problem.spaces import Unknowns
@@ -79,9 +79,6 @@ STRIDE = 0.5
 
 TOUCHING = 0.25
 """Gap, over the height of the elements, up to which faces show on which side of it the body is."""
-
-MOST_PLACES = 200
-"""On the way of a node through a thin obstacle that are looked at."""
 
 HALVINGS = 30
 """Of a step in which an obstacle moves too far."""
