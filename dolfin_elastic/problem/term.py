@@ -613,7 +613,7 @@ class Terms(list[Term]):
         Args:
             back: See `longest_step`.
         """
-        return any(term.longest_step(back) < 1.0 for term in self)
+        return any(term.longest_step(back) < 1.0 for term in self if not term.joins)
 
     def unsettled(self) -> bool:
         """See `Term`: of any."""

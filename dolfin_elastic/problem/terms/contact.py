@@ -454,8 +454,8 @@ class ContactPair(_Pressures):
         gaps, _ = self.contact.obstacle.gaps(x)
         some = (lengths > STRIDE * depth) & (gaps > -depth / 2) & (gaps < lengths)
         x, way, found = x[some], way[some], shares[some]
-        count = int(np.ceil(2 * np.max(lengths[some], initial=0.0) / depth))
-        for part in range(1, min(count, MOST_PLACES)):
+        count = int(min(np.ceil(2 * np.max(lengths[some], initial=0.0) / depth), MOST_PLACES))
+        for part in range(1, count):
             gaps, _ = self.contact.obstacle.gaps(x + part / count * way)
             found = np.where((found == 1.0) & (gaps < -depth / 2), part / count, found)
         shares[some] = found
@@ -470,15 +470,16 @@ class ContactPair(_Pressures):
         if self.contact.between is not None or not self.step.begun:
             return
         start, end = (u[self.nodes_of_displacement] for u in self.step.both())
-        mine = self.places()[self._free_shares(start - end) < 1.0]
-        if places := sum(self.comm.allgather(mine.round(12).tolist()), []):
+        passed = self.places()[self._free_shares(start - end) < 1.0].round(12).tolist()
+        if places := [place for part in self.comm.allgather(passed) for place in part]:
             unit, depth = self._context.body.unit, self.contact.obstacle.thickness
             farthest = largest(self.comm, float(np.linalg.norm(end - start, axis=1).max(initial=0)))
+            times = farthest / depth / STRIDE
             raise ConvergenceError(
                 f"{len(places)} nodes of '{self.label}' pass through its obstacle within one time "
                 f"step, one of them that at {unit.point(min(places))}: they move by up to "
                 f"{unit.length(farthest)}, the obstacle is {unit.length(2 * depth)} thick",
-                advice=f"a dt {farthest / depth / STRIDE:.2g} times as small, or a thicker obstacle",
+                advice=f"a dt {times:.2g} times as small, or a thicker obstacle",
             )
 
     # --- results ---
