@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from dolfin_elastic.case.case import read_case as read_case
     from dolfin_elastic.case.run import restart as restart
     from dolfin_elastic.case.run import run as run
+    from dolfin_elastic.core.shapes.turn import Turn as Turn
     from dolfin_elastic.mesh import Body as Body
     from dolfin_elastic.mesh import EdgeSelector as EdgeSelector
     from dolfin_elastic.mesh import Placed as Placed
     from dolfin_elastic.mesh import PointSelector as PointSelector
     from dolfin_elastic.mesh import Selector as Selector
-    from dolfin_elastic.mesh import Turn as Turn
     from dolfin_elastic.mesh import box_body as box_body
     from dolfin_elastic.mesh import mesh_body as mesh_body
     from dolfin_elastic.mesh import name_parts as name_parts
@@ -113,13 +113,13 @@ if TYPE_CHECKING:
 _PLACES = {
     "case.case": ("Case", "read_case"),
     "case.run": ("restart", "run"),
+    "core.shapes.turn": ("Turn",),
     "mesh": (
         "Body",
         "EdgeSelector",
         "Placed",
         "PointSelector",
         "Selector",
-        "Turn",
         "box_body",
         "mesh_body",
         "name_parts",

@@ -26,8 +26,8 @@ from dolfin_elastic.case.run import open_outputs
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.formula_functions import FUNCTIONS
 from dolfin_elastic.core.shapes.shapes import CylinderObstacle, Plane, SphereObstacle
+from dolfin_elastic.core.shapes.turn import Turn
 from dolfin_elastic.mesh import Cylinder, EdgeSelector, PointSelector, Selector, Sphere
-from dolfin_elastic.mesh.assembly.placement import Turn
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads import LOADS
 from dolfin_elastic.model.materials.registry import MATERIALS

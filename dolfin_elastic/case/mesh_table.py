@@ -13,9 +13,10 @@ from pydantic import Field, field_validator, model_validator
 from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import InputError, UnitError, nearest_first
 from dolfin_elastic.core.schema import Record, WhenGiven
+from dolfin_elastic.core.shapes.turn import Turn
 from dolfin_elastic.core.units import MESH_UNITS, LengthUnit, MeshLength, Time, to_si
 from dolfin_elastic.mesh import Body, box_body, rectangle_body
-from dolfin_elastic.mesh.assembly.placement import Place, Placed, Turn, check_names
+from dolfin_elastic.mesh.assembly.placement import Place, Placed, check_names
 from dolfin_elastic.mesh.distribute import is_cad
 from dolfin_elastic.mesh.generate import number_of_cells
 from dolfin_elastic.mesh.local_size import MOST_CELLS, NO_SIZES, CadSizes, LocalSize

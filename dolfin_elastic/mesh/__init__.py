@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from dolfin_elastic.core.shapes.shapes import Sphere as Sphere
     from dolfin_elastic.mesh.assembly.of_parts import parts_body as parts_body
     from dolfin_elastic.mesh.assembly.placement import Placed as Placed
-    from dolfin_elastic.mesh.assembly.placement import Turn as Turn
     from dolfin_elastic.mesh.body import Body as Body
     from dolfin_elastic.mesh.field_files import FieldFile as FieldFile
     from dolfin_elastic.mesh.generate import box_body as box_body
@@ -40,7 +39,6 @@ _WHERE = {
     "PointSelector": "selectors",
     "Selector": "selectors",
     "Sphere": "selectors",
-    "Turn": "assembly.placement",
     "box_body": "generate",
     "mesh_body": "generate",
     "mesh_statistics": "geometry.quality",

@@ -45,12 +45,14 @@ from dolfin_elastic.problem.material_regions import (
 from dolfin_elastic.problem.obstacles import with_surfaces
 from dolfin_elastic.problem.pressure.groups import pressure_groups
 from dolfin_elastic.problem.spaces import Unknowns
-from dolfin_elastic.problem.term import Resistance, Terms
+from dolfin_elastic.problem.term import Resistance
+from dolfin_elastic.problem.term_list import Terms
 from dolfin_elastic.problem.terms.bolts import make_bolts
 from dolfin_elastic.problem.terms.cavities import make_cavities
-from dolfin_elastic.problem.terms.contact import ContactPair, check_contacts, check_pairs
-from dolfin_elastic.problem.terms.friction import CoulombFriction
-from dolfin_elastic.problem.terms.loaded_obstacle import make_loaded_obstacles
+from dolfin_elastic.problem.terms.contact.checks import check_contacts, check_pairs
+from dolfin_elastic.problem.terms.contact.friction import CoulombFriction
+from dolfin_elastic.problem.terms.contact.loaded_obstacle import make_loaded_obstacles
+from dolfin_elastic.problem.terms.contact.pair import ContactPair
 from dolfin_elastic.problem.terms.point_loads import NodalLoads
 from dolfin_elastic.problem.terms.pressure_symmetry import follower_pressure_has_potential
 from dolfin_elastic.problem.terms.rigid_surfaces import RigidSurface, TurnedSurface

@@ -33,7 +33,8 @@ from dolfin_elastic.model.materials.mixed import Mixed, variance
 from dolfin_elastic.model.materials.prony import Relaxed
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import MaterialRegion
-from dolfin_elastic.problem.term import Term, forms_of
+from dolfin_elastic.problem.term import Term
+from dolfin_elastic.problem.term_list import forms_of
 
 UNUSED = 1e-6
 """Compliance, times the shear modulus, of the pressure field in regions that do not need it."""

@@ -19,7 +19,7 @@ from dolfin_elastic.core.jit import compile_forms
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.problem.mesh_fields import fields_at_nodes
 from dolfin_elastic.problem.state import State
-from dolfin_elastic.problem.terms.friction import SLIP
+from dolfin_elastic.problem.terms.contact.friction import SLIP
 from dolfin_elastic.results.cell_fields import CellKernel, cell_kernel, unknowns_of_outputs
 from dolfin_elastic.results.components import check_axes, component_rows
 from dolfin_elastic.results.field import Component, RecoveredField

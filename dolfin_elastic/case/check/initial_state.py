@@ -20,7 +20,7 @@ from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.connectivity import ConnectedBodies
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.terms.contact import FAR, ContactPair, nearest_spot
+from dolfin_elastic.problem.terms.contact.pair import FAR, ContactPair, nearest_spot
 from dolfin_elastic.solvers.diagnostics.rigid_body import free_bodies
 from dolfin_elastic.solvers.dynamics.settings import DynamicsSettings
 from dolfin_elastic.solvers.messages import RELEASE

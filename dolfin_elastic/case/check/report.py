@@ -61,7 +61,7 @@ from dolfin_elastic.mesh.selectors import Selector
 from dolfin_elastic.problem.damping import check_damped
 from dolfin_elastic.problem.material_regions import locking_notes
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.term import refuse_rest
+from dolfin_elastic.problem.term_list import refuse_rest
 from dolfin_elastic.results.derived.sections import SectionForces
 from dolfin_elastic.results.fields import name_in_results
 from dolfin_elastic.results.files import why_not_made

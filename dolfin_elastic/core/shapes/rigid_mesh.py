@@ -11,6 +11,7 @@ from pydantic import Field, PrivateAttr, field_validator
 
 from dolfin_elastic.core.errors import InputError, keyed, nearest_first
 from dolfin_elastic.core.shapes.box import Box
+from dolfin_elastic.core.shapes.directions import check_components
 from dolfin_elastic.core.shapes.shapes import Coordinate, Distance, Operations, Shape
 from dolfin_elastic.core.shapes.surface import Followed, Near, Surface
 from dolfin_elastic.core.shapes.triangles import Triangles
@@ -121,7 +122,9 @@ class RigidMesh(Shape):
             loops: Of `Surface`; without them the obstacle can only be drawn.
         """
         result, points = self.model_copy(), facets.points
-        points = points if self.turn is None else self.turn.points(points)
+        if self.turn is not None:
+            centre = np.array(self.turn.point or (0.0, 0.0, 0.0), dtype=np.float64)
+            points = centre + self.turn.vectors(points - centre, 3)
         points = points if self.move is None else points + np.array(self.move, dtype=np.float64)
         result._facets = Facets(points, facets.triangles)
         if loops is not None:
@@ -165,7 +168,8 @@ class RigidMesh(Shape):
             )
         if self.turn is not None:
             with keyed("turn"):
-                self.turn.check()
+                self.turn.matrix(3)
+                check_components(self.turn.point, 3, "point")
 
     def distance(self, x: Sequence[Scalar], use: Operations) -> Distance:
         """See `Shape.distance`: of arrays only."""

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from dolfin_elastic.core.errors import UnitError
+from dolfin_elastic.core.errors import MeshError, UnitError
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.shapes.directions import Direction, check_components, unit_vector
 from dolfin_elastic.core.types import FloatArray
@@ -35,27 +35,38 @@ class Turn(Record):
     """A rotation about an axis, right-handed.
 
     Attributes:
-        axis: Its direction.
+        axis: Its direction; of a plane body it may be left out, and is z.
         angle: A number in degrees, or a text with a unit.
         point: On the axis; by default the origin.
     """
 
     lengths: ClassVar[tuple[str, ...]] = ("point",)
-    axis: Direction
+    axis: Direction | None = None
     angle: Annotated[float | str, BeforeValidator(no_switch), AfterValidator(_angle)]
-    point: Annotated[tuple[MeshLength, ...], Field(min_length=3, max_length=3)] | None = None
+    point: Annotated[tuple[MeshLength, ...], Field(min_length=2, max_length=3)] | None = None
 
-    def check(self) -> None:
-        """Raises where its axis has not three components."""
-        check_components(self.axis, 3, "axis")
+    def matrix(self, dim: int) -> FloatArray:
+        """The orthogonal matrix, shape (dim, dim), by the formula of O. Rodrigues (1840).
 
-    def points(self, x: FloatArray) -> FloatArray:
-        """Points [m] after it, shape (n, 3), by the formula of O. Rodrigues (1840).
-
-        It is in metres.
+        Raises:
+            MeshError: A body of this dimension has no such axis.
         """
-        n, angle = np.array(unit_vector(self.axis)), np.radians(_degrees(self.angle))
-        centre = np.zeros(3) if self.point is None else np.array(self.point, dtype=np.float64)
-        arm = x - centre
-        across, twice = np.cross(n, arm), np.cross(n, np.cross(n, arm))
-        return np.asarray(x + np.sin(angle) * across + (1 - np.cos(angle)) * twice)
+        if self.axis is None and dim == 3:
+            raise MeshError("the axis is missing", where="axis", expected='for example "z"')
+        check_components(self.axis, 3, "axis")
+        n = np.array(unit_vector(self.axis or "z"))
+        if dim == 2 and (n[0] or n[1]):
+            raise MeshError(
+                "a plane part turns about z only", where="axis", expected="leave it out"
+            )
+        angle = np.radians(_degrees(self.angle))
+        cross = np.cross(n, np.eye(3)).T  # cross @ a = n x a
+        result = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+        return np.asarray(result[:dim, :dim])
+
+    def vectors(self, v: FloatArray, dim: int) -> FloatArray:
+        """Vectors of a body of this dimension after it, shape (..., dim or more)."""
+        R = self.matrix(dim)
+        # Not by BLAS, whose round-off depends on how many vectors a rank has.
+        rows = [sum(v[..., j] * R[i, j] for j in range(dim)) for i in range(dim)]
+        return np.concatenate([np.stack(rows, axis=-1), v[..., dim:]], axis=-1)

@@ -47,7 +47,7 @@ from dolfin_elastic.model.supports.displacement import PrescribingSupport, Restr
 from dolfin_elastic.model.supports.rigid_surface import Rigid
 from dolfin_elastic.model.supports.springs import Spring
 from dolfin_elastic.problem.material_regions import poisson, young
-from dolfin_elastic.problem.terms.contact import ContactPair
+from dolfin_elastic.problem.terms.contact.pair import ContactPair
 from dolfin_elastic.results.recovery.interfaces import angles_at_interfaces, material_corners
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import Audit
-from dolfin_elastic.problem.term import conserve_in_steps
+from dolfin_elastic.problem.term_list import conserve_in_steps
 from dolfin_elastic.solvers.audit.equilibrium import EquilibriumAuditor, no_balance, round_off
 from dolfin_elastic.solvers.audit.violations import FAILING_GAIN, Violation, Violations, restored
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters

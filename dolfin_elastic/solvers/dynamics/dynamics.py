@@ -17,6 +17,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.tie import EXPLICIT_TIES, IMPLICIT
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
+from dolfin_elastic.problem.term_list import refuse_motion
 from dolfin_elastic.solvers.dynamics.explicit.explicit import Explicit
 from dolfin_elastic.solvers.dynamics.implicit.implicit import Implicit, conserving
 from dolfin_elastic.solvers.dynamics.initial_conditions import set_initial
@@ -60,7 +61,7 @@ class Dynamics(Marching):
         petsc: PetscOptions | None = None,
         **fields: Any,
     ) -> None:
-        problem.terms.refuse_motion()
+        refuse_motion(problem.terms)
         self.problem = problem
         self.settings = conserving(settings_from(DynamicsSettings, settings, fields), problem)
         self.linear = linear or LinearSettings()

@@ -16,7 +16,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.damping import Damping
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.term import forms_of
+from dolfin_elastic.problem.term_list import forms_of
 from dolfin_elastic.problem.weak_form import derives_from_strain
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 from dolfin_elastic.solvers.assembly.energy_momentum import lumped

@@ -19,7 +19,8 @@ from dolfinx import fem, la
 from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.term import Term, forms_of
+from dolfin_elastic.problem.term import Term
+from dolfin_elastic.problem.term_list import forms_of
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled, integral
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass, LumpedMass
 from dolfin_elastic.solvers.assembly.nodal_forces import Forces as NodalForces

@@ -14,6 +14,7 @@ from dolfin_elastic.core.petsc_options import PREFIX, PetscOptions, PetscValue
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import RAMP
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.problem.term_list import refuse_motion
 from dolfin_elastic.solvers.eigen.slepc import Pair, Pencil, uneven
 
 log = logging.getLogger("dolfin_elastic")
@@ -49,7 +50,7 @@ def refuse(problem: Problem, table: str, *, loaded: bool) -> None:
             where="contact",
             expected="a support in its place, or [dynamics]",
         )
-    problem.terms.refuse_motion()
+    refuse_motion(problem.terms)
     for region in problem.regions:
         if not region.law.has_energy:
             raise InputError(

@@ -354,7 +354,8 @@ class LoadStepping:
         if self._problem.linear:
             self._verdict = judge(self._newton)
             return UNSTABLE if self._verdict.stable is False else ""
-        if self._problem.terms.passed(before - self._problem.u.x.array):
+        back = before - self._problem.u.x.array
+        if any(term.longest_step(back) < 1.0 for term in self._problem.terms if not term.joins):
             return PASSED
         self._path_check.evaluate()
         if not self._path_check.finite():

@@ -14,7 +14,7 @@ from dolfin_elastic.core.together import failing_together, loop_together
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
-from dolfin_elastic.problem.term import refuse_rest
+from dolfin_elastic.problem.term_list import refuse_rest
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.hydrostatic_constant import HydrostaticConstant
 from dolfin_elastic.solvers.diagnostics.rigid_body import check_no_rigid_motion

@@ -31,8 +31,8 @@ from dolfin_elastic.model.amplitude import CONSTANT
 from dolfin_elastic.problem.state import StateCopy
 from dolfin_elastic.problem.term import StepWeights
 from dolfin_elastic.problem.terms.bodies import functions
-from dolfin_elastic.problem.terms.contact import nearest_spot
-from dolfin_elastic.problem.terms.friction import CoulombFriction
+from dolfin_elastic.problem.terms.contact.friction import CoulombFriction
+from dolfin_elastic.problem.terms.contact.pair import nearest_spot
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.rigid_body import free_bodies, rigid_freedom
 

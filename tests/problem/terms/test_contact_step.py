@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from dolfin_elastic import Contact, NeoHookean, Problem, box_body, rectangle_body
 from dolfin_elastic.problem.term import StepWeights
-from dolfin_elastic.problem.terms.friction import CoulombFriction
+from dolfin_elastic.problem.terms.contact.friction import CoulombFriction
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.audit.equilibrium import EnergyBook
 

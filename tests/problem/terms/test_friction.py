@@ -27,7 +27,7 @@ from dolfin_elastic import (
 )
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.problem.state import State, StateCopy
-from dolfin_elastic.problem.terms.friction import OPEN, SLIP, STICK, CoulombFriction
+from dolfin_elastic.problem.terms.contact.friction import OPEN, SLIP, STICK, CoulombFriction
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.scene.appearance import status_of
 from dolfin_elastic.solvers.diagnostics.sliding import ContactStates

@@ -1,1 +1,1 @@
-"""Surfaces with different meshes that move together: mortar integrals, and what they eliminate."""
+"""Contact between surfaces of the mesh: two that are named, or any with themselves."""

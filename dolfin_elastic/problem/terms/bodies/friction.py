@@ -22,12 +22,12 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Blocks
 from dolfin_elastic.problem.terms.bodies.contact import BodyContact
-from dolfin_elastic.problem.terms.contact import ContactPair
-from dolfin_elastic.problem.terms.friction import CoulombFriction, shortened
-from dolfin_elastic.problem.terms.nodal_contact import NodalContact
-from dolfin_elastic.problem.terms.nodal_friction import NodalFriction
-from dolfin_elastic.problem.terms.vertex_contact import VertexContact
-from dolfin_elastic.problem.terms.vertex_friction import VertexFriction
+from dolfin_elastic.problem.terms.contact.friction import CoulombFriction, shortened
+from dolfin_elastic.problem.terms.contact.nodal import NodalContact
+from dolfin_elastic.problem.terms.contact.nodal_friction import NodalFriction
+from dolfin_elastic.problem.terms.contact.pair import ContactPair
+from dolfin_elastic.problem.terms.contact.vertex import VertexContact
+from dolfin_elastic.problem.terms.contact.vertex_friction import VertexFriction
 
 
 class BodyFriction(VertexFriction):

@@ -41,8 +41,8 @@ from dolfin_elastic.problem.constraints.ties.mortar import (
 )
 from dolfin_elastic.problem.constraints.ties.segments import Segments, cut
 from dolfin_elastic.problem.context import FormContext
-from dolfin_elastic.problem.terms.contact import ContactPair
-from dolfin_elastic.problem.terms.vertex_functions import VertexFunctions
+from dolfin_elastic.problem.terms.contact.pair import ContactPair
+from dolfin_elastic.problem.terms.contact.vertex_functions import VertexFunctions
 
 COVERED = 1e-3
 """Share of a vertex's area that lies opposite something from which on there is contact."""

@@ -14,7 +14,7 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.kinematics import variables
 from dolfin_elastic.problem.material_regions import MaterialRegion
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.term import forms_of
+from dolfin_elastic.problem.term_list import forms_of
 from dolfin_elastic.solvers.assembly.assembler import Assembler, compiled
 
 

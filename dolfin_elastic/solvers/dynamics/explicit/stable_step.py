@@ -17,7 +17,7 @@ from dolfin_elastic.core.startup.slepc import SLEPc
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.problem import Problem
-from dolfin_elastic.problem.term import forms_of
+from dolfin_elastic.problem.term_list import forms_of
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.negative_curvature import start_vector
 from dolfin_elastic.solvers.dynamics.explicit.frequency_bound import (

@@ -17,7 +17,7 @@ from dolfin_elastic.core.signals import raise_if_agreed
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.problem.problem import Problem, conserves, over_step
 from dolfin_elastic.problem.state import RestartState, SavedState, State, restoring
-from dolfin_elastic.problem.term import conserve_in_steps
+from dolfin_elastic.problem.term_list import conserve_in_steps
 from dolfin_elastic.problem.weak_form import derives_from_strain
 from dolfin_elastic.solvers.assembly.assembler import SupportForces
 from dolfin_elastic.solvers.assembly.energy_momentum import ConsistentMass

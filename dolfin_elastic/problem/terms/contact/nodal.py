@@ -22,10 +22,10 @@ from dolfin_elastic.core.types import FloatArray, IndexArray, Scalar
 from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets, facet_corners
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.kinematics import WeightedMeasure
-from dolfin_elastic.problem.contact_step import pressure_of_step
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Kind
-from dolfin_elastic.problem.terms.contact import ContactPair
+from dolfin_elastic.problem.terms.contact.pair import ContactPair
+from dolfin_elastic.problem.terms.contact.step import pressure_of_step
 
 RULE = {"quadrature_rule": "vertex", "quadrature_degree": 1}
 """The trapezoidal rule."""
@@ -84,7 +84,7 @@ class NodalContact(ContactPair):
 
     @cached_property
     def _normal(self) -> Expr:
-        """Direction of the forces, see `contact_step`."""
+        """Direction of the forces, see `step`."""
         first, last = self._ends
         at_middle = self._gap_at((first + last) / 2)[1]
         if isinstance(self.contact.obstacle, Plane):

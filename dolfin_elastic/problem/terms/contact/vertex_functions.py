@@ -37,7 +37,8 @@ from dolfin_elastic.mesh.geometry.simplices import dofs_on_facets
 from dolfin_elastic.problem.constraints.ties.exchange import Owners
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Blocks
-from dolfin_elastic.problem.terms.contact import ContactPair, nodal
+from dolfin_elastic.problem.terms.contact.pair import ContactPair
+from dolfin_elastic.problem.terms.contact.surfaces import nodal
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -13,9 +13,9 @@ import numpy as np
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Blocks
-from dolfin_elastic.problem.terms.friction import ALL, OPEN, SLIP, STICK, CoulombFriction
-from dolfin_elastic.problem.terms.vertex_contact import VertexContact
-from dolfin_elastic.problem.terms.vertex_functions import blocks_of, diagonal
+from dolfin_elastic.problem.terms.contact.friction import ALL, OPEN, SLIP, STICK, CoulombFriction
+from dolfin_elastic.problem.terms.contact.vertex import VertexContact
+from dolfin_elastic.problem.terms.contact.vertex_functions import blocks_of, diagonal
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -28,7 +28,7 @@ from dolfin_elastic.mesh.body import span
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Blocks, OutOfBalance, ScalarTerm, StepWeights, Term
-from dolfin_elastic.problem.terms.contact import ContactPair
+from dolfin_elastic.problem.terms.contact.pair import ContactPair
 
 SAME = 1e-10
 """Force out of balance, as a share of the force: the next Newton step would find round-off."""

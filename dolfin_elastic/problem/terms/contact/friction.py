@@ -44,12 +44,8 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import shear_modulus
 from dolfin_elastic.problem.term import StepWeights, Term
-from dolfin_elastic.problem.terms.contact import (
-    FACTOR,
-    ContactPair,
-    allowed_gap,
-    uniaxial_modulus,
-)
+from dolfin_elastic.problem.terms.contact.pair import ContactPair, allowed_gap
+from dolfin_elastic.problem.terms.contact.surfaces import FACTOR, uniaxial_modulus
 
 log = logging.getLogger("dolfin_elastic")
 

@@ -30,9 +30,9 @@ from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Blocks, Kind, Means
-from dolfin_elastic.problem.terms.contact import ContactPair
-from dolfin_elastic.problem.terms.nodal_contact import RULE
-from dolfin_elastic.problem.terms.vertex_functions import VertexFunctions, blocks_of
+from dolfin_elastic.problem.terms.contact.nodal import RULE
+from dolfin_elastic.problem.terms.contact.pair import ContactPair
+from dolfin_elastic.problem.terms.contact.vertex_functions import VertexFunctions, blocks_of
 
 
 class Way(NamedTuple):
@@ -41,7 +41,7 @@ class Way(NamedTuple):
     Attributes:
         first: Gaps at its start, shape (facets, points) [m].
         last: Gaps at its end.
-        along: Direction of the forces, see `contact_step`, shape (facets, points, dim).
+        along: Direction of the forces, see `step`, shape (facets, points, dim).
         normals: The obstacle's at the end.
     """
 

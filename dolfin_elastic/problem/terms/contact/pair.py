@@ -4,7 +4,7 @@ The pressure per reference area is p = max(0, lam - eps g), with the gap g of th
 X + u, the penalty eps and the multiplier lam; its virtual work is the integral of p n . v over the
 reference surface, n the obstacle's normal.  As n is the gradient of g it has the potential
 (p^2 - lam^2)/(2 eps), so the tangent is symmetric.  For the pressure of the steps of an implicit
-motion see `contact_step`.
+motion see `step`.
 
 Source: P. Wriggers, Computational Contact Mechanics, 2nd ed., Springer 2006, sections 6.3.4 and
 10.3.4 (augmented Lagrange, Uzawa); P. Alart & A. Curnier, Comput. Methods Appl. Mech. Eng. 92
@@ -20,33 +20,34 @@ import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
-from dolfin_elastic.core.ghosts import summed, with_ghosts
+from dolfin_elastic.core.ghosts import with_ghosts
 from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
-from dolfin_elastic.mesh.body import Body, cell_size
-from dolfin_elastic.mesh.geometry.curved import facet_quadrature
+from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.mesh.geometry.simplices import (
     cell_corners,
     cells_beside_facets,
     dofs_on_facets,
     facet_corners,
     prepare_facets,
-    signed_volumes,
 )
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.contact import Contact
-from dolfin_elastic.model.self_contact import AnyContact
-from dolfin_elastic.model.tie import Tie
 from dolfin_elastic.problem.constraints.rows import Constraints
-from dolfin_elastic.problem.contact_step import MOST_PLACES, ContactStep, InSteps
 from dolfin_elastic.problem.context import FormContext
-from dolfin_elastic.problem.material_regions import MaterialRegion, shear_modulus, volume_modulus
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Acting
-
-FACTOR = 10.0
-"""Penalty over the stiffness of the cell beside: enough for a few augmentations."""
+from dolfin_elastic.problem.terms.contact.step import MOST_PLACES, ContactStep, InSteps
+from dolfin_elastic.problem.terms.contact.surfaces import (
+    FACTOR,
+    at_nodes,
+    heights_over,
+    mean_height,
+    nodal,
+    owned_areas,
+    penalties,
+)
 
 SOFT = 0.1
 """Penalty in dynamics over that in statics.
@@ -85,10 +86,6 @@ HALVINGS = 30
 
 _ALONG = 1e-6
 """Part of a normal that is free where the displacement along it is prescribed."""
-
-ROUND = 10.0
-"""Largest bulk modulus over shear modulus in the penalty: nearly incompressible cells give way
-sideways."""
 
 
 class ForceAlong(Protocol):
@@ -155,16 +152,16 @@ class _Pressures(InSteps):
         self.memory, self.index = {f"contact_{index}": self.lam}, index
         self.follows: Constraints | None = None
         self.at_rest = not contact.values and contact.push is None
-        heights = _heights(body, facets)
-        self.penalty = _penalty(context, *heights)
-        self.size = _mean(body, facets, heights)
+        heights = heights_over(body, facets)
+        self.penalty = penalties(context, *heights)
+        self.size = mean_height(body, facets, heights)
         self.tolerance = contact.gap_tolerance or 1e-3 * self.size
-        self.eps = _at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
+        self.eps = at_nodes(body, facets, self.penalty, self.lam.function_space)[self.nodes]
         self.softness = FACTOR / self.eps
         if contact.stiffness is not None:
             self.penalty.x.array[self.penalty.x.array > 0.0] = self.eps[:] = contact.stiffness
         self._first = self.penalty.x.array.copy(), self.eps.copy()
-        self._areas = _facet_areas(body, self.facets, None if self._axisymmetric else thickness)
+        self._areas = owned_areas(body, self.facets, None if self._axisymmetric else thickness)
         self.shift: fem.Constant = context.constant([0.0] * body.dim)
         if contact.between is None:
             self._at_nodes = contact.obstacle.followed()
@@ -546,56 +543,6 @@ def _travel(
     return result
 
 
-def check_contacts(contacts: Sequence[AnyContact], body: Body, *, turned: bool) -> None:
-    """Checks that contacts, in metres, fit the body. Not collective.
-
-    Raises:
-        InputError: With the key.
-    """
-    for index, contact in enumerate(contacts):
-        try:
-            contact.check(body.dim, axisymmetric=turned)
-            for name in contact.surfaces:
-                body.surface(name)
-        except InputError as error:
-            raise error.at(f"contact[{index}]") from None
-
-
-def check_pairs(contacts: Sequence[AnyContact], ties: Sequence[Tie], body: Body) -> None:
-    """Refuses contact of two surfaces that another contact or a tie joins, too. Collective.
-
-    Raises:
-        InputError: With the key of the contact.
-    """
-    given = [
-        (f"contact[{i}]", one.sides)
-        for i, one in enumerate(contacts)
-        if isinstance(one, Contact) and one.between is not None
-    ]
-    pairs = len(given)
-    given += [(f"tie[{i}]", (one.surfaces, one.others)) for i, one in enumerate(ties) if pairs]
-    nothing = np.empty(0, dtype=np.int32)
-    sides = [
-        [np.concatenate([body.surfaces.get(name, nothing) for name in side]) for side in two]
-        for _, two in given
-    ]
-    count = np.zeros((pairs, len(given), 4))
-    for i, j in np.ndindex(*count.shape[:2]):
-        couples = [(a, b) for a in sides[i] for b in sides[j]]
-        count[i, j] = [len(np.intersect1d(a, b)) for a, b in couples]
-    count = total(body.comm, count)
-    for i, (where, (one, two)) in enumerate(given[:pairs]):
-        names, expected = f"'{'+'.join(one)}' and '{'+'.join(two)}'", "two surfaces, joined once"
-        if count[i, i, 1]:
-            what = f"faces of {names} are the same: a part of the surface is on both sides"
-            raise InputError(what, where=f"{where}.between", expected=expected)
-        for j in [*range(i), *range(pairs, len(given))]:
-            straight, crossed = count[i, j, [0, 3]].all(), count[i, j, [1, 2]].all()
-            if straight or crossed:
-                what = f"{names} are a pair of {given[j][0]}, too"
-                raise InputError(what, where=f"{where}.between", expected=expected)
-
-
 def _deepest_held(
     pair: ContactPair, unknowns: Unknowns, constraints: Constraints
 ) -> tuple[list[float], float, list[str]] | None:
@@ -629,93 +576,3 @@ def _deepest_held(
     holders = constraints.reactions(forces)
     names = [one.label for one, at, rows in holders if np.any(rows[at == nodes[k]])]
     return key, float(gaps[k]), names
-
-
-def _penalty(context: FormContext, cells: IndexArray, heights: FloatArray) -> fem.Function:
-    """Penalty [Pa/m] of cells of these heights [m], 0 in all others. Collective."""
-    result = fem.Function(fem.functionspace(context.body.mesh, ("DG", 0)))
-    eps = np.zeros(len(cells))
-    for region in context.regions:
-        local = np.isin(cells, region.cells)
-        eps[local] = FACTOR * uniaxial_modulus(region) / heights[local]
-    result.x.array[result.function_space.dofmap.list[cells, 0]] = eps
-    # Material regions list owned cells only: ghosts beside the surface get theirs from owners.
-    result.x.scatter_forward()
-    return result
-
-
-def uniaxial_modulus(region: MaterialRegion) -> float:
-    """K + 4 mu/3 of a material [Pa], K bounded."""
-    mu = shear_modulus(region.typical)
-    known = region.typical.small_strain()
-    K = volume_modulus(region.typical) if known is None else known.K
-    return min(K, ROUND * mu) + 4 / 3 * mu
-
-
-def nodal(
-    context: FormContext, facets: IndexArray, degree: int
-) -> tuple[fem.Function, IndexArray, IndexArray]:
-    """A scalar field, its owned nodes on a surface, and these of the displacement. Collective.
-
-    Two spaces need not number their nodes alike, but order those of a cell alike, vertices first.
-    """
-    mesh, V = context.body.mesh, context.unknowns.V
-    S = fem.functionspace(mesh, ("Lagrange", degree))
-    nodes = fem.locate_dofs_topological(S, mesh.topology.dim - 1, facets)
-    owned = np.sort(nodes[nodes < S.dofmap.index_map.size_local]).astype(np.int32)
-    number = np.zeros(S.dofmap.index_map.size_local + S.dofmap.index_map.num_ghosts, np.int32)
-    number[S.dofmap.list] = V.dofmap.list[:, : S.dofmap.list.shape[1]]
-    return fem.Function(S), owned, number[owned]
-
-
-def _heights(body: Body, facets: IndexArray) -> tuple[IndexArray, FloatArray]:
-    """Local cells beside facets, and their smallest height over one of them [m]."""
-    mesh, d = body.mesh, body.dim
-    beside, _ = cells_beside_facets(mesh, facets)
-    corners = facet_corners(mesh, facets)
-    edges = corners[:, 1:] - corners[:, :1]
-    gram = np.linalg.det(np.einsum("nik,njk->nij", edges, edges))
-    area = np.sqrt(np.maximum(gram, np.finfo(float).tiny)) / (d - 1)
-    height = d * np.abs(signed_volumes(cell_corners(mesh, beside))) / area
-    cells, offset = np.unique(beside, return_inverse=True)
-    smallest = np.full(len(cells), np.inf)
-    np.minimum.at(smallest, offset, height)
-    return cells.astype(np.int32), smallest
-
-
-def _mean(body: Body, facets: IndexArray, heights: tuple[IndexArray, FloatArray]) -> float:
-    """Mean height over the facets that ranks own [m]. Collective."""
-    own = facets[facets < body.mesh.topology.index_map(body.dim - 1).size_local]
-    beside, _ = cells_beside_facets(body.mesh, own)
-    result = heights[1][np.searchsorted(heights[0], beside)]
-    sums = total(body.comm, np.array([result.sum(), len(result)]))
-    return float(sums[0] / max(sums[1], 1.0))
-
-
-def _facet_areas(
-    body: Body, facets: IndexArray, thickness: float | None
-) -> tuple[IndexArray, FloatArray]:
-    """Owned facets among some, and their reference areas [m^2]. Not collective.
-
-    Args:
-        thickness: Of a plane body [m]; None: it is axisymmetric.
-    """
-    own = facets[facets < body.mesh.topology.index_map(body.dim - 1).size_local]
-    rule = facet_quadrature(body.mesh, own, 2, raised=False)
-    around = 2 * np.pi * rule.X[:, :, 0] if thickness is None else thickness
-    return own, np.asarray((rule.weights * around).sum(axis=1))
-
-
-def _at_nodes(
-    body: Body, facets: IndexArray, penalty: fem.Function, S: fem.FunctionSpace
-) -> FloatArray:
-    """Harmonic mean at each owned node of the penalties around it [Pa/m]. Collective.
-
-    The softest counts most: a step of the multiplier that is too long would not converge.
-    """
-    own = facets[facets < body.mesh.topology.index_map(body.dim - 1).size_local]
-    beside, _ = cells_beside_facets(body.mesh, own)
-    eps = penalty.x.array[penalty.function_space.dofmap.list[beside, 0]]
-    rows = np.column_stack([np.ones(len(own)), 1 / eps])[:, None]
-    count, inverse = summed(S.dofmap.index_map, dofs_on_facets(S, own), rows).T
-    return np.asarray(np.divide(count, inverse, out=np.ones_like(count), where=inverse > 0))

@@ -12,8 +12,8 @@ from dolfin_elastic.core.jit import compile_forms, options
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Kind
-from dolfin_elastic.problem.terms.friction import ALL, CoulombFriction
-from dolfin_elastic.problem.terms.nodal_contact import NodalContact, touch
+from dolfin_elastic.problem.terms.contact.friction import ALL, CoulombFriction
+from dolfin_elastic.problem.terms.contact.nodal import NodalContact, touch
 
 
 class NodalFriction(CoulombFriction):

@@ -1,0 +1,1 @@
+"""Contact with rigid obstacles: what all contacts have, their pressures and friction."""
