@@ -156,7 +156,7 @@ class Newton:
             self.snes.setLineSearchPreCheck(self._shorten)
         terms = self.assembler.problem.terms
         if terms.opens or terms.bars:
-            self._passage = PassageGuard(self.assembler, self.snes)
+            self._passage = PassageGuard(self.assembler, self.snes, self._source)
         if self._passage is not None and terms.bars:
             self.snes.setLineSearchPreCheck(self._passage.shorten)
         elif self.guard is None and self.assembler.problem.terms.joins:

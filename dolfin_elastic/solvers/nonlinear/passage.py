@@ -7,6 +7,7 @@ from petsc4py import PETSc
 
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
+from dolfin_elastic.solvers.nonlinear.bordered import Bordered
 
 OVERSHOOT = 0.5
 """Slope of the potential at the end of a step over that at its start, up to which it may rise."""
@@ -34,11 +35,17 @@ class PassageGuard:
     Source: J. Nocedal & S. J. Wright, Numerical Optimization, 2nd ed., Springer 2006, section 3.1
     (curvature condition, modified tangents); Li et al. (2020), see `bodies.barrier` (steps up to
     contact).
+
+    Args:
+        snes: Calls `shorten`.
+        unknowns: Of which its vectors are: scalars may stand behind the fields.
     """
 
-    def __init__(self, assembler: Assembler, snes: PETSc.SNES) -> None:
+    def __init__(
+        self, assembler: Assembler, snes: PETSc.SNES, unknowns: Assembler | Bordered
+    ) -> None:
         self._assembler, self._snes = assembler, snes
-        self._trial, self._f = assembler.create_vector(), assembler.create_vector()
+        self._trial, self._f = unknowns.create_vector(), unknowns.create_vector()
 
     def shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Shortens the step y from x to x - y, or makes it longer or another one. Collective.
