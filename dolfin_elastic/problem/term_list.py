@@ -177,6 +177,22 @@ def conserve_in_steps(terms: Terms) -> bool:
     return terms.opens and all(term.in_steps for term in terms if term.opens)
 
 
+def passed(terms: Terms, back: FloatArray, shifts: Sequence[FloatArray | None]) -> bool:
+    """Whether the motion back to a former state leads through any obstacle. Collective.
+
+    Args:
+        back: See `Term.longest_step`.
+        shifts: Those of that state.
+    """
+    for term, shift in zip(terms, shifts, strict=True):
+        if term.shift is None or shift is None or term.joins:
+            continue
+        past = back.reshape(-1, len(shift)) - (shift - term.shift.value)
+        if term.longest_step(past.reshape(-1)) < 1.0:
+            return True
+    return False
+
+
 def refuse_motion(terms: Terms) -> None:
     """Refuses scalar unknowns, which motion does not have.
 

@@ -14,6 +14,7 @@ from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
+from dolfin_elastic.problem.term_list import passed
 from dolfin_elastic.problem.state import RestartState, SavedState, State, restoring
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
 from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
@@ -273,10 +274,11 @@ class LoadStepping:
             goal = sizes.goal(self._t)
             goal = self._problem.terms.within_stride(self._t, goal, self._problem.acting)
             step = _Step(self._t, goal, self._newton.unknowns())
-            before = self._problem.u.x.array.copy()
+            self._problem.set_time(goal, default=PROPORTIONAL)
+            before = self._problem.u.x.array.copy(), self._problem.terms.shifts
             result = self._solve(step)
             last = goal >= self._settings.end
-            refusal = self._refusal(before, last=last) if result.converged else result.reason
+            refusal = self._refusal(*before, last=last) if result.converged else result.reason
             if refusal:
                 if refusal == ANOTHER:
                     self._jumped_to = goal, self._newton.unknowns()
@@ -298,8 +300,7 @@ class LoadStepping:
             yield self._committed(state)
 
     def _solve(self, step: _Step) -> NewtonResult:
-        """Tries to take a step; all unknowns are put back if that fails. Collective."""
-        self._problem.set_time(step.goal, default=PROPORTIONAL)
+        """Tries to take a step to the present time; all is put back if that fails. Collective."""
         self._problem.constraints.check_finite()
         now = self._newton.unknowns()
         starts = [("", now)]
@@ -342,7 +343,9 @@ class LoadStepping:
         self._problem.terms.commit()
         return state
 
-    def _refusal(self, before: FloatArray, *, last: bool) -> str:
+    def _refusal(
+        self, before: FloatArray, shifts: Sequence[FloatArray | None], *, last: bool
+    ) -> str:
         """Why the equilibrium is not the next point of the path; empty: it is. Collective.
 
         Newton's method may find an unstable equilibrium, one on another path, or one where a
@@ -350,12 +353,12 @@ class LoadStepping:
 
         Args:
             before: Displacements at the start of the step, local array [m].
+            shifts: Of the terms there: a force may have moved an obstacle since [m].
         """
         if self._problem.linear:
             self._verdict = judge(self._newton)
             return UNSTABLE if self._verdict.stable is False else ""
-        back = before - self._problem.u.x.array
-        if any(term.longest_step(back) < 1.0 for term in self._problem.terms if not term.joins):
+        if passed(self._problem.terms, before - self._problem.u.x.array, shifts):
             return PASSED
         self._path_check.evaluate()
         if not self._path_check.finite():

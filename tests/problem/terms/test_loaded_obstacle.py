@@ -28,6 +28,7 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.problem.state import StateCopy
 from dolfin_elastic.results.finished.draw import obstacles_of
 from dolfin_elastic.results.finished.run import FinishedRun
+from dolfin_elastic.solvers.nonlinear.convergence import ConvergenceTest
 
 FREE = "free"
 E, NU, FORCE, GAP = 1e6, 0.3, 3e4, 0.25
@@ -84,6 +85,28 @@ def test_a_bar_is_shortened_by_the_force_over_its_stiffness():
     """Without Poisson's ratio the block is a bar of the stiffness E: F/E after the gap."""
     state = last(pressed(LinearElastic(E=E, nu=0.0), **PLATE, **DOWN))
     assert way(state) == pytest.approx(GAP + FORCE / E, rel=1e-7)
+
+
+def test_a_thin_stamp_takes_the_steps_of_a_thick_one():
+    """It moves with the body, by more than it is thick: nothing passes through it."""
+    paths = [
+        [
+            way(state)
+            for state in Statics(
+                pressed(box={"center": [0.5, 1 + GAP + h / 2], "size": [2, h]}, **DOWN), steps=2
+            ).steps()
+        ]
+        for h in (1.0, 1e-3)
+    ]
+    assert paths[0] == pytest.approx(paths[1], rel=1e-9)
+
+
+def test_steps_are_shortened_with_the_obstacle(monkeypatch):
+    """As those between states that alternate are: also where none does, to the same end."""
+    ends = [way(last(pressed(degree=2, **PLATE, **DOWN)))]
+    monkeypatch.setattr(ConvergenceTest, "alternates", lambda self: True)
+    ends.append(way(last(pressed(degree=2, **PLATE, **DOWN))))
+    assert ends[0] == pytest.approx(ends[1], rel=1e-8)
 
 
 def test_a_ring_is_pressed_by_the_force_on_all_of_it():
