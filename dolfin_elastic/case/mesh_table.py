@@ -108,7 +108,7 @@ class Source(Record):
             "join": (self.join is not None, f"a {key} is a single body", "leave it out"),
         }
         for name, (value, what, expected) in wrong.items():
-            if value and key == "parts":
+            if key == "parts" and getattr(self, name) is not None:
                 raise InputError(
                     "each part has a key of its own for this",
                     where=name,
