@@ -62,6 +62,7 @@ class BodyFriction(VertexFriction):
     def begin(self, *, moving: bool) -> None:
         """See `CoulombFriction`."""
         self._before.x.array[:] = self._context.unknowns.u.x.array
+        self._first_areas = None  # of a step that an earlier run has not found
         super().begin(moving=moving)
 
     def begin_step(self) -> None:

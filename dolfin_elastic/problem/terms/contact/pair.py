@@ -177,7 +177,7 @@ class _Pressures(InSteps):
     def begin(self, *, moving: bool) -> None:
         """See `Term`: motion has penalties alone, and softer ones where the user gave none."""
         factor = SOFT if moving else 1.0
-        self._augments = not moving
+        self._augments, self.step.begun = not moving, False
         if self.contact.stiffness is None:
             self.penalty.x.array[:] = factor * self._first[0]
             self.eps = factor * self._first[1]
@@ -448,8 +448,9 @@ class ContactPair(_Pressures):
         if not np.isfinite(depth):
             return shares
         x, lengths = self._moved(), np.linalg.norm(way, axis=1)
-        gaps, _ = self.contact.obstacle.gaps(x)
-        some = (lengths > STRIDE * depth) & (gaps > -depth / 2) & (gaps < lengths)
+        some = np.flatnonzero(lengths > STRIDE * depth)
+        gaps, _ = self.contact.obstacle.gaps(x[some])
+        some = some[(gaps > -depth / 2) & (gaps < lengths[some])]
         x, way, found = x[some], way[some], shares[some]
         count = int(min(np.ceil(2 * np.max(lengths[some], initial=0.0) / depth), MOST_PLACES))
         for part in range(1, count):
