@@ -21,6 +21,9 @@ of which what is beyond Coulomb's limit at the end of the step is lost, too.  Wi
 -t . (w1 - w0) is at least the change of what e stores: friction makes no energy in any step, and
 with alpha = 1/2 points that stick lose none.
 
+A vertex that pulls until equilibrium is found, see `vertex_contact`, has a p below 0 in this law,
+and a traction that is turned round, so that Newton's method sees no kink.  No equilibrium has one.
+
 Slip over a step ds = s - s(before) does the work -t . ds per area, which is lost.  While points
 slide the tangent is not symmetric: the traction depends on the pressure, but not the other way
 round.
