@@ -188,7 +188,6 @@ def test_a_wedge(friction):
         (state.load_factor, state.reactions["left"].copy())
         for state in Statics(problem, steps=10).steps()
     ]
-    assert all(np.abs(state).max() < np.inf for _, state in states)
     (push,) = (force for t, force in states if t == pytest.approx(0.5))
     P = 2e4 * 2 * (half + np.tan(a))
     N = P / 2 / (np.sin(a) + friction * np.cos(a))
