@@ -11,7 +11,6 @@ from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.petsc_options import PetscOptions
 from dolfin_elastic.core.schema import settings_from
 from dolfin_elastic.core.together import failing_together, loop_together
-from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.problem.state import RestartState, SavedState, State
 from dolfin_elastic.problem.term_list import refuse_rest
@@ -86,8 +85,6 @@ class Statics(Marching):
         self, saved: SavedState | None, near: InitialGuess | None
     ) -> Generator[State, None, None]:
         check_no_rigid_motion(self.problem)
-        if saved is None and not self._preload:
-            self.problem.check_start(default=PROPORTIONAL)
         self._check_path()
         for dashpot in () if self._preload else self.problem.dashpots:
             log.warning("the dashpot '%s' does nothing in statics", dashpot.label)
