@@ -162,9 +162,16 @@ class Rest:
         near.destroy()
 
     def solve(self, b: FloatArray) -> FloatArray:
-        """Solves for owned nodes, roughly. Collective."""
+        """Solves for owned nodes, roughly. Collective.
+
+        Where GAMG cannot be set up, as for a singular matrix, the result is no number: the solver
+        whose cycle this is then fails.
+        """
         self._b.array_w[:] = b.reshape(-1)
-        self._ksp.solve(self._b, self._x)
+        try:
+            self._ksp.solve(self._b, self._x)
+        except PETSc.Error:
+            return np.full(b.shape, np.nan)
         return self._x.array_r.reshape(b.shape)
 
     def destroy(self) -> None:

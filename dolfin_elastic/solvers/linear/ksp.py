@@ -74,6 +74,20 @@ def times(matrix: PETSc.Mat, columns: FloatArray) -> FloatArray:
     return images
 
 
+def _forget_pattern(pc: PETSc.PC) -> None:
+    """Lets the next set-up know no nonzero pattern, though the matrix is the same. Collective.
+
+    Another matrix in between makes PETSc forget the nonzero state of the one before.
+    """
+    A, P = pc.getOperators()
+    entries = P.createVecLeft()
+    other = PETSc.Mat().createDiagonal(entries)
+    pc.setOperators(other, other)
+    pc.setOperators(A, P)
+    other.destroy()
+    entries.destroy()
+
+
 CHANGE = {"displacement": 0.5, "mixed": 0.05}
 """Relative change of the tangent from which its preconditioner is set up anew: with pressures a
 changed tangent costs many more iterations."""
@@ -254,11 +268,15 @@ class LinearSolver:
         With the options in force, before SNES hands the tangent on, if it does.
         """
         pc, age = self.ksp.getPC(), self._age
-        if self.direct and self._pattern != self._assembler.tangent.pattern:
+        if self._pattern != self._assembler.tangent.pattern:
             # A sum of matrices that takes the place of another may have the nonzero state of that
-            # one: PETSc would then factorise it with what was analysed for the other pattern.
+            # one: PETSc would then reuse what is of the other pattern: factors, splits, products.
             self._pattern = self._assembler.tangent.pattern
-            self.factors.reset()
+            if self.direct:
+                self.factors.reset()
+            else:
+                self.ksp.setOperators(tangent)
+                _forget_pattern(pc)
         if age is None:
             if self.ksp != self._snes.ksp:  # else SNES does so
                 pc.setReusePreconditioner(self._prepared and not self.direct)

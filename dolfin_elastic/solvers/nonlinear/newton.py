@@ -34,7 +34,7 @@ from dolfin_elastic.solvers.nonlinear.jacobian import InversionGuard, JacobianWa
 from dolfin_elastic.solvers.nonlinear.passage import PassageGuard, free_share
 from dolfin_elastic.solvers.nonlinear.scalars import FreeStrains, UniformPressure
 from dolfin_elastic.solvers.petsc.monitors import FileMonitors
-from dolfin_elastic.solvers.petsc.options import Options, ksp_reason, snes_reason
+from dolfin_elastic.solvers.petsc.options import Options, failed_by_petsc, ksp_reason, snes_reason
 
 log = logging.getLogger("dolfin_elastic")
 
@@ -237,10 +237,17 @@ class Newton:
             if self.guard is not None:
                 self.guard.begin()
             self._source.get(self._x)
-            self.snes.solve(None, self._x)
+            try:
+                self.snes.solve(None, self._x)
+                failed = ""
+            except PETSc.Error as error:
+                failed = failed_by_petsc(error)
+                if self.options.users or not failed:
+                    raise
+                self.linear.refresh()
             if self.test.interrupted:
                 raise_if_agreed(self.assembler.comm)
-            self.finish()
+            self.finish(failed)
             self._source.put(self._x)
             at_rest = self._inertia is None  # in motion the stage does so: it has rows of its own
             if at_rest and self.result.converged and self.assembler.settle_pressures():
@@ -272,12 +279,20 @@ class Newton:
             backtracks=backtracks, patient=patient, max_iterations=max_iterations, check=check
         )
 
-    def finish(self) -> NewtonResult:
-        """Stores how SNES has ended as `result`. Collective."""
-        number = self.snes.getConvergedReason()
+    def finish(self, failed: str = "") -> NewtonResult:
+        """Stores how SNES has ended as `result`. Collective.
+
+        Args:
+            failed: PETSc's error at which SNES has ended, of a preconditioner.
+        """
+        number, linear = self.snes.getConvergedReason(), self.ksp.getConvergedReason()
+        if failed:
+            log.debug("PETSc: %s", failed)
+            number = PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE
+            linear = PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED
         reason = snes_reason(number)
         if number == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE:
-            reason += f" ({ksp_reason(self.ksp.getConvergedReason())})"
+            reason += f" ({ksp_reason(linear)})"
         krylov = self.snes.getLinearSolveIterations()
         if self.bordered is not None:
             krylov = self.bordered.iterations

@@ -28,6 +28,18 @@ def _cause_here(error: BaseException) -> ElasticError | KeyboardInterrupt | None
     return cause
 
 
+def failed_by_petsc(error: PETSc.Error) -> str:
+    """What PETSc cannot do with the numbers it has; empty where an exception of ours is behind it.
+
+    Or where it lacks memory, or was interrupted.
+    """
+    first: BaseException = error
+    while first.__cause__ is not None:
+        first = first.__cause__
+    ours = not isinstance(first, PETSc.Error) or first.ierr in _NO_OPTION
+    return "" if ours else cause_of(first)
+
+
 class Options:
     """PETSc options that are in the database only while a solver works.
 

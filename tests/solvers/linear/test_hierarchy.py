@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from petsc4py import PETSc
 
 from dolfin_elastic import (
@@ -23,10 +24,11 @@ from dolfin_elastic import (
     box_body,
     rectangle_body,
 )
+from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.jit import CFunctions, compile_c
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.solvers.assembly.assembler import Assembler
-from dolfin_elastic.solvers.linear import block_rows, hierarchy
+from dolfin_elastic.solvers.linear import block_rows, hierarchy, ksp
 from dolfin_elastic.solvers.linear.aggregation import galerkin, smoothed_interpolation
 from dolfin_elastic.solvers.linear.block_rows import (
     BlockRows,
@@ -38,6 +40,7 @@ from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.linear.hierarchy import Multigrid
 from dolfin_elastic.solvers.linear.multigrid import constrained_interpolation, mode_values
 from dolfin_elastic.solvers.linear.smoother import diagonal_of, taken_in_single_precision
+from dolfin_elastic.solvers.petsc.halo import Halo
 
 ITERATIVE = LinearSettings(method="iterative")
 
@@ -352,3 +355,34 @@ def test_it_is_freed_with_its_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     gc.collect()
     assert made
     assert all(one() is None for one in made)
+
+
+@pytest.mark.parametrize("factorises", [True, False])
+def test_an_error_of_petsc_is_a_failed_linear_solve(monkeypatch, factorises):
+    """Another solver is tried after it; without one the run ends with what has failed."""
+
+    def fail(*_: object) -> None:
+        raise PETSc.Error(77)
+
+    monkeypatch.setattr(Multigrid, "setUp", fail)
+    if not factorises:
+        monkeypatch.setattr(ksp, "LAST_DIRECT", {3: 0})
+    statics = Statics(block(2), linear=ITERATIVE)
+    if factorises:
+        (*_, last) = statics.steps()
+        assert last.load_factor == 1.0
+    else:
+        with pytest.raises(ConvergenceError, match="the preconditioner or factorisation failed"):
+            list(statics.steps())
+
+
+def test_a_rest_that_gamg_refuses_is_no_number():
+    """So the solver whose cycle it is fails, and no error of PETSc ends the run."""
+    n = 400
+    halo = Halo(MPI.COMM_SELF, n, np.zeros(0, dtype=np.int64))
+    ring = (np.arange(n)[:, None] + [-1, 0, 1]) % n
+    blocks = np.full((3 * n, 2, 2), np.nan)
+    A = BlockRows(3 * np.arange(n + 1), ring.astype(np.int32).reshape(-1), blocks, halo)
+    rest = hierarchy.Rest(A, np.ones((n, 2, 1)))
+    assert np.isnan(rest.solve(np.ones((n, 2)))).all()
+    rest.destroy()

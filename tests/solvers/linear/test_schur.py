@@ -7,7 +7,7 @@ import pytest
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from dolfin_elastic import NeoHookean, Problem, Support, box_body
+from dolfin_elastic import Contact, NeoHookean, Problem, Statics, Support, box_body
 from dolfin_elastic.core.petsc_options import PREFIX
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import LinearSettings, choose
@@ -110,3 +110,22 @@ def test_its_solve_leaves_the_preconditioner_as_it_was():
     for thing in (snes, x, b):
         thing.destroy()
     assembler.destroy()
+
+
+def test_contact_that_gives_the_tangent_other_entries(caplog):
+    """Vertices press on nodes beyond their elements: PETSc must not reuse the old block's entries.
+
+    It would refuse, and the solver go on by a factorisation.
+    """
+    problem = Problem(
+        box_body(size=(1.0, 1.0, 0.5), cells=(2, 2, 1)),
+        NeoHookean(E=1e6, nu=0.49),
+        degree=2,
+        formulation="mixed",
+        supports=[Support(on="top", displacement=[0, 0, "-0.01*t"])],
+        contacts=[Contact(on="bottom", plane={"axis": "z", "at": 0}, name="floor")],
+    )
+    with caplog.at_level("INFO"):
+        (*_, last) = Statics(problem, steps=1, linear=LinearSettings(method="iterative")).steps()
+    assert last.reactions["floor"][2] > 1e4
+    assert "failed" not in caplog.text
