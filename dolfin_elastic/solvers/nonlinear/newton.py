@@ -159,15 +159,6 @@ class Newton:
             self._passage = PassageGuard(self.assembler, self.snes, self._source)
         if self._passage is not None and terms.bars:
             self.snes.setLineSearchPreCheck(self._passage.shorten)
-        elif self.guard is None and self.assembler.problem.terms.joins:
-            self.snes.setLineSearchPreCheck(self._pass_nothing)
-
-    def _pass_nothing(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
-        """Shortens a step in which surfaces would pass each other unseen. Collective."""
-        share = free_share(self.assembler, x, y)
-        if share < 1.0:
-            y.scale(share)
-        return share < 1.0
 
     def install_test(self, max_iterations: int | None = None) -> None:
         """Makes the SNES use our test of convergence, and none of PETSc's tolerances."""
@@ -366,11 +357,18 @@ class Newton:
         self.linear.take(self.assembler.tangent.matrix)
 
     def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
-        """Shortens a step between states that alternate, and lest elements turn inside out."""
+        """Shortens steps between states that alternate, or that invert or pass. Collective."""
         shorter = False
         if self._passage is not None and self.test.alternates():
             shorter = self._passage.shorten(x, y)
-        return (self.guard is not None and self.guard.shorten(x, y)) or shorter
+        if self.guard is not None:
+            return self.guard.shorten(x, y) or shorter
+        if self.assembler.problem.terms.joins:
+            share = free_share(self.assembler, x, y)
+            if share < 1.0:
+                y.scale(share)
+            shorter |= share < 1.0
+        return shorter
 
     def take_tangent(self, P: PETSc.Mat) -> None:
         """Sets the linear tolerance and the round-off floor from a fresh tangent. Collective.

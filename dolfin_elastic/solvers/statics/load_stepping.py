@@ -14,8 +14,8 @@ from dolfin_elastic.core.errors import ConvergenceError
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
-from dolfin_elastic.problem.term_list import passed
 from dolfin_elastic.problem.state import RestartState, SavedState, State, restoring
+from dolfin_elastic.problem.term_list import passed
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
 from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
 from dolfin_elastic.solvers.messages import in_words

@@ -112,9 +112,11 @@ class SurfaceGaps(VertexContact):
         Collective.
         """
         pieces, limit = self.pieces, PASSED * self.pieces.reach
+        if total(self.comm, float(not np.isfinite(motion).all())) > 0.0:
+            return 1.0
         most = pieces.farthest(motion)
         deepest = smallest(self.comm, float(np.min(self._acting()[0], initial=np.inf)))
-        if (most <= limit and deepest >= -limit) or not np.isfinite(most):
+        if most <= limit and deepest >= -limit:
             return 1.0
         share, offsets = 1.0, self.offsets.field.x.array
         for after in (False, True):
