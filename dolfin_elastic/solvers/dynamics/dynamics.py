@@ -111,7 +111,8 @@ class Dynamics(Marching):
             self.problem, self.velocity, s.displacement, s.velocity, s.end, given=given
         )
         notes = [s.stability_limit] if s.stability_limit else []
-        penetrations = self.problem.check_start()
+        # A state that a run goes on from may lie deeper than the start that it had.
+        penetrations = self.problem.check_start() if saved is None else []
         notes += [
             *map(str, shocks),
             *(() if s.preload else penetrations),

@@ -25,6 +25,10 @@ FEW_ITERATIONS, MANY_ITERATIONS = 5, 10
 STEPS_BEFORE_GROWTH = 3
 """Successful steps after a failure before steps grow again."""
 
+STEPS_BEFORE_RETURN = 4
+"""Successful steps in a row after which a size below the first one is doubled, though they took
+more than few iterations: contact may take these in steps of any size, and what failed lies behind.
+"""
 
 MAX_REFINEMENT = 64
 """First step over the smallest step to which `StepSpeed` may refine."""
@@ -79,9 +83,12 @@ class StepSizes:
             goal: Load factor where it ended.
         """
         self._steps_since_failure += 1
-        if newton <= FEW_ITERATIONS and self._steps_since_failure >= STEPS_BEFORE_GROWTH:
+        calm, size = self._steps_since_failure, max(self.size, goal - t)
+        if newton <= FEW_ITERATIONS and calm >= STEPS_BEFORE_GROWTH:
             # A stop may have cut the step short: the size before it is the one to double.
-            self.size = min(self._largest, 2.0 * max(self.size, goal - t))
+            self.size = min(self._largest, 2.0 * size)
+        elif newton < MANY_ITERATIONS and calm >= STEPS_BEFORE_RETURN and size < self._first:
+            self.size, self._steps_since_failure = min(self._first, 2.0 * size), 0
         elif newton >= MANY_ITERATIONS and not self._steady:
             self.size = max(self._smallest, 0.7 * (goal - t))
 

@@ -32,6 +32,7 @@ from dolfin_elastic import (
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.solvers.linear.choice import LinearSettings
 from dolfin_elastic.solvers.nonlinear.newton import Newton
+from dolfin_elastic.solvers.statics.step_size import FEW_ITERATIONS, StepSizes
 
 FREE = "free"
 E, NU = 1e6, 0.3
@@ -380,6 +381,21 @@ def test_the_first_step_may_be_as_large_as_any():
     assert len([*Statics(bar(), first_step=0.5, max_step=0.5).steps()]) == 3
     with pytest.raises(InputError, match="0.6 is more than any step may be"):
         Statics(bar(), first_step=0.6, max_step=0.5)
+
+
+def test_steps_return_to_their_first_size():
+    """After a failure, though each step takes more than the few iterations that lengthen it."""
+    sizes = StepSizes(1.0, first=0.1, largest=0.5, smallest=1e-4)
+    assert sizes.failed(0.0, 0.1, inverted=True)
+    t, taken = 0.0, []
+    while not sizes.done(t):
+        goal = sizes.goal(t)
+        taken.append(goal - t)
+        sizes.succeeded(t, goal, newton=FEW_ITERATIONS + 1)
+        t = goal
+    assert taken[:5] == pytest.approx([0.025] * 4 + [0.05])
+    assert max(taken[:-1]) == pytest.approx(0.1)  # not beyond it
+    assert len(taken) == 4 + 4 + 7
 
 
 def test_states_describe_the_run():
