@@ -17,6 +17,7 @@ import ufl
 from dolfinx import cpp, fem, la
 from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
+from ufl.algorithms.analysis import extract_coefficients
 from ufl.core.expr import Expr
 
 from dolfin_elastic.core.jit import compile_forms
@@ -131,6 +132,18 @@ def _mixed(problem: Problem, region: MaterialRegion) -> Expr:
     return ufl.as_vector(result)
 
 
+def _parts(rest: ufl.Form) -> tuple[ufl.Form, ufl.Form]:
+    """The integrals over cells that are the same in all states, such as inertia, and the others."""
+    of_state = [
+        one.integral_type() != "cell" or bool(extract_coefficients(one.integrand()))
+        for one in rest.integrals()
+    ]
+    parts = zip(of_state, rest.integrals(), strict=True)
+    others = [one for varies, one in zip(of_state, rest.integrals(), strict=True) if varies]
+    constant = [one for varies, one in parts if not varies]
+    return ufl.Form(constant), ufl.Form(others)
+
+
 class TwoStageForm(BilinearForm):
     """The tangent of a problem that is `in_two_stages`. Collective to make.
 
@@ -147,10 +160,16 @@ class TwoStageForm(BilinearForm):
         mesh, W = problem.body.mesh, problem.W
         trial, test = ufl.TrialFunction(W), ufl.TestFunction(W)
         every_cell = ufl.dx(domain=mesh, metadata={"quadrature_degree": 0})
-        forms = [ufl.inner(trial, test) * every_cell] + ([] if rest.empty() else [rest])
-        compiled_forms = compile_forms(problem.body.comm, forms, problem.jit)
-        super().__init__(compiled_forms[0])
-        self._rest = None if rest.empty() else compiled_forms[1]
+        constant, varying = _parts(rest)
+        forms = [ufl.inner(trial, test) * every_cell, constant, varying]
+        some = [form for form in forms if not form.empty()]
+        made = dict(
+            zip(map(id, some), compile_forms(problem.body.comm, some, problem.jit), strict=True)
+        )
+        super().__init__(made[id(forms[0])])
+        self._constant, self._rest = made.get(id(constant)), made.get(id(varying))
+        self._constants = constant.constants()
+        self._values: tuple[FloatArray, FloatArray] | None = None  # of `_constant`
         self.has_rest = not rest.empty()
         self._rest_matrix: la.MatrixCSR | None = None
         on_facets = all(one.integral_type() == "exterior_facet" for one in rest.integrals())
@@ -164,6 +183,9 @@ class TwoStageForm(BilinearForm):
 
     def assemble(self, matrix: la.MatrixCSR, bcs: Conditions) -> None:
         """See `BilinearForm.assemble`."""
+        fixed = _marked(bcs, len(matrix.indptr) - 1)
+        if self._constant is not None:
+            matrix.data[:] += self._of_constant(matrix, bcs, fixed)
         if self._rest is None:
             space = self.form.function_spaces[0]
             conditions = [bc._cpp_object for bc in bcs]
@@ -172,10 +194,27 @@ class TwoStageForm(BilinearForm):
             fem.assemble_matrix(matrix, self._rest, list(bcs))
         if self._places.ndim != 3:
             self._find_places(matrix)
-        fixed = _marked(bcs, len(self._start) - 1)
         offsets = (self._nodes, fixed, self._start, self._places, matrix.data)
         for term in self._terms:
             term.call("add_tangent", term.cells, *offsets)
+
+    def _of_constant(
+        self, matrix: la.MatrixCSR, bcs: Conditions, fixed: NDArray[np.int8]
+    ) -> FloatArray:
+        """Values of what is the same in all states, assembled where a constant is another. Local.
+
+        Args:
+            matrix: Its pattern is that of the values; it is as it was afterwards.
+            fixed: Which unknowns `bcs` prescribe.
+        """
+        key = np.concatenate([fixed, *(np.ravel(c.value) for c in self._constants)])
+        if self._values is None or not np.array_equal(key, self._values[0]):
+            before = matrix.data.copy()
+            matrix.data[:] = 0.0
+            fem.assemble_matrix(matrix, self._constant, list(bcs), diagonal=0.0)
+            self._values = key, matrix.data.copy()
+            matrix.data[:] = before
+        return self._values[1]
 
     def assemble_half(self, blocks: SymmetricBlocks, bcs: Conditions) -> None:
         """Assembles it by the half of its blocks, `rest_blocks` apart. Local.
@@ -213,8 +252,9 @@ class TwoStageForm(BilinearForm):
 
     def lift(self, out: FloatArray, bcs: Conditions, values: FloatArray, w: FloatArray) -> None:
         """See `BilinearForm.lift`."""
-        if self._rest is not None:
-            fem.apply_lifting(out, [self._rest], [list(bcs)], [w], -1.0)
+        for form in (self._constant, self._rest):
+            if form is not None:
+                fem.apply_lifting(out, [form], [list(bcs)], [w], -1.0)
         direction = np.where(_marked(bcs, len(w)), values - w, 0.0)
         touched = self._touched(direction != 0.0)
         for term in self._terms:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import ufl
 from dolfinx import la
 from helpers.annulus import annulus
 from helpers.laws import make
@@ -81,6 +82,28 @@ def test_laws(name, degree):
     body = box_body(size=(1.0, 0.8, 0.6), cells=(2, 2, 2))
     supports = [Support(on="left")]
     check(Problem(body, make(name), degree=degree, formulation="displacement", supports=supports))
+
+
+def test_inertia_follows_its_factor_and_is_added_in_each_state():
+    """Its matrix is assembled where the factor is another, and must stand beside any tangent."""
+    body = box_body(size=(1.0, 0.8, 0.6), cells=(2, 1, 1))
+    law = NeoHookean(E=1.0, nu=0.3, density=2.0)
+    problem = Problem(body, law, degree=1, supports=[Support(on="left")])
+    factor, trial = problem.constant(2.0), ufl.TrialFunction(problem.W)
+    inertia = factor * problem.weak_form.inertia(trial, problem.v)
+    assembler = Assembler(problem)
+    split = TwoStageForm(problem, inertia)
+    whole = BilinearForm(compiled(problem, [problem.weak_form.tangent + inertia])[0])
+    for factor.value in (2.0, 2.0, 5.0):
+        bend(problem)
+        values = []
+        for form in (split, whole):
+            matrix = form.matrix()
+            form.assemble(matrix, assembler.bcs)
+            matrix.scatter_reverse()
+            values.append(matrix.data[: matrix.indptr[assembler.size]].copy())
+        assert_alike(*values)
+    assembler.destroy()
 
 
 @pytest.mark.parametrize("nu", [0.499, 0.5])
