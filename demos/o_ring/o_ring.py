@@ -2,8 +2,8 @@
 
 Problem
     A ring of rubber, 5 mm thick, lies in a groove, at its outer wall.  The lid squeezes it by 18 %;
-    then the fluid inside presses on it.  Under the lid, between the places where the ring leaves it,
-    the fluid's pressure falls to zero along 1.2 mm, as in the film of a lubricated seal.
+    then the fluid inside presses on it.  Under the lid, from where the ring leaves it, the fluid's
+    pressure falls to zero along 1.2 mm, as in the film of a lubricated seal.
 
 Equations
     A body of revolution, neo-Hookean with E = 10 MPa and nu = 0.49, and rigid planes without
@@ -16,8 +16,8 @@ Equations
     and the ring seals while the pressure under the lid, beyond the film, is above p.
 
 Discretisation
-    Linear triangles of 0.2 mm with a pressure of their own: gaps vanish at all nodes of the contact.
-    Pressures are stresses recovered at the surface.
+    Linear triangles of 0.2 mm with a pressure of their own: gaps vanish at all nodes of the
+    contact.  Pressures are stresses recovered at the surface.
 
 Result
     The ring seals up to 10 MPa, and P is that of the rule to 5 %, of which the recovered stress is
@@ -38,7 +38,7 @@ from dolfin_elastic import read_case, run
 
 HERE = Path(__file__).parent
 NU, FLUID, SQUEEZED = 0.49, 10e6, 0.3
-"""Poisson's ratio, pressure of the fluid at the end [Pa], load factor at which it begins to rise."""
+"""Poisson's ratio, the last pressure of the fluid [Pa], the load factor from which on it rises."""
 
 
 def main():
