@@ -139,7 +139,9 @@ def balance_of(run: FinishedRun) -> Balance | None:
     if not run.summary.get("steps"):
         return None
     summary, rows, given = run.summary, list[tuple[str, str]](), rows_of(run)
+    pairs = [bool(one.get("between")) for one in run.case.get("contact") or []]
     inside = {row.label for row in given if row.key.startswith("tie")}
+    inside |= {row.label for row in given if row.key in _keys("contact", pairs)}
     reactions = {
         k: v
         for k, v in (summary.get("reactions") or {}).items()

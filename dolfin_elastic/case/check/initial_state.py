@@ -223,7 +223,7 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
         later = _gaps_over_time(case, pair)
         nearest = min([*later, gap] if pair.contact.between is None else later)
         pressed |= nearest < -_ROUND_OFF * pair.size
-        if nearest > max(reach, _ROUND_OFF * pair.size):
+        if np.isposinf(nearest) or nearest > max(reach, _ROUND_OFF * pair.size):
             what = "the obstacle comes" if pair.contact.between is None else "the surfaces come"
             if np.isfinite(nearest):
                 yield (
