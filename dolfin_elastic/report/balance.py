@@ -133,15 +133,15 @@ class Balance:
 def balance_of(run: FinishedRun) -> Balance | None:
     """Loads against reactions; None where there are neither, or no step was reached.
 
-    The forces of ties act inside the body.  Round the axis of a body of revolution radial forces
+    The forces of ties and between two surfaces act inside the body.  Round the axis of a body of revolution radial forces
     balance by themselves: only the axial ones are compared.
     """
     if not run.summary.get("steps"):
         return None
     summary, rows, given = run.summary, list[tuple[str, str]](), rows_of(run)
-    pairs = [bool(one.get("between")) for one in run.case.get("contact") or []]
-    inside = {row.label for row in given if row.key.startswith("tie")}
-    inside |= {row.label for row in given if row.key in _keys("contact", pairs)}
+    contacts = run.case.get("contact") or []
+    inner = {f"contact[{i}]" for i, one in enumerate(contacts) if one.get("between")}
+    inside = {row.label for row in given if row.key.startswith("tie") or row.key in inner}
     reactions = {
         k: v
         for k, v in (summary.get("reactions") or {}).items()

@@ -134,6 +134,7 @@ class PieceFunctions(VertexFunctions):
         hats: Barycentric coordinates of the points, shape (pieces, points, dim).
         there: What lies opposite the points.
         opposite_hats: Barycentric coordinates there.
+        offsets: What gaps are less by, at vertices; None: nothing [m].
     """
 
     def __init__(
@@ -154,6 +155,7 @@ class PieceFunctions(VertexFunctions):
         self.node_owners = Owners(pair.comm, nodes.local_range[0], nodes.size_local)
         self._near, self._far = (Side(context, names, S) for names in sides)
         self.reach, self._thickness = reach, thickness
+        self.offsets: fem.Function | None = None
         around = 2 * np.pi if context.axisymmetric else 1.0
         faces = Facets(self._near.X, self._near.nodes)
         whole = thickness * around / self._dim * areas(faces, axisymmetric=context.axisymmetric)
@@ -244,8 +246,8 @@ class PieceFunctions(VertexFunctions):
         self.hats = s
         self.opposite_hats, self.there = self._opposite(near, far, pieces)
         self.shapes = _shapes(s, self.opposite_hats, k)
-        t = self.there.tangents  # with the gap times dual ones forces act beside the face
-        self._levers = self.there.gap[..., None, None] * t @ np.linalg.inv(t.swapaxes(2, 3) @ t)
+        t = self.there.tangents
+        self._dual = t @ np.linalg.inv(t.swapaxes(2, 3) @ t)
         self._numbers = np.concatenate([near.nodes[i], far.nodes[j]], axis=1)
         self._vertices = self._near.vertices[i]
         self.X = np.einsum("nqk,nkd->nqd", shape_functions(s, near.x.shape[1]), self._near.X[i])
@@ -322,6 +324,14 @@ class PieceFunctions(VertexFunctions):
     def _values(self, field: FloatArray, nodes: IntArray) -> FloatArray:
         rows = field[: self.node_owners.count * self._dim].reshape(-1, self._dim)
         return self.node_owners.values_at(rows, nodes).reshape(*nodes.shape, self._dim)
+
+    @property
+    def _levers(self) -> FloatArray:
+        """Dual tangents times the gap, less what counts as none: forces act beside the face."""
+        gaps = self.there.gap
+        if self.offsets is not None:
+            gaps = gaps - self.between_vertices(self.offsets.x.array)
+        return gaps[..., None, None] * self._dual
 
     def spread(self, vectors: FloatArray) -> FloatArray:
         """See `VertexFunctions`: those on the other side are opposite. Collective."""
