@@ -182,7 +182,7 @@ def passed(terms: Terms, back: FloatArray, shifts: Sequence[FloatArray | None]) 
 
     Args:
         back: See `Term.longest_step`.
-        shifts: Those of that state.
+        shifts: Displacements of the obstacles in that state [m].
     """
     for term, shift in zip(terms, shifts, strict=True):
         if term.shift is None or shift is None or term.joins:

@@ -133,8 +133,8 @@ class Balance:
 def balance_of(run: FinishedRun) -> Balance | None:
     """Loads against reactions; None where there are neither, or no step was reached.
 
-    The forces of ties and between two surfaces act inside the body.  Round the axis of a body of revolution radial forces
-    balance by themselves: only the axial ones are compared.
+    The forces of ties, and between two surfaces, act inside the body.  Round the axis of a body of
+    revolution radial forces balance by themselves: only the axial ones are compared.
     """
     if not run.summary.get("steps"):
         return None

@@ -81,8 +81,8 @@ def test_a_tower_rests_on_its_barriers(steps):
         stored.append(state.energies)
     assert np.abs(moves).max() < 0.05
     assert np.diff(energies(stored)).max() <= 1e-6 * np.ptp(energies(stored))
-    if steps == 1000:
-        assert np.ptp(moves[-20:], axis=0).max() < 1e-4
+    if steps == 1000:  # they creep by no more than `slow`, 1e-3 of the size of five blocks a second
+        assert np.ptp(moves[-21:], axis=0).max() < 5e-3 * 20 * 5e-3
 
 
 @pytest.mark.parametrize("steps", [4, pytest.param(1000, marks=pytest.mark.long)])
