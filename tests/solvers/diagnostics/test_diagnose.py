@@ -271,7 +271,7 @@ def pressed(left: Support | Rigid | Symmetry, by: float = 0.3) -> Problem:
 
 
 def test_an_obstacle_that_pushes_into_held_nodes():
-    found = diagnosis(pressed(Support(on="left", displacement=[0, 0]), by=0.9), min_step=1 / 16)
+    found = diagnosis(pressed(Support(on="left", displacement=[0, 0]), by=1.0), min_step=1 / 16)
     assert found.cause == "obstacle"
     assert re.fullmatch(
         r"the obstacle of contact\[0\] 'plate' pushes 0\.\d+ m deep into nodes that the support "
