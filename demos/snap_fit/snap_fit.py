@@ -66,7 +66,7 @@ def main():
         print(f"{on.sum()} states on the flank: P off by {bent:.1e}, W/P by {off:.1e}")
     assert on.sum() > 1
     assert off < 1e-3
-    assert bent < 0.06
+    assert bent < 0.05
     assert abs(d.max() / 0.5e-3 - 1) < 0.05
     assert abs(d[-1]) < 1e-9
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Self
+from collections.abc import Mapping
+from typing import ClassVar, Self
 
 from pydantic import AliasChoices, Field, model_validator
 
@@ -30,6 +31,10 @@ class SelfContact(OnSurfaces):
     """
 
     lengths = ("distance",)
+    key_hints: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("between", "plane", "sphere", "cylinder", "box", "cone", "mesh"),
+        "a contact has either this or one of self and all: write a [[contact]] for each",
+    )
 
     on: str | list[str] = Field(
         default="", validation_alias=AliasChoices("on", "self"), serialization_alias="self"

@@ -76,6 +76,8 @@ def load_sums(case: Case, integrals: Integrals) -> tuple[LoadSum, ...]:
 def stress_notes(case: Case, integrals: Integrals, sums: tuple[LoadSum, ...]) -> Iterator[str]:
     """Whether a load's force over the supports' area exceeds half Young's modulus. Collective.
 
+    Not with obstacles, which carry loads, too.
+
     Args:
         sums: Of the loads, see `load_sums`.
     """
@@ -83,7 +85,8 @@ def stress_notes(case: Case, integrals: Integrals, sums: tuple[LoadSum, ...]) ->
     names = [name for support in case.support for name in support.surfaces]
     names = [n for n in names if n in body.surfaces and n not in body.uncovered]
     forces = [row.force for row in sums if row.force is not None]
-    if not names or not forces:
+    obstacles = any(pair.contact.between is None for pair in integrals.problem.contact_pairs)
+    if not names or not forces or obstacles:
         return
     points = integrals.facets(names)
     area = float(total(body.comm, float(integrals.full_weights(points).sum())))

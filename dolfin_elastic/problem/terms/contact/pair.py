@@ -353,13 +353,14 @@ class ContactPair(_Pressures):
         if self.contact.push is not None and self.contact.mass is None:
             return ""  # the force moves it to where it touches
         (gap, place), unit = nearest_spot(self), self._context.body.unit
+        file = ", and is `unit` that of the file" if self.contact.shape == "mesh" else ""
         if gap < -self.size:
             raise InputError(
                 f"at the start '{self.label}' lies {unit.length(-gap)} deep in the obstacle, "
                 f"at {unit.point(place)}",
                 where=f"contact[{self.index}].{self.contact.shape}",
                 expected=f"at most an element deep, {unit.length(self.size)}; "
-                "does the normal point to the free side?",
+                f"does the normal point to the free side{file}?",
             )
         if gap < self.size and self._lies_behind():
             raise InputError(
