@@ -155,6 +155,7 @@ class _Session:
         self.folder = Path(tempfile.mkdtemp(prefix=f"ranks{ranks}_"))
         self.begin, self.failures, self.read, self.ends = time.monotonic(), 0, [0] * ranks, 0
         self.heard, self.test = self.begin, ""
+        optional = filter(None, [os.environ.get("PYTHONPATH")])  # packages beside Debian's
         with (self.folder / "out").open("w") as out:
             self.process = subprocess.Popen(
                 self._command(),
@@ -164,7 +165,7 @@ class _Session:
                 stdin=subprocess.DEVNULL,
                 env={
                     **clean_environment(),
-                    "PYTHONPATH": str(TESTS.parent),
+                    "PYTHONPATH": os.pathsep.join([str(TESTS.parent), *optional]),
                     "TMPDIR": str(self.folder),
                     "OMPI_MCA_mpi_yield_when_idle": "1",  # more ranks than cores must not spin
                 },

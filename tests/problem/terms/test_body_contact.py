@@ -290,7 +290,7 @@ def test_cattaneo_and_mindlin(folder, comm):
     Source: K. L. Johnson, Contact Mechanics (1985), sections 7.2 (a) and 7.4 (oscillating force).
     """
     if comm.rank == 0:
-        cylinders(folder / "two.msh", 0.008, 2, below=1.0, left=1.0, coarse=0.5)
+        cylinders(folder / "two.msh", 0.0065, 2, below=1.0, left=1.0, coarse=0.5)
     comm.barrier()
     mu, steel = 0.3, LinearElastic(E=E, nu=NU)
     way = "0.0028*min(max(0, 4*t - 1), 3 - 4*t)"
@@ -328,12 +328,12 @@ def test_cattaneo_and_mindlin(folder, comm):
         exact = -sum(k * np.sqrt(np.maximum(0, b**2 - x**2)) / a for k, b in parts)
         numbers = state.numbers
         stuck = numbers["stick_share_joint"] * numbers["contact_area_joint"] / 2
-        # Seven elements in a: up to 4.9 %; by areas around vertices 15 %.
-        assert stuck == pytest.approx(c, rel=0.05)
+        # Nine elements in a: up to 2.7 %, with seven 5.2 %.
+        assert stuck == pytest.approx(c, rel=0.04)
         off = (found / (mu * 2 * P / np.pi / a) - exact)[np.abs(x) < a]
         assert np.sqrt(np.mean(off**2)) < 0.06  # found 0.053: one vertex beside an edge
         seen += 1
-    assert seen >= 8
+    assert seen >= 7
     assert turned > 0.45
 
 

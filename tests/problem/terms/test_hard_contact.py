@@ -28,6 +28,8 @@ from dolfin_elastic.core.errors import ConvergenceError, ElasticError, InputErro
 from dolfin_elastic.problem.state import State
 
 FREE, G = "free", 9.81
+ALONE = pytest.mark.long, pytest.mark.usefixtures("serial_only")
+"""Thousands of steps of few unknowns: several ranks take longer, and do the same."""
 FLOOR = {"axis": "y", "at": 0}
 
 
@@ -71,9 +73,10 @@ def tower(gap: float, contacts: list[Any]) -> Problem:
     )
 
 
-@pytest.mark.parametrize("steps", [30, pytest.param(1000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("steps", [30, pytest.param(1000, marks=ALONE)])
 def test_a_tower_rests_on_its_barriers(steps):
     """Blocks sink to where barriers carry them, and stay: they move less than the distance d^."""
+    pytest.importorskip("ipctk")
     problem = tower(0.045, [SelfContact(all=True, name="s", friction=0.3)])
     moves, stored = [], []
     for state in Dynamics(problem, end=5e-3 * steps, dt=5e-3).steps():
@@ -85,7 +88,7 @@ def test_a_tower_rests_on_its_barriers(steps):
         assert np.ptp(moves[-21:], axis=0).max() < 5e-3 * 20 * 5e-3
 
 
-@pytest.mark.parametrize("steps", [4, pytest.param(1000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("steps", [4, pytest.param(1000, marks=ALONE)])
 def test_a_tower_rests_on_its_contacts(steps):
     """From the equilibrium of statics nothing moves by more than round-off."""
     pairs = [
@@ -97,7 +100,9 @@ def test_a_tower_rests_on_its_contacts(steps):
         means(state, problem)
         for state in Dynamics(problem, end=5e-3 * steps, dt=5e-3, preload=True).steps()
     ]
-    assert np.ptp(moves, axis=0).max() < 1e-11
+    # Of a sag of some millimetres statics has found 1e-8; then nothing creeps.
+    assert np.ptp(moves, axis=0).max() < 1e-10
+    assert np.ptp(moves[steps // 2 :], axis=0).max() < 5e-12 or steps < 1000
 
 
 def incline(slope: float, steps: int, *, grows: bool = False) -> tuple[np.ndarray, np.ndarray]:
@@ -120,7 +125,7 @@ def incline(slope: float, steps: int, *, grows: bool = False) -> tuple[np.ndarra
     return np.array(t), np.array(x)
 
 
-@pytest.mark.parametrize("steps", [50, pytest.param(10000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("steps", [50, pytest.param(10000, marks=ALONE)])
 def test_what_sticks_does_not_creep(steps):
     """At 0.98 of the limit: by round-off only."""
     _, x = incline(0.98 * 0.3, steps)

@@ -212,9 +212,10 @@ def _carrier_first(
         stiffness = sum(
             uniaxial_modulus(one) * int(np.isin(cells, one.cells).sum()) for one in context.regions
         )
-        area = float(facet_areas(body.mesh, facets.astype(np.int32)).sum())
-        sums = total(body.comm, np.array([area, float(len(facets)), float(stiffness)]))
-        sizes.append(float(sums[0] / sums[1]) ** (1 / (body.dim - 1)))
+        # Harmonic means: where some faces are smaller, contact is expected.
+        inverse = facet_areas(body.mesh, facets.astype(np.int32)) ** (-1 / (body.dim - 1))
+        sums = total(body.comm, np.array([inverse.sum(), float(len(facets)), float(stiffness)]))
+        sizes.append(float(sums[1] / sums[0]))
         moduli.append(float(sums[2] / sums[1]))
     alike = max(sizes) <= ALIKE * min(sizes)
     second = moduli[1] < moduli[0] / ALIKE if alike else sizes[1] < sizes[0]
