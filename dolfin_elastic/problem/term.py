@@ -87,7 +87,7 @@ Acting = Callable[[float], tuple[float, Amplitude]]
 Kind = Literal["work", "energy", "bound", "drag"]
 
 
-class _InSteps:
+class _StepHooks:
     """What a term does in the steps of an implicit motion: nothing, unless it says so."""
 
     def begin_step(self) -> None:
@@ -111,7 +111,7 @@ class _InSteps:
         """The stage was found, or there is none. Collective."""
 
 
-class _Joining(_InSteps):
+class _Joining(_StepHooks):
     """What a term does that holds parts of the body by each other."""
 
     def partings(self, fields: Sequence[FloatArray]) -> FloatArray:

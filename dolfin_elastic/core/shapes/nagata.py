@@ -127,10 +127,20 @@ def _unit(a: FloatArray) -> FloatArray:
     return np.asarray(a / np.linalg.norm(a, axis=-1)[..., None])
 
 
+def edge_numbers(triangles: IntArray) -> IntArray:
+    """A number for the edge that begins at each corner of triangles, alike for both sides, (m, 3).
+
+    Args:
+        triangles: Rows of points, shape (m, 3).
+    """
+    ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
+    keys = ends[:, :, 0] * (int(triangles.max()) + 1) + ends[:, :, 1]
+    return np.unique(keys, return_inverse=True)[1].reshape(-1, 3)
+
+
 def _twins(triangles: IntArray) -> IntArray:
     """The same edge of the neighbour, for each edge of each triangle; on a border itself."""
-    ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
-    edge = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True)[1].reshape(-1)
+    edge = edge_numbers(triangles).ravel()
     order, result = np.argsort(edge, kind="stable"), np.arange(triangles.size)
     pairs = np.flatnonzero(edge[order[1:]] == edge[order[:-1]])
     result[order[pairs]], result[order[pairs + 1]] = order[pairs + 1], order[pairs]

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from dolfin_elastic.core.shapes.nagata import SHARP, Patches
+from dolfin_elastic.core.shapes.nagata import SHARP, Patches, edge_numbers
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -105,9 +105,7 @@ class Surface:
         angle = np.arccos(np.clip(-np.einsum("mki,mki->mk", e, np.roll(e, 1, axis=1)), -1, 1))
         at_points = np.zeros((int(triangles.max()) + 1, 3))
         np.add.at(at_points, triangles, angle[:, :, None] * face[:, None])
-        ends = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
-        keys = ends[:, :, 0] * len(at_points) + ends[:, :, 1]
-        edge = np.unique(keys, return_inverse=True)[1].reshape(-1, 3)
+        edge = edge_numbers(triangles)
         at_edges = np.zeros((int(edge.max()) + 1, 3))
         np.add.at(at_edges, edge, np.broadcast_to(face[:, None], e.shape))
         result = np.concatenate([face[:, None], at_edges[edge], at_points[triangles]], axis=1)

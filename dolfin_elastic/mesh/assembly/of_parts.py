@@ -17,7 +17,7 @@ from dolfinx.common import IndexMap
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import RankExchange
-from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.core.units import METRE, LengthUnit
 from dolfin_elastic.mesh.assembly.overlap import overlapping
 from dolfin_elastic.mesh.assembly.placement import Placed, check_names
@@ -67,7 +67,7 @@ def parts_body(parts: Mapping[str, Body | Placed], *, unit: LengthUnit | None = 
     beside, _ = cells_beside_facets(joined.mesh, facets)
     for number, (name, one) in enumerate(placed.items()):
         of_part = joined.of_part(number)
-        inside = joined.inside(number)
+        inside = joined.part_of_cell == number
         named["regions"][name] = np.flatnonzero(inside).astype(np.int32)
         named["surfaces"][name] = np.sort(facets[inside[beside]])
         for kind, found in carry_parts(one.body, joined.mesh, joined.corners, of_part).items():
@@ -140,6 +140,7 @@ class _Joined:
     Attributes:
         mesh: All parts, numbered one after the other, as their files have their cells.
         corners: See `carry_parts`: each cell is its own parent.
+        part_of_cell: The number of the part of each local cell.
     """
 
     def __init__(self, parts: Sequence[tuple[str, Placed]], order: int) -> None:
@@ -163,6 +164,8 @@ class _Joined:
         self.mesh = make_mesh(comm, cells, x, order)
         original = np.asarray(self.mesh.topology.original_cell_index)
         self._links = CellLinks(comm, len(cells), original)
+        parts_of = np.repeat(np.arange(len(owned)), owned)[:, None]
+        self.part_of_cell = self._links(self._exchange.send(parts_of)[self._in_order])[:, 0]
         d = self.mesh.topology.dim
         self.corners = np.tile(np.eye(d + 1), (len(original), 1, 1))
 
@@ -179,12 +182,6 @@ class _Joined:
             return self._links(sent.reshape(len(sent), *rows.shape[1:]))
 
         return rows_of
-
-    def inside(self, number: int) -> BoolArray:
-        """Which of the local cells belong to a part. Collective."""
-        before = self._parts[number].body.mesh.geometry.dofmap
-        marks = self.of_part(number)(np.ones((len(before), 1), dtype=np.uint8))
-        return np.asarray(marks[:, 0] > 0)
 
     def field(self, part: Placed, field: MeshField, of_part: OfPart) -> MeshField:
         """A field of a part on the mesh, NaN elsewhere; vectors are turned. Collective."""
@@ -215,7 +212,7 @@ class _Joined:
             of_part = self.of_part(number)
             known = carry_surface(one.body, self.mesh, self.corners, of_part)
             assert known.arcs is not None  # since it is of a shape
-            mine = self.inside(number)[beside]
+            mine = self.part_of_cell[beside] == number
             normals[mine], gap[mine] = one.vectors(known.normals[mine]), known.gap[mine]
             arcs[mine] = known.arcs[mine]
         return KnownSurface(normals, arcs, gap)

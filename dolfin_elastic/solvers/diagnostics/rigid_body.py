@@ -19,6 +19,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from mpi4py import MPI
@@ -42,7 +43,6 @@ FREE = 1e-10
 MANY = 50
 """Number of parts above which none is checked: so many are fragments of a broken mesh, and each
 costs six products with the tangent.  Nor is it looked at then how bodies hold each other."""
-
 
 TIMES = 1.0, 0.5, 0.1
 """Load factors whose loads say where bodies go: the first at which there are any."""
@@ -319,13 +319,23 @@ class Freedom:
 
     def motions(self, k: int, nodes: IndexArray) -> FloatArray:
         """Displacement of nodes under the free motions of body k, shape (nodes, dim, motions)."""
-        return np.asarray(self.every()[nodes] @ self.nulls[k])
+        return np.asarray(self.at(nodes) @ self.nulls[k])
 
-    def every(self) -> FloatArray:
-        """Displacement of all local nodes under all motions of their bodies, (n, dim, motions)."""
-        of = self.bodies.of_node
-        arms = (self.bodies.places - self.centres[of]) / self.sizes[of, None]
-        return rigid_motions(arms)[:, :, self.kinds]
+    def at(self, nodes: IndexArray | slice) -> FloatArray:
+        """Displacement of nodes under all unit motions of their bodies, (nodes, dim, motions)."""
+        return _unit_motions(self.bodies, self.centres, self.sizes, self.kinds, nodes)
+
+
+def _unit_motions(
+    bodies: ConnectedBodies,
+    centres: FloatArray,
+    sizes: FloatArray,
+    kinds: slice,
+    nodes: IndexArray | slice,
+) -> FloatArray:
+    """See `Freedom.at`."""
+    of = bodies.of_node[nodes]
+    return rigid_motions((bodies.places[nodes] - centres[of]) / sizes[of, None])[:, :, kinds]
 
 
 def rigid_freedom(problem: Problem, *, rubbing: bool = True) -> Freedom:
@@ -339,12 +349,7 @@ def rigid_freedom(problem: Problem, *, rubbing: bool = True) -> Freedom:
     few = bodies.count <= MANY
     directions = constrained_directions(problem, rubbing=rubbing, joined=not few)
     kinds = slice(1, 2) if problem.geometry == "axisymmetric" else slice(None)
-
-    def motions_at(nodes: IndexArray) -> FloatArray:
-        of = bodies.of_node[nodes]
-        arms = (bodies.places[nodes] - centres[of]) / sizes[of, None]
-        return rigid_motions(arms)[:, :, kinds]
-
+    motions_at = partial(_unit_motions, bodies, centres, sizes, kinds)
     sums = _constraint_products(bodies, directions, motions_at)
     nulls, joint = [_null_space(matrix) for matrix in sums], None
     between = _between_bodies(problem, bodies, motions_at, rubbing=rubbing) if few else None
@@ -370,8 +375,7 @@ def _between_bodies(
     every = [term for term in problem.terms if term.joins and (rubbing or not term.dissipates)]
     if not every or bodies.count == 1:
         return None
-    nodes = np.arange(len(bodies.of_node), dtype=np.int32)
-    motions = motions_at(nodes)
+    motions = motions_at(np.arange(len(bodies.of_node), dtype=np.int32))
     fields = [
         (np.where((bodies.of_node == k)[:, None], motions[:, :, m], 0.0)).ravel()
         for k in range(bodies.count)
@@ -616,7 +620,7 @@ def _fall(problem: Problem, freedom: Freedom, loads: FloatArray) -> FloatArray |
         loads: At owned nodes, (nodes, dim) [N].
     """
     bodies, comm = freedom.bodies, problem.body.comm
-    motions, own = freedom.every(), len(loads)
+    motions, own = freedom.at(slice(None)), len(loads)
     powers = np.zeros((bodies.count, motions.shape[2]))
     np.add.at(powers, bodies.of_node[:own], np.einsum("nd,ndm->nm", loads, motions[:own]))
     along = freedom.along(np.asarray(total(comm, powers)))

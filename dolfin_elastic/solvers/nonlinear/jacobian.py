@@ -22,7 +22,6 @@ from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.assembly.two_stage.form import tabulated
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered
-from dolfin_elastic.solvers.nonlinear.passage import free_share
 
 BLOCK = 8192
 """Cells that are evaluated at once: the values of their displacements stay in the cache of a core,
@@ -278,8 +277,6 @@ PATIENCE = 12
 class InversionGuard:
     """Shortens Newton steps that would turn a cell inside out, before they are tried.
 
-    Before, it shortens those in which surfaces would pass each other unseen, see `longest_step`.
-
     Laws that grow without bound as J goes to zero say so by an infinite residual; others let a
     cell pass through zero volume and find an equilibrium on the other side of it.  So det F is
     looked at itself, at the points where the energy is integrated.  Cells of laws that survive
@@ -293,7 +290,7 @@ class InversionGuard:
         rejected: Trial states refused since `begin`.
         worst: Smallest det F of them and the reference place of its cell [m].
         stuck: No part of the last step was without inverted cells.
-        passes: Steps shortened since `begin` lest surfaces pass each other.
+        passes: Steps that `Newton` has shortened since `begin` lest surfaces pass each other.
     """
 
     def __init__(
@@ -315,12 +312,7 @@ class InversionGuard:
         Returns:
             Whether y was changed.
         """
-        refused, free = self.rejected, 1.0
-        if self._assembler.problem.terms.joins:
-            free = free_share(self._assembler, x, y)
-            if free < 1.0:
-                self.passes += 1
-                y.scale(free)
+        refused = self.rejected
         share = self._upright_share(x, y)
         if share is None and self.watch.survives and not self._lets_pass:
             self._lets_pass, self.rejected = True, refused
@@ -330,7 +322,7 @@ class InversionGuard:
             share = 0.5 ** (HALVINGS + 1)
         if share < 1.0:
             y.scale(share)
-        return min(share, free) < 1.0
+        return share < 1.0
 
     def _upright_share(self, x: PETSc.Vec, y: PETSc.Vec) -> float | None:
         """Share of the step y with which no cell is inverted that must not be. Collective.

@@ -361,14 +361,14 @@ class Newton:
         shorter = False
         if self._passage is not None and self.test.alternates():
             shorter = self._passage.shorten(x, y)
-        if self.guard is not None:
-            return self.guard.shorten(x, y) or shorter
         if self.assembler.problem.terms.joins:
             share = free_share(self.assembler, x, y)
             if share < 1.0:
                 y.scale(share)
-            shorter |= share < 1.0
-        return shorter
+                shorter = True
+                if self.guard is not None:
+                    self.guard.passes += 1
+        return (self.guard is not None and self.guard.shorten(x, y)) or shorter
 
     def take_tangent(self, P: PETSc.Mat) -> None:
         """Sets the linear tolerance and the round-off floor from a fresh tangent. Collective.

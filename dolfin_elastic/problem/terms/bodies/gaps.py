@@ -174,11 +174,8 @@ class SurfaceGaps(VertexContact):
 
     def check_start(self) -> str:
         """See `Term`: no overlap acts that is deeper than an element."""
-        acting = self.pressing_gaps()
-        gap, unit = (
-            smallest(self.comm, float(np.min(acting, initial=np.inf))),
-            self._context.body.unit,
-        )
+        acting, unit = self.pressing_gaps(), self._context.body.unit
+        gap = smallest(self.comm, float(np.min(acting, initial=np.inf)))
         if gap >= -self.tolerance:
             return ""
         text = f"at the start '{self.label}' overlap by {unit.length(-gap)}, at "

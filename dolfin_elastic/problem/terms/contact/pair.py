@@ -38,7 +38,7 @@ from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Acting
-from dolfin_elastic.problem.terms.contact.step import MOST_PLACES, ContactStep, InSteps
+from dolfin_elastic.problem.terms.contact.step import ContactStep, InSteps
 from dolfin_elastic.problem.terms.contact.surfaces import (
     FACTOR,
     at_nodes,
@@ -80,6 +80,9 @@ STRIDE = 0.5
 
 TOUCHING = 0.25
 """Gap, over the height of the elements, up to which faces show on which side of it the body is."""
+
+MOST_PLACES = 200
+"""On the way of a node through a thin obstacle that are looked at."""
 
 HALVINGS = 30
 """Of a step in which an obstacle moves too far."""

@@ -36,9 +36,6 @@ from dolfin_elastic.problem.term import StepWeights, Term
 
 TINY = np.finfo(float).tiny
 
-MOST_PLACES = 200
-"""On the way of a node through a thin obstacle that are looked at."""
-
 SHORT = 1e-14
 """Square of the way over that of an element's size below which no correction of the normal is
 made: it is of the way's third power, and round-off over the way."""

@@ -134,13 +134,10 @@ def _mixed(problem: Problem, region: MaterialRegion) -> Expr:
 
 def _parts(rest: ufl.Form) -> tuple[ufl.Form, ufl.Form]:
     """The integrals over cells that are the same in all states, such as inertia, and the others."""
-    of_state = [
-        one.integral_type() != "cell" or bool(extract_coefficients(one.integrand()))
-        for one in rest.integrals()
-    ]
-    parts = zip(of_state, rest.integrals(), strict=True)
-    others = [one for varies, one in zip(of_state, rest.integrals(), strict=True) if varies]
-    constant = [one for varies, one in parts if not varies]
+    constant, others = list[ufl.Integral](), list[ufl.Integral]()
+    for one in rest.integrals():
+        varies = one.integral_type() != "cell" or extract_coefficients(one.integrand())
+        (others if varies else constant).append(one)
     return ufl.Form(constant), ufl.Form(others)
 
 
@@ -161,13 +158,12 @@ class TwoStageForm(BilinearForm):
         trial, test = ufl.TrialFunction(W), ufl.TestFunction(W)
         every_cell = ufl.dx(domain=mesh, metadata={"quadrature_degree": 0})
         constant, varying = _parts(rest)
-        forms = [ufl.inner(trial, test) * every_cell, constant, varying]
-        some = [form for form in forms if not form.empty()]
-        made = dict(
-            zip(map(id, some), compile_forms(problem.body.comm, some, problem.jit), strict=True)
-        )
-        super().__init__(made[id(forms[0])])
-        self._constant, self._rest = made.get(id(constant)), made.get(id(varying))
+        some = [form for form in (constant, varying) if not form.empty()]
+        forms = [ufl.inner(trial, test) * every_cell, *some]
+        pattern, *made = compile_forms(problem.body.comm, forms, problem.jit)
+        super().__init__(pattern)
+        self._constant = None if constant.empty() else made[0]
+        self._rest = None if varying.empty() else made[-1]
         self._constants = constant.constants()
         self._values: tuple[FloatArray, FloatArray] | None = None  # of `_constant`
         self.has_rest = not rest.empty()
