@@ -136,6 +136,29 @@ class _Joining(_StepHooks):
         return np.inf
 
 
+class Multipliers(Protocol):
+    """Forces of a term that are unknowns of Newton's method, see `contact.multipliers`."""
+
+    def linearise(self) -> bool:
+        """Begins an iteration at the present displacement. Collective.
+
+        Returns:
+            Whether they are unknowns: the forces are then those with which the iteration solves.
+        """
+
+    def foresee(self, motion: FloatArray) -> None:
+        """Takes them after the step, a motion of local nodes [m]. Collective."""
+
+    def take_step(self, share: float) -> None:
+        """They change by a share of the step. Not collective."""
+
+    def holds(self) -> bool:
+        """Whether their own equations hold. Collective."""
+
+    def end(self, *, found: bool) -> None:
+        """Forces follow the displacement again; in equilibrium they are the same. Collective."""
+
+
 class Term(_Joining):
     """One part of the surroundings: what it does not say itself is nothing.
 
@@ -152,6 +175,7 @@ class Term(_Joining):
         opens: Its forces begin and end, as those of contact.
         joins: It holds parts of the body by each other, see `partings`.
         delays: What acts in an iteration does not end before equilibrium is found.
+        multipliers: Its forces, where Newton's method can have them as unknowns.
         in_steps: Those of a step of an implicit motion do the work that it stores.
         at_rest: What it acts from stands still.
         follows_path: The equilibrium under a load depends on those before it.
@@ -167,6 +191,7 @@ class Term(_Joining):
     mass = 0.0
     linear = symmetric = True
     nodal = restrains = changes = opens = delays = False
+    multipliers: Multipliers | None = None
     in_steps = bars = only_implicit = joins = False
     at_rest = True
     follows_path = dissipates = False

@@ -6,7 +6,7 @@ mixed norm of forces and displacements decides nothing; prescribed values must h
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, Self
 
@@ -18,6 +18,7 @@ from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.signals import stop_agreed
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
+from dolfin_elastic.problem.term import Multipliers
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.messages import load_not_finite
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered
@@ -254,11 +255,13 @@ class ConvergenceTest:
             False,
         )
         self._check: IterationCheck | None = None
+        self._multipliers: Sequence[Multipliers] = ()
         self._alternates, self._delayed = False, 0
 
     def begin(
         self,
         *,
+        multipliers: Sequence[Multipliers] = (),
         backtracks: bool = False,
         patient: bool = False,
         max_iterations: int | None = None,
@@ -267,6 +270,8 @@ class ConvergenceTest:
         """Forgets the last solve. Collective.
 
         Args:
+            multipliers: What else is unknown: its equations must hold, too, and where states
+                alternate it gives up.
             backtracks: Steps are shortened until the residual falls: then it may stall.
             patient: Steps that are shortened again and again are no reason to give up.
             check: Watches iterates that must not stray; no step may then have to be shortened.
@@ -275,6 +280,7 @@ class ConvergenceTest:
             InputError: A load has no finite value now.
         """
         self._backtracks, self._patient, self._check = backtracks, patient, check
+        self._multipliers = multipliers
         self._max_iterations = max_iterations or self._tolerance.max_iterations
         self.residuals.clear()
         self.predicted, self._alternates, self._delayed = 0.0, False, 0
@@ -400,12 +406,14 @@ class ConvergenceTest:
         if not norms[2] <= DIVERGENCE * max(self._first, self.target()):  # NaN, too
             return norm_without_value()
         prescribed = a.residual.gap <= PRESCRIBED_TOLERANCE * self._span
-        if prescribed and self._balanced() and self._scalars_hold():
+        balanced = prescribed and self._balanced() and self._scalars_hold()
+        if balanced and all(one.holds() for one in self._multipliers):
             return int(reason.CONVERGED_FNORM_RELATIVE)
         self.interrupted = stop_agreed(a.comm)
         if self.interrupted or self._shortened_too_often():
             return int(reason.DIVERGED_FUNCTION_DOMAIN)
-        if self._stalled() or self._strays(snes, iteration):
+        cycles = self._multipliers and self.alternates()
+        if cycles or self._stalled() or self._strays(snes, iteration):
             return int(reason.DIVERGED_LINE_SEARCH)
         if iteration >= self._max_iterations:
             return int(reason.DIVERGED_MAX_IT)

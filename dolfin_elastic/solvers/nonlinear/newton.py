@@ -6,7 +6,7 @@ Used by statics directly and by implicit dynamics through TS.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from dolfin_elastic.core.signals import raise_if_agreed
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
-from dolfin_elastic.problem.term import ScalarUnknowns
+from dolfin_elastic.problem.term import Multipliers, ScalarUnknowns
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.linear.choice import Choice
 from dolfin_elastic.solvers.linear.ksp import LinearSolver
@@ -31,7 +31,7 @@ from dolfin_elastic.solvers.nonlinear.convergence import (
     Tolerance,
 )
 from dolfin_elastic.solvers.nonlinear.jacobian import InversionGuard, JacobianWatch
-from dolfin_elastic.solvers.nonlinear.passage import PassageGuard, free_share
+from dolfin_elastic.solvers.nonlinear.passage import PassageGuard, free_share, motion_of
 from dolfin_elastic.solvers.nonlinear.scalars import FreeStrains, UniformPressure
 from dolfin_elastic.solvers.petsc.monitors import FileMonitors
 from dolfin_elastic.solvers.petsc.options import Options, failed_by_petsc, ksp_reason, snes_reason
@@ -104,6 +104,7 @@ class Newton:
         self.result, self._inertia = NewtonResult(), inertia
         self.shift, self.factorised, self.soft = 0.0, False, Soft()
         self._shift_of: Shift | None = None
+        self._multipliers: list[Multipliers] = []  # what else are unknowns in this solve
         body = assembler.problem.body
         self.span, self.cell_size = span(body), cell_size(body)
         self._owns = snes is None
@@ -211,6 +212,7 @@ class Newton:
                 ask for: preconditioners of levels, blocks and factors are made only here.
         """
         self._shift_of = shift
+        self._multipliers = self._joint(line_search) if (shift or check) is None else []
         with (
             stage("solve"),
             self.options.in_force(snes_linesearch_type=line_search),
@@ -220,6 +222,7 @@ class Newton:
             self.snes.setFromOptions()
             self.ksp.setFromOptions()
             self.begin(
+                multipliers=self._multipliers,
                 backtracks=line_search == "bt",
                 patient=shift is not None,
                 max_iterations=max_iterations,
@@ -240,15 +243,28 @@ class Newton:
                 raise_if_agreed(self.assembler.comm)
             self.finish(failed)
             self._source.put(self._x)
+            for one in self._multipliers:
+                one.end(found=self.result.converged)
             at_rest = self._inertia is None  # in motion the stage does so: it has rows of its own
             if at_rest and self.result.converged and self.assembler.settle_pressures():
                 self.assembler.residual.assemble()
             self.options.report_unused()
         return self.result
 
+    def _joint(self, line_search: str) -> list[Multipliers]:
+        """The multipliers that are unknowns in a solve with full steps.
+
+        Backtracking looks at the displacement alone: then they follow it.
+        """
+        terms = self.assembler.problem.terms
+        if line_search != "basic" or self.bordered is not None or terms.bars:
+            return []
+        return [term.multipliers for term in terms if term.multipliers is not None]
+
     def begin(
         self,
         *,
+        multipliers: Sequence[Multipliers] = (),
         backtracks: bool = False,
         patient: bool = False,
         max_iterations: int | None = None,
@@ -257,7 +273,8 @@ class Newton:
         """Forgets the last solve. Collective.
 
         Args:
-            backtracks: See `ConvergenceTest.begin`.
+            multipliers: See `ConvergenceTest.begin`.
+            backtracks: The same.
             patient: The same.
             max_iterations: The same.
             check: The same.
@@ -267,7 +284,11 @@ class Newton:
         """
         self.result, self.factorised = NewtonResult(), False
         self.test.begin(
-            backtracks=backtracks, patient=patient, max_iterations=max_iterations, check=check
+            multipliers=multipliers,
+            backtracks=backtracks,
+            patient=patient,
+            max_iterations=max_iterations,
+            check=check,
         )
 
     def finish(self, failed: str = "") -> NewtonResult:
@@ -343,6 +364,8 @@ class Newton:
             self.bordered.residual(x, f)
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
+        if sum(one.linearise() for one in self._multipliers):
+            self.assembler.residual.evaluate(x, snes.getFunction()[0])
         if self.bordered is None:
             self.assembler.tangent.assemble(x)
         else:
@@ -358,17 +381,24 @@ class Newton:
 
     def _shorten(self, x: PETSc.Vec, y: PETSc.Vec) -> bool:
         """Shortens steps between states that alternate, or that invert or pass. Collective."""
-        shorter = False
-        if self._passage is not None and self.test.alternates():
+        shorter, terms, length = False, self.assembler.problem.terms, y.norm()
+        if self._multipliers:
+            motion = motion_of(self.assembler, x, y)
+            for one in self._multipliers:
+                one.foresee(motion)
+        elif self._passage is not None and self.test.alternates():
             shorter = self._passage.shorten(x, y)
-        if self.assembler.problem.terms.joins:
+        if terms.joins:
             share = free_share(self.assembler, x, y)
             if share < 1.0:
                 y.scale(share)
                 shorter = True
                 if self.guard is not None:
                     self.guard.passes += 1
-        return (self.guard is not None and self.guard.shorten(x, y)) or shorter
+        shorter |= self.guard is not None and self.guard.shorten(x, y)
+        for one in self._multipliers:
+            one.take_step(y.norm() / length if shorter else 1.0)
+        return shorter
 
     def take_tangent(self, P: PETSc.Mat) -> None:
         """Sets the linear tolerance and the round-off floor from a fresh tangent. Collective.

@@ -118,6 +118,12 @@ def free_share(assembler: Assembler, x: PETSc.Vec, y: PETSc.Vec, start: float = 
     Args:
         start: Share of y that lies behind; the step is as long once more, or y itself.
     """
+    motion = motion_of(assembler, x, y, start)
+    return assembler.problem.terms.longest_step(motion)
+
+
+def motion_of(assembler: Assembler, x: PETSc.Vec, y: PETSc.Vec, start: float = 0.0) -> FloatArray:
+    """Of all local nodes in the step from x to x - y, see `free_share` [m]. Collective."""
     problem, own, ends = assembler.problem, assembler.size, []
     for part in (2 * start if start else 1.0, start):
         w = problem.w.x
@@ -126,5 +132,4 @@ def free_share(assembler: Assembler, x: PETSc.Vec, y: PETSc.Vec, start: float = 
         w.scatter_forward()
         problem.unknowns.w_to_u()
         ends.append(problem.u.x.array.copy())
-    motion: FloatArray = ends[0] - ends[1]
-    return problem.terms.longest_step(motion)
+    return np.asarray(ends[0] - ends[1])

@@ -54,6 +54,10 @@ class BodyFriction(VertexFriction):
             result -= (1 - shortened(self._first_areas, self._pieces.areas)) * springs
         return result
 
+    def motions(self, motion: FloatArray) -> FloatArray:
+        """See `VertexFriction`: as the tangent has them."""
+        return self._pieces.means(self._pieces.relative(motion, turned=False))
+
     def _step_so_far(self) -> FloatArray:
         """What points have moved past each other in the step [m]. Collective."""
         u = self._context.unknowns.u.x.array

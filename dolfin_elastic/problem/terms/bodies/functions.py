@@ -309,14 +309,17 @@ class PieceFunctions(VertexFunctions):
         """See `VertexFunctions`: relative to the other side. Collective."""
         return self.relative((self._u.x.array if of_nodes is None else of_nodes).reshape(-1))
 
-    def relative(self, field: FloatArray) -> FloatArray:
+    def relative(self, field: FloatArray, *, turned: bool = True) -> FloatArray:
         """A field of displacements at the points, see the module. Collective.
 
         Args:
             field: Its local entries, owned ones first.
+            turned: Relative to the other side's normal, too.
         """
         self.renew()
         found = self._values(field, self._numbers)
+        if not turned:
+            return np.asarray(self.shapes @ found)
         along = self.there.normal @ self._far_half(found).swapaxes(1, 2)
         turns = along[:, :, None] @ self.there.slopes @ self._levers.swapaxes(2, 3)
         return np.asarray(self.shapes @ found + turns[:, :, 0])
@@ -333,11 +336,12 @@ class PieceFunctions(VertexFunctions):
             gaps = gaps - self.between_vertices(self.offsets.x.array)
         return gaps[..., None, None] * self._dual
 
-    def spread(self, vectors: FloatArray) -> FloatArray:
+    def spread(self, vectors: FloatArray, *, turned: bool = True) -> FloatArray:
         """See `VertexFunctions`: those on the other side are opposite. Collective."""
         at_nodes, there = self.shapes.swapaxes(1, 2) @ vectors, self.there
-        turns = vectors[:, :, None] @ self._levers @ there.slopes.swapaxes(2, 3)
-        self._far_half(at_nodes)[:] += turns[:, :, 0].swapaxes(1, 2) @ there.normal
+        if turned:
+            turns = vectors[:, :, None] @ self._levers @ there.slopes.swapaxes(2, 3)
+            self._far_half(at_nodes)[:] += turns[:, :, 0].swapaxes(1, 2) @ there.normal
         added = self.to_owners(self._numbers, at_nodes)
         result = np.zeros((self._node_map.size_local + self._node_map.num_ghosts, self._dim))
         result[: len(added)] = added

@@ -15,7 +15,7 @@ from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.terms.bodies.functions import PieceFunctions
 from dolfin_elastic.problem.terms.bodies.start import StartOffsets
 from dolfin_elastic.problem.terms.contact.pair import FAR, nearest_spot
-from dolfin_elastic.problem.terms.contact.vertex import VertexContact
+from dolfin_elastic.problem.terms.contact.vertex import VertexContact, gap_rates
 
 FIRST, SLOWLY, FARTHEST = 0.01, 4.0, 3.0
 """Distances over the diagonal of all bodies at which the other side is looked for, step by step."""
@@ -142,22 +142,14 @@ class SurfaceGaps(VertexContact):
         """
         closed, means = self.pressing_gaps() <= self.reach, self.pieces.means
         columns = [
-            (means(self.pieces.relative(one)) if all_ways else self.rates(one))[closed].ravel()
+            (means(self.pieces.relative(one)) if all_ways else gap_rates(self, one))[closed].ravel()
             for one in fields
         ]
         return np.stack(columns, axis=1)
 
-    def rates(self, motion: FloatArray) -> FloatArray:
-        """Changes of the mean gaps of owned vertices by a motion of local nodes [m]. Collective.
-
-        Without the turn of normals.
-        """
-        along = np.sum(self._at_points()[1] * self.pieces.relative(motion), axis=2)
-        return self.pieces.means(along[..., None])[:, 0]
-
     def way_to_meet(self, motion: FloatArray) -> float:
         """See `Term`: of vertices; of all points as far as the other side is compared with."""
-        pieces, gaps, rates = self.pieces, self.pressing_gaps(), self.rates(motion)
+        pieces, gaps, rates = self.pieces, self.pressing_gaps(), gap_rates(self, motion)
         meets = pieces.covered & (gaps > self.slack) & (rates < -SLOW)
         share = smallest(self.comm, float(np.min(gaps[meets] / -rates[meets], initial=np.inf)))
         reach, far = 2 * pieces.reach, FARTHEST * float(span(self._context.body))

@@ -82,6 +82,7 @@ class _Tractions(Term):
     Attributes:
         nodes: Owned nodes of the surface in the displacement's space at which points stick.
         areas: Reference area around each of these, once a run has begun [m^2].
+        springs: Tangential penalty at these, once a run has begun [Pa/m].
     """
 
     linear = symmetric = False
@@ -106,10 +107,9 @@ class _Tractions(Term):
             f"slip_{index}": self._slid,
         }
         self._augments, self._moving = True, False
-        # Known once a run begins: [Pa/m] at the nodes, and where they were accepted last [m].
-        self._eps: FloatArray = np.empty(0)
+        self.springs: FloatArray = np.empty(0)
         self.areas: FloatArray = np.empty(0)
-        self._accepted: FloatArray = np.empty(0)
+        self._accepted: FloatArray = np.empty(0)  # where the nodes were accepted last [m]
         self._begun: FloatArray = np.empty(0)  # where the nodes were at the start of a step [m]
         self._old = 0.0
         self._stage: FloatArray | None = None  # tractions of the stage that was found [Pa]
@@ -130,6 +130,20 @@ class _Tractions(Term):
         rows = field.x.array.reshape(-1, self._context.body.dim)
         return np.asarray(rows[self.nodes])
 
+    @property
+    def coefficient(self) -> float:
+        """Coulomb's, or what makes points stick, see `stick`."""
+        return float(self._mu.value)
+
+    @property
+    def multiplier(self) -> FloatArray:
+        """tau at the owned nodes, (n, dim) [Pa]."""
+        return self._of(self._tau)
+
+    @multiplier.setter
+    def multiplier(self, values: FloatArray) -> None:
+        self._put(self._tau, values)
+
     def _put(self, field: fem.Function, values: FloatArray) -> None:
         """Sets a vector field there. Collective."""
         rows = field.x.array.reshape(-1, self._context.body.dim)
@@ -139,8 +153,10 @@ class _Tractions(Term):
     def _tractions(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Traction and trial at the owned nodes, (n, dim) [Pa], and mu p, (n,) [Pa]. Collective."""
         pair, n = self._pair, self._pair.nodal_normals()
-        limit = float(self._mu.value) * pair.pressures(np.asarray(self._eps / self._share))
-        trial = self._of(self._tau) - self._eps[:, None] * (self._moved() - self._of(self._stuck))
+        limit = self.coefficient * pair.pressures(np.asarray(self.springs / self._share))
+        trial = self._of(self._tau) - self.springs[:, None] * (
+            self._moved() - self._of(self._stuck)
+        )
         trial -= np.sum(trial * n, axis=1)[:, None] * n
         length = np.linalg.norm(trial, axis=1)
         share = np.divide(limit, length, out=np.ones_like(limit), where=length > limit / ALL)
@@ -170,7 +186,7 @@ class _Tractions(Term):
 
     def slip_limits(self) -> tuple[IndexArray, FloatArray, FloatArray]:
         """See `Term`: mu p over the areas."""
-        pressures = self._tractions()[2] / float(self._mu.value)
+        pressures = self._tractions()[2] / self.coefficient
         limits = self._pair.contact.friction * self.areas * pressures
         return self.nodes, limits, self._pair.gaps()[1]
 
@@ -206,7 +222,7 @@ class CoulombFriction(_Tractions):
                 "steps",
                 self.label,
             )
-        self._eps = self._share * self._penalty()
+        self.springs = self._share * self._penalty()
         moved = self._moved()
         elsewhere = not (moving and self._moving) or not np.array_equal(moved, self._accepted)
         if largest(self._comm, float(elsewhere)):
@@ -234,7 +250,7 @@ class CoulombFriction(_Tractions):
         """
         unknowns, n = self._context.unknowns, self._pair.nodal_normals()
         t, _, limit = self._tractions()
-        back = (t - self._of(self._tau)) / self._eps[:, None] * (limit > 0.0)[:, None]
+        back = (t - self._of(self._tau)) / self.springs[:, None] * (limit > 0.0)[:, None]
         back -= np.sum(back * n, axis=1)[:, None] * n
         nodes, motion = self._with(back)
         unknowns.u.x.array.reshape(-1, self._context.body.dim)[nodes] += motion
@@ -261,12 +277,12 @@ class CoulombFriction(_Tractions):
 
     def energy(self) -> float:
         """See `Term`: of the springs, in motion."""
-        stored = self._stored(self.tractions() / self._eps[:, None], self.areas)
+        stored = self._stored(self.tractions() / self.springs[:, None], self.areas)
         return total(self._comm, 0.0 if self._augments else float(stored.sum()))
 
     def _stored(self, springs: FloatArray, areas: FloatArray) -> FloatArray:
         """What they store at each node [J]."""
-        return np.asarray(areas * self._eps * np.sum(springs**2, axis=1) / 2)
+        return np.asarray(areas * self.springs * np.sum(springs**2, axis=1) / 2)
 
     def _in_step(self) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray]]:
         """The motion of a step past the obstacle [m]; areas before, in and after it. Collective."""
@@ -277,10 +293,10 @@ class CoulombFriction(_Tractions):
         way, (before, within, after) = self._in_step()
         first, moved = self._begun - self._of(self._stuck), self._begun + way
         old = first * shortened(before, within)
-        e = old + (-t / self._eps[:, None] - old) / (1 - self._old)
+        e = old + (-t / self.springs[:, None] - old) / (1 - self._old)
         n, limit = self._pair.nodal_normals(), self._tractions()[2]
         e -= np.sum(e * n, axis=1)[:, None] * n
-        length = self._eps * np.linalg.norm(e, axis=1)
+        length = self.springs * np.linalg.norm(e, axis=1)
         e *= np.divide(limit, length, out=np.ones_like(limit), where=length > limit)[:, None]
         e *= shortened(within, after)
         work = self._stored(first, before) - within * np.sum(t * way, axis=1)
@@ -303,7 +319,7 @@ class CoulombFriction(_Tractions):
         if self._augments:  # s is the place, to which Uzawa's updates would draw what sticks next
             tau[moves] = t[moves]
             self._put(self._tau, tau)
-        stuck[moves] = (self._moved() + (t - tau) / self._eps[:, None])[moves]
+        stuck[moves] = (self._moved() + (t - tau) / self.springs[:, None])[moves]
         self._put(self._stuck, stuck)
         self._accepted = np.empty(0)  # a run that begins where an earlier one did is none after it
 
@@ -319,7 +335,7 @@ class CoulombFriction(_Tractions):
         """Work that the step's slip has lost, of each owned node [J]. Collective."""
         _, trial, limit = self._tractions()
         beyond = np.maximum(np.linalg.norm(trial, axis=1) - limit, 0.0)
-        return np.asarray(self.areas * limit * beyond / self._eps)
+        return np.asarray(self.areas * limit * beyond / self.springs)
 
     def _slides(self) -> FloatArray:
         """How far the owned nodes have slid since they stuck or turned, (n, dim). Collective.
@@ -340,7 +356,7 @@ class CoulombFriction(_Tractions):
         """
         (t, _, limit), status = self._tractions(), self.status()
         slides = -HALF_SPACE / FACTOR * np.linalg.norm(self._slides(), axis=1)
-        opens = float(self._mu.value) * np.minimum(self._pair.levels(), 0.0)
+        opens = self.coefficient * np.minimum(self._pair.levels(), 0.0)
         left = limit - np.linalg.norm(t, axis=1)
         choices = [status == STICK, status == SLIP]
         return self._pair.area_above(np.select(choices, [left, slides], opens))

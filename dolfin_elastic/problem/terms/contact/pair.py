@@ -130,6 +130,7 @@ class _Pressures(InSteps):
         softness: By how much a pressure there shortens the element behind it [m/Pa].
         slack: Gap that counts as none [m], see `SLACK`.
         pulls_to: Gap up to which each owned vertex pulls until the next update [m]; 0: none.
+        augments: Multipliers are those of statics; in motion there are penalties alone.
         nodes: Owned vertices of the surface in the space of `lam`.
         nodes_of_displacement: The same vertices in the displacement's space.
         follows: Supports that must not move the body through the obstacle in one step.
@@ -169,7 +170,7 @@ class _Pressures(InSteps):
         if contact.between is None:
             self._at_nodes = contact.obstacle.followed()
         self.pulls_to: FloatArray = np.zeros(len(self.nodes))
-        self.slack, self._augments = SLACK * cell_size(body), True
+        self.slack, self.augments = SLACK * cell_size(body), True
         self._reach = context.constant(self.slack)
         self.step = ContactStep(context, self.shift, self.size)
 
@@ -180,7 +181,7 @@ class _Pressures(InSteps):
     def begin(self, *, moving: bool) -> None:
         """See `Term`: motion has penalties alone, and softer ones where the user gave none."""
         factor = SOFT if moving else 1.0
-        self._augments, self.step.begun = not moving, False
+        self.augments, self.step.begun = not moving, False
         if self.contact.stiffness is None:
             self.penalty.x.array[:] = factor * self._first[0]
             self.eps = factor * self._first[1]
@@ -308,7 +309,7 @@ class ContactPair(_Pressures):
 
         Under the law of motion it may be.
         """
-        if not self._augments:
+        if not self.augments:
             return False
         off, allowed = self.gap_error()
         return off > allowed

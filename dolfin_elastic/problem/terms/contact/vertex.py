@@ -9,7 +9,8 @@ of A_I (p_I^2 - lam_I^2)/(2 eps); uniform pressures pass the patch test.
 
 In statics a vertex that pressed in the last equilibrium pulls until the next one is found, and
 opens with the update of its multiplier: in the first iterations a body that bends or turns would
-leave what it presses on, fall back on it, and leave it again.
+leave what it presses on, fall back on it, and leave it again.  Where Newton's method has the
+pressures as unknowns, see `multipliers`, it does so in the first iteration only.
 
 Source: P. Wriggers, Computational Contact Mechanics, 2nd ed., Springer 2006, sections 6.3.4 and
 10.3.4 (sets of active constraints that change between equilibria); and that of the functions.
@@ -29,7 +30,8 @@ from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArra
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.spaces import Unknowns
-from dolfin_elastic.problem.term import Blocks, Kind, Means
+from dolfin_elastic.problem.term import Blocks, Kind, Means, Multipliers
+from dolfin_elastic.problem.terms.contact.multipliers import RIGID, PressureIterate
 from dolfin_elastic.problem.terms.contact.nodal import RULE
 from dolfin_elastic.problem.terms.contact.pair import ContactPair
 from dolfin_elastic.problem.terms.contact.vertex_functions import VertexFunctions, blocks_of
@@ -55,6 +57,7 @@ class _Followed(ContactPair):
     """A contact whose obstacle is followed through an iteration, see `Shape.followed`."""
 
     _followed: tuple[Shape, ...] = ()
+    multipliers: VertexPressures
 
     def begin(self, *, moving: bool) -> None:
         """See `Term`."""
@@ -91,6 +94,11 @@ class _Followed(ContactPair):
         super().augment()
         self._open()
 
+    def pressures(self, penalty: FloatArray | None = None) -> FloatArray:
+        """See `ContactPair`."""
+        now = self.multipliers.iterate
+        return super().pressures(penalty) if now is None else now.acting
+
     def _forget(self) -> None:
         """What an iteration has learnt of an obstacle's normals does not outlive it."""
         for obstacle in self._followed:
@@ -113,6 +121,7 @@ class VertexContact(_Followed):
     Attributes:
         functions: By which gaps are weighted.
         near: Which of the owned vertices have ever been in contact.
+        multipliers: Its pressures.
     """
 
     nodal = True
@@ -126,6 +135,7 @@ class VertexContact(_Followed):
             self._followed = self._at_nodes, self._of_points, *self._of_ends
         self.functions = self._make_functions(thickness)
         self.near: BoolArray = np.zeros(len(self.nodes), dtype=bool)
+        self.multipliers = VertexPressures(self)
 
     def _make_functions(self, thickness: float) -> VertexFunctions:
         return VertexFunctions(self, self._context, thickness)
@@ -185,6 +195,8 @@ class VertexContact(_Followed):
             way: Of `_over_step`, where it is known.
         """
         way = self._over_step() if way is None else way
+        if (now := self.multipliers.iterate) is not None:
+            return now.acting, now.falls
         lam, least = self.lam.x.array[self.nodes], -self.eps * (self.reach + self.pulls_to)
         first, last = (lam - self.eps * gaps for gaps in self._means_over(way))
         pressures = self.step.pressures(first, last, least)
@@ -229,13 +241,15 @@ class VertexContact(_Followed):
         way = self._over_step()
         pressures, falls = self.state(way)
         self.near |= falls > 0
-        if self.delays and self._augments:
+        if self.delays and self.augments:
             self.pulls_to[falls > 0] = self.size
         nodes, G = self.functions.rows(self.near, way.normals)
         same = way.along is way.normals
         pushes = G if same else self.functions.rows(self.near, way.along)[1]
         stiffness = diags_array(falls / self.functions.areas)
         result = blocks_of(nodes, pushes.T @ stiffness @ G, G, self._dim)
+        if (now := self.multipliers.iterate) is not None:
+            pressures = now.values
         return result if self.flat else result + self._turning(pressures)
 
     def means(self) -> Means:
@@ -285,6 +299,69 @@ class VertexContact(_Followed):
     def along(self, way: FloatArray) -> _ForceOfVertices:
         """See `ContactPair`."""
         return _ForceOfVertices(self, self._context.unknowns, way)
+
+
+class VertexPressures(Multipliers):
+    """The pressures of one contact as unknowns.
+
+    Attributes:
+        iterate: They in an iteration of Newton's method; None: they follow the displacement.
+    """
+
+    def __init__(self, pair: VertexContact) -> None:
+        self._pair = pair
+        self.iterate: PressureIterate | None = None
+
+    def linearise(self) -> bool:
+        """See `Multipliers`: in statics."""
+        pair = self._pair
+        if not pair.augments:
+            return False
+        gaps, least = pair.pressing_gaps(), -pair.eps * pair.reach
+        if self.iterate is None:
+            p, least = pair.lam.x.array[pair.nodes], least - pair.eps * pair.pulls_to
+        else:
+            p = self.iterate.values
+        active = p - pair.eps * gaps >= least
+        self.iterate = PressureIterate(np.where(active, p, 0.0), gaps, active, RIGID * pair.eps)
+        return True
+
+    def foresee(self, motion: FloatArray) -> None:
+        """See `Multipliers`."""
+        if self.iterate is not None:
+            self.iterate.foresee(gap_rates(self._pair, motion))
+
+    def take_step(self, share: float) -> None:
+        """See `Multipliers`."""
+        if self.iterate is not None:
+            self.iterate.step(share)
+
+    def holds(self) -> bool:
+        """See `Multipliers`: no vertex that presses is off its obstacle, and none pulls."""
+        if (now := self.iterate) is None:
+            return True
+        pair = self._pair
+        pulls = now.active & (now.values < pair.eps * (pair.pressing_gaps() - pair.reach))
+        off, allowed = pair.gap_error()
+        return off <= allowed and not largest(pair.comm, float(np.any(pulls)))
+
+    def end(self, *, found: bool) -> None:
+        """See `Multipliers`: the law of the penalty has the same pressures here."""
+        (now, self.iterate), pair = (self.iterate, None), self._pair
+        if now is not None and found:
+            gaps = pair.pressing_gaps()
+            left = np.where(now.active | (gaps < 0.0), gaps, 0.0)
+            pair.lam.x.array[pair.nodes] = now.values + pair.eps * left
+            pair.lam.x.scatter_forward()
+
+
+def gap_rates(pair: VertexContact, motion: FloatArray) -> FloatArray:
+    """Changes of the mean gaps of owned vertices by a motion of local nodes [m]. Collective.
+
+    Without the turn of normals.
+    """
+    along = np.sum(pair.normals() * pair.functions.displacements(motion), axis=2)
+    return pair.functions.means(along[..., None])[:, 0]
 
 
 def stored(pair: VertexContact, gaps: FloatArray, areas: FloatArray) -> float:

@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
+from dolfin_elastic.core.parallel import largest
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.context import FormContext
-from dolfin_elastic.problem.term import Blocks
+from dolfin_elastic.problem.term import Blocks, Multipliers
 from dolfin_elastic.problem.terms.contact.friction import ALL, OPEN, SLIP, STICK, CoulombFriction
+from dolfin_elastic.problem.terms.contact.multipliers import SETTLED, TractionIterate, across
+from dolfin_elastic.problem.terms.contact.pair import allowed_gap
 from dolfin_elastic.problem.terms.contact.vertex import VertexContact
 from dolfin_elastic.problem.terms.contact.vertex_functions import blocks_of, diagonal
 
@@ -22,14 +25,20 @@ if TYPE_CHECKING:
 
 
 class VertexFriction(CoulombFriction):
-    """Friction of one contact of quadratic faces. Collective to make."""
+    """Friction of one contact of quadratic faces. Collective to make.
+
+    Attributes:
+        multipliers: Its tractions.
+    """
 
     nodal = True
+    multipliers: VertexTractions
 
     def __init__(self, pair: VertexContact, context: FormContext, index: int) -> None:
         super().__init__(pair, context, index)
         self._vertices, self._functions, self._dim = pair, pair.functions, context.body.dim
-        self._eps, self.areas = self._share * self._penalty(), pair.functions.areas
+        self.springs, self.areas = self._share * self._penalty(), pair.functions.areas
+        self.multipliers = VertexTractions(self, pair)
 
     def _penalty(self) -> FloatArray:
         """See `CoulombFriction`."""
@@ -55,11 +64,40 @@ class VertexFriction(CoulombFriction):
         closed, slides = (found > 0.0).T
         return nodes, np.where(closed, np.where(slides, SLIP, STICK), OPEN).astype(np.int32)
 
+    def motions(self, motion: FloatArray) -> FloatArray:
+        """Means of a motion of local nodes past the obstacle, (n, dim) [m]. Collective."""
+        return self._functions.means(self._functions.displacements(motion))
+
+    def trial(
+        self, t: FloatArray, n: FloatArray, limit: FloatArray
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Trial tractions, the motions since points stuck, and which of them slide. Collective.
+
+        Args:
+            t: Multipliers, (n, dim) [Pa].
+            n: Normals, (n, dim).
+            limit: mu p, (n,) [Pa].
+        """
+        off = across(self._moved() - self._of(self._stuck), n)
+        y = across(t, n) - self.springs[:, None] * off
+        slides: BoolArray = np.asarray(np.linalg.norm(y, axis=1) > limit / ALL)
+        return y, off, slides
+
     # --- forces ---
 
+    def tractions(self) -> FloatArray:
+        """See `CoulombFriction`."""
+        now = self.multipliers.iterate
+        return super().tractions() if now is None else now.acting
+
     def add_forces(self, forces: FloatArray) -> None:
-        """See `Term`."""
-        forces += self._functions.spread(self._functions.at_points(self.tractions()))
+        """See `Term`; what the iteration solves with acts as its tangent has it."""
+        functions, t, now = self._functions, self.tractions(), self.multipliers.iterate
+        if now is not None:
+            more = functions.at_points(t - now.values)
+            forces += functions.spread(more, turned=False)
+            t = now.values
+        forces += functions.spread(functions.at_points(t))
 
     def blocks(self) -> Blocks:
         """See `Term`: sum of H_I^T (-dt_I/du), H_I the integral of psi_I N.
@@ -71,29 +109,36 @@ class VertexFriction(CoulombFriction):
         """
         from scipy.sparse import csr_array, eye_array, kron
 
-        pair, areas = self._vertices, self.areas
-        _, trial, limit = self._tractions()
+        pair, areas, now = self._vertices, self.areas, self.multipliers.iterate
         _, falls = pair.state()
-        active = falls > 0
+        active, eps = falls > 0, self.springs
+        if now is None:
+            _, trial, limit = self._tractions()
+            tau = self._of(self._tau)
+            slides = np.linalg.norm(trial, axis=1) > limit / ALL
+        else:
+            limit, tau, slides = now.limits, now.values, now.slides
+            trial, eps = tau - self.springs[:, None] * now.off, now.stiffness
         pair.near |= active
         nodes, h = self._functions.rows(pair.near)
         _, G = self._functions.rows(pair.near, pair.normals())
 
         n, d = pair.nodal_normals(), self._dim
-        length = np.linalg.norm(trial, axis=1)
-        slides = active & (length > limit / ALL)
-        size = np.where(slides, length, 1.0)
+        slides &= active
+        size = np.where(slides, np.linalg.norm(trial, axis=1), 1.0)
         m = trial / size[:, None]
         one, P = np.eye(d), np.eye(d) - n[:, :, None] * n[:, None, :]
         by_trial = np.where(slides, limit / size, active)[:, None, None] * one
         by_trial -= np.where(slides, limit / size, 0.0)[:, None, None] * m[:, :, None] * m[:, None]
 
         H = csr_array(kron(h, eye_array(d)))
-        rows = diagonal(by_trial @ P * (self._eps / areas)[:, None, None]) @ H
+        rows = diagonal(by_trial @ P * (eps / areas)[:, None, None]) @ H
         softer = np.where(slides, float(self._mu.value) * falls / areas, 0.0)
         rows += diagonal((softer[:, None] * m)[:, :, None]) @ G
         if (curvatures := pair.curvatures()) is not None:
-            y = self._of(self._tau) - self._eps[:, None] * (self._moved() - self._of(self._stuck))
+            y = tau
+            if now is None:
+                y = y - eps[:, None] * (self._moved() - self._of(self._stuck))
             turn = np.sum(n * y, axis=1)[:, None, None] * one + n[:, :, None] * y[:, None, :]
             rows += diagonal(by_trial @ turn @ curvatures) @ self._at_own(nodes)
         return blocks_of(nodes, csr_array(H.T @ rows), h, d)
@@ -114,3 +159,67 @@ class VertexFriction(CoulombFriction):
             (np.ones(len(there)), (there, places[there])), shape=(len(own), len(nodes))
         )
         return csr_array(kron(picked, eye_array(d)))
+
+
+class VertexTractions(Multipliers):
+    """The tractions of one contact as unknowns, where its pressures are.
+
+    Attributes:
+        iterate: They in an iteration of Newton's method; None: they follow the displacement.
+    """
+
+    def __init__(self, friction: VertexFriction, pair: VertexContact) -> None:
+        self._friction, self._pair = friction, pair
+        self.iterate: TractionIterate | None = None
+
+    def linearise(self) -> bool:
+        """See `Multipliers`."""
+        friction, pressures = self._friction, self._pair.multipliers.iterate
+        if pressures is None:
+            return False
+        before, n, mu = self.iterate, self._pair.nodal_normals(), friction.coefficient
+        t = across(friction.multiplier if before is None else before.values, n)
+        y, off, slides = friction.trial(t, n, mu * pressures.values)
+        if before is not None:
+            slides &= ~(before.slides & (np.sum(y * before.along, axis=1) < 0.0))
+        size = np.where(slides, np.linalg.norm(y, axis=1), 1.0)
+        along, turns = y / size[:, None], mu * pressures.values / size
+        springs = friction.springs
+        self.iterate = TractionIterate(t, off, n, slides, along, turns, mu, springs, pressures)
+        return True
+
+    def foresee(self, motion: FloatArray) -> None:
+        """See `Multipliers`."""
+        if self.iterate is not None:
+            self.iterate.foresee(self._friction.motions(motion))
+
+    def take_step(self, share: float) -> None:
+        """See `Multipliers`."""
+        if self.iterate is not None:
+            self.iterate.step(share)
+
+    def holds(self) -> bool:
+        """See `Multipliers`: points that stick have not moved, others slide along their traction.
+
+        The traction of these is mu p.
+        """
+        if (now := self.iterate) is None:
+            return True
+        comm, closed, limit = self._pair.comm, now.pressures.active, now.limits
+        y, off, slides = self._friction.trial(now.values, self._pair.nodal_normals(), limit)
+        law = y * (limit / np.where(slides, np.linalg.norm(y, axis=1), 1.0))[:, None]
+        wrong = np.linalg.norm(law - now.values, axis=1)[closed & slides]
+        slip = np.linalg.norm(off, axis=1)[closed & ~slides]
+        most, error, slip = (
+            largest(comm, float(np.max(one, initial=0.0))) for one in (limit, wrong, slip)
+        )
+        return error <= SETTLED * most and slip <= allowed_gap(self._pair)
+
+    def end(self, *, found: bool) -> None:
+        """See `Multipliers`: the law of the springs has the same tractions here."""
+        (now, self.iterate), friction = (self.iterate, None), self._friction
+        if now is not None and found:
+            n = self._pair.nodal_normals()
+            _, off, slides = friction.trial(now.values, n, now.limits)
+            sticks = now.values + friction.springs[:, None] * off
+            friction.multiplier = np.where(slides[:, None], now.values, sticks)

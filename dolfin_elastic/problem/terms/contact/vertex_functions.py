@@ -156,7 +156,7 @@ class VertexFunctions:
         """
         return np.asarray(self._beside(which[:, None].astype(float))[:, :, 0] > 0)
 
-    def spread(self, vectors: FloatArray) -> FloatArray:
+    def spread(self, vectors: FloatArray, *, turned: bool = True) -> FloatArray:
         """Vectors at the points times the shape functions, at the nodes of the displacement. Local.
 
         Args:
