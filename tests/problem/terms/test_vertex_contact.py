@@ -14,6 +14,7 @@ from dolfin_elastic import (
     Dynamics,
     LinearElastic,
     NeoHookean,
+    Pressure,
     Problem,
     Statics,
     StVenantKirchhoff,
@@ -196,3 +197,29 @@ def test_a_slender_body_stays_on_what_it_presses_on():
         assert not state.audit.reasons
     # 3 E I/L^3 times the deflection; the moment of friction about the axis, and the edge, add 7 %.
     assert -state.reactions["edge"][1] == pytest.approx(1e9 / 4 / 37**3 * 0.55, rel=0.1)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_rubber_on_a_floor_stays_flat_under_pressure(dim):
+    """A block that cannot widen, under a pressure of six times its shear modulus.
+
+    Of pressures above two moduli free bulges make the uniform state unstable, see `bulges`.
+    """
+    cells = (4, 2) if dim == 2 else (2, 2, 1)
+    body = box_body(size=[n / 2 for n in cells], cells=cells)
+    sides = [Support(on=side, displacement=[0, *[FREE] * (dim - 1)]) for side in ("left", "right")]
+    ends = [Support(on=side, displacement=[FREE, 0, FREE]) for side in ("front", "back")]
+    mu = 1e6
+    problem = Problem(
+        body,
+        NeoHookean(E=2.98 * mu, nu=0.49),
+        degree=2,
+        formulation="mixed",
+        supports=sides if dim == 2 else [*sides, *ends],
+        loads=[Pressure(on="top", value=6 * mu)],
+        contacts=[Contact(on="bottom", plane={"axis": "xyz"[dim - 1], "at": 0}, name="floor")],
+    )
+    last(problem, steps=2)
+    # Uniform, so that no bulge is left: to Newton's tolerance.
+    across = problem.u.x.array.reshape(-1, dim)[:, :-1]
+    assert np.abs(across).max(initial=0.0) < 1e-9

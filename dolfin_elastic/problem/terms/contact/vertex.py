@@ -31,6 +31,7 @@ from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Blocks, Kind, Means, Multipliers
+from dolfin_elastic.problem.terms.contact.bulges import FaceBulges
 from dolfin_elastic.problem.terms.contact.multipliers import RIGID, PressureIterate
 from dolfin_elastic.problem.terms.contact.nodal import RULE
 from dolfin_elastic.problem.terms.contact.pair import ContactPair
@@ -134,6 +135,8 @@ class VertexContact(_Followed):
             self._of_points, *self._of_ends = (contact.obstacle.followed() for _ in range(3))
             self._followed = self._at_nodes, self._of_points, *self._of_ends
         self.functions = self._make_functions(thickness)
+        curbs = contact.between is None and not self.functions.linear
+        self._bulges = FaceBulges(self.functions, context) if curbs else None
         self.near: BoolArray = np.zeros(len(self.nodes), dtype=bool)
         self.multipliers = VertexPressures(self)
 
@@ -224,11 +227,29 @@ class VertexContact(_Followed):
         """Nodal forces on the body before the ranks are summed, (nodes * dim,) [N]. Collective."""
         way = self._over_step()
         pressures, _ = self.state(way)
-        return self.functions.spread(self.functions.at_points(pressures[:, None]) * way.along)
+        return self.functions.spread(self._loads(pressures, way.last)[..., None] * way.along)
+
+    def _loads(self, pressures: FloatArray, gaps: FloatArray) -> FloatArray:
+        """Of pressures at the vertices and gaps at the points, at these [N]. Collective."""
+        result = self.functions.at_points(pressures[:, None])[..., 0]
+        if self._bulges is None:
+            return result
+        return np.asarray(result + self._bulges.pressures(self._curbs(), gaps))
+
+    def _curbs(self) -> FloatArray:
+        """Stiffness of gaps at points, see `FaceBulges`. Collective."""
+        assert self._bulges is not None
+        now = self.multipliers.iterate
+        p = self.lam.x.array[self.nodes] if now is None else now.values
+        return self._bulges.stiffness(p)
 
     def energy(self) -> float:
         """See `Term`: the potential has the multiplier at rest."""
-        return stored(self, self.pressing_gaps(), self.functions.areas)
+        result = stored(self, self.pressing_gaps(), self.functions.areas)
+        if self._bulges is not None:
+            local = self._bulges.energy(self._curbs(), self._at_points()[0])
+            result += total(self.comm, local)
+        return result
 
     def blocks(self) -> Blocks:
         """See `Term`: sum of (eps/A_I) G_I G_I, less that of the pressures by the normals' turn.
@@ -248,6 +269,9 @@ class VertexContact(_Followed):
         pushes = G if same else self.functions.rows(self.near, way.along)[1]
         stiffness = diags_array(falls / self.functions.areas)
         result = blocks_of(nodes, pushes.T @ stiffness @ G, G, self._dim)
+        if self._bulges is not None:
+            some, values = self._bulges.tangent(self._curbs(), way.normals)
+            result += self._blocks_between(self.functions.nodes(some), values)
         if (now := self.multipliers.iterate) is not None:
             pressures = now.values
         return result if self.flat else result + self._turning(pressures)
@@ -281,7 +305,7 @@ class VertexContact(_Followed):
 
     def _turning(self, pressures: FloatArray) -> Blocks:
         """Minus the derivative of the forces by the turn of the normals. Collective."""
-        at_points = self.functions.at_points(pressures[:, None])[..., 0]
+        at_points = self._loads(pressures, self._at_points()[0])
         some: BoolArray = np.asarray(self.functions.beside(self.near).any(axis=1))
         curvature = self.curvatures_of_points()[some]
         N = self.functions.at(some)
@@ -398,8 +422,11 @@ class _ForceOfVertices:
         (pressures, falls), normals = pair.state(), pair.normals()
         along = functions.means((normals @ self._way)[..., None])[:, 0]
         softer = functions.at_points((-falls * along)[:, None])
+        if pair._bulges is not None:
+            softer += pair._bulges.pressures(pair._curbs(), normals @ self._way)[..., None]
         turns = pair.curvatures_of_points() @ self._way
-        at_points = softer * normals + functions.at_points(pressures[:, None]) * turns
+        loads = pair._loads(pressures, pair._at_points()[0])
+        at_points = softer * normals + loads[..., None] * turns
         W, nodes = self._unknowns.W.dofmap, self._unknowns.V.dofmap.index_map
         vector = la.vector(nodes, dim)
         vector.array[:] = functions.spread(at_points)

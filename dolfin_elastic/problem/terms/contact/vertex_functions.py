@@ -32,7 +32,11 @@ from dolfinx import fem
 
 from dolfin_elastic.core.ghosts import summed, with_ghosts
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
-from dolfin_elastic.mesh.geometry.curved import facet_quadrature, facet_shape_functions
+from dolfin_elastic.mesh.geometry.curved import (
+    facet_areas,
+    facet_quadrature,
+    facet_shape_functions,
+)
 from dolfin_elastic.mesh.geometry.simplices import dofs_on_facets
 from dolfin_elastic.problem.constraints.ties.exchange import Owners
 from dolfin_elastic.problem.context import FormContext
@@ -58,11 +62,18 @@ class VertexFunctions:
             (facets, points, vertices) [m^2].
         shapes: Shape functions of the displacement at the points, shape (points, nodes), or those
             of each facet, (facets, points, nodes).
+        weights: Areas of the points of the quadrature, shape (facets, inner) [m^2].
+        bulge: What f at these is beside its linear part on a facet, from f at all points, shape
+            (facets, inner, points).
+        lengths: Of the facets [m].
         distinct: Of all points, one of each that is different, and for each of all its row there.
     """
 
     areas: FloatArray
     shapes: FloatArray
+    weights: FloatArray
+    bulge: FloatArray
+    lengths: FloatArray
     linear = False
 
     def __init__(self, pair: ContactPair, context: FormContext, thickness: float) -> None:
@@ -80,7 +91,10 @@ class VertexFunctions:
         dual = means[:, :, None] * np.linalg.inv(masses)
         self.psi = np.einsum("fq,fij,qj->fqi", weights, dual, hats)
         self.shapes = facet_shape_functions(d, context.unknowns.degree, rule.local)
-        self.X = rule.X
+        self.X, self.weights = rule.X, weights
+        self.lengths = facet_areas(mesh, own) ** (1 / (d - 1))
+        linear = np.linalg.solve(masses, np.einsum("fq,qi->fiq", weights, hats))
+        self.bulge = np.eye(len(hats)) - hats @ linear
         if mesh.geometry.cmap.degree == 1:
             self._measure_from_vertices(hats, means, mesh.geometry.x[rule.nodes][:, :, :d])
         S, V = pair.lam.function_space, context.unknowns.V
@@ -109,6 +123,9 @@ class VertexFunctions:
             return
         self.shapes = np.vstack([self.shapes, np.hstack([flat, none])])
         self.psi = np.concatenate([self.psi, -self.psi, at_corners], axis=1)
+        # A linear part is none of a bulge: what is left of f is f(x) - f(x').
+        nothing = np.zeros((*self.bulge.shape[:2], d))
+        self.bulge = np.concatenate([self.bulge, -self.bulge, nothing], axis=2)
         self.X = np.concatenate([self.X, self.X, corners], axis=1)
 
     def _summed(self, rows: FloatArray) -> FloatArray:
@@ -140,9 +157,9 @@ class VertexFunctions:
         Args:
             values: Of the owned vertices, shape (n, columns).
         """
-        return np.asarray(self.psi @ self._beside(values))
+        return np.asarray(self.psi @ self.at_vertices(values))
 
-    def _beside(self, values: FloatArray) -> FloatArray:
+    def at_vertices(self, values: FloatArray) -> FloatArray:
         """Values of the owned vertices at the vertices of facets, shape (facets, d, columns)."""
         every = np.zeros((self._map.size_local, values.shape[1]))
         every[self._pair.nodes] = values
@@ -154,7 +171,7 @@ class VertexFunctions:
         Args:
             which: Of the owned vertices.
         """
-        return np.asarray(self._beside(which[:, None].astype(float))[:, :, 0] > 0)
+        return np.asarray(self.at_vertices(which[:, None].astype(float))[:, :, 0] > 0)
 
     def spread(self, vectors: FloatArray, *, turned: bool = True) -> FloatArray:
         """Vectors at the points times the shape functions, at the nodes of the displacement. Local.

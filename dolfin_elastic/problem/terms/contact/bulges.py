@@ -1,0 +1,85 @@
+"""`FaceBulges`: what keeps quadratic faces from bulging between vertices that press.
+
+Mean gaps around vertices leave a quadratic face free to bulge: its vertices move one way and its
+midside nodes the other.  A pressure per reference area is a dead load for this motion.  On an
+incompressible half-space of the shear modulus mu, with the displacements a cos kX along the normal
+and b sin kX along the surface, the energy per area is
+
+    mu k (a^2 + b^2)/2 - p k a b/2,
+
+so that the surface wrinkles from p = 2 mu on, as rubber under the pressure of a seal.  It never
+does with a further energy s a^2/4 where s >= p^2 k/(2 mu).  So faces whose vertices all press have
+the energy kappa (g - g_l)^2/2, with the gap g and its linear part g_l on the face: no resultant and
+no uniform pressure has a part in it.  Where all faces of length h bulge alike k is 2 pi/h and s is
+0.71 kappa, where neighbours bulge to opposite sides pi/h and 0.36 kappa: either way
+
+    kappa >= 4.4 p^2/(mu h).
+
+In an equilibrium the bulges vanish as far as faces can follow the obstacle; and where p is small
+against mu, kappa is small against the body's own stiffness.  Its p is the multiplier, which
+Newton's method does not change.
+
+Source: M. A. Biot, Appl. Sci. Res. A 12 (1963) 168 (instability of surfaces under compression);
+K. L. Johnson, Contact Mechanics, Cambridge 1985, section 13.2 (half-space under a wave).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfin_elastic.core.types import BoolArray, FloatArray
+from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.material_regions import shear_modulus
+from dolfin_elastic.problem.terms.contact.vertex_functions import VertexFunctions
+
+CURB = 20.0
+"""kappa mu h/p^2: four times that, for p is the mean on a face, and grows within a load step."""
+
+
+class FaceBulges:
+    """The stiffness of quadratic faces against bulges.
+
+    Args:
+        functions: Those of the vertices on the same faces.
+    """
+
+    def __init__(self, functions: VertexFunctions, context: FormContext) -> None:
+        softest = min(shear_modulus(region.typical) for region in context.regions)
+        self._functions, self._per_square = functions, CURB / softest / functions.lengths
+
+    def stiffness(self, multipliers: FloatArray) -> FloatArray:
+        """kappa times the areas of the points, shape (facets, points) [N/m]. Collective.
+
+        Args:
+            multipliers: At the owned vertices [Pa].
+        """
+        p = self._functions.at_vertices(multipliers[:, None])[..., 0]
+        squares = np.where(np.all(p > 0.0, axis=1), np.mean(p, axis=1), 0.0) ** 2
+        return np.asarray((self._per_square * squares)[:, None] * self._functions.weights)
+
+    def pressures(self, stiffness: FloatArray, gaps: FloatArray) -> FloatArray:
+        """With integrals, at the points of the functions, shape of the gaps there [N].
+
+        Args:
+            stiffness: As above.
+            gaps: Or what is as they are, such as their derivative along a direction [m].
+        """
+        bulge = self._functions.bulge
+        bent = stiffness[..., None] * (bulge @ gaps[..., None])
+        return np.asarray(-(bulge.swapaxes(1, 2) @ bent)[..., 0])
+
+    def energy(self, stiffness: FloatArray, gaps: FloatArray) -> float:
+        """That of this rank's faces [J]."""
+        return -float(np.sum(self.pressures(stiffness, gaps) * gaps)) / 2
+
+    def tangent(self, stiffness: FloatArray, normals: FloatArray) -> tuple[BoolArray, FloatArray]:
+        """Which facets have any stiffness, and their blocks of nodes [N/m].
+
+        Args:
+            normals: At the points of the functions, shape (facets, points, dim).
+        """
+        some: BoolArray = np.asarray(stiffness.any(axis=1))
+        N, bulge = self._functions.at(some), self._functions.bulge[some]
+        rows = np.einsum("fqp,fpk,fpd->fqkd", bulge, N, normals[some], optimize=True)
+        blocks = np.einsum("fq,fqkd,fqle->fklde", stiffness[some], rows, rows, optimize=True)
+        return some, np.asarray(blocks)
