@@ -53,6 +53,8 @@ SOLID = [
     ),
     ConeObstacle(tip=[0.1, -0.2, 0.3], axis="-z", half_angle=30),
     ConeObstacle(tip=[0.1, -0.2, -0.3], axis=[1, 2, 2], half_angle="1.2 rad", inside=True),
+    BoxObstacle(center=[0.1, -0.2, 0.3], size=[0.8, 1.2, 1.6], rounding=0.3),
+    ConeObstacle(tip=[0.1, -0.2, 0.3], axis="-z", half_angle=30, rounding=0.2),
 ]
 FLAT = [
     Plane(axis="y", at=0.3),
@@ -64,6 +66,8 @@ FLAT = [
     BoxObstacle(center=[0.1, -0.2], size=[0.8, 1.2], x=[3, 4], y=[4, -3], inside=True),
     ConeObstacle(tip=[0.1, -0.2], axis=[1, 2], half_angle=20, inside=True),
     ConeObstacle(tip=[0.1, -0.2], axis="-y", half_angle=70),
+    BoxObstacle(center=[0.1, -0.2], size=[1.8, 2.2], x=[3, 4], inside=True, rounding=0.4),
+    ConeObstacle(tip=[0.1, -0.2], axis=[1, 2], half_angle=20, rounding=0.1),
 ]
 
 DEGREE = 180 / np.pi
@@ -89,7 +93,12 @@ def test_the_normal_is_the_gradient_of_the_distance(shape: Shape) -> None:
     np.testing.assert_allclose([float(one) for one in (found, *along)], [gap[0], *normal[0]])
 
 
-@pytest.mark.parametrize("shape", [*SOLID, *FLAT])
+def has_sharp_edges(shape: Any) -> bool:
+    """Those of round boxes are drawn sharp."""
+    return not (isinstance(shape, BoxObstacle) and shape.rounding)
+
+
+@pytest.mark.parametrize("shape", filter(has_sharp_edges, [*SOLID, *FLAT]))
 def test_triangles_lie_on_the_surface(shape: Shape) -> None:
     """Of discs and strips in a plane their rims, and what they fill lies behind."""
     dim = 2 if shape in FLAT else 3
@@ -159,7 +168,8 @@ def nearest_of_cone(shape: Any, x: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    "shape", [s for s in (*SOLID, *FLAT) if isinstance(s, BoxObstacle | ConeObstacle)]
+    "shape",
+    [s for s in (*SOLID, *FLAT) if isinstance(s, BoxObstacle | ConeObstacle) and not s.rounding],
 )
 def test_the_nearest_point_of_edges_and_tips(shape: Any) -> None:
     """Gap and normal as found by trial of all faces, and of all lines of a cone."""
@@ -188,6 +198,18 @@ def test_curvature(shape: Shape) -> None:
         np.testing.assert_allclose((there - here) / (2 * step), found[:, axis], atol=1e-6)
     if not isinstance(shape, Plane):
         assert shape in FLAT or np.abs(found).max() > 0.1
+
+
+def test_round_edges_and_tips() -> None:
+    """The end of a wedge of 30 degrees that stands on its tip, and an edge of a box."""
+    wedge = ConeObstacle(tip=[0, 0], axis="y", half_angle=30, rounding=1)
+    off = wedge.off(np.array([[0, 1], [0, -1], [np.sqrt(3), 3]]))
+    np.testing.assert_allclose(off, [0, 2, 0], atol=1e-12)
+    box = BoxObstacle(center=[0, 0], size=[4, 6], rounding=1)
+    off = box.off(np.array([[2, 0], [0, 4], [1 + np.sqrt(0.5), 2 + np.sqrt(0.5)], [2, 3]]))
+    np.testing.assert_allclose(off, [0, 1, 0, np.sqrt(2) - 1], atol=1e-12)
+    with pytest.raises(InputError, match="half of the smallest side"):
+        BoxObstacle(center=[0, 0], size=[4, 6], rounding=2.1).check(2, axisymmetric=False)
 
 
 def test_a_place_on_an_edge_or_axis() -> None:

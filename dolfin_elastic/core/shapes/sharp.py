@@ -1,7 +1,8 @@
 """`BoxObstacle` and `ConeObstacle`: obstacles with edges, corners and tips.
 
 Outside of them the nearest point may lie on an edge or in a corner: there the distance is a round
-one, and the normal turns.  Inside it is the distance from the nearest face.
+one, and the normal turns.  Inside it is the distance from the nearest face.  With round edges a
+shape is all that is not farther than their radius from a smaller one with sharp edges.
 """
 
 from __future__ import annotations
@@ -60,19 +61,26 @@ class BoxObstacle(Shape):
         x: Direction of the first side.
         y: Of the second side, at a right angle to x; by default at one to z, too.
         inside: The body is inside: the obstacle is a case.
+        rounding: Radius of its edges and corners.
     """
 
-    lengths: ClassVar[tuple[str, ...]] = ("center", "size")
+    lengths: ClassVar[tuple[str, ...]] = ("center", "size", "rounding")
     center: Point
     size: Annotated[tuple[PositiveLength, ...], Field(min_length=2, max_length=3)]
     x: Direction = "x"
     y: Direction | None = None
     inside: bool = False
+    rounding: PositiveLength | None = None
 
     @property
     def thickness(self) -> float:
         """See `Shape.thickness`."""
         return math.inf if self.hollow else min(self.size) / 2
+
+    @property
+    def sharp(self) -> FloatArray:
+        """Half the sides of the box with sharp edges within it."""
+        return np.asarray(np.array(self.size) / 2 - (self.rounding or 0.0))
 
     def sides(self, dim: int) -> FloatArray:
         """Unit vectors along its sides, right-handed, shape (dim, dim)."""
@@ -87,6 +95,12 @@ class BoxObstacle(Shape):
         super().check(dim, axisymmetric=axisymmetric)
         check_components(self.x, dim, "x")
         check_components(self.y, dim, "y")
+        if self.rounding is not None and self.sharp.min() < 0.0:
+            raise InputError(
+                "edges have a larger radius than half of the smallest side",
+                where="rounding",
+                expected=f"at most {min(self.size) / 2:g} m",
+            )
         sides = self.sides(dim)
         if not axisymmetric:
             return
@@ -104,8 +118,8 @@ class BoxObstacle(Shape):
         arm = [a - use.number(c) for a, c in zip(x, self.center, strict=True)]
         along = [_combined(row, arm, use) for row in self.sides(len(x))]
         signs = [use.choose(a, 1.0, -1.0) for a in along]
-        rows = zip(along, signs, self.size, strict=True)
-        return [a * sign - use.number(length / 2) for a, sign, length in rows], signs
+        rows = zip(along, signs, self.sharp, strict=True)
+        return [a * sign - use.number(float(half)) for a, sign, half in rows], signs
 
     def distance(self, x: Sequence[Scalar], use: Operations) -> Distance:
         """See `Shape.distance`: |max(q, 0)|, or max q inside, q as far as it is beyond each face.
@@ -123,13 +137,13 @@ class BoxObstacle(Shape):
         rows = zip(nearest, beyond, signs, strict=True)
         local = [sign * use.choose(-1.0 * most, n, b / length) for n, b, sign in rows]
         normal = [_combined(column, local, use) for column in self.sides(len(x)).T]
-        return use.choose(-1.0 * most, most, length), normal
+        return _less(use.choose(-1.0 * most, most, length), self.rounding, use), normal
 
     def curvature(self, x: FloatArray) -> FloatArray:
         """See `Shape.curvature`: round edges and corners outside."""
         sides = self.sides(x.shape[-1])
         along = (x - np.array(self.center)) @ sides.T
-        beyond = np.maximum(np.abs(along) - np.array(self.size) / 2, 0.0)
+        beyond = np.maximum(np.abs(along) - self.sharp, 0.0)
         off = np.count_nonzero(beyond, axis=-1) > 1
         n, length = np.sign(along) * beyond, np.linalg.norm(beyond, axis=-1)
         length = np.where(off, length, 1.0)[..., None]
@@ -153,13 +167,22 @@ class ConeObstacle(Shape):
         axis: Direction from the tip into the cone.
         half_angle: Between axis and surface, in degrees without a unit.
         inside: The body is inside: the obstacle is a funnel.
+        rounding: Radius of its end, which touches the surface of the sharp cone that ends at `tip`.
     """
 
-    lengths: ClassVar[tuple[str, ...]] = ("tip",)
+    lengths: ClassVar[tuple[str, ...]] = ("tip", "rounding")
     tip: Point
     axis: Direction
     half_angle: AcuteAngle
     inside: bool = False
+    rounding: PositiveLength | None = None
+
+    @property
+    def sharp(self) -> FloatArray:
+        """Tip of the sharp cone within it, the middle of its round end."""
+        tip = np.array(self.tip)
+        axis = np.array(unit_vector(self.axis)[: len(tip)])
+        return np.asarray(tip + (self.rounding or 0.0) / self.slope[1] * axis)
 
     @property
     def slope(self) -> tuple[float, float]:
@@ -186,7 +209,7 @@ class ConeObstacle(Shape):
         """
         c, s = (use.number(item) for item in self.slope)
         a = [use.number(item) for item in unit_vector(self.axis)[: len(x)]]
-        arm = [p - use.number(q) for p, q in zip(x, self.tip, strict=True)]
+        arm = [p - use.number(q) for p, q in zip(x, map(float, self.sharp), strict=True)]
         z = sum(p * q for p, q in zip(arm, a, strict=True))
         off = [p - z * q for p, q in zip(arm, a, strict=True)]
         square_off, square_arm = (sum(p * p for p in row) for row in (off, arm))
@@ -197,12 +220,12 @@ class ConeObstacle(Shape):
             use.choose(from_tip, c * p / r - s * q, d / length)
             for p, q, d in zip(off, a, arm, strict=True)
         ]
-        return use.choose(from_tip, r * c - z * s, length), normal
+        return _less(use.choose(from_tip, r * c - z * s, length), self.rounding, use), normal
 
     def curvature(self, x: FloatArray) -> FloatArray:
         """See `Shape.curvature`: that of circles about the axis, and of spheres about the tip."""
         dim, (c, s) = x.shape[-1], self.slope
-        a, arm = np.array(unit_vector(self.axis)[:dim]), x - np.array(self.tip)
+        a, arm = np.array(unit_vector(self.axis)[:dim]), x - self.sharp
         z, one = arm @ a, np.eye(dim)
         off = arm - z[..., None] * a
         r, length = np.linalg.norm(off, axis=-1), np.linalg.norm(arm, axis=-1)
@@ -222,7 +245,9 @@ class ConeObstacle(Shape):
         arm, wide = near.middle - tip, WIDE * near.diagonal
         z = float(arm @ axis)
         middle = z * c + float(np.linalg.norm(arm - z * axis)) * s
-        from_tip = np.array([max(middle - wide, 0.0), max(middle + wide, wide)])
+        # A round end is drawn as a blunt one.
+        begin = (self.rounding or 0.0) * c / s
+        from_tip = np.array([max(middle - wide, begin), max(middle + wide, begin + wide)])
         along, radii = c * from_tip, s * from_tip
         if dim == 3:
             return revolved(tip, axis, along, radii)
@@ -230,6 +255,11 @@ class ConeObstacle(Shape):
         rows = zip(np.append(along, along[::-1]), np.append(-radii, radii[::-1]), strict=True)
         points = np.array([tip + p * axis + q * off for p, q in rows])
         return points, np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def _less(distance: Scalar, radius: float | str | None, use: Operations) -> Scalar:
+    """The distance from all that is not farther than a radius from a shape."""
+    return distance if radius is None else distance - use.number(float(radius))
 
 
 def _combined(factors: FloatArray, values: Sequence[Scalar], use: Operations) -> Scalar:

@@ -251,6 +251,21 @@ def test_no_obstacle_jumps_over_a_surface():
     assert states[-1].max_displacement == pytest.approx(0.1, rel=0.1)
 
 
+def test_no_wedge_passes_a_corner_within_a_step():
+    """Its round end dips 5 cm into the top in the middle of its way from side to side."""
+    wedge = {"tip": [-2, 0.95], "axis": "y", "half_angle": 45, "rounding": 0.1}
+    wedge["tip"][1] -= 0.1 * (np.sqrt(2) - 1)
+    problem = Problem(
+        rectangle_body(size=(1, 1), cells=(4, 4)),
+        NeoHookean(E=E, nu=NU),
+        supports=[Support(on="bottom")],
+        contacts=[Contact(on="top", cone=wedge, motion=[5, 0])],
+    )
+    for goal in (1.0, 0.9):
+        assert problem.terms.within_stride(0.0, goal, problem.acting) == pytest.approx(0.5, abs=0.1)
+    assert problem.terms.within_stride(0.0, 0.3, problem.acting) == 0.3
+
+
 @pytest.mark.parametrize("begin", [0.0, 0.25, 0.5])
 def test_no_step_of_an_obstacle_is_longer_than_half_its_radius(begin):
     """A rod of 10 cm moves 40 cm as the load grows by 1: at most by 1/8, and steps are halved."""

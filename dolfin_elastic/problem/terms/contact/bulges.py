@@ -27,9 +27,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import shear_modulus
+from dolfin_elastic.problem.terms.contact.pair import ContactPair
 from dolfin_elastic.problem.terms.contact.vertex_functions import VertexFunctions
 
 CURB = 20.0
@@ -37,47 +39,56 @@ CURB = 20.0
 
 
 class FaceBulges:
-    """The stiffness of quadratic faces against bulges.
+    """The stiffness of quadratic faces on an obstacle against bulges; of others none.
 
     Args:
-        functions: Those of the vertices on the same faces.
+        pair: Its multipliers are the p in kappa; two surfaces of a mesh have no stiffness.
+        functions: Neither have linear faces, which cannot bulge.
+
+    Attributes:
+        some: There is a stiffness, once vertices press.
     """
 
-    def __init__(self, functions: VertexFunctions, context: FormContext) -> None:
+    def __init__(self, pair: ContactPair, functions: VertexFunctions, context: FormContext) -> None:
+        self._pair, self._functions = pair, functions
+        self.some = pair.contact.between is None and not functions.linear
         softest = min(shear_modulus(region.typical) for region in context.regions)
-        self._functions, self._per_square = functions, CURB / softest / functions.lengths
+        self._per_square = CURB / softest / functions.lengths if self.some else np.empty(0)
 
-    def stiffness(self, multipliers: FloatArray) -> FloatArray:
-        """kappa times the areas of the points, shape (facets, points) [N/m]. Collective.
-
-        Args:
-            multipliers: At the owned vertices [Pa].
-        """
-        p = self._functions.at_vertices(multipliers[:, None])[..., 0]
+    def _stiffness(self) -> FloatArray:
+        """kappa times the areas of the points, shape (facets, points) [N/m]. Collective."""
+        p = self._functions.at_vertices(self._pair.values()[:, None])[..., 0]
         squares = np.where(np.all(p > 0.0, axis=1), np.mean(p, axis=1), 0.0) ** 2
         return np.asarray((self._per_square * squares)[:, None] * self._functions.weights)
 
-    def pressures(self, stiffness: FloatArray, gaps: FloatArray) -> FloatArray:
-        """With integrals, at the points of the functions, shape of the gaps there [N].
+    def pressures(self, gaps: FloatArray) -> FloatArray:
+        """With integrals, at the points of the functions, shape of the gaps there [N]. Collective.
 
         Args:
-            stiffness: As above.
             gaps: Or what is as they are, such as their derivative along a direction [m].
         """
+        if not self.some:
+            return np.zeros_like(gaps)
         bulge = self._functions.bulge
-        bent = stiffness[..., None] * (bulge @ gaps[..., None])
+        bent = self._stiffness()[..., None] * (bulge @ gaps[..., None])
         return np.asarray(-(bulge.swapaxes(1, 2) @ bent)[..., 0])
 
-    def energy(self, stiffness: FloatArray, gaps: FloatArray) -> float:
-        """That of this rank's faces [J]."""
-        return -float(np.sum(self.pressures(stiffness, gaps) * gaps)) / 2
+    def loads(self, pressures: FloatArray, gaps: FloatArray) -> FloatArray:
+        """The same with pressures at the vertices [N]. Collective."""
+        at_points = self._functions.at_points(pressures[:, None])[..., 0]
+        return np.asarray(at_points + self.pressures(gaps))
 
-    def tangent(self, stiffness: FloatArray, normals: FloatArray) -> tuple[BoolArray, FloatArray]:
-        """Which facets have any stiffness, and their blocks of nodes [N/m].
+    def energy(self, gaps: FloatArray) -> float:
+        """That of all faces [J]. Collective."""
+        return -total(self._pair.comm, float(np.sum(self.pressures(gaps) * gaps))) / 2
+
+    def tangent(self, normals: FloatArray) -> tuple[BoolArray, FloatArray]:
+        """Which facets have any stiffness, and their blocks of nodes [N/m]. Collective.
 
         Args:
             normals: At the points of the functions, shape (facets, points, dim).
         """
+        stiffness = self._stiffness()
         some: BoolArray = np.asarray(stiffness.any(axis=1))
         N, bulge = self._functions.at(some), self._functions.bulge[some]
         rows = np.einsum("fqp,fpk,fpd->fqkd", bulge, N, normals[some], optimize=True)

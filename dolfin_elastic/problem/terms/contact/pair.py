@@ -84,6 +84,12 @@ TOUCHING = 0.25
 MOST_PLACES = 200
 """On the way of a node through a thin obstacle that are looked at."""
 
+LOOKS = 64
+"""Places of an obstacle on its way in a step at which its depth is looked at."""
+
+PASSED = 0.1
+"""Depth over the height of the elements up to which an obstacle only grazes the surface."""
+
 HALVINGS = 30
 """Of a step in which an obstacle moves too far."""
 
@@ -219,6 +225,10 @@ class _Pressures(InSteps):
         first, last = (lam - eps * gaps for gaps in self.end_gaps())
         found = self.step.pressures(first, last, -eps * (self.reach + self.pulls_to))
         return np.where(self.pulls_to > 0.0, found, np.maximum(0.0, found))
+
+    def values(self) -> FloatArray:
+        """Multipliers at the owned nodes of the surface [Pa]. Not collective."""
+        return np.asarray(self.lam.x.array[self.nodes])
 
     def end_gaps(self) -> tuple[FloatArray, FloatArray]:
         """`pressing_gaps` at both ends of the step [m]. Collective."""
@@ -425,10 +435,11 @@ class ContactPair(_Pressures):
     def within_stride(self, t: float, goal: float, acting: Acting) -> float:
         """See `Term`: the obstacle moves no farther than it is thick; supports count by `follows`.
 
-        Collective.
+        Nor does it pass the surface: it goes to where it is deepest first. Collective.
         """
         if self.at_rest and self.follows is None:
             return goal
+        goal = self._deepest(t, goal, acting)
         if not np.isfinite(stride := STRIDE * self.contact.obstacle.thickness):
             return goal
 
@@ -437,6 +448,22 @@ class ContactPair(_Pressures):
                 break
             goal = t + (goal - t) / 2
         return goal
+
+    def _deepest(self, t: float, goal: float, acting: Acting) -> float:
+        """Where the obstacle is deepest in the body at rest, if it is less deep at the end.
+
+        A hook's edge that is beyond the nose at the end of the step has bent the hook on its way.
+        Collective.
+        """
+        if self.at_rest or self.contact.between is not None or self.contact.push is not None:
+            return goal
+        x, ways = self._moved() + self.shift.value, np.linspace(t, goal, LOOKS + 1)
+        places = [self.contact.displacement_at(*acting(s), self._dim) for s in ways]
+        gaps = [np.min(self.contact.obstacle.gaps(x - at)[0], initial=np.inf) for at in places]
+        least = np.array([smallest(self.comm, float(gap)) for gap in gaps])
+        deepest = int(np.argmin(least))
+        passes = least[deepest] < min(least[0], least[-1], 0.0) - PASSED * self.size
+        return float(ways[deepest]) if passes else goal
 
     def longest_step(self, motion: FloatArray) -> float:
         """See `Term`: of nodes that are outside of the obstacle, and deep in it on the way."""

@@ -100,6 +100,11 @@ class _Followed(ContactPair):
         now = self.multipliers.iterate
         return super().pressures(penalty) if now is None else now.acting
 
+    def values(self) -> FloatArray:
+        """See `ContactPair`."""
+        now = self.multipliers.iterate
+        return super().values() if now is None else now.values
+
     def _forget(self) -> None:
         """What an iteration has learnt of an obstacle's normals does not outlive it."""
         for obstacle in self._followed:
@@ -121,6 +126,7 @@ class VertexContact(_Followed):
 
     Attributes:
         functions: By which gaps are weighted.
+        bulges: What keeps faces straight between vertices that press.
         near: Which of the owned vertices have ever been in contact.
         multipliers: Its pressures.
     """
@@ -135,8 +141,7 @@ class VertexContact(_Followed):
             self._of_points, *self._of_ends = (contact.obstacle.followed() for _ in range(3))
             self._followed = self._at_nodes, self._of_points, *self._of_ends
         self.functions = self._make_functions(thickness)
-        curbs = contact.between is None and not self.functions.linear
-        self._bulges = FaceBulges(self.functions, context) if curbs else None
+        self.bulges = FaceBulges(self, self.functions, context)
         self.near: BoolArray = np.zeros(len(self.nodes), dtype=bool)
         self.multipliers = VertexPressures(self)
 
@@ -227,29 +232,12 @@ class VertexContact(_Followed):
         """Nodal forces on the body before the ranks are summed, (nodes * dim,) [N]. Collective."""
         way = self._over_step()
         pressures, _ = self.state(way)
-        return self.functions.spread(self._loads(pressures, way.last)[..., None] * way.along)
-
-    def _loads(self, pressures: FloatArray, gaps: FloatArray) -> FloatArray:
-        """Of pressures at the vertices and gaps at the points, at these [N]. Collective."""
-        result = self.functions.at_points(pressures[:, None])[..., 0]
-        if self._bulges is None:
-            return result
-        return np.asarray(result + self._bulges.pressures(self._curbs(), gaps))
-
-    def _curbs(self) -> FloatArray:
-        """Stiffness of gaps at points, see `FaceBulges`. Collective."""
-        assert self._bulges is not None
-        now = self.multipliers.iterate
-        p = self.lam.x.array[self.nodes] if now is None else now.values
-        return self._bulges.stiffness(p)
+        return self.functions.spread(self.bulges.loads(pressures, way.last)[..., None] * way.along)
 
     def energy(self) -> float:
         """See `Term`: the potential has the multiplier at rest."""
-        result = stored(self, self.pressing_gaps(), self.functions.areas)
-        if self._bulges is not None:
-            local = self._bulges.energy(self._curbs(), self._at_points()[0])
-            result += total(self.comm, local)
-        return result
+        gaps = self._at_points()[0]
+        return stored(self, self._mean(gaps), self.functions.areas) + self.bulges.energy(gaps)
 
     def blocks(self) -> Blocks:
         """See `Term`: sum of (eps/A_I) G_I G_I, less that of the pressures by the normals' turn.
@@ -269,11 +257,11 @@ class VertexContact(_Followed):
         pushes = G if same else self.functions.rows(self.near, way.along)[1]
         stiffness = diags_array(falls / self.functions.areas)
         result = blocks_of(nodes, pushes.T @ stiffness @ G, G, self._dim)
-        if self._bulges is not None:
-            some, values = self._bulges.tangent(self._curbs(), way.normals)
+        if self.bulges.some:
+            some, values = self.bulges.tangent(way.normals)
             result += self._blocks_between(self.functions.nodes(some), values)
-        if (now := self.multipliers.iterate) is not None:
-            pressures = now.values
+        if self.multipliers.iterate is not None:
+            pressures = self.values()
         return result if self.flat else result + self._turning(pressures)
 
     def means(self) -> Means:
@@ -305,7 +293,7 @@ class VertexContact(_Followed):
 
     def _turning(self, pressures: FloatArray) -> Blocks:
         """Minus the derivative of the forces by the turn of the normals. Collective."""
-        at_points = self._loads(pressures, self._at_points()[0])
+        at_points = self.bulges.loads(pressures, self._at_points()[0])
         some: BoolArray = np.asarray(self.functions.beside(self.near).any(axis=1))
         curvature = self.curvatures_of_points()[some]
         N = self.functions.at(some)
@@ -343,9 +331,8 @@ class VertexPressures(Multipliers):
             return False
         gaps, least = pair.pressing_gaps(), -pair.eps * pair.reach
         if self.iterate is None:
-            p, least = pair.lam.x.array[pair.nodes], least - pair.eps * pair.pulls_to
-        else:
-            p = self.iterate.values
+            least = least - pair.eps * pair.pulls_to
+        p = pair.values()
         active = p - pair.eps * gaps >= least
         self.iterate = PressureIterate(np.where(active, p, 0.0), gaps, active, RIGID * pair.eps)
         return True
@@ -422,10 +409,9 @@ class _ForceOfVertices:
         (pressures, falls), normals = pair.state(), pair.normals()
         along = functions.means((normals @ self._way)[..., None])[:, 0]
         softer = functions.at_points((-falls * along)[:, None])
-        if pair._bulges is not None:
-            softer += pair._bulges.pressures(pair._curbs(), normals @ self._way)[..., None]
+        softer += pair.bulges.pressures(normals @ self._way)[..., None]
         turns = pair.curvatures_of_points() @ self._way
-        loads = pair._loads(pressures, pair._at_points()[0])
+        loads = pair.bulges.loads(pressures, pair._at_points()[0])
         at_points = softer * normals + loads[..., None] * turns
         W, nodes = self._unknowns.W.dofmap, self._unknowns.V.dofmap.index_map
         vector = la.vector(nodes, dim)
