@@ -62,8 +62,8 @@ CHECKED = {  # what a script says last about its number
     "tuning_fork": r"tone 440\.\d+ Hz, off by \d\.\de-0[4-9]",
     "inverted": r"left of the displacement over the size: \d\.\de-(0[4-9]|1\d)",
     "incline": r"of the block off by \d\.\de-0[5-9], of the ball by \d\.\de-0[3-9]",
-    "snap_fit": r"P off by \d\.\de-0[2-9], W/P by \d\.\de-(0[4-9]|1\d)",
-    "o_ring": r"squeezed 3\.\d\d MPa; at the end off the rule by \d\.\de-0[2-9]",
+    "snap_fit": r"out: .*: P off by \d\.\de-0[2-9], W/P by \d\.\de-(0[6-9]|1\d)",
+    "o_ring": r"squeezed 3\.6\d MPa; at the end off the rule by \d\.\de-0[2-9]",
     "bunnies": r"largest gain of energy in a step: -?\d\.\de-(0[4-9]|1\d)",
     "jelly": r"difference of the periods: \d\.\de-0[3-9]",
 }
