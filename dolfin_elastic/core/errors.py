@@ -214,7 +214,7 @@ class Diagnosis:
     """Why a solve failed: plain data, the same on every rank.
 
     Attributes:
-        cause: One of "nan", "inverted", "rigid-motion", "obstacle", "sliding", "unstable",
+        cause: One of "nan", "inverted", "rigid-motion", "obstacle", "edge", "sliding", "unstable",
             "linear-solver", "round-off", "stalled" and "iterations"; of implicit motion "energy",
             too; of explicit motion "nan", "inverted", "unbounded" and "step".
         text: One or two sentences with names, places and numbers, without a final stop.

@@ -315,6 +315,14 @@ class Term(_Joining):
         """Why it and the constraints leave no state to the body, and where [m]. Collective."""
         return None
 
+    def intrusion(self) -> tuple[str, tuple[float, ...], str] | None:
+        """What lies in the body although no force has seen it; None: nothing does. Collective.
+
+        Returns:
+            That in words, where on the unloaded body [m], and what to do.
+        """
+        return None
+
     # --- a run ---
 
     def begin(self, *, moving: bool) -> None:

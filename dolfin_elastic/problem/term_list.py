@@ -147,6 +147,11 @@ class Terms(list[Term]):
         for term in self:
             term.rollback()
 
+    def intrusion(self) -> tuple[str, tuple[float, ...], str] | None:
+        """See `Term`: of the first that has one."""
+        found = (term.intrusion() for term in self)
+        return next((one for one in found if one is not None), None)
+
     def unsettled(self) -> bool:
         """See `Term`: of any."""
         return any(term.unsettled() for term in self)

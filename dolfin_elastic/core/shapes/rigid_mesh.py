@@ -203,6 +203,15 @@ class RigidMesh(Shape):
         result = self._near(x).curvature.reshape(*x.shape, 3)
         return -result if self.hollow else result
 
+    @property
+    def rounding(self) -> float:
+        """See `Shape.rounding`."""
+        return abs(self._offset)
+
+    def edges(self, dim: int) -> FloatArray:
+        """See `Shape.edges`: those at which the body that meets it could be bent."""
+        return self.surface.convex_edges(-1.0 if self.hollow else 1.0)
+
     def triangles(self, near: Box, dim: int) -> Triangles:
         """See `Shape.triangles`: those of the file."""
         return self._shown

@@ -148,6 +148,15 @@ class Shape(Record):
         """
         return np.zeros((*x.shape, x.shape[-1]))
 
+    @property
+    def rounding(self) -> float:
+        """Radius by which its `edges` are round [m]."""
+        return 0.0
+
+    def edges(self, dim: int) -> FloatArray:
+        """Ends of its edges that could enter a face, shape (n, 2, dim) [m]; of tips both alike."""
+        return np.empty((0, 2, dim))
+
     def followed(self) -> Self:
         """The same shape for a set of points that moves, whose normals do not jump for ever."""
         return self

@@ -152,11 +152,25 @@ class BoxObstacle(Shape):
         local *= np.where(off, -1.0 if self.hollow else 1.0, 0.0)[..., None, None]
         return np.asarray(sides.T @ (local / length[..., None]) @ sides)
 
-    def triangles(self, near: Box, dim: int) -> Triangles:
-        """See `Shape.triangles`."""
+    def _corners(self, dim: int) -> tuple[FloatArray, Triangles]:
         points, triangles = block(dim)
         x = np.array(self.center) + points * (np.array(self.size) / 2) @ self.sides(dim)
-        return np.array([whole(row) for row in x]), triangles
+        return x, (np.array([whole(row) for row in x]), triangles)
+
+    def edges(self, dim: int) -> FloatArray:
+        """See `Shape.edges`."""
+        x, _ = self._corners(dim)
+        if self.hollow:
+            return super().edges(dim)
+        if dim == 2:
+            return np.stack([x, x], axis=1)
+        beside = [[0, 1], [1, 2], [2, 3], [3, 0]]
+        upright = [[i, i + 4] for i in range(4)]
+        return x[np.array([*beside, *(np.array(beside) + 4).tolist(), *upright])]
+
+    def triangles(self, near: Box, dim: int) -> Triangles:
+        """See `Shape.triangles`."""
+        return self._corners(dim)[1]
 
 
 class ConeObstacle(Shape):
@@ -238,6 +252,10 @@ class ConeObstacle(Shape):
             np.where(side, c, 1.0)[..., None, None] * n[..., :, None] * n[..., None, :]
         )
         return np.asarray((-result if self.hollow else result) / far)
+
+    def edges(self, dim: int) -> FloatArray:
+        """See `Shape.edges`: its tip."""
+        return np.array([[self.tip, self.tip]] * (not self.hollow)).reshape(-1, 2, dim)
 
     def triangles(self, near: Box, dim: int) -> Triangles:
         """See `Shape.triangles`: the part of its surface that is nearest to the box."""

@@ -39,6 +39,9 @@ _ROUND_OFF = 1e-13
 _STRAIGHT = 1e-9
 """What the cosine of an angle is off 1 where the angle counts as none: 5e-5."""
 
+_EDGE = np.radians(10.0)
+"""Angle between triangles from which on what lies between them may enter a face as an edge."""
+
 _TURNS = 4
 """Changes of the nearest feature after which `Followed` stays with one."""
 
@@ -135,6 +138,22 @@ class Surface:
         sides = np.roll(self._corners, -1, axis=1) - self._corners
         some = triangles[curved[triangles]]
         return float(np.max(np.linalg.norm(sides[some], axis=2), initial=0.0))
+
+    def convex_edges(self, side: float) -> FloatArray:
+        """Ends of the edges between triangles that are bent away from a side, (n, 2, 3) [m].
+
+        Args:
+            side: 1 that to which the normals point, -1 the other one.
+        """
+        edge = edge_numbers(self._triangles).ravel()
+        order = np.argsort(edge, kind="stable")
+        pairs = np.flatnonzero(edge[order][1:] == edge[order][:-1])
+        (one, i), (two, j) = (np.divmod(order[pairs + k], 3) for k in (0, 1))
+        normals, corners = self._normals[:, 0], self._corners
+        bent = np.einsum("ni,ni->n", normals[one], normals[two]) < np.cos(_EDGE)
+        across = corners[two, (j + 2) % 3] - corners[one, i]
+        bent &= side * np.einsum("ni,ni->n", across, normals[one]) < 0
+        return np.stack([corners[one, i], corners[one, (i + 1) % 3]], axis=1)[bent]
 
     def near(self, x: FloatArray) -> Near:
         """Distances and more at points, shape (n, 3). Not collective."""

@@ -7,6 +7,7 @@ Each cause is decided by evidence, the cheap and certain ones first:
     without contacts does, and the load pulls the body off its obstacles.
 "sliding": friction gives less than the loads demand of it along a rigid motion.
 "obstacle": one pushes into nodes whose displacement is prescribed, where nothing can give way.
+"edge": one has entered a face between its vertices, which bear no force of it.
 "nan": a term of the residual has no finite value although no cell has turned inside out.
 "inverted": solutions were refused because cells had turned inside out.
 "round-off": the residual stopped at a level that round-off explains.
@@ -44,6 +45,7 @@ from dolfin_elastic.solvers.diagnostics.stability import LIMIT
 from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
     BEYOND,
+    ENTERED,
     UNSTABLE,
     NewtonResult,
 )
@@ -189,6 +191,9 @@ class _CauseSearch:
         for term in self.problem.terms:
             if (found := term.conflict(self.problem.constraints)) is not None:
                 return self._make("obstacle", found[0], messages.RELEASE, found[1])
+        if self.result.reason == ENTERED and (what := self.problem.terms.intrusion()) is not None:
+            text, place, advice = what
+            return self._make("edge", text, advice, place)
         return None
 
     def _sliding(self) -> Diagnosis | None:

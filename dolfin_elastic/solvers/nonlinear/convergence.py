@@ -28,6 +28,7 @@ UNSTABLE = "an unstable equilibrium"
 BEYOND = "the strain energy has no finite value: a material is beyond its limit"
 ANOTHER = "another equilibrium than that of the path"
 PASSED = "the body has passed through a thin obstacle"
+ENTERED = "an edge or corner has entered a face between its vertices"
 
 PRESCRIBED_TOLERANCE = 1e-12
 """Error of prescribed displacements over the size of the body: Newton's first full step meets them

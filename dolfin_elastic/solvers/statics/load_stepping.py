@@ -22,6 +22,7 @@ from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
     BEYOND,
+    ENTERED,
     PASSED,
     UNSTABLE,
     NewtonResult,
@@ -255,6 +256,8 @@ class LoadStepping:
         self._evaluate_start()
         if not self._path_check.finite():
             return BEYOND
+        if self._problem.terms.intrusion() is not None:
+            return ENTERED
         self._verdict = judge(self._newton)
         return UNSTABLE if self._verdict.stable is False else ""
 
@@ -358,8 +361,8 @@ class LoadStepping:
         if self._problem.linear:
             self._verdict = judge(self._newton)
             return UNSTABLE if self._verdict.stable is False else ""
-        if passed(self._problem.terms, before - self._problem.u.x.array, shifts):
-            return PASSED
+        if refusal := self._unseen(before, shifts):
+            return refusal
         self._path_check.evaluate()
         if not self._path_check.finite():
             return BEYOND
@@ -369,6 +372,13 @@ class LoadStepping:
         if self._jumps >= JUMPS:
             return ""
         return ANOTHER if self._path_check.jumped(self._newton.result.target) else ""
+
+    def _unseen(self, before: FloatArray, shifts: Sequence[FloatArray | None]) -> str:
+        """What the forces of contact have not seen, see `_refusal`. Collective."""
+        terms = self._problem.terms
+        if passed(terms, before - self._problem.u.x.array, shifts):
+            return PASSED
+        return ENTERED if terms.intrusion() is not None else ""
 
     def _leave_path(
         self, step: _Step, result: NewtonResult, refusal: str
@@ -399,7 +409,7 @@ class LoadStepping:
         """
         goal, newton = step.goal, self._newton
         failed = newton.unknowns() if result.converged else self._retry.failed
-        hopeless = refusal in (BEYOND, PASSED) or (step.t == 0.0 and not result.converged)
+        hopeless = refusal in (BEYOND, PASSED, ENTERED) or (step.t == 0.0 and not result.converged)
         if not self._settings.snap or self._problem.linear or hopeless:
             raise self._failure(step.t, goal, result.refused(refusal), step.start, failed)
         if refusal != ANOTHER:
@@ -412,6 +422,10 @@ class LoadStepping:
                 # The first failure is diagnosed: what stopped the path, not what stopped the flow.
                 raise self._failure(step.t, goal, result.refused(refusal), step.start, failed)
             result = reached
+        if self._problem.terms.intrusion() is not None:
+            raise self._failure(
+                step.t, goal, result.refused(ENTERED), step.start, newton.unknowns()
+            )
         self._jumps += refusal == ANOTHER
         self._limits += (((step.t + step.goal) / 2, (step.goal - step.t) / 2),)
         what = "buckles or tips over" if refusal == UNSTABLE else "has snapped through"
@@ -483,6 +497,8 @@ class LoadStepping:
             result = point.result
             if result.converged and not self._path_check.finite():
                 result = result.refused(BEYOND)
+            elif result.converged and self._problem.terms.intrusion() is not None:
+                result = result.refused(ENTERED)
             if not result.converged:
                 good = self._newton.unknowns() if point.good is None else point.good
                 raise self._failure(point.t, point.t, result, good, point.failed)

@@ -506,11 +506,14 @@ def test_the_whole_way_round_a_ball():
     for state in Statics(problem, steps=10).steps():
         if state.step:
             forces.append(state.reactions["ball"])
-            assert state.numbers["penetration_ball"] <= problem.contact_pairs[0].tolerance
+            touch, sag = problem.contact_pairs[0], (2 / 24) ** 2 / (8 * radius)
+            assert touch.gaps()[0].min() >= -touch.tolerance
+            # Between two nodes a face is a chord of the ball, a little longer where it is bent.
+            assert state.numbers["penetration_ball"] < 1.5 * sag
             np.testing.assert_allclose(
                 state.reactions["ball"], -state.reactions["top"], rtol=0, atol=1e-6 * E
             )
-    touch = problem.contact_pairs[0]
+    assert state.numbers["penetration_ball"] > sag / 2
     _, n = touch._gap
     arm = ufl.as_vector([problem.X[i] + problem.u[i] - float(centre[i]) for i in range(2)])
     moment = summed(problem, touch.pressure * (arm[0] * n[1] - arm[1] * n[0]))

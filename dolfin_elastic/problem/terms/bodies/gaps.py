@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.parallel import smallest, total
+from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.terms.bodies.functions import PieceFunctions
 from dolfin_elastic.problem.terms.bodies.start import StartOffsets
+from dolfin_elastic.problem.terms.contact.depths import Depth, Faces, deepest_of, vertices_near
 from dolfin_elastic.problem.terms.contact.pair import FAR, nearest_spot
 from dolfin_elastic.problem.terms.contact.vertex import VertexContact, gap_rates
 
@@ -37,6 +39,8 @@ class SurfaceGaps(VertexContact):
     """
 
     joins = True
+    _what, _rounds = "a vertex of the other side", ""
+    sides: Sequence[Sequence[str]]
     pieces: PieceFunctions
     offsets: StartOffsets
 
@@ -84,6 +88,26 @@ class SurfaceGaps(VertexContact):
     def every_gap(self) -> FloatArray:
         """See `ContactPair`: those of all points opposite the other side. Collective."""
         return self._acting()[0].ravel()
+
+    @cached_property
+    def _others(self) -> Faces:
+        body = self._context.body
+        found = [body.owned_facets(name) for name in self.sides[1]]
+        return Faces(self._context, np.unique(np.concatenate(found)).astype(np.int32))
+
+    def deepest(self) -> Depth:
+        """See `ContactPair`: the deepest vertices of each side within the other. Collective."""
+        u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
+        one, other = self._faces.at(u), self._others.at(u)
+        local = self.offsets.field.x.array, np.minimum(self.every_gap(), 0.0)
+        given, seen = (
+            largest(self.comm, float(np.max(np.abs(part), initial=0.0))) for part in local
+        )
+        found = [
+            a.entered(vertices_near(self.comm, b, a), np.full(len(a.x), seen), -given)
+            for a, b in ((one, other), (other, one))
+        ]
+        return deepest_of(self.comm, *found)
 
     def _acting(self) -> tuple[FloatArray, FloatArray]:
         """Gaps less their offsets at the points, and normals. Collective."""

@@ -14,6 +14,7 @@ Source: P. Wriggers, Computational Contact Mechanics, 2nd ed., Springer 2006, se
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -38,6 +39,7 @@ from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Acting
+from dolfin_elastic.problem.terms.contact.depths import UNSEEN, Depth, Faces, deepest_of
 from dolfin_elastic.problem.terms.contact.step import ContactStep, InSteps
 from dolfin_elastic.problem.terms.contact.surfaces import (
     FACTOR,
@@ -297,6 +299,8 @@ class _Pressures(InSteps):
 class ContactPair(_Pressures):
     """One contact on one body. Collective to make."""
 
+    _what, _rounds = "the obstacle", " by `offset` of a mesh"
+
     def share(self) -> FloatArray:
         """Part of the area of each owned node that lies opposite something, (n,). Not collective.
 
@@ -497,7 +501,11 @@ class ContactPair(_Pressures):
         Raises:
             ConvergenceError: One has.
         """
-        if self.contact.between is not None or not self.step.begun:
+        if not self.step.begun:
+            return
+        if (found := self.intrusion()) is not None:
+            raise ConvergenceError(found[0], advice=found[2])
+        if self.contact.between is not None:
             return
         start, end = (u[self.nodes_of_displacement] for u in self.step.both())
         passed = self.places()[self._free_shares(start - end) < 1.0].round(12).tolist()
@@ -512,12 +520,50 @@ class ContactPair(_Pressures):
                 advice=f"a dt {times:.2g} times as small, or a thicker obstacle",
             )
 
+    # --- depths between vertices ---
+
+    @cached_property
+    def _faces(self) -> Faces:
+        own = self.facets < self._context.body.mesh.topology.index_map(self._dim - 1).size_local
+        return Faces(self._context, self.facets[own])
+
+    @cached_property
+    def _edges(self) -> FloatArray:
+        return self.contact.obstacle.edges(self._dim)
+
+    def deepest(self) -> Depth:
+        """The deepest point of faces in it, or of its edges in elements. Collective."""
+        obstacle, u = self.contact.obstacle, self._context.unknowns.u.x.array
+        faces = self._faces.at(u.reshape(-1, self._dim) - self.shift.value)
+        gaps = obstacle.gaps(faces.corners)[0].min(axis=1)
+        near = gaps < faces.sizes
+        faces, seen = faces.some(near), np.maximum(0.0, -gaps[near])
+        under = faces.under(obstacle.gaps(faces.x)[0])
+        return deepest_of(self.comm, under, faces.entered(self._edges, seen, obstacle.rounding))
+
+    def intrusion(self) -> tuple[str, tuple[float, ...], str] | None:
+        """See `Term`: it lies deeper in what it touches than its vertices see."""
+        found, unit = self.deepest(), self._context.body.unit
+        if found.unseen <= UNSEEN:
+            return None
+        text = (
+            f"{self._what} lies {unit.length(found.depth)} deep in '{self.label}', between the "
+            f"vertices of a face, at {unit.point(found.place)}; the longest edge of the face is "
+            f"{unit.length(found.size)}"
+        )
+        advice = (
+            f"edges rounded{self._rounds} with a radius of {unit.length(found.size / 2)}, or "
+            "faces there that are no longer than twice the radius that they have"
+        )
+        return text, found.place, advice
+
     # --- results ---
 
     @stage("contact")
     def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
         """See `Term`: largest penetration [m] and area under pressure [m^2]."""
         depth = largest(self.comm, float(np.max(-self.every_gap(), initial=0.0)))
+        depth = max(depth, self.deepest().depth)
         first, second = f"penetration_{self.label}", f"contact_area_{self.label}"
         result[first] = max(result.get(first, 0.0), depth)
         result[second] = result.get(second, 0.0) + self.area()
