@@ -112,7 +112,7 @@ class _StepHooks:
 
 
 class _Joining(_StepHooks):
-    """What a term does that holds parts of the body by each other."""
+    """What a term does that holds parts by each other, or keeps them out of each other."""
 
     def partings(self, fields: Sequence[FloatArray]) -> FloatArray:
         """How parts that it holds by each other would part under displacements. Collective.
@@ -134,6 +134,14 @@ class _Joining(_StepHooks):
             motion: Of all local nodes, its largest component 1.
         """
         return np.inf
+
+    def intrusion(self) -> tuple[str, tuple[float, ...], str] | None:
+        """What lies in the body although no force has seen it; None: nothing does. Collective.
+
+        Returns:
+            That in words, where on the unloaded body [m], and what to do.
+        """
+        return None
 
 
 class Multipliers(Protocol):
@@ -313,14 +321,6 @@ class Term(_Joining):
 
     def conflict(self, constraints: Constraints) -> tuple[str, tuple[float, ...]] | None:
         """Why it and the constraints leave no state to the body, and where [m]. Collective."""
-        return None
-
-    def intrusion(self) -> tuple[str, tuple[float, ...], str] | None:
-        """What lies in the body although no force has seen it; None: nothing does. Collective.
-
-        Returns:
-            That in words, where on the unloaded body [m], and what to do.
-        """
         return None
 
     # --- a run ---

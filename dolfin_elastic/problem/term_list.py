@@ -147,11 +147,6 @@ class Terms(list[Term]):
         for term in self:
             term.rollback()
 
-    def intrusion(self) -> tuple[str, tuple[float, ...], str] | None:
-        """See `Term`: of the first that has one."""
-        found = (term.intrusion() for term in self)
-        return next((one for one in found if one is not None), None)
-
     def unsettled(self) -> bool:
         """See `Term`: of any."""
         return any(term.unsettled() for term in self)
@@ -180,6 +175,12 @@ class Terms(list[Term]):
 def conserve_in_steps(terms: Terms) -> bool:
     """Some forces begin and end, and those of a step do the work that these terms store."""
     return terms.opens and all(term.in_steps for term in terms if term.opens)
+
+
+def intrusion(terms: Terms) -> tuple[str, tuple[float, ...], str] | None:
+    """See `Term`: of the first that has one. Collective."""
+    found = (term.intrusion() for term in terms)
+    return next((one for one in found if one is not None), None)
 
 
 def passed(terms: Terms, back: FloatArray, shifts: Sequence[FloatArray | None]) -> bool:

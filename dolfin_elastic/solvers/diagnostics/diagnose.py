@@ -28,6 +28,7 @@ from dolfin_elastic.core.errors import BadCell, Diagnosis
 from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.body import cell_size, span
+from dolfin_elastic.problem.term_list import intrusion
 from dolfin_elastic.solvers import messages
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics import instability
@@ -191,7 +192,7 @@ class _CauseSearch:
         for term in self.problem.terms:
             if (found := term.conflict(self.problem.constraints)) is not None:
                 return self._make("obstacle", found[0], messages.RELEASE, found[1])
-        if self.result.reason == ENTERED and (what := self.problem.terms.intrusion()) is not None:
+        if self.result.reason == ENTERED and (what := intrusion(self.problem.terms)) is not None:
             text, place, advice = what
             return self._make("edge", text, advice, place)
         return None

@@ -15,7 +15,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import RestartState, SavedState, State, restoring
-from dolfin_elastic.problem.term_list import passed
+from dolfin_elastic.problem.term_list import intrusion, passed
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
 from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
 from dolfin_elastic.solvers.messages import in_words
@@ -256,7 +256,7 @@ class LoadStepping:
         self._evaluate_start()
         if not self._path_check.finite():
             return BEYOND
-        if self._problem.terms.intrusion() is not None:
+        if intrusion(self._problem.terms) is not None:
             return ENTERED
         self._verdict = judge(self._newton)
         return UNSTABLE if self._verdict.stable is False else ""
@@ -378,7 +378,7 @@ class LoadStepping:
         terms = self._problem.terms
         if passed(terms, before - self._problem.u.x.array, shifts):
             return PASSED
-        return ENTERED if terms.intrusion() is not None else ""
+        return ENTERED if intrusion(terms) is not None else ""
 
     def _leave_path(
         self, step: _Step, result: NewtonResult, refusal: str
@@ -422,7 +422,7 @@ class LoadStepping:
                 # The first failure is diagnosed: what stopped the path, not what stopped the flow.
                 raise self._failure(step.t, goal, result.refused(refusal), step.start, failed)
             result = reached
-        if self._problem.terms.intrusion() is not None:
+        if intrusion(self._problem.terms) is not None:
             raise self._failure(
                 step.t, goal, result.refused(ENTERED), step.start, newton.unknowns()
             )
@@ -497,7 +497,7 @@ class LoadStepping:
             result = point.result
             if result.converged and not self._path_check.finite():
                 result = result.refused(BEYOND)
-            elif result.converged and self._problem.terms.intrusion() is not None:
+            elif result.converged and intrusion(self._problem.terms) is not None:
                 result = result.refused(ENTERED)
             if not result.converged:
                 good = self._newton.unknowns() if point.good is None else point.good
