@@ -154,7 +154,7 @@ SCENES: dict[str, tuple[Callable[[], Statics | Dynamics], str]] = {
         "",
     ),
     "a ball through a round hole with friction": (
-        lambda: still(through_a_hole(8, 1, ROUND, friction=0.3), 20),
+        lambda: still(through_a_hole(8, 1, ROUND, friction=0.1), 20),
         "",
     ),
     "a ball through a round hole in motion": (
@@ -314,7 +314,7 @@ SCENES: dict[str, tuple[Callable[[], Statics | Dynamics], str]] = {
                 contacts=[SelfContact(all=True, name="c")],
                 degree=1,
             ),
-            0.4,
+            0.3,
             1e-2,
         ),
         "",
