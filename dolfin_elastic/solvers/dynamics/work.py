@@ -190,6 +190,11 @@ class EnergyBalance:
         """Displacements of the obstacles, shape (obstacles, dim) [m]."""
         return np.array([o.shift.value for o in self._moving.obstacles if o.shift is not None])
 
+    @property
+    def work(self) -> float:
+        """What has come in and has not been dissipated so far [J]."""
+        return self._sums["external"] - self._sums["damping"] - self._sums["friction"]
+
     def energies(self, kinetic: float, stored: float) -> dict[str, float]:
         """See `Work`; with dissipation, potential and balance. Collective."""
         result = {"external": self._sums["external"]}

@@ -29,6 +29,7 @@ from dolfin_elastic.solvers.dynamics.consistent_start import (
     find_initial_acceleration,
     settle_auxiliary_fields,
 )
+from dolfin_elastic.solvers.dynamics.implicit.gain import GainRemoval
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.implicit.output_times import OutputTimes
 from dolfin_elastic.solvers.dynamics.implicit.scheme import SchemeContext
@@ -278,6 +279,9 @@ class Implicit:
             lag = PressureEnergy(problem)
             self._owned.callback(lag.destroy)
         self._energies = MotionBook(problem, inertia, self.balance.energies, lag)
+        self._removal = None
+        if problem.terms.bars:
+            self._removal = GainRemoval(self.moving, self._energies, self.balance, self.v)
         self._supports = SupportForces(self.assembler)
         self.auditor = MotionAuditor(problem, self.moving, watch, parameters, end=settings.end)
         self.auxiliary = AuxiliaryFields(problem)
@@ -346,6 +350,8 @@ class Implicit:
         self._stop_at_goals()
         self.control.end_step()
         self.balance.add(forces.middle, forces.of_obstacles, forces.du)
+        if self._removal is not None and self._removal.end(forces.of_obstacles, forces.du):
+            self.moving.copy_to(self._U, self._V, self.v)
         self.auditor.add_step(forces.stage, forces.du)
 
     def _stop_at_goals(self) -> None:
@@ -422,6 +428,8 @@ class Implicit:
         self.scheme.start(0.0)
         self.problem.set_time(0.0)
         self.balance.begin()
+        if self._removal is not None:
+            self._removal.begin()
         self.moving.copy_to(self._U, self._V, self.v)
 
     def _march(self) -> None:
@@ -577,6 +585,8 @@ class Implicit:
         self.balance.restore(numbers["ledger"])
         self.auditor.restore(numbers["audit"])
         self.scheme.resume(numbers["t"])
+        if self._removal is not None:
+            self._removal.begin()
         self.moving.copy_to(self._U, self._V, self.v)
         self.newton.restore(numbers["newton"])
 
