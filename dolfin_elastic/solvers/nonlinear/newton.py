@@ -158,8 +158,6 @@ class Newton:
         terms = self.assembler.problem.terms
         if terms.opens or terms.bars:
             self._passage = PassageGuard(self.assembler, self.snes, self._source)
-        if self._passage is not None and terms.bars:
-            self.snes.setLineSearchPreCheck(self._passage.shorten)
 
     def install_test(self, max_iterations: int | None = None) -> None:
         """Makes the SNES use our test of convergence, and none of PETSc's tolerances."""
@@ -386,7 +384,7 @@ class Newton:
             motion = motion_of(self.assembler, x, y)
             for one in self._multipliers:
                 one.foresee(motion)
-        elif self._passage is not None and self.test.alternates():
+        elif self._passage is not None and (terms.bars or self.test.alternates()):
             shorter = self._passage.shorten(x, y)
         if terms.joins:
             share = free_share(self.assembler, x, y)

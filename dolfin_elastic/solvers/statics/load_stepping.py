@@ -317,7 +317,7 @@ class LoadStepping:
     def _passes(self, unknowns: FloatArray) -> bool:
         """Whether surfaces pass each other unseen on the way to other unknowns. Collective."""
         terms, u = self._problem.terms, self._problem.u.x.array
-        if not terms.joins:
+        if not (terms.joins or terms.bars):
             return False
         now, start = self._newton.unknowns(), u.copy()
         self._newton.put_back(unknowns)

@@ -129,7 +129,8 @@ class Statics(Marching):
                 self.problem.history.forget()
             elif self.problem.history is not None and saved is None:
                 self.problem.history.begin()
-            if self.problem.history is not None or self.problem.terms.follows_path:
+            terms = self.problem.terms
+            if self.problem.history is not None or terms.follows_path or terms.bars:
                 near = None  # what has been on the way counts
             states = owned.enter_context(closing(self._stepping.run(saved, near)))
             owned.enter_context(failing_together(self.problem.body.comm))
@@ -175,6 +176,12 @@ class Statics(Marching):
                 "friction and locked bolts depend on the loads before, which along a path may fall",
                 where="statics.method",
                 expected='"load", or neither `friction` nor `locked_at`',
+            )
+        if self.problem.terms.bars and self.settings.method == "arc-length":
+            raise InputError(
+                "contact of a surface with itself is not followed by arc length",
+                where="statics.method",
+                expected='"load"',
             )
         if self.problem.history is not None and not self._preload:
             refuse_relaxing(self.settings)

@@ -311,14 +311,6 @@ class Barrier(Term):
 
     # --- a run ---
 
-    def without_rest(self) -> InputError:
-        """See `Term`: inertia is what makes each step small."""
-        return InputError(
-            "contact of a surface with itself is computed in motion only",
-            where=f"contact[{self._index}].{self.contact.key_of_names}",
-            expected="[dynamics], with damping if only its end is wanted; or `between`",
-        )
-
     def check_start(self) -> str:
         """See `Term`: nothing intersects at the start."""
         places = self.surface.places()
@@ -337,9 +329,17 @@ class Barrier(Term):
             "smaller distance leaves them"
         )
 
-    def advance(self) -> None:
+    def commit(self) -> None:
         """See `Term`: pairs that were near long ago leave the tangent's pattern."""
         self._pairs = np.zeros(0, dtype=np.int64)
+        self.make_convex()
+
+    def advance(self) -> None:
+        """See `Term`: as at an equilibrium."""
+        self.commit()
+
+    def rollback(self) -> None:
+        """See `Term`."""
         self.make_convex()
 
     def add_results(self, result: dict[str, float], forces: FloatArray) -> None:
@@ -363,7 +363,7 @@ class SmoothFriction(Term):
     def __init__(self, barrier: Barrier, context: FormContext, index: int) -> None:
         self._barrier, self.label, self.shift = barrier, barrier.label, barrier.shift
         self._surface, self._ipctk, self._dim = barrier.surface, library(), context.body.dim
-        V = context.unknowns.V
+        V, self._index = context.unknowns.V, index
         self._start, self._last = fem.Function(V), fem.Function(V)  # forces of the last step [N]
         self._u = context.unknowns.u
         self.memory = {
@@ -375,6 +375,14 @@ class SmoothFriction(Term):
         self._t = self._from = 0.0
         self._sliding: tuple[FloatArray, FloatArray, Any] | None = None
         self._pairs: IntArray = np.zeros(0, dtype=np.int64)
+
+    def without_rest(self) -> InputError:
+        """See `Term`: it is smoothed by a speed."""
+        return InputError(
+            "friction of a surface with itself is computed in motion only",
+            where=f"contact[{self._index}].friction",
+            expected="0, or [dynamics], with damping if only its end is wanted; or `between`",
+        )
 
     def set_time(self, t: float, default: Amplitude) -> None:
         """See `Term`."""
