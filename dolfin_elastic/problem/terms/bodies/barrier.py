@@ -33,7 +33,12 @@ from dolfinx import fem
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import smallest, total
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
-from dolfin_elastic.mesh.geometry.simplices import boundary_facets, dofs_on_facets, prepare_facets
+from dolfin_elastic.mesh.geometry.simplices import (
+    boundary_facets,
+    cells_beside_facets,
+    dofs_on_facets,
+    prepare_facets,
+)
 from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.self_contact import AnyContact, SelfContact
 from dolfin_elastic.problem.context import FormContext
@@ -101,11 +106,13 @@ class CollisionSurface:
 
     def __init__(self, context: FormContext, facets: IndexArray, ipctk: ModuleType) -> None:
         V, d = context.unknowns.V, context.body.dim
+        self._body, self._ipctk, self._facets = context.body, ipctk, facets
         self._comm, self._dim, self._u = context.body.comm, d, context.unknowns.u
         index_map = V.dofmap.index_map
         local = dofs_on_facets(V, facets)
         parts = np.array((_FLAT if context.unknowns.degree == 1 else _SPLIT)[d])
         flat = index_map.local_to_global(local[:, parts].ravel()).reshape(-1, d)
+        self._flat = flat.reshape(len(facets), -1, d)
         every = np.concatenate(self._comm.allgather(flat))
         self.nodes, corners = np.unique(every, return_inverse=True)
         corners = corners.reshape(-1, d)
@@ -144,6 +151,42 @@ class CollisionSurface:
     def places(self) -> FloatArray:
         """Present places, shape (n, dim) [m]. Collective."""
         return np.asfortranarray(self.rest + self.gathered(self._u.x.array))
+
+    def meeting(self, places: FloatArray) -> str:
+        """Where two facets intersect at the start, in words; empty: none do. Collective."""
+        edges, faces = self.mesh.edges, self.mesh.faces
+        facets = faces if self._dim == 3 else edges
+        near = self._ipctk.LBVH()
+        near.build(places, edges, faces)
+        if self._dim == 3:
+            meet = self._ipctk.is_edge_intersecting_triangle
+            pairs = [(c.edge_id, c.face_id) for c in near.detect_edge_face_candidates()]
+        else:
+            meet = self._ipctk.segment_segment_intersect
+            pairs = [(c.edge0_id, c.edge1_id) for c in near.detect_edge_edge_candidates()]
+        for edge, facet in sorted(pairs):
+            ends, corners = edges[edge], facets[facet]
+            if np.isin(ends, corners).any() or not meet(*places[ends], *places[corners]):
+                continue
+            beside = facets[np.isin(facets, ends).sum(axis=1) == 2][0]
+            parts = [self._described(one) for one in (beside, corners)]
+            return f": faces {parts[0]} and {parts[1]} meet"
+        return ""
+
+    def _described(self, corners: IntArray) -> str:
+        """Place of a flat facet and, where there are several, the name of its region. Collective.
+
+        Args:
+            corners: Numbers of its vertices.
+        """
+        where = f"at {self._body.unit.point(self.rest[corners].mean(axis=0))}"
+        mine = np.any(np.all(np.isin(self._flat, self.nodes[corners]), axis=2), axis=1)
+        cells, _ = cells_beside_facets(self._body.mesh, self._facets[mine])
+        here = [name for name, those in self._body.regions.items() if np.isin(cells, those).any()]
+        names = sorted({name for part in self._comm.allgather(here) for name in part})
+        if len(self._body.regions) < 2 or not names:
+            return where
+        return f"of '{names[0]}' {where}"
 
     def add(self, local: FloatArray, forces: FloatArray) -> None:
         """Adds the sum over ranks of forces at `nodes` to nodal forces. Collective.
@@ -316,7 +359,7 @@ class Barrier(Term):
         places = self.surface.places()
         if self._ipctk.has_intersections(self.surface.mesh, places):
             raise InputError(
-                f"'{self.label}' passes through itself at the start",
+                f"'{self.label}' passes through itself at the start{self.surface.meeting(places)}",
                 where=f"contact[{self._index}]",
                 expected="bodies that are apart: no two faces that meet but at common nodes",
             )
