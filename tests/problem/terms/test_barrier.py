@@ -357,17 +357,18 @@ def test_parts_of_a_sliver_do_not_repel_each_other():
 
 @pytest.mark.parametrize(("dim", "degree"), [(2, 1), (2, 2), (3, 1)])
 def test_it_names_the_faces_that_meet_at_the_start(dim, degree):
-    """By their reference places and regions: of adjacent faces one at the gap, at half the height."""
+    """By their reference places and regions; which ones they are depends on the numbering."""
     with pytest.raises(InputError, match="'skin' passes through itself at the start") as error:
         [*Dynamics(blocks(dim, degree, gap=-0.01), end=1.0, dt=0.1).steps()]
     assert error.value.where == "contact[0]"
     found = re.search(
         r"faces of '(\w+)' at \((.*)\) m and of '(\w+)' at \((.*)\) m meet", str(error.value)
     )
+    assert found is not None
     assert {found[1], found[3]} == {"lower", "upper"}
     places = [np.array([float(x) for x in found[k].split(", ")])[:dim] for k in (2, 4)]
     assert abs(places[0][-1] - 0.5) < 0.3
-    assert np.linalg.norm(places[0] - places[1]) < 0.6
+    assert np.linalg.norm(places[0] - places[1]) < 0.9  # their edges are up to 0.7 long
 
 
 def test_it_is_refused_by_name():
