@@ -9,6 +9,7 @@ in metres; or a force drives it along a direction, and how far it moves is an un
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Self
 
@@ -96,6 +97,10 @@ class Contact(OnSurfaces):
     """
 
     lengths: ClassVar[tuple[str, ...]] = ("gap_tolerance", *_OF_BODIES)
+    key_hints: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("intersection_free", "method"),
+        'surfaces that never pass through each other: self = ["a", "b"] in place of `between`',
+    )
 
     on: str | list[str] = ""
     between: list[str | list[str]] | None = None
