@@ -177,7 +177,7 @@ class CollisionSurface:
         """Place of a flat facet and, where there are several, the name of its region. Collective.
 
         Args:
-            corners: Numbers of its vertices.
+            corners: Indices into `nodes`, shape (dim,).
         """
         where = f"at {self._body.unit.point(self.rest[corners].mean(axis=0))}"
         mine = np.any(np.all(np.isin(self._flat, self.nodes[corners]), axis=2), axis=1)
