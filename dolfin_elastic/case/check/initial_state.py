@@ -167,17 +167,20 @@ def touching_notes(problem: Problem) -> Iterator[str]:
     from dolfin_elastic.problem.constraints.ties.touching import touching_surfaces
 
     remedy = "mesh.join = true joins the bodies, " if problem.body.cad is not None else ""
-    unit = problem.body.unit
+    body, unit = problem.body, problem.body.unit
+    pairs = [*touching_surfaces(problem)]
+    if not pairs:
+        return
     known = [one.surfaces for one in problem.contacts if one.key_of_names != "on"]
-    pairs, body = [*touching_surfaces(problem)], problem.body
+    names = sorted({*sum(known, ()), *(name for *pair, _ in pairs for name in pair)})
+    own = [body.owned_facets(name) for name in names]
+    lost = [[len(np.setdiff1d(one, other)) for other in own] for one in own]
+    row = {name: k for k, name in enumerate(names)}
+    part = total(body.comm, np.array(lost)) == 0
 
     def within(inner: Sequence[str], outer: Sequence[str]) -> bool:
-        """Each surface is a part of one of others; none: of the whole boundary. Collective."""
-        own = {name: body.owned_facets(name) for name in (*inner, *outer)}
-        if not outer:
-            return True
-        lost = np.array([[len(np.setdiff1d(own[a], own[b])) for b in outer] for a in inner])
-        return bool((total(body.comm, lost).min(axis=1) == 0).all())
+        """Each surface is a part of one of others; none: of the whole boundary."""
+        return not outer or all(any(part[row[a], row[b]] for b in outer) for a in inner)
 
     for a, b, area in pairs:
         others = [pair for *pair, _ in pairs if within(pair, (a, b)) and not within((a, b), pair)]
@@ -185,7 +188,7 @@ def touching_notes(problem: Problem) -> Iterator[str]:
             continue
         yield (
             f"the surfaces '{a}' and '{b}' of two bodies touch on "
-            f"{unit.length(area, 4, power=problem.body.dim - 1)}, but each "
+            f"{unit.length(area, 4, power=body.dim - 1)}, but each "
             f'moves on its own: {remedy}[[tie]] with on = "{a}" and to = "{b}" ties them'
         )
 
@@ -201,6 +204,14 @@ def _percent_notes(case: Case) -> Iterator[str]:
 
 
 def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
+    """All that is doubtful in contacts, and where there should be one. Collective."""
+    yield from _percent_notes(case)
+    yield from _distance_notes(case, problem)
+    yield from _start_notes(case, problem)
+    yield from touching_notes(problem)
+
+
+def _distance_notes(case: Case, problem: Problem) -> Iterator[str]:
     """Obstacles that the body can never touch, or in which it begins deeply. Collective.
 
     An obstacle in which the body begins moves it without loads, as in a press fit.  A body that is
@@ -210,7 +221,6 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     Args:
         case: Its contacts, and what moves the body.
     """
-    yield from _percent_notes(case)
     if not problem.contact_pairs:
         return
     diagonal, (reach, why), unit = span(problem.body), _reach(case, problem), problem.body.unit
@@ -248,7 +258,7 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
         yield NOTHING_MOVES
 
 
-def contact_start_notes(case: Case, problem: Problem) -> Iterator[str]:
+def _start_notes(case: Case, problem: Problem) -> Iterator[str]:
     """Overlaps, and bodies that friction alone supports: right, if they are meant. Collective.
 
     Args:

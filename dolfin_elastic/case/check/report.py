@@ -17,12 +17,10 @@ from dolfin_elastic.case.check.initial_state import (
     check_supports,
     contact_gaps,
     contact_notes,
-    contact_start_notes,
     mesh_notes,
     start_notes,
     tie_information,
     tie_notes,
-    touching_notes,
     untied_notes,
 )
 from dolfin_elastic.case.check.integrals import Integrals
@@ -184,8 +182,6 @@ def _report(case: Case, body: Body) -> Report:
             check_curves(case, body.dim)
         problem = case.make_problem(body)
         notes = (*notes, *contact_notes(case, problem), *tie_notes(case, problem))
-        notes = (*notes, *contact_start_notes(case, problem))
-        notes = (*notes, *touching_notes(problem))
         with locate_errors(case.file):
             notes = (*notes, *_solver_notes(case, problem), *cavity_notes(problem))
             return _make_report(case, body, problem, notes)

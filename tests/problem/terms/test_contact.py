@@ -699,11 +699,15 @@ TABLES: dict[str, Any] = {
 
 
 def test_never_touched(folder, caplog):
-    """A run ends with a word on each contact that nothing came near."""
+    """A run begins with the notes of `check` on contacts, and ends with those that never touch."""
     other = {"on": "left", "plane": {"axis": "x", "at": -0.5}}
-    case = Case.from_dict(TABLES | {"contact": [*TABLES["contact"], other]})
+    deep = {"on": "right", "plane": {"axis": "-x", "at": 0.999}}
+    case = Case.from_dict(TABLES | {"contact": [*TABLES["contact"], other, deep]})
+    notes = [note for note in report(case, comm=MPI.COMM_WORLD).notes if "contact" in note]
+    assert sum("else its normal points the wrong way" in note for note in notes) == 1
     for _ in run(case, output=folder):
         pass
+    assert all((note in caplog.messages) == (MPI.COMM_WORLD.rank == 0) for note in notes)
     told = [line for line in caplog.messages if "was never touched" in line]
     mine = MPI.COMM_WORLD.rank == 0
     assert told == (["contact 'left' was never touched"] if mine else [])

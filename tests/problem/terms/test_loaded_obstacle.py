@@ -264,9 +264,11 @@ def test_directions_and_names_that_do_not_fit():
     assert caught.value.where == "contact[0].direction"
     stamp = Contact(on="top", name="stamp", **PLATE, **DOWN)
     body, law = rectangle_body(size=(1, 1), cells=(1, 1)), NeoHookean(E=E, nu=NU)
-    with pytest.raises(InputError, match="another obstacle 'stamp'") as caught:
-        Problem(body, law, contacts=[stamp, stamp], degree=1)
-    assert caught.value.where == "contact[1].name"
+    beside = Contact(on="left", name="stamp", plane={"axis": "x", "at": 0})
+    for other in (stamp, beside):
+        with pytest.raises(InputError, match=r"contact\[0\] is called 'stamp', too") as caught:
+            Problem(body, law, contacts=[stamp, other], degree=1)
+        assert caught.value.where == "contact[1].name"
 
 
 def test_in_a_case(comm, folder):

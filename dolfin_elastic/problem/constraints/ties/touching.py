@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import combinations
 
+import numpy as np
+
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.mesh.body import span
 from dolfin_elastic.problem.connectivity import ConnectedBodies
@@ -30,13 +32,15 @@ def touching_surfaces(problem: Problem) -> Iterator[tuple[str, str, float]]:
     of_node = bodies.of_node[: imap.size_local]
     near = NEAR * span(body)
     facets = {name: owned(body, problem.V, [name]) for name in sorted(body.surfaces)}
-    for a, b in combinations(facets, 2):
+    pairs, local = [*combinations(facets, 2)], []
+    for a, b in pairs:
         there = opposite(body.comm, facets[a], facets[b], near)
         pieces = cut(facets[a], there, near)
-        local, others = (
+        one, other = (
             owners.values_at(of_node, side.nodes[which, 0])
             for side, which in ((facets[a], pieces.near), (there, pieces.far))
         )
-        area = total(body.comm, float(pieces.weights[local != others].sum()))
+        local.append(float(pieces.weights[one != other].sum()))
+    for (a, b), area in zip(pairs, total(body.comm, np.array(local)), strict=True):
         if area > 0.0:
-            yield a, b, area
+            yield a, b, float(area)

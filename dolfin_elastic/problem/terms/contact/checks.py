@@ -20,7 +20,16 @@ def check_contacts(contacts: Sequence[AnyContact], body: Body, *, turned: bool) 
     Raises:
         InputError: With the key.
     """
+    labels: dict[str, int] = {}
     for index, contact in enumerate(contacts):
+        first = labels.setdefault(contact.label, index)
+        forces = isinstance(contact, Contact) and contact.push is not None
+        if first < index and (forces or contact.name or contacts[first].name):
+            raise InputError(
+                f"contact[{first}] is called '{contact.label}', too",
+                where=f"contact[{index}].name",
+                expected="a name of its own, for its results",
+            )
         try:
             contact.check(body.dim, axisymmetric=turned)
             for name in contact.surfaces:

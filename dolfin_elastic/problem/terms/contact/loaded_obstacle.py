@@ -390,21 +390,9 @@ class LoadedObstacle(ScalarTerm):
 def make_loaded_obstacles(
     pairs: Sequence[ContactPair], context: FormContext
 ) -> Iterator[LoadedObstacle | MovingMass]:
-    """Those of the contacts whose obstacle a force moves.
-
-    Raises:
-        InputError: Two have the same name.
-    """
-    labels: set[str] = set()
+    """Those of the contacts whose obstacle a force moves."""
     for pair in pairs:
         if pair.contact.push is None:
             continue
-        if pair.label in labels:
-            raise InputError(
-                f"a force moves another obstacle '{pair.label}'",
-                where=f"contact[{pair.index}].name",
-                expected="a name of its own",
-            )
-        labels.add(pair.label)
         kind = LoadedObstacle if pair.contact.mass is None else MovingMass
         yield kind(pair, context)
