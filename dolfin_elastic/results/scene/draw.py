@@ -47,6 +47,12 @@ _BESIDE_BAR = 0.7
 _ASIDE = 18
 # Pixels between two of these texts.
 _APART = 44
+_AHEAD = 1e-3
+"""Of lines before a plane body, and of obstacles behind it, over its diagonal."""
+_FILM_LINE = 0.5
+"""Width of a line of a film over that of a picture, which is drawn larger and made smaller."""
+_BESIDE = 1.08
+"""Room for obstacles over that for the body, up to what stands beside it."""
 _FLAT = 1e-6
 """Difference of normals of one plane."""
 _FLOOR, _SHADOW = 216, 120
@@ -80,18 +86,18 @@ def _add_body(plot: pv.Plotter, picture: Picture) -> pv.DataSetMapper:
         limit = mesh.contour([picture.bar.limit], scalars="value")
         if limit.n_points:
             plot.add_mesh(limit, color=_LIMIT, line_width=6.0, lighting=False)
-    _add_lines(plot, moved, scene.edges, INK, 3.5)
+    _add_lines(plot, picture, moved, scene.edges, INK, 3.5)
     skin = scene.triangles if scene.skin is None else scene.triangles[scene.skin]
     back, size = picture.axes[2], scene.diagonal
     if not flat:
         least = _SHORT_OUTLINE * size
-        _add_lines(plot, moved, silhouette(moved, skin, back, least), INK, 3.0)
+        _add_lines(plot, picture, moved, silhouette(moved, skin, back, least), INK, 3.0)
     if picture.outline and np.abs(moved - scene.points).max() > _VISIBLE * size:
         # Edges of the undeformed body; its surface would hide the deformed one or tint it.
         outline = scene.edges
         if not len(outline):
             outline = silhouette(scene.points, skin, back, _SHORT * size)
-        _add_lines(plot, scene.points, outline, _GHOST, 2.5)
+        _add_lines(plot, picture, scene.points, outline, _GHOST, 2.5)
     return body.mapper
 
 
@@ -112,10 +118,20 @@ def _colours(mesh: pv.PolyData, picture: Picture) -> dict[str, object]:
     return {"scalars": "colour", "rgb": True, "preference": "cell"}
 
 
-def _add_lines(plot: pv.Plotter, x: FloatArray, pairs: IntArray, colour: str, width: float) -> None:
+def _add_lines(
+    plot: pv.Plotter, picture: Picture, x: FloatArray, pairs: IntArray, colour: str, width: float
+) -> None:
     if len(pairs):
+        x = x + _AHEAD * picture.scene.plane * picture.scene.diagonal * picture.axes[2]
         lines = pv.PolyData(x, lines=np.insert(pairs, 0, 2, axis=1).ravel())
-        plot.add_mesh(lines, color=colour, line_width=width, lighting=False, show_scalar_bar=False)
+        _draw_lines(plot, picture, lines, colour, width)
+
+
+def _draw_lines(
+    plot: pv.Plotter, picture: Picture, lines: pv.PolyData, colour: str, width: float
+) -> None:
+    wide = width * (_FILM_LINE if picture.film else 1.0)
+    plot.add_mesh(lines, color=colour, line_width=wide, lighting=False, show_scalar_bar=False)
 
 
 def _add_glyphs(plot: pv.Plotter, picture: Picture, glyphs: Glyphs) -> None:
@@ -239,19 +255,28 @@ def _aim(plot: pv.Plotter, picture: Picture) -> None:
 
 
 def _add_obstacles(plot: pv.Plotter, picture: Picture) -> None:
-    """Rigid obstacles, in grey that lets the body be seen."""
+    """Rigid obstacles, in grey that lets the body be seen, or behind a plane one."""
+    plane, (right, up, back) = picture.scene.plane, picture.axes
+    (low, high), half = picture.seen, plot.camera.parallel_scale
+    room = half * np.array(picture.room) * [plot.window_size[0] / plot.window_size[1], 1.0]
     for obstacle in picture.scene.obstacles:
         mesh = triangulated(obstacle.points + obstacle.shift, obstacle.triangles)
-        if picture.film and not picture.scene.plane and _seen_floor(mesh, picture):
+        if picture.film and not plane and _seen_floor(mesh, picture):
             _add_floor(plot, picture, mesh)
             continue
         rims = mesh.extract_feature_edges(SHARP, boundary_edges=True)
+        parts = [mesh, rims]
+        for axis, middle, size in zip((right, up), (low + high) / 2, room, strict=False):
+            if picture.beside:  # bar and headline are to be read
+                end = (middle + _BESIDE * size) * axis
+                parts = [one.clip(axis, end) if one.n_points else one for one in parts]
+        mesh, rims = (one.translate(-_AHEAD * picture.scene.diagonal * back) for one in parts)
         # Seen from behind, as a plate from above, an obstacle would hide the body: edges only.
-        if not picture.scene.plane:
-            plot.add_mesh(mesh, color=obstacle.colour, opacity=0.5, culling="back")
+        if mesh.n_points:
+            culling = {} if plane else {"culling": "back"}
+            plot.add_mesh(mesh, color=obstacle.colour, opacity=0.5, lighting=not plane, **culling)
         if rims.n_points:
-            width = 4.0 if picture.scene.plane else 2.0
-            plot.add_mesh(rims, color=_GHOST, line_width=width, lighting=False)
+            _draw_lines(plot, picture, rims, _GHOST, 3.0 if plane else 2.0)
 
 
 def _seen_floor(mesh: pv.PolyData, picture: Picture) -> bool:
@@ -341,7 +366,7 @@ def _panel(plot: pv.Plotter, picture: Picture) -> AnyArray:
     for i, curve in enumerate(picture.scene.curves):
         if curve.named:
             ends = np.arange(3 * len(curve.pieces)).reshape(-1, 3)[:, [0, 1, 1, 2]].reshape(-1, 2)
-            _add_lines(plot, curve.pieces.reshape(-1, 3), ends, curve_colour(i), 7.0)
+            _add_lines(plot, picture, curve.pieces.reshape(-1, 3), ends, curve_colour(i), 7.0)
     for glyphs in picture.scene.glyphs:
         _add_glyphs(plot, picture, glyphs)
     _add_obstacles(plot, picture)

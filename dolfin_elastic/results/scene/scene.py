@@ -319,7 +319,9 @@ class Picture:
     @property
     def room(self) -> tuple[float, float]:
         """Shares of the picture's width and height that the body may fill."""
-        return (0.74, 0.8) if self.beside else (0.94, 0.94)
+        across, upwards = (0.74, 0.8) if self.beside else (0.94, 0.94)
+        less = 0.06 if self.scene.plane and self.scene.obstacles else 0.0
+        return across - less, upwards - less
 
     @property
     def seen(self) -> FloatArray:

@@ -20,6 +20,7 @@ from PIL import Image
 from dolfin_elastic.core.errors import InputError, OutputError, RestartError
 from dolfin_elastic.core.shapes.shapes import CylinderObstacle, Plane, Shape, SphereObstacle
 from dolfin_elastic.core.types import BoolArray, FloatArray
+from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.results.outputs import Picture, limits_of
 from dolfin_elastic.results.scene import renderer, series
 from dolfin_elastic.results.scene.colour_bar import ColourBar, colour_map
@@ -367,6 +368,28 @@ def test_a_frame_of_a_film_is_wide_and_its_floor_has_no_end(folder: Path) -> Non
         darkest.append(np.percentile(pixels[grey & (pixels > 100) & (pixels < 210)], 10))
     renderer.RENDERER.release(folder)
     assert darkest[0] < darkest[1]
+
+
+def test_obstacles_stay_clear_of_the_colour_bar(folder: Path) -> None:
+    """A plane one is grey above the body, but not beside it, nor under the headline."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    lid, reach = Contact(on="top", plane={"axis": "-y", "at": 1.0}).obstacle, Reach()
+    reach.take(30 * points)  # so large is the lid
+    above = obstacles_beside([("", lid, np.zeros(3))], reach, 2)
+    frame = Frame("", 0 * points, {"von_mises": np.arange(4.0)})
+    triangles = np.array([[0, 1, 2], [0, 2, 3]])
+    scene = Scene(points, triangles, frames=(frame,), plane=True, obstacles=above)
+    panel = Panel(scene, "z", field="von_mises", unit="Pa")
+    panel = series.finished(panel, (0.0, 3.0), Limits(), panel.seen, marks=False)
+    series.draw_pictures(folder, [panel], folder / "a.png")
+    renderer.RENDERER.release(folder)
+    with Image.open(folder / "a.png") as image:
+        pixels = np.asarray(image.convert("L")).astype(int)
+    high, wide = pixels.shape
+    # Rows of the lid, the headline, the bar's title: of the background only.
+    assert pixels[int(0.12 * high), int(0.4 * wide)] < 225
+    assert pixels[int(0.03 * high), int(0.4 * wide)] > 245
+    assert pixels[int(0.12 * high), int(0.9 * wide)] > 245
 
 
 def test_colours_grow_lighter() -> None:
