@@ -230,12 +230,22 @@ def check_no_rigid_motion(problem: Problem, *, stay: bool = False) -> None:
         text = "; ".join(f"`{b.name}` can {', '.join(b.motions)}" for b in free[:SHOWN])
         more = f" and {len(free) - SHOWN} more bodies" if len(free) > SHOWN else ""
         text = f"of {len(bodies)} bodies that share no nodes, {text}{more}"
+    away, unit = _open_contacts(problem), problem.body.unit
+    for label, gap in away.items():
+        far = f"open by {unit.length(gap)}" if gap < np.inf else "open: nothing lies opposite"
+        text += f"; contact '{label}' is {far}"
     raise InputError(
         f"{what}: {text}",
         where="support",
         expected="equilibrium needs supports that hold "
-        f"{'each body' if len(bodies) > 1 else 'it'}; [dynamics] does not",
+        f"{'each body' if len(bodies) > 1 else 'it'}{', or loads that close the contact' * bool(away)}"
+        "; [dynamics] does not",
     )
+
+
+def _open_contacts(problem: Problem) -> dict[str, float]:
+    """Contacts that do not touch, and how far away they are [m]. Collective."""
+    return {term.label: gap for term in problem.terms if (gap := term.distance())}
 
 
 def _check_obstacles_ahead(problem: Problem, free: list[FreeBody]) -> None:
@@ -247,9 +257,9 @@ def _check_obstacles_ahead(problem: Problem, free: list[FreeBody]) -> None:
     with problem.terms.assumed(closed=True):
         if free_motions(problem):
             return
-    away = {term.label: gap for term in problem.terms if (gap := term.distance())}
     text = ", ".join(
-        f"'{label}' is {problem.body.unit.length(gap)} away" for label, gap in away.items()
+        f"'{label}' is {problem.body.unit.length(gap)} away"
+        for label, gap in _open_contacts(problem).items()
     )
     raise InputError(
         f"no obstacle holds the body yet ({text or 'they touch elsewhere'}): as a rigid body it "
