@@ -294,8 +294,12 @@ class Term(_Joining):
         """
         return None
 
-    def assume(self, closed: bool | None) -> None:
-        """All that may open counts as closed, or as open; None: as it is. Not collective."""
+    def assume(self, closed: bool | None, *, near: bool = False) -> None:
+        """All that may open counts as closed, or as open; None: as it is. Not collective.
+
+        Args:
+            near: As closed only what is within the tolerance of equilibria.
+        """
 
     def distance(self) -> float:
         """How far away it is from acting [m]; 0 where it acts. Collective."""

@@ -78,11 +78,15 @@ class Terms(list[Term]):
         return any(changed)
 
     @contextmanager
-    def assumed(self, *, closed: bool) -> Iterator[None]:
-        """Within it all that may open is closed, or all of it is open. Not collective."""
+    def assumed(self, *, closed: bool, near: bool = False) -> Iterator[None]:
+        """Within it all that may open is closed, or all of it is open. Not collective.
+
+        Args:
+            near: See `Term.assume`.
+        """
         try:
             for term in self:
-                term.assume(closed)
+                term.assume(closed, near=near)
             yield
         finally:
             for term in self:

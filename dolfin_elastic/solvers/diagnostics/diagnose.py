@@ -4,7 +4,8 @@ Each cause is decided by evidence, the cheap and certain ones first:
 
 "rigid-motion": the tangent of the last equilibrium maps a rigid motion of a piece to nothing; what
     such a system gives is no evidence of anything else, so this comes before all others; or that
-    without contacts does, and the load pulls the body off its obstacles.
+    without contacts does, and the load pulls the body off its obstacles; or contact does not
+    hold a body any more in the last iterate of the step that failed.
 "sliding": friction gives less than the loads demand of it along a rigid motion.
 "obstacle": one pushes into nodes whose displacement is prescribed, where nothing can give way.
 "edge": one has entered a face between its vertices, which bear no force of it.
@@ -41,7 +42,7 @@ from dolfin_elastic.solvers.diagnostics.evidence import (
 )
 from dolfin_elastic.solvers.diagnostics.material_limit import NEARLY, softest_spot
 from dolfin_elastic.solvers.diagnostics.rigid_body import find_loose_part, pulled_off_obstacles
-from dolfin_elastic.solvers.diagnostics.sliding import ContactStates, find_slide
+from dolfin_elastic.solvers.diagnostics.sliding import ContactStates, find_slide, released
 from dolfin_elastic.solvers.diagnostics.stability import LIMIT
 from dolfin_elastic.solvers.nonlinear.convergence import (
     ANOTHER,
@@ -148,6 +149,7 @@ class _CauseSearch:
             self._sliding,
             self._not_finite,
             self._solution_inverted,
+            self._released,
             self._round_off,
             self._unstable,
             self._material_gives_way,
@@ -201,6 +203,16 @@ class _CauseSearch:
         if self._moving or (slide := find_slide(self.states, self.good)) is None:
             return None
         return self._make("sliding", slide.in_words(), messages.SLIDES)
+
+    def _released(self) -> Diagnosis | None:
+        """In the last iterate contact holds a body no more."""
+        if self._moving or self.result.reason in (UNSTABLE, ANOTHER, BEYOND):
+            return None
+        self.states.put(self.failed)
+        if (found := released(self.problem)) is None:
+            return None
+        text = f"contact no longer holds {found[0]}: as a rigid body it can {found[1]}"
+        return self._make("rigid-motion", text, messages.LIFTED)
 
     def _not_finite(self) -> Diagnosis | None:
         self.states.residual(self.failed)

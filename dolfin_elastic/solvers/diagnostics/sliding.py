@@ -18,7 +18,7 @@ from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.diagnostics.evidence import TrialStates
 from dolfin_elastic.solvers.diagnostics.instability import take_newton_step
-from dolfin_elastic.solvers.diagnostics.rigid_body import rigid_freedom
+from dolfin_elastic.solvers.diagnostics.rigid_body import free_bodies, rigid_freedom
 from dolfin_elastic.solvers.diagnostics.stability import LIMIT
 
 NEARLY = 0.98
@@ -90,6 +90,23 @@ def find_slide(states: TrialStates, good: FloatArray) -> Slide | None:
             labels = (label for (label, _), row in zip(found, sums, strict=True) if row[1] > 0.0)
             return Slide(tuple(labels), float(power @ power / taken * available), float(available))
     return None
+
+
+def released(problem: Problem) -> tuple[str, str] | None:
+    """A body that no support, and no contact that touches at the present state, holds. Collective.
+
+    Returns:
+        What it is called, and how it can move as a rigid body; None: all are held, or no contact
+        opens.
+    """
+    if problem.cell is not None or not problem.terms.opens:
+        return None
+    with problem.terms.assumed(closed=True, near=True):
+        free = [body for body in free_bodies(problem) if body.motions]
+    if not free:
+        return None
+    name = f"`{free[0].name}`" if free[0].name else "the body"
+    return name, ", ".join(free[0].motions)
 
 
 def _solved_without_sliding(states: TrialStates, good: FloatArray) -> bool:

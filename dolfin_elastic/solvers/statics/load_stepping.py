@@ -17,6 +17,7 @@ from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import RestartState, SavedState, State, restoring
 from dolfin_elastic.problem.term_list import intrusion, passed
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
+from dolfin_elastic.solvers.diagnostics.sliding import released
 from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
 from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.nonlinear.convergence import (
@@ -287,8 +288,9 @@ class LoadStepping:
                     self._jumped_to = goal, self._newton.unknowns()
                 inverted = not result.converged and (result.rejected > 0 or "NAN" in result.reason)
                 if sizes.failed(step.t, goal, inverted=inverted):
+                    what = in_words(refusal) + self._released(result)
                     text = "at %.4g %% of the load: %s; trying a smaller step"
-                    log.info(text, 100 * goal, in_words(refusal), extra={"search": True})
+                    log.info(text, 100 * goal, what, extra={"search": True})
                     self._retry.undo(step.start)
                     continue
                 goal, result = self._leave_path(step, result, refusal)
@@ -313,6 +315,15 @@ class LoadStepping:
             if not self._passes(further):
                 starts.append(("along the path", further))
         return self._retry.solve(starts)
+
+    def _released(self, result: NewtonResult) -> str:
+        """That the last iterate of a failure is off its contact, in words. Collective."""
+        if result.converged or self._retry.failed is None:
+            return ""
+        self._newton.put_back(self._retry.failed)
+        if (found := released(self._problem)) is None:
+            return ""
+        return f", and contact no longer holds {found[0]} there: it can {found[1]}"
 
     def _passes(self, unknowns: FloatArray) -> bool:
         """Whether surfaces pass each other unseen on the way to other unknowns. Collective."""

@@ -261,6 +261,26 @@ def test_a_body_that_is_lifted_off():
     )
 
 
+def test_a_body_that_slides_off_its_support(caplog):
+    """A block is pushed over the edge of a table: the first trial beyond it is told so."""
+    caplog.set_level("INFO", logger="dolfin_elastic")
+    problem = Problem(
+        rectangle_body(size=(1, 0.4), cells=(3, 1)),
+        NeoHookean(E=E, nu=NU),
+        supports=[Support(on="left", displacement=[1.5, "free"])],
+        loads=[Traction(on="top", value=[0, -1e3])],
+        contacts=[Contact(on="bottom", box={"center": [0.2, -0.5], "size": [1, 1]}, name="table")],
+        degree=1,
+    )
+    found = diagnosis(problem, steps=3, min_step=1 / 2, snap=False)
+    assert found.cause == "rigid-motion"
+    what = "contact no longer holds the body"
+    assert found.text == f"{what}: as a rigid body it can move along y"
+    trials = [line for line in caplog.messages if "trying a smaller step" in line]
+    if MPI.COMM_WORLD.rank == 0:
+        assert what in trials[0]
+
+
 def pressed(left: Support | Rigid | Symmetry, by: float = 0.3) -> Problem:
     """A square whose lid a plate presses down; the lid's left end is held."""
     foot = Support(on="bottom", displacement=[0, 0])

@@ -339,10 +339,11 @@ class ContactPair(_Pressures):
         """Gaps [m] where those of the start are judged, and the reference places, (n, dim) [m]."""
         return self.gaps()[0], self.places()
 
-    def assume(self, closed: bool | None) -> None:
+    def assume(self, closed: bool | None, *, near: bool = False) -> None:
         """See `Term`."""
         # Closed is what is less than `FAR` away: opposite that there is nothing.
-        self._reach.value = self.slack if closed is None else FAR / 2 if closed else -FAR
+        reach = self.tolerance if near else FAR / 2
+        self._reach.value = self.slack if closed is None else reach if closed else -FAR
 
     def held(self, *, near: bool = False) -> Iterator[tuple[IndexArray, FloatArray]]:
         """See `Term`: as if the obstacle could pull, too; but not along its way under a force."""
