@@ -97,10 +97,16 @@ class Contact(OnSurfaces):
     """
 
     lengths: ClassVar[tuple[str, ...]] = ("gap_tolerance", *_OF_BODIES)
-    key_hints: ClassVar[Mapping[str, str]] = dict.fromkeys(
-        ("intersection_free", "method"),
-        'surfaces that never pass through each other: self = ["a", "b"] in place of `between`',
-    )
+    key_hints: ClassVar[Mapping[str, str]] = {
+        **dict.fromkeys(
+            ("intersection_free", "method"),
+            'surfaces that never pass through each other: self = ["a", "b"] in place of `between`',
+        ),
+        **dict.fromkeys(
+            ("distance", "slow"),
+            "it belongs to contact of a surface with itself: `self` in place of `on`, or all = true",
+        ),
+    }
 
     on: str | list[str] = ""
     between: list[str | list[str]] | None = None
@@ -150,6 +156,16 @@ class Contact(OnSurfaces):
                 where="between",
                 expected="two different surfaces",
             )
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> Self:
+        if not any(self.surfaces):
+            raise InputError(
+                "no name is given",
+                where="on",
+                expected="`on` with an obstacle, `between`, `self` or `all`",
+            )
+        return self
 
     @model_validator(mode="after")
     def _one_shape(self) -> Contact:

@@ -45,6 +45,23 @@ class SelfContact(OnSurfaces):
     slow: Velocity | None = Field(default=None, gt=0)
     intersection_free: bool = True
 
+    @model_validator(mode="before")
+    @classmethod
+    def _named_once(cls, row: object) -> object:
+        if isinstance(row, Mapping) and {"on", "self"} <= row.keys():
+            raise InputError(
+                "a surface that may touch itself is given twice",
+                where="on",
+                expected="its name as `self` alone; with `on` an obstacle",
+            )
+        if isinstance(row, Mapping) and isinstance(row.get("self"), bool):
+            raise InputError(
+                "true is no name of a surface",
+                where="self",
+                expected="a surface's name, or all = true in place of `self`",
+            )
+        return row
+
     @model_validator(mode="after")
     def _somewhere(self) -> Self:
         if bool(self.on) == self.all:

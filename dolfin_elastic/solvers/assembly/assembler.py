@@ -125,9 +125,14 @@ class Reactions:
 
     @property
     def labels(self) -> list[str]:
-        """Of springs, dashpots, contact pairs and terms."""
+        """Of springs, dashpots, contact pairs and terms, see `by_label`."""
         acting = [term for term in self._dofs.problem.terms if term.nodal and term.restrains]
-        return [*self._restraints, *(term.label for term in acting)]
+        within = self._within_body()
+        return [*self._restraints, *(one.label for one in acting if one.label not in within)]
+
+    def _within_body(self) -> set[str]:
+        """Labels of what surfaces do to themselves: no force of the surroundings."""
+        return {term.label for term in self._dofs.problem.terms if term.bars}
 
     def restraints(self, without: Collection[str] = ()) -> FloatArray:
         """Nodal forces of springs, dashpots and contact pairs, owned entries [N]."""
@@ -148,11 +153,12 @@ class Reactions:
     def by_label(self) -> dict[str, FloatArray]:
         """Label of springs, dashpots and contact pairs to nodal forces, shape (nodes, dim) [N].
 
-        Of contact between two surfaces those on the side that carries the pressures.
+        Of contact between two surfaces those on the side that carries the pressures; not those of
+        surfaces on themselves, whose sum is none.
         """
         dofs, dim = self._dofs.displacement_dofs, self._dofs.problem.body.dim
         result: dict[str, FloatArray] = {}
-        for label, forces in self._restraining():
+        for label, forces in self._restraining(self._within_body()):
             result[label] = result.get(label, 0.0) + forces[dofs].reshape(-1, dim)
         for pair in self._dofs.problem.contact_pairs:
             if pair.carrier is not None:

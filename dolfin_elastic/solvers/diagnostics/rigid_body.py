@@ -238,8 +238,8 @@ def check_no_rigid_motion(problem: Problem, *, stay: bool = False) -> None:
         f"{what}: {text}",
         where="support",
         expected="equilibrium needs supports that hold "
-        f"{'each body' if len(bodies) > 1 else 'it'}{', or loads that close the contact' * bool(away)}"
-        "; [dynamics] does not",
+        f"{'each body' if len(bodies) > 1 else 'it'}"
+        f"{', or loads that close the contact' if away else ''}; [dynamics] does not",
     )
 
 

@@ -408,6 +408,12 @@ def test_it_is_refused_by_name():
         SelfContact(friction=0.3)
     with pytest.raises(InputError, match="both names and all"):
         SelfContact(on="skin", all=True)
+    with pytest.raises(InputError, match="on: a surface that may touch itself is given twice"):
+        SelfContact(**{"on": "skin", "self": "top"})
+    with pytest.raises(InputError, match="self: true is no name of a surface"):
+        SelfContact(**{"self": True})
+    with pytest.raises(InputError, match="on: no name is given.*`self` or `all`"):
+        Contact(friction=0.3)
 
 
 def test_without_its_package(monkeypatch):
