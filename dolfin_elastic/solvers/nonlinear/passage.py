@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from petsc4py import PETSc
 
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.nonlinear.bordered import Bordered
 
@@ -108,6 +111,21 @@ class PassageGuard:
         """Frees its vectors."""
         self._trial.destroy()
         self._f.destroy()
+
+
+def leads_through(
+    problem: Problem, put: Callable[[FloatArray], None], there: FloatArray, here: FloatArray
+) -> bool:
+    """Whether surfaces pass each other unseen on the way to other unknowns. Collective.
+
+    Args:
+        put: Changes the unknowns of the problem, to those of `here` in the end.
+    """
+    ends = []
+    for unknowns in (there, here):
+        put(unknowns)
+        ends.append(problem.u.x.array.copy())
+    return problem.terms.longest_step(np.asarray(ends[0] - ends[1])) < 1.0
 
 
 def free_share(assembler: Assembler, x: PETSc.Vec, y: PETSc.Vec, start: float = 0.0) -> float:

@@ -8,7 +8,7 @@ linearised consistently, so Newton's method stays quadratic and no root needs to
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import Any
@@ -21,11 +21,13 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import RestartState
 from dolfin_elastic.problem.term import OutOfBalance, ScalarUnknowns
+from dolfin_elastic.problem.term_list import passed
 from dolfin_elastic.solvers.assembly.assembler import Assembler
 from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
 from dolfin_elastic.solvers.nonlinear.bordered import JoinedScalars
-from dolfin_elastic.solvers.nonlinear.convergence import NewtonResult
+from dolfin_elastic.solvers.nonlinear.convergence import PASSED, NewtonResult
 from dolfin_elastic.solvers.nonlinear.newton import Newton
+from dolfin_elastic.solvers.nonlinear.passage import leads_through
 from dolfin_elastic.solvers.statics.limit_points import (
     LimitPoint,
     Sample,
@@ -209,19 +211,24 @@ class ArcLength:
             self._slope, self._negative = self._slopes()[1], _counted(result.verdict)
             yield result
         while self._length.t < self._end * (1 - 1e-12):
-            here, t = self._newton.unknowns(), self._length.t
+            here, t, known = self._newton.unknowns(), self._length.t, len(self.limits)
+            check = self._passage_check()
             point = self._next(self._increment)
+            if point.result.converged and point.t >= self._end:
+                point = self._end_at_load_factor(here, t)
+                point = replace(point, result=check(point.result))
+                if point.result.reason != PASSED:
+                    yield point
+                    return
             if not point.result.converged:
                 failed = self._newton.unknowns()
+                del self.limits[known:]
                 self._undo(here, t)
                 self._size /= 2
                 if self._size < smallest * self._longest / MAX_GROWTH:
                     yield PathPoint(t, point.result, good=here, failed=failed)
                     return
                 continue
-            if point.t >= self._end:
-                yield self._end_at_load_factor(here, t)
-                return
             yield point
 
     def _next(self, last: FloatArray) -> PathPoint:
@@ -231,7 +238,8 @@ class ArcLength:
             last: Owned displacement increment of the last step [m].
         """
         before, size, here = self._all.get(), self._size, self._newton.unknowns()
-        result = self._step(last, size)
+        check = self._passage_check()
+        result = check(self._step(last, size))
         if not result.converged or self._turns_sharply(last):
             log.debug("arc length %g m: %s, a shorter one", size / 2, result.reason)
             return PathPoint(self._length.t, result.refused(result.reason))
@@ -400,7 +408,8 @@ class ArcLength:
             before[0] = 0.0
             here = self._newton.unknowns()
             self._length.put(np.array([t]))
-            result = self._retry.solve([("", here)])
+            check = self._passage_check()
+            result = check(self._retry.solve([("", here)]))
             self._scalar_increment = self._all.get() - before
             too_fast = StepSpeed(self._assembler).too_fast(0.0, t, here, result)
             too_fast = too_fast or self._assembler.max_displacement() > longest
@@ -423,6 +432,7 @@ class ArcLength:
         scalars = share * self._scalar_increment
         # The load factor comes first.  Around a limit point it hardly changes, and its difference
         # must not vanish with it.
+        here = self._bordered.unknowns()
         length.begin(length=size)
         self._all.steps[0] = max(1e-4 * abs(scalars[0]), 1e-7 * self._end)
         moves = self._assembler.displacement_dofs
@@ -430,7 +440,10 @@ class ArcLength:
         w.x.scatter_forward()
         self._all.put(self._all.get() + scalars)
         self._problem.unknowns.w_to_u()
-        start = self._bordered.unknowns()
+        start, put = self._bordered.unknowns(), self._bordered.put_back
+        if self._problem.terms.joins and leads_through(self._problem, put, start, here):
+            return NewtonResult(reason=PASSED)
+        put(start)
         self._bordered.linear.refresh()
         result = self._bordered.solve("basic")
         while "LINEAR_SOLVE" in result.reason and self._bordered.fall_back():
@@ -443,6 +456,23 @@ class ArcLength:
         now = self._length.increment()
         product = self._length.product
         return product(last, now) < MIN_COSINE * np.sqrt(product(last, last) * product(now, now))
+
+    def _passage_check(self) -> Callable[[NewtonResult], NewtonResult]:
+        """Refuses what has passed an obstacle unseen on its way from the present state."""
+        u, terms, newton = self._problem.u.x.array, self._problem.terms, self._bordered
+        start, shifts, here = u.copy(), terms.shifts, newton.unknowns()
+
+        def check(result: NewtonResult) -> NewtonResult:
+            """The same, or that it has passed one, or ends deep in one. Collective."""
+            if not (result.converged and terms.opens):
+                return result
+            through, end = passed(terms, start - u, shifts), newton.unknowns()
+            if not terms.joins:  # these Newton's method looks at itself
+                through |= leads_through(self._problem, newton.put_back, end, here)
+                newton.put_back(end)
+            return result.refused(PASSED) if through else result
+
+        return check
 
     def _undo(self, here: FloatArray, t: float) -> None:
         self._retry.undo(here)

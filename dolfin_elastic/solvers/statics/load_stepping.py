@@ -30,6 +30,7 @@ from dolfin_elastic.solvers.nonlinear.convergence import (
 )
 from dolfin_elastic.solvers.nonlinear.jacobian import JacobianWatch
 from dolfin_elastic.solvers.nonlinear.newton import Newton
+from dolfin_elastic.solvers.nonlinear.passage import leads_through
 from dolfin_elastic.solvers.statics.retry import RetryStrategy, flow_to_equilibrium
 from dolfin_elastic.solvers.statics.settings import StaticsSettings
 from dolfin_elastic.solvers.statics.states import StaticStates
@@ -312,7 +313,9 @@ class LoadStepping:
         if self._previous is not None and step.t > self._previous[0]:
             before, was = self._previous
             further = now + (step.goal - step.t) / (step.t - before) * (now - was)
-            if not self._passes(further):
+            terms = self._problem.terms
+            looks = terms.joins or terms.bars
+            if not (looks and leads_through(self._problem, self._newton.put_back, further, now)):
                 starts.append(("along the path", further))
         return self._retry.solve(starts)
 
@@ -324,17 +327,6 @@ class LoadStepping:
         if (found := released(self._problem)) is None:
             return ""
         return f", and contact no longer holds {found[0]} there: it can {found[1]}"
-
-    def _passes(self, unknowns: FloatArray) -> bool:
-        """Whether surfaces pass each other unseen on the way to other unknowns. Collective."""
-        terms, u = self._problem.terms, self._problem.u.x.array
-        if not (terms.joins or terms.bars):
-            return False
-        now, start = self._newton.unknowns(), u.copy()
-        self._newton.put_back(unknowns)
-        motion: FloatArray = u - start
-        self._newton.put_back(now)
-        return terms.longest_step(motion) < 1.0
 
     def _accept(self, step: _Step, goal: float, result: NewtonResult, *, left_path: bool) -> None:
         """Takes the present equilibrium as the next point of the path.

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from conftest import displacement_at
 from helpers.arch import FULL, RISE, SPAN, THICK, E, arch
+from helpers.states import last
 from mpi4py import MPI
 
 from dolfin_elastic import (
+    Contact,
+    NeoHookean,
     Problem,
     Spring,
     Statics,
@@ -177,3 +180,24 @@ def test_snap_back_of_an_arch_behind_a_soft_spring():
     assert first == pytest.approx(base[inside & (deflections < 0.8 * RISE)].max(), rel=1e-2)
     back = inside & (deflections > 0.8 * RISE)
     assert second == pytest.approx(base[back].min(), rel=1e-2)
+
+
+@pytest.mark.parametrize("first", [0.2, 0.6])
+def test_no_step_passes_a_thin_obstacle(first):
+    """Neither the first step nor one in its direction nor the last one; a plate stops the block."""
+    problem = Problem(
+        rectangle_body(size=(1, 1), cells=(4, 2)),
+        NeoHookean(E=1e3, nu=0.3),
+        supports=[
+            Support(on="left", displacement=[0, "free"]),
+            Support(on="bottom", displacement=["free", 0]),
+        ],
+        loads=[Traction(on="right", value=[700, 0])],
+        contacts=[Contact(on="right", box={"center": [1.31, 0.5], "size": [0.02, 4]})],
+        degree=1,
+    )
+    state = last(problem, method="arc-length", first_step=first)
+    assert state.t == 1.0
+    right = problem.body.comm.allreduce(problem.u.x.array[::2].max(), op=MPI.MAX)
+    # Pressed by hundreds of pascals, the gap is closed to the tolerance, 1e-3 of an element.
+    assert right == pytest.approx(0.3, abs=2.5e-4)

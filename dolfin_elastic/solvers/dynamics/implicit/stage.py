@@ -21,6 +21,7 @@ from dolfin_elastic.solvers.assembly.mass import prescribed_rates
 from dolfin_elastic.solvers.dynamics.implicit.generalized_alpha import GeneralizedAlphaParameters
 from dolfin_elastic.solvers.dynamics.implicit.scheme import SchemeContext
 from dolfin_elastic.solvers.dynamics.implicit.volume_constraint import VolumeConstraint
+from dolfin_elastic.solvers.nonlinear.passage import leads_through
 
 
 @dataclass(frozen=True)
@@ -305,7 +306,8 @@ class StageSolver:
         predicted[moves] = u
         old = stage.start.w
         terms = self._problem.terms
-        if (terms.bars or terms.joins) and self._passes(predicted, old):
+        put = self._moving.set_unknowns
+        if (terms.bars or terms.joins) and leads_through(self._problem, put, predicted, old):
             return [old]
         if self._problem.linear:
             return [predicted]
@@ -313,13 +315,6 @@ class StageSolver:
         if not np.isfinite(norms[0]):
             return [old]
         return [predicted, old] if norms[0] <= norms[1] else [old, predicted]
-
-    def _passes(self, predicted: FloatArray, old: FloatArray) -> bool:
-        """Whether bodies pass through each other between two states; the old one is set then."""
-        self._moving.set_unknowns(predicted)
-        end = self._problem.u.x.array.copy()
-        self._moving.set_unknowns(old)
-        return self._problem.terms.longest_step(end - self._problem.u.x.array) < 1.0
 
     def _norm_at(self, guess: FloatArray) -> float:
         """Norm of the residual of a first guess; infinite where a cell is inside out."""
