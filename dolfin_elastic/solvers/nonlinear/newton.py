@@ -387,6 +387,8 @@ class Newton:
         elif self._passage is not None and (terms.bars or self.test.alternates()):
             shorter = self._passage.shorten(x, y)
         if terms.joins:
+            if self.bordered is not None:  # trials have moved obstacles under forces
+                self.bordered.scalars.put(self.bordered.scalar_part(x))
             share = free_share(self.assembler, x, y)
             if share < 1.0:
                 y.scale(share)
