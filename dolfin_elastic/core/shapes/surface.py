@@ -202,6 +202,9 @@ class Followed:
     point that comes back to the feature before the last one stays in the plane through both their
     planes, whose normal is between theirs, until all is forgotten: along where they meet it has
     the distance of both.  A point that has changed often otherwise stays in the plane of the last.
+    Trials of a line search count as changes, too: points then stay a little sooner.  With iterates
+    alone a block in a cup of facets takes 42 iterations of backtracking, else 32, and comes no
+    nearer to what full steps, which have no trials, find.
     """
 
     def __init__(self, surface: Surface) -> None:
