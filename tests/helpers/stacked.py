@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 from mpi4py import MPI
@@ -23,6 +23,18 @@ def grid(size: tuple[float, ...], cells: tuple[int, ...]) -> tuple[np.ndarray, n
     return order * (np.array(size) / cells), np.concatenate([corner[:, None] + p for p in paths])
 
 
+def quadratic(points: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same with midside nodes, triangles or tetrahedra."""
+    ends = list(combinations(range(cells.shape[1]), 2))[::-1]
+    edges, number = np.unique(
+        np.sort(np.concatenate([cells[:, pair] for pair in ends]), axis=1),
+        axis=0,
+        return_inverse=True,
+    )
+    middle = len(points) + number.reshape(len(ends), -1).T
+    return np.concatenate([points, points[edges].mean(axis=1)]), np.hstack([cells, middle])
+
+
 def stacked(
     size: tuple[float, ...],
     lower: tuple[int, ...],
@@ -31,6 +43,7 @@ def stacked(
     gap: float = 0.0,
     shift: float = 0.0,
     width: float | None = None,
+    order: int = 1,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> Body:
     """Two boxes of equal height, of which together `size` is the outline, with meshes of their own.
@@ -42,6 +55,7 @@ def stacked(
         gap: Between the two.
         shift: Of the upper one along x.
         width: Of the upper one along x; by default that of the lower one.
+        order: Of the geometry: straight or quadratic cells.
         comm: The ranks.
 
     Returns:
@@ -51,6 +65,8 @@ def stacked(
     """
     dim, half = len(size), size[-1] / 2
     a, b = (grid((*size[:-1], half), cells) for cells in (lower, upper))
+    if order == 2:
+        a, b = quadratic(*a), quadratic(*b)
     over = b[0] * np.array([(width or size[0]) / size[0], *[1.0] * (dim - 1)])
     over[:, 0] += shift
     over[:, -1] += half + gap
@@ -58,7 +74,7 @@ def stacked(
     cells = np.concatenate([a[1], len(a[0]) + b[1]]).astype(np.int64)
     if comm.rank:
         cells, points = cells[:0], points[:0]
-    body = Body(make_mesh(comm, cells, points, 1))
+    body = Body(make_mesh(comm, cells, points, order))
     mesh, z = body.mesh, dim - 1
     low = np.asarray(mesh.topology.original_cell_index) < len(a[1])
     facets = boundary_facets(mesh)
@@ -106,8 +122,8 @@ def quarter_rings(
         comm: The ranks.
 
     Returns:
-        With the surfaces "bore", "outside" (of the inner ring), "inside" (of the outer ring), and
-        "bottom" (y = 0) and "left" (x = 0) of both.
+        With the surfaces "bore", "outside" (of the inner ring), "inside" and "rim" (of the outer
+        ring), and "bottom" (y = 0) and "left" (x = 0) of both.
     """
     points, cells, first = [], [], 0
     spans = radii[:2], (radii[1] - overlap, radii[2])
@@ -115,11 +131,7 @@ def quarter_rings(
         polar, rows = grid((np.pi / 2, high - low), counts)
         rows = rows[:, [0, 1, 2]]
         if order == 2:
-            edges = np.concatenate([rows[:, [1, 2]], rows[:, [0, 2]], rows[:, [0, 1]]])
-            unique, number = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
-            middle = len(polar) + number.reshape(3, -1).T
-            polar = np.concatenate([polar, polar[unique].mean(axis=1)])
-            rows = np.concatenate([rows, middle], axis=1)
+            polar, rows = quadratic(polar, rows)
         r, angle = low + polar[:, 1], polar[:, 0]
         points.append(np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1))
         cells.append(first + rows)
@@ -139,7 +151,7 @@ def quarter_rings(
     on = {
         name: np.all(np.abs(r - radius) < 1e-9, axis=1)
         for name, radius in zip(
-            ("bore", "middle", "within"), (*radii[:2], spans[1][0]), strict=True
+            ("bore", "middle", "within", "rim"), (*radii[:2], spans[1][0], radii[2]), strict=True
         )
     }
     return body.named(
@@ -147,6 +159,7 @@ def quarter_rings(
             "bore": facets[on["bore"]],
             "outside": facets[on["middle"] & inside[beside]],
             "inside": facets[on["within"] & ~inside[beside]],
+            "rim": facets[on["rim"]],
             "bottom": facets[np.all(np.abs(ends[:, :, 1]) < 1e-9, axis=1)],
             "left": facets[np.all(np.abs(ends[:, :, 0]) < 1e-9, axis=1)],
         }

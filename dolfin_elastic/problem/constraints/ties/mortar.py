@@ -24,15 +24,13 @@ from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.problem.constraints.ties.exchange import Owners
 from dolfin_elastic.problem.constraints.ties.facets import Facets, areas
 from dolfin_elastic.problem.constraints.ties.segments import Segments
+from dolfin_elastic.problem.constraints.ties.shapes import shape_functions
 
 ALPHA = 0.2
 """Share of a midside function that each of its two vertices takes over (Popp et al., 4.1)."""
 
 COVERED = 1e-3
 """Part of a node's surroundings from which it is tied."""
-_MIDDLE = {2: [(0, 1)], 3: [(1, 2), (0, 2), (0, 1)]}
-"""Ends of the edges of midside nodes."""
-
 _SINGULAR = 1e-12
 """Eigenvalue of a facet's mass matrix over its largest below which it is round-off."""
 
@@ -134,50 +132,3 @@ def _transform(d: int, nodes: int) -> FloatArray:
             result[middle, middle] = 1 - 2 * ALPHA
             result[middle, [i, j]] = ALPHA
     return result
-
-
-def shape_functions(where: FloatArray, nodes: int) -> FloatArray:
-    """Lagrange's functions of a facet.
-
-    Args:
-        where: Barycentric coordinates, shape (n, points, d).
-        nodes: Of the facet: its vertices, or midside nodes, too.
-
-    Returns:
-        Shape (n, points, nodes).
-    """
-    d = where.shape[2]
-    if nodes == d:
-        return where
-    edges = [4 * where[..., i] * where[..., j] for i, j in _MIDDLE[d]]
-    return np.concatenate([where * (2 * where - 1), np.stack(edges, axis=-1)], axis=-1)
-
-
-def shape_slopes(where: FloatArray, nodes: int) -> FloatArray:
-    """Their derivatives by the coordinates but the first, which is 1 less the others.
-
-    Args:
-        where: See `shape_functions`.
-
-    Returns:
-        Shape (n, points, nodes, d - 1).
-    """
-    d = where.shape[2]
-    along = np.vstack([-np.ones(d - 1), np.eye(d - 1)])
-    if nodes == d:
-        return np.broadcast_to(along, (*where.shape, d - 1))
-    own = (4 * where[..., None] - 1) * along
-    edges = [
-        4 * (where[..., i, None] * along[j] + where[..., j, None] * along[i]) for i, j in _MIDDLE[d]
-    ]
-    return np.concatenate([own, np.stack(edges, axis=-2)], axis=-2)
-
-
-def shape_bends(d: int, nodes: int) -> FloatArray:
-    """Their second derivatives, which are constant, shape (nodes, d - 1, d - 1)."""
-    along = np.vstack([-np.ones(d - 1), np.eye(d - 1)])
-    products = along[:, None, :, None] * along[None, :, None, :]
-    if nodes == d:
-        return np.zeros((d, d - 1, d - 1))
-    edges = [4 * (products[i, j] + products[j, i]) for i, j in _MIDDLE[d]]
-    return np.concatenate([4 * products[range(d), range(d)], edges])

@@ -2,9 +2,11 @@
 
 Facets are projected on the plane of the first one and cut by each other; the pieces are convex
 polygons (in a plane intervals), on which polynomials of both sides are integrated exactly.  Curved
-facets are cut into four flat ones (two in a plane) first.  Source: M. A. Puso, Int. J. Numer. Meth.
-Engng 59 (2004) 315, section 4; M. A. Puso, T. A. Laursen & J. Solberg, Comput. Methods Appl. Mech.
-Engrg. 197 (2008) 555.
+facets are cut into four flat ones (two in a plane) first; the corners of the second one are then
+projected on the first curved one itself, along the normal of its flat part, so that the cut is
+exact where both have the same shape.  Source: M. A. Puso, Int. J. Numer. Meth. Engng 59 (2004) 315,
+section 4; M. A. Puso, T. A. Laursen & J. Solberg, Comput. Methods Appl. Mech. Engrg. 197 (2008)
+555.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import numpy as np
 
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.problem.constraints.ties.facets import Facets
+from dolfin_elastic.problem.constraints.ties.shapes import shape_functions, shape_slopes
 
 DEGREE = 5
 """Of the quadrature: quadratic functions of both sides, times the radius of a ring."""
@@ -23,8 +26,21 @@ DEGREE = 5
 PARALLEL = 0.5
 """Cosine of the angle between two facets from which they may lie opposite."""
 
+_UNIT = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+"""Corners of a triangle in its own coordinates."""
+
 THIN = 1e-12
 """Part of a facet's area below which a piece is round-off."""
+
+ASIDE = 0.5
+"""By how much of a flat part what is projected on a curved facet may lie beside its projection on
+the flat part."""
+
+NEWTON = 6
+"""Iterations of that projection: they converge quadratically."""
+
+FOUND = 1e-6
+"""What of a flat part the last but one may be off."""
 
 GAP = 0.1
 """Default of the largest distance that is tied, over the longer of the two facets."""
@@ -112,9 +128,65 @@ def cut(near: Facets, far: Facets, tolerance: float | None, *, facing: bool = Fa
     """
     a, b = _flat(near), _flat(far)
     i, j = _candidates(a, b, tolerance, facing=facing)
-    pieces = (_pieces_of_planes if near.x.shape[2] == 3 else _pieces_of_lines)(a, b, i, j)
+    y = _along(a.x[i], b.x[j] - a.x[i, :1])
+    sums = y.sum(axis=2)
+    some = np.all((y.min(axis=1) < 1 + ASIDE) & (y.max(axis=1) > -ASIDE), axis=1)
+    some &= (sums.min(axis=1) < 1 + ASIDE) & (sums.max(axis=1) > -ASIDE)
+    i, j, y = i[some], j[some], y[some]
+    if a.parts > 1:
+        y = _on_curved(near.x[a.parent[i]], a.x[i], a.corners[i], y)
+    pieces = (_pieces_of_planes if near.x.shape[2] == 3 else _pieces_of_lines)(a, b, i, j, y)
     most = GAP * pieces.sizes if tolerance is None else tolerance
     return pieces[pieces.gaps <= most]
+
+
+def _along(flat: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Components of vectors along the sides from a facet's first corner, shape (n, k, d - 1).
+
+    Args:
+        flat: Corners, shape (n, d, d) [m].
+        vectors: Shape (n, k, d) [m].
+    """
+    t = flat[:, 1:] - flat[:, :1]
+    return _solved((t @ t.swapaxes(1, 2))[:, None], vectors @ t.swapaxes(1, 2))
+
+
+@np.errstate(all="ignore")
+def _on_curved(
+    whole: FloatArray, flat: FloatArray, corners: FloatArray, onto: FloatArray
+) -> FloatArray:
+    """Coordinates in flat parts of the points of curved facets that have given projections on them.
+
+    Far beside the facet there may be none: there the projections stay.
+
+    Args:
+        whole: Nodes of the curved facets, shape (n, nodes, d) [m].
+        flat: Corners of their flat parts, shape (n, d, d) [m].
+        corners: Barycentric coordinates of these, shape (n, d, d).
+        onto: Coordinates of the projections but the first, shape (n, points, d - 1).
+    """
+    count, points, ways = len(flat), onto.shape[1], onto.shape[2]
+    sides, y = corners[:, 1:] - corners[:, :1], onto.copy()
+    for _ in range(NEWTON):
+        where = corners[:, :1] + y @ sides
+        there = shape_functions(where, whole.shape[1]) @ whole - flat[:, :1]
+        off = onto - _along(flat, there)
+        slopes = sides[:, None, :, 1:] @ shape_slopes(where, whole.shape[1]).swapaxes(2, 3)
+        tangents = (slopes @ whole[:, None]).reshape(count, points * ways, -1)
+        J = _along(flat, tangents).reshape(count, points, ways, ways)
+        y += _solved(J.swapaxes(2, 3), off)
+    good = np.all((np.abs(off) < FOUND) & (np.abs(y - onto) < ASIDE), axis=2)
+    return np.where(good[..., None], y, onto)
+
+
+@np.errstate(all="ignore")
+def _solved(A: FloatArray, b: FloatArray) -> FloatArray:
+    """Solutions of one or two equations, not finite where there is none, shape (..., 1 or 2)."""
+    if b.shape[-1] == 1:
+        return np.asarray(b / A[..., 0])
+    (p, q), (r, s) = np.moveaxis(A, (-2, -1), (0, 1))
+    first, second = s * b[..., 0] - q * b[..., 1], p * b[..., 1] - r * b[..., 0]
+    return np.asarray(np.stack([first, second], axis=-1) / (p * s - q * r)[..., None])
 
 
 def _flat(facets: Facets) -> _Flat:
@@ -168,7 +240,7 @@ def _made(
     *,
     s: FloatArray,
     m: FloatArray,
-    weights: FloatArray,
+    parts: FloatArray,
 ) -> Segments:
     """Pieces from barycentric coordinates in flat facets.
 
@@ -177,6 +249,7 @@ def _made(
         j: Facet in `b`.
         s: Coordinates in `a`, shape (pieces, points, d).
         m: Coordinates in `b`.
+        parts: Weights over the part of the first flat facet that each piece is.
     """
     x, y = (
         np.einsum("npk,nkc->npc", where, flat.x[k]) for where, flat, k in ((s, a, i), (m, b, j))
@@ -186,22 +259,23 @@ def _made(
         far=b.parent[j],
         near_coordinates=np.einsum("npk,nkc->npc", s, a.corners[i]),
         far_coordinates=np.einsum("npk,nkc->npc", m, b.corners[j]),
-        weights=weights,
-        shares=weights / (a.parts * a.areas[i, None]),
+        weights=parts * a.areas[i, None],
+        shares=parts / a.parts,
         gaps=np.linalg.norm(y - x, axis=2).max(axis=1, initial=0.0),
         sizes=np.maximum(a.size[i], b.size[j]),
         places=x[:, 0],
     )
 
 
-def _pieces_of_lines(a: _Flat, b: _Flat, i: IntArray, j: IntArray) -> Segments:
-    """Common intervals of edges of a plane body."""
-    t = a.x[i, 1] - a.x[i, 0]
-    length = np.linalg.norm(t, axis=1)
-    ends = np.einsum("nkc,nc->nk", b.x[j] - a.x[i, None, 0], t) / (length**2)[:, None]
-    low, high = np.maximum(ends.min(axis=1), 0.0), np.minimum(ends.max(axis=1), 1.0)
+def _pieces_of_lines(a: _Flat, b: _Flat, i: IntArray, j: IntArray, y: FloatArray) -> Segments:
+    """Common intervals of edges of a plane body.
+
+    Args:
+        y: Ends of the other side's in coordinates of the first one's, shape (n, 2, 1).
+    """
+    low, high = np.maximum(y[:, :, 0].min(axis=1), 0.0), np.minimum(y[:, :, 0].max(axis=1), 1.0)
     keep = high - low > THIN
-    i, j, low, high, ends, length = (v[keep] for v in (i, j, low, high, ends, length))
+    i, j, low, high, ends = (v[keep] for v in (i, j, low, high, y[:, :, 0]))
     points, weights = basix.make_quadrature(basix.CellType.interval, DEGREE)
     at = low[:, None] + (high - low)[:, None] * points[:, 0]
     there = (at - ends[:, :1]) / (ends[:, 1:] - ends[:, :1])
@@ -212,27 +286,24 @@ def _pieces_of_lines(a: _Flat, b: _Flat, i: IntArray, j: IntArray) -> Segments:
         j,
         s=np.stack([1 - at, at], axis=2),
         m=np.stack([1 - there, there], axis=2),
-        weights=((high - low) * length)[:, None] * weights,
+        parts=(high - low)[:, None] * weights,
     )
 
 
-def _pieces_of_planes(a: _Flat, b: _Flat, i: IntArray, j: IntArray) -> Segments:
-    """Common polygons of triangles, cut into triangles from their first corner."""
-    n = a.normals[i]
-    e1 = a.x[i, 1] - a.x[i, 0]
-    e1 = e1 / np.linalg.norm(e1, axis=1, keepdims=True)
-    frame = np.stack([e1, np.cross(n, e1)], axis=1)
-    x, y = (
-        np.einsum("nkc,nec->nke", corners - a.x[i, None, 0], frame) for corners in (a.x[i], b.x[j])
-    )
-    polygon, count = _clipped(y, x)
+def _pieces_of_planes(a: _Flat, b: _Flat, i: IntArray, j: IntArray, y: FloatArray) -> Segments:
+    """Common polygons of triangles, cut into triangles from their first corner.
+
+    Args:
+        y: Corners of the other side's in coordinates of the first one's, shape (n, 3, 2).
+    """
+    polygon, count = _clipped(y, np.broadcast_to(_UNIT, y.shape))
     piece, corner = np.nonzero(np.arange(1, polygon.shape[1] - 1) < count[:, None] - 1)
     triangles = np.stack(
         [polygon[piece, 0], polygon[piece, corner + 1], polygon[piece, corner + 2]], axis=1
     )
-    area, whole = _area(triangles), _area(x)[piece]
-    keep = np.abs(area) > THIN * np.abs(whole)
-    piece, triangles, area = piece[keep], triangles[keep], np.abs(area[keep])
+    parts = 2 * np.abs(_area(triangles))
+    keep = parts > THIN
+    piece, triangles, parts = piece[keep], triangles[keep], parts[keep]
     points, weights = basix.make_quadrature(basix.CellType.triangle, DEGREE)
     inside = np.column_stack([1 - points.sum(axis=1), points])
     at = np.einsum("pk,nkc->npc", inside, triangles)
@@ -241,9 +312,9 @@ def _pieces_of_planes(a: _Flat, b: _Flat, i: IntArray, j: IntArray) -> Segments:
         b,
         i[piece],
         j[piece],
-        s=_barycentric(x[piece], at),
+        s=np.concatenate([1 - at.sum(axis=2, keepdims=True), at], axis=2),
         m=_barycentric(y[piece], at),
-        weights=2 * area[:, None] * weights,
+        parts=2 * parts[:, None] * weights,
     )
 
 

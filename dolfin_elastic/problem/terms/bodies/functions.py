@@ -34,12 +34,12 @@ from dolfin_elastic.core.parallel import largest, smallest, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.constraints.ties.exchange import Owners
 from dolfin_elastic.problem.constraints.ties.facets import Facets, areas, opposite, owned
-from dolfin_elastic.problem.constraints.ties.mortar import (
+from dolfin_elastic.problem.constraints.ties.segments import Segments, cut
+from dolfin_elastic.problem.constraints.ties.shapes import (
     shape_bends,
     shape_functions,
     shape_slopes,
 )
-from dolfin_elastic.problem.constraints.ties.segments import Segments, cut
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.terms.contact.pair import ContactPair
 from dolfin_elastic.problem.terms.contact.vertex_functions import VertexFunctions
