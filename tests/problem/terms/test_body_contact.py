@@ -203,6 +203,35 @@ def test_tangent(dim, degree, monkeypatch):
         assert assembler.tangent.matrix.isSymmetric(1e-9 * size)
 
 
+@pytest.mark.parametrize(("dim", "degree"), [(2, 1), (3, 2)])
+def test_moments_of_forces(dim, degree):
+    """Pressures and friction turn nothing, nor across a gap that counts as none: round-off only."""
+    problem = Problem(
+        stacked(**MESHES[dim], gap=0.01, shift=0.1, width=0.9),
+        NeoHookean(E=E, nu=NU),
+        degree=degree,
+        contacts=[BETWEEN.model_copy(update={"friction": 0.4, "adjust": 0.02})],
+    )
+    pair, (friction,) = (
+        problem.contact_pairs[0],
+        [term for term in problem.terms if isinstance(term, CoulombFriction)],
+    )
+    X = problem.places[:, :dim]
+    u = 0.02 * np.sin(7 * X[:, ::-1] + np.arange(dim)) * (1 + X[:, :1])
+    u[X[:, -1] > 0.3, -1] -= 0.03
+    u[X[:, -1] > 0.3, 0] += 0.02
+    problem.u.x.array[:] = u.reshape(-1)
+    for term in (pair, friction):
+        forces = np.zeros_like(problem.u.x.array)
+        term.add_forces(forces)
+        rows = np.zeros((len(X), 3))
+        rows[:, :dim] = forces.reshape(-1, dim)
+        turns = np.cross(np.pad(X + u, ((0, 0), (0, 3 - dim))), rows)
+        sums = total(problem.body.comm, np.array([*turns.sum(axis=0), np.abs(turns).sum()]))
+        assert sums[3] > 1e3
+        assert np.abs(sums[:3]).max() < 1e-14 * sums[3]
+
+
 def cylinders(
     path: Any, h: float, order: int, *, below: float = 2.0, left: float = 0.0, coarse: float = 0.3
 ) -> None:

@@ -81,7 +81,7 @@ class BodyContact(SurfaceGaps):
             self.pieces.look_within(reach)
         self.offsets.take(self.nodes, self._mean(self._at_points()[0]), edge)
         self.offsets.set_time(0.0, CONSTANT)
-        self.pieces.offsets = self._at_end.offsets = self.offsets.field
+        self.pieces.fading = self._at_end.fading = self.offsets.fading
         self.carrier = np.zeros(context.unknowns.V.dofmap.index_map.size_local, dtype=bool)
         self.carrier[self.functions.every[2]] = True
 

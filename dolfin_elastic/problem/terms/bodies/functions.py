@@ -134,7 +134,7 @@ class PieceFunctions(VertexFunctions):
         hats: Barycentric coordinates of the points, shape (pieces, points, dim).
         there: What lies opposite the points.
         opposite_hats: Barycentric coordinates there.
-        offsets: What gaps are less by, at vertices; None: nothing [m].
+        fading: Overlaps that do not act yet, at vertices; None: there are none [m].
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class PieceFunctions(VertexFunctions):
         self.node_owners = Owners(pair.comm, nodes.local_range[0], nodes.size_local)
         self._near, self._far = (Side(context, names, S) for names in sides)
         self.reach, self._thickness = reach, thickness
-        self.offsets: fem.Function | None = None
+        self.fading: fem.Function | None = None
         around = 2 * np.pi if context.axisymmetric else 1.0
         faces = Facets(self._near.X, self._near.nodes)
         whole = thickness * around / self._dim * areas(faces, axisymmetric=context.axisymmetric)
@@ -330,10 +330,13 @@ class PieceFunctions(VertexFunctions):
 
     @property
     def _levers(self) -> FloatArray:
-        """Dual tangents times the gap, less what counts as none: forces act beside the face."""
+        """Dual tangents times the gap: forces act beside the face.
+
+        Less what does not act yet: by overlaps of several elements they would squeeze these.
+        """
         gaps = self.there.gap
-        if self.offsets is not None:
-            gaps = gaps - self.between_vertices(self.offsets.x.array)
+        if self.fading is not None:
+            gaps = gaps - self.between_vertices(self.fading.x.array)
         return gaps[..., None, None] * self._dual
 
     def spread(self, vectors: FloatArray, *, turned: bool = True) -> FloatArray:

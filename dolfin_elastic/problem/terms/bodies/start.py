@@ -34,11 +34,12 @@ class StartOffsets:
 
     Attributes:
         field: The present offsets at vertices [m].
+        fading: Of these, overlaps that do not act yet.
     """
 
     def __init__(self, contact: Contact, S: fem.FunctionSpace) -> None:
         self._contact = contact
-        self.field, self._fixed, self._fading = (fem.Function(S) for _ in range(3))
+        self.field, self.fading, self._fixed, self._overlap = (fem.Function(S) for _ in range(4))
 
     def take(self, nodes: IndexArray, gaps: FloatArray, edge: float) -> None:
         """Takes the mean gaps of the undeformed bodies. Collective.
@@ -51,8 +52,8 @@ class StartOffsets:
         given = not isinstance(self._contact.interference, str)
         near = (1 + 1e-9) * (self._contact.adjust or (GAP * edge if given else 0.0))
         self._fixed.x.array[nodes] = np.where(np.abs(gaps) <= near, gaps, 0.0)
-        self._fading.x.array[nodes] = np.where(gaps < -near, gaps, 0.0)
-        for one in (self._fixed, self._fading):
+        self._overlap.x.array[nodes] = np.where(gaps < -near, gaps, 0.0)
+        for one in (self._fixed, self._overlap):
             one.x.scatter_forward()
 
     def set_time(self, t: float, default: Amplitude) -> None:
@@ -63,8 +64,8 @@ class StartOffsets:
             default: Amplitude where the contact has no curve.
         """
         share, added = self._contact.overlap_at(t, default)
-        faded = (1 - share) * self._fading.x.array
-        self.field.x.array[:] = self._fixed.x.array + faded + added
+        self.fading.x.array[:] = (1 - share) * self._overlap.x.array
+        self.field.x.array[:] = self._fixed.x.array + self.fading.x.array + added
 
 
 def overlap_reach(pieces: PieceFunctions, body: Body) -> float:
