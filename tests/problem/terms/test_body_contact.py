@@ -25,7 +25,7 @@ from dolfin_elastic import (
     read_body,
 )
 from dolfin_elastic.core.errors import ConvergenceError, InputError
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.model.amplitude import CONSTANT
 from dolfin_elastic.problem.state import StateCopy
 from dolfin_elastic.problem.term import StepWeights
@@ -138,9 +138,9 @@ def test_patch_test_of_a_curved_interface(dim, geometry, law):
                 for axis, on in list(held.items())[: dim - 1]
             ),
         ],
-        contacts=[Contact(between=["below", "above"], name="joint", gap_tolerance=1e-13)],
+        contacts=[Contact(between=["below", "above"], name="joint", gap_tolerance=1e-12)],
     )
-    last(problem, steps=1, rtol=1e-12)
+    last(problem, steps=1, rtol=1e-11)
     (pair,) = problem.contact_pairs
     pressures = np.concatenate(problem.body.comm.allgather(pair.pressures()))
     np.testing.assert_allclose(pressures, pressures.mean(), rtol=1e-10)
@@ -149,7 +149,8 @@ def test_patch_test_of_a_curved_interface(dim, geometry, law):
         bulk = E / (1 - 2 * NU) / (1 + NU if flat else 1)
         assert pressures.mean() == pytest.approx(bulk * shrink, rel=1e-10)
     X, u = (a.reshape(-1, dim) for a in (problem.places[:, :dim], problem.u.x.array))
-    assert np.abs(u + shrink * X).max(initial=0.0) < 1e-11 * shrink
+    off = np.abs(u + shrink * X).max(initial=0.0)
+    assert largest(problem.body.comm, float(off)) < 1e-10 * shrink
 
 
 def test_patch_test_of_circles():
@@ -169,7 +170,8 @@ def test_patch_test_of_circles():
             contacts=[Contact(between=["outside", "inside"])],
         )
         last(problem, steps=1)
-        off.append(np.abs(problem.contact_pairs[0].pressures() / (0.01 * E) - 1).max())
+        p = np.concatenate(body.comm.allgather(problem.contact_pairs[0].pressures()))
+        off.append(np.abs(p / (0.01 * E) - 1).max())
     assert off[0] < 2e-3
     assert 2**2.8 < off[0] / off[1] < 2**3.2
 
