@@ -172,7 +172,7 @@ def _on_curved(
         there = shape_functions(where, whole.shape[1]) @ whole - flat[:, :1]
         off = onto - _along(flat, there)
         slopes = sides[:, None, :, 1:] @ shape_slopes(where, whole.shape[1]).swapaxes(2, 3)
-        tangents = (slopes @ whole[:, None]).reshape(count, points * ways, -1)
+        tangents = (slopes @ whole[:, None]).reshape(count, points * ways, flat.shape[2])
         J = _along(flat, tangents).reshape(count, points, ways, ways)
         y += _solved(J.swapaxes(2, 3), off)
     good = np.all((np.abs(off) < FOUND) & (np.abs(y - onto) < ASIDE), axis=2)
