@@ -4,7 +4,8 @@ With Coulomb friction or without.
 
 The gap g of a point is its signed distance to the obstacle, positive outside, and n the obstacle's
 outward normal there: see `Shape.gap`.  An obstacle's motion is a displacement as that of a support,
-in metres; or a force drives it along a direction, and how far it moves is an unknown.
+in metres, and it may turn; or a force drives it along a direction, and how far it moves is an
+unknown.
 """
 
 from __future__ import annotations
@@ -39,9 +40,17 @@ from dolfin_elastic.core.units import (
 )
 from dolfin_elastic.model.amplitude import Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
-from dolfin_elastic.model.values import OnSurfaces, amplitude_of, at_time, component, components
+from dolfin_elastic.model.turning import Turning
+from dolfin_elastic.model.values import (
+    Component,
+    OnSurfaces,
+    amplitude_of,
+    at_time,
+    component,
+    components,
+)
 
-_OF_OBSTACLES = ("motion", "force", "direction", "mass", "velocity")
+_OF_OBSTACLES = ("motion", "rotation", "force", "direction", "mass", "velocity")
 _OF_BODIES = ("interference", "adjust")
 _WORDS = ("resolve", "ignore")
 
@@ -78,12 +87,13 @@ class Contact(OnSurfaces):
         cone: A cone, or the funnel in which the body lies.
         mesh: What the triangles of a file enclose: a table, or the file alone.
         motion: Displacement of the obstacle [m]: numbers, texts with units, or formulas in t.
+        rotation: Of the obstacle beside its motion, over time: a table.
         force: In place of a motion the force on the obstacle [N], positive along `direction`: a
             number, a text with a unit, or a formula in t.
         direction: Along which a force may move it: x, y, z, -x, ... or components.
         mass: Of an obstacle that moves along it in implicit motion [kg], under the force, if any.
         velocity: That such an obstacle begins with, along it [m/s].
-        curve: Amplitude of the motion, force or interference over time, as that of a load.
+        curve: Amplitude of motion and rotation, force or interference over time, as that of a load.
         friction: Coulomb's coefficient: tangential over normal force where they slide; 0: none.
         gap_tolerance: Penetration that statics leaves; 1e-3 of the cells' size there, and no more
             than 1e-2 of how far the pressure squeezes a cell.
@@ -117,6 +127,7 @@ class Contact(OnSurfaces):
     cone: ConeObstacle | None = None
     mesh: Annotated[RigidMesh | None, BeforeValidator(_of_file)] = None
     motion: list[Any] = Field(default=[])
+    rotation: Turning | None = None
     force: Any = None
     direction: Direction | None = None
     mass: Mass | None = Field(default=None, gt=0)
@@ -215,11 +226,12 @@ class Contact(OnSurfaces):
                 where="friction",
                 expected="0, or a motion in place of the force",
             )
-        if self.motion:
+        if self.motion or self.rotation is not None:
+            key = "motion" if self.motion else "rotation"
             raise InputError(
-                "motion and force are given together",
+                f"{key} and force are given together",
                 where="force",
-                expected="one of them: the other is a result",
+                expected="one of them: an obstacle that a force moves does so along `direction`",
             )
         if isinstance(self.push, Formula) and self.push.names - {"t"}:
             raise InputError(
@@ -284,6 +296,16 @@ class Contact(OnSurfaces):
         return components(self.motion, "m", key="motion") if self.motion else ()  # type: ignore[return-value]
 
     @property
+    def moves(self) -> tuple[Component, ...]:
+        """Components of its displacement [m] and its angle [rad], as far as they are given."""
+        return self.values if self.rotation is None else (*self.values, self.rotation.value)
+
+    @property
+    def centre(self) -> tuple[float, ...] | None:
+        """The point about which the obstacle, in metres, turns; None: it does not."""
+        return None if self.rotation is None else self.rotation.point
+
+    @property
     def shape(self) -> str:
         """Which of `obstacle_shapes` is given, or "between"."""
         shapes = (key for key in obstacle_shapes() if getattr(self, key) is not None)
@@ -310,8 +332,12 @@ class Contact(OnSurfaces):
         Args:
             scale: Metres per unit of length of the mesh.
         """
-        shape = {} if self.between else {self.shape: self.obstacle.in_metres(scale)}
-        return super().in_metres(scale).converted(shape)
+        parts: dict[str, object] = {}
+        if self.between is None:
+            parts[self.shape] = self.obstacle.in_metres(scale)
+        if self.rotation is not None:
+            parts["rotation"] = self.rotation.in_metres(scale)
+        return super().in_metres(scale).converted(parts)
 
     def displacement_at(self, t: float, default: Amplitude, dim: int) -> list[float]:
         """Displacement of the obstacle at time t [m], `dim` components.
@@ -323,6 +349,14 @@ class Contact(OnSurfaces):
         if not self.values:
             return [0.0] * dim
         return [default.of(amplitude_of(v, self.curve), t) * at_time(v, t) for v in self.values]
+
+    def pose_at(self, t: float, default: Amplitude, dim: int) -> FloatArray:
+        """See `Pose.now`, at time t; for the arguments see `displacement_at`."""
+        turn = np.eye(dim)
+        if self.rotation is not None:
+            factor = default.of(amplitude_of(self.rotation.value, self.curve), t)
+            turn = self.rotation.matrix(t, factor, dim)
+        return np.column_stack([self.displacement_at(t, default, dim), turn])
 
     def check(self, dim: int, *, axisymmetric: bool) -> None:
         """Raises where the obstacle, in metres, or its motion does not fit the body.
@@ -336,6 +370,9 @@ class Contact(OnSurfaces):
             self.obstacle.check(dim, axisymmetric=axisymmetric)
         if self.values:
             check_components([0.0] * len(self.values), dim, "motion")
+        if self.rotation is not None:
+            with keyed("rotation"):
+                self.rotation.check(dim, axisymmetric=axisymmetric)
         if axisymmetric and self.values and self.values[0] != 0.0:
             raise InputError(
                 "an obstacle about the axis moves along it only",

@@ -319,6 +319,23 @@ def misspelt_unit(text: str, names: Collection[str] = COORDINATES) -> bool:
     return word not in names and word.replace("/", "").replace("^", "").isalnum()
 
 
+def angle_of(written: float | str) -> Component:
+    """An angle [rad] as a number or formula in t, of the key `angle`.
+
+    Args:
+        written: A text such as "90 deg", a number in rad, or a formula.
+
+    Raises:
+        InputError: It is none of these.
+    """
+    with keyed("angle"):
+        if isinstance(written, str) and not (
+            is_quantity(written) or misspelt_unit(written, ("t",))
+        ):
+            return Formula.parse(written, allowed=("t",))
+        return to_si(written, "rad")
+
+
 def components(
     written: object,
     unit: str,

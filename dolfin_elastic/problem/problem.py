@@ -407,7 +407,7 @@ class Problem(Shown):
         """A formula in t drives a load, support or obstacle: it may turn around at any time."""
         formulas = [load.values for load in self.loads]
         formulas += [function for support in self.supports for function in support.time_functions]
-        formulas += [pair.contact.values for pair in self.contact_pairs]
+        formulas += [pair.contact.moves for pair in self.contact_pairs]
         curves = any(curve.is_formula for curve in self.curves)
         return curves or any(depends_on_time(vector) for vector in formulas)
 

@@ -18,6 +18,7 @@ from dolfin_elastic.model.supports.springs import ResistingSupport, Spring
 from dolfin_elastic.problem.constraints.normals import spring_directions
 from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.pose import Pose
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -93,11 +94,11 @@ class _StepHooks:
     def begin_step(self) -> None:
         """A step of an implicit motion begins at the present state. Collective."""
 
-    def enter_stage(self, step: StepWeights, shift: FloatArray | None) -> None:
+    def enter_stage(self, step: StepWeights, pose: FloatArray | None) -> None:
         """Until `leave_stage` forces are those of the step at its stage. Not collective.
 
         Args:
-            shift: What `shift` is at the end of the step [m].
+            pose: What `pose.now` is at the end of the step.
         """
 
     def follow(self) -> None:
@@ -187,9 +188,9 @@ class Term(_Joining):
         in_steps: Those of a step of an implicit motion do the work that it stores.
         at_rest: What it acts from stands still.
         follows_path: The equilibrium under a load depends on those before it.
-        shift: Displacement of a rigid obstacle that its forces come from [m]; None of other terms,
-            whose work is that over the displacement of the body.
-        dissipates: Its forces do work that is not stored, over the displacement beyond `shift`.
+        pose: Of a rigid obstacle that its forces come from; None of other terms, whose work is that
+            over the displacement of the body.
+        dissipates: Its forces do work that is not stored, over the motion past the obstacle.
         account: Which of the stored energies that of its form is part of.
         memory: What its forces depend on beside displacement and time, by its name in restarts.
         states: In words, what `point_states` numbers.
@@ -203,7 +204,7 @@ class Term(_Joining):
     in_steps = bars = only_implicit = joins = False
     at_rest = True
     follows_path = dissipates = False
-    shift: fem.Constant | None = None
+    pose: Pose | None = None
     account: str = ""
     memory: Mapping[str, fem.Function] = MappingProxyType({})
     states: tuple[str, ...] = ()
@@ -260,6 +261,15 @@ class Term(_Joining):
             motion: Of the displacement's nodes, local array [m].
         """
         return 1.0
+
+    def passes(self, back: FloatArray, pose: FloatArray) -> bool:
+        """Whether the motion back to a former state leads through it. Collective.
+
+        Args:
+            back: See `longest_step`.
+            pose: What `pose.now` was in that state.
+        """
+        return False
 
     def without_rest(self) -> InputError | None:
         """That it acts in motion only, with what to do; None: it does not."""

@@ -98,18 +98,18 @@ class Terms(list[Term]):
             term.begin_step()
 
     @property
-    def shifts(self) -> list[FloatArray | None]:
-        """A copy of the shift of each."""
-        return [None if term.shift is None else term.shift.value.copy() for term in self]
+    def poses(self) -> list[FloatArray | None]:
+        """A copy of the pose of each."""
+        return [None if term.pose is None else term.pose.now for term in self]
 
-    def enter_stage(self, step: StepWeights, shifts: Sequence[FloatArray | None]) -> None:
+    def enter_stage(self, step: StepWeights, poses: Sequence[FloatArray | None]) -> None:
         """See `Term`.
 
         Args:
-            shifts: Of each at the end of the step [m].
+            poses: Of each at the end of the step.
         """
-        for term, shift in zip(self, shifts, strict=True):
-            term.enter_stage(step, shift)
+        for term, pose in zip(self, poses, strict=True):
+            term.enter_stage(step, pose)
 
     def follow(self) -> None:
         """See `Term`."""
@@ -187,20 +187,17 @@ def intrusion(terms: Terms) -> tuple[str, tuple[float, ...], str] | None:
     return next((one for one in found if one is not None), None)
 
 
-def passed(terms: Terms, back: FloatArray, shifts: Sequence[FloatArray | None]) -> bool:
+def passed(terms: Terms, back: FloatArray, poses: Sequence[FloatArray | None]) -> bool:
     """Whether the motion back to a former state leads through any obstacle. Collective.
 
     Args:
         back: See `Term.longest_step`.
-        shifts: Displacements of the obstacles in that state [m].
+        poses: Of the obstacles in that state.
     """
-    for term, shift in zip(terms, shifts, strict=True):
-        if term.shift is None or shift is None or term.joins:
-            continue
-        past = back.reshape(-1, len(shift)) - (shift - term.shift.value)
-        if term.longest_step(past.reshape(-1)) < 1.0:
-            return True
-    return False
+    pairs = zip(terms, poses, strict=True)
+    return any(
+        term.passes(back, pose) for term, pose in pairs if pose is not None and not term.joins
+    )
 
 
 def refuse_motion(terms: Terms) -> None:

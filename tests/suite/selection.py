@@ -155,6 +155,7 @@ SHARED = {
     "problem/terms/test_rigid_mesh.py",
     "problem/terms/test_rolling.py",
     "problem/terms/test_sharp_obstacles.py",
+    "problem/terms/test_turning.py",
     "problem/terms/test_vertex_contact.py",
     "problem/test_connected_bodies.py",
     "problem/test_dealt_out.py",

@@ -130,6 +130,8 @@ def _check_in_time(case: Case, times: Sequence[float]) -> None:
             if isinstance(row, Contact):
                 given += [(f"contact[{i}].motion", value) for value in row.values]
                 given.append((f"contact[{i}].force", row.push))
+                if row.rotation is not None:
+                    given.append((f"contact[{i}].rotation.angle", row.rotation.value))
     for where, value in given:
         if not isinstance(value, Formula) or value.names != {"t"}:
             continue

@@ -324,7 +324,7 @@ def _reach(case: Case, problem: Problem) -> tuple[float, str]:
         any(value != 0.0 for value in (*case.dynamics.displacement, *case.dynamics.velocity))
     )
     pushed = len(problem.contact_pairs) > 1 and any(
-        c.values or c.push is not None for c in case.pairs.values()
+        c.moves or c.push is not None for c in case.pairs.values()
     )
     if not (moving or loaded or started or pushed or problem.cell is not None):
         return 0.0, "and nothing moves the body"
@@ -350,9 +350,9 @@ def _gaps_over_time(case: Case, pair: ContactPair) -> list[float]:
         pair.set_time(0.0, default)
         return [acting if acting < FAR / 4 else nearest_spot(pair)[0]]
     x, result = pair.places(), []
-    for t in np.linspace(0.0, end, TIMES if pair.contact.values else 1):
-        shift = pair.contact.displacement_at(float(t), default, x.shape[1])
-        gaps = pair.contact.obstacle.gaps(x - shift)[0]
+    for t in np.linspace(0.0, end, TIMES if pair.contact.moves else 1):
+        pose = pair.contact.pose_at(float(t), default, x.shape[1])
+        gaps = pair.contact.obstacle.gaps(pair.pose.seen(x - pose[:, 0], pose[:, 1:]))[0]
         result.append(float(np.min(gaps, initial=np.inf)))
     return [smallest(pair.comm, gap) for gap in result]
 
@@ -363,7 +363,7 @@ def _coarse_facets(pair: ContactPair, unit: LengthUnit) -> str:
     if mesh is None or mesh.smooth:
         return ""
     surface = mesh.surface
-    beside = surface.near(pair.places() - pair.shift.value).feature // FEATURES
+    beside = surface.near(pair.seen()).feature // FEATURES
     size = largest(pair.comm, surface.coarseness(np.unique(beside)))
     if size <= _COARSE * pair.size:
         return ""
@@ -459,6 +459,8 @@ def check_curves(case: Case, dim: int) -> None:
     for key, contact in case.pairs.items():
         values[f"{key}.motion"] = partial(_moved, contact, default, dim)
         values[f"{key}.force"] = partial(contact.force_at, default=default)
+        if contact.rotation is not None:
+            values[f"{key}.rotation.angle"] = partial(_turned, contact, default, dim)
     if (cell := case.periodic) is not None:
         values["periodic"] = partial(cell.gradient_at, default=default)
     for where, value in values.items():
@@ -467,6 +469,10 @@ def check_curves(case: Case, dim: int) -> None:
 
 def _moved(contact: Contact, default: Amplitude, dim: int, t: float) -> list[float]:
     return contact.displacement_at(t, default, dim)
+
+
+def _turned(contact: Contact, default: Amplitude, dim: int, t: float) -> object:
+    return contact.pose_at(t, default, dim)
 
 
 def _check_at(where: str, value: Callable[[float], object], times: Sequence[float]) -> None:

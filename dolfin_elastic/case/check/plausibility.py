@@ -296,7 +296,7 @@ def _growth_notes(case: Case) -> Iterator[str]:
     keys = [f"support[{i}]" for i, support in enumerate(case.support) if support.proportional]
     keys += [f"load[{i}]" for i, load in enumerate(case.load) if load.amplitude is None]
     for key, contact in case.pairs.items():
-        if any(v != 0.0 and amplitude_of(v, contact.curve) is None for v in contact.values):
+        if any(v != 0.0 and amplitude_of(v, contact.curve) is None for v in contact.moves):
             keys.append(key)
     if keys:
         yield (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -31,6 +32,21 @@ def _angle(angle: float | str) -> float | str:
     return angle
 
 
+def rotation(axis: Sequence[float], angle: float) -> FloatArray:
+    """The orthogonal matrix of a right-handed rotation, shape (3, 3).
+
+    Source: O. Rodrigues, J. Math. Pures Appl. 5 (1840) 380.
+
+    Args:
+        axis: Unit vector.
+        angle: Of any size [rad].
+    """
+    cross = np.cross(axis, np.eye(3)).T  # cross @ a = axis x a
+    # 1 - cos(a) = 2 sin^2(a/2): small angles lose no digits.
+    less = 2 * np.sin(angle / 2) ** 2
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + less * cross @ cross)
+
+
 class Turn(Record):
     """A rotation about an axis, right-handed.
 
@@ -46,7 +62,7 @@ class Turn(Record):
     point: Annotated[tuple[MeshLength, ...], Field(min_length=2, max_length=3)] | None = None
 
     def matrix(self, dim: int) -> FloatArray:
-        """The orthogonal matrix, shape (dim, dim), by the formula of O. Rodrigues (1840).
+        """The orthogonal matrix, shape (dim, dim).
 
         Raises:
             MeshError: A body of this dimension has no such axis.
@@ -54,15 +70,12 @@ class Turn(Record):
         if self.axis is None and dim == 3:
             raise MeshError("the axis is missing", where="axis", expected='for example "z"')
         check_components(self.axis, 3, "axis")
-        n = np.array(unit_vector(self.axis or "z"))
+        n = unit_vector(self.axis or "z")
         if dim == 2 and (n[0] or n[1]):
             raise MeshError(
                 "a plane part turns about z only", where="axis", expected="leave it out"
             )
-        angle = np.radians(_degrees(self.angle))
-        cross = np.cross(n, np.eye(3)).T  # cross @ a = n x a
-        result = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-        return np.asarray(result[:dim, :dim])
+        return rotation(n, np.radians(_degrees(self.angle)))[:dim, :dim]
 
     def vectors(self, v: FloatArray, dim: int) -> FloatArray:
         """Vectors of a body of this dimension after it, shape (..., dim or more)."""

@@ -15,7 +15,6 @@ from dolfin_elastic.core.shapes.directions import Direction, check_components, u
 from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.si_text import given, listed
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import is_quantity, to_si
 from dolfin_elastic.model.amplitude import CONSTANT, Amplitude, Curve
 from dolfin_elastic.model.describe import ALONE, Setting, other_keys
 from dolfin_elastic.model.records import RATES
@@ -25,11 +24,11 @@ from dolfin_elastic.model.values import (
     OnSurfaces,
     Vector,
     amplitude_of,
+    angle_of,
     at_time,
     component,
     components,
     depends_on_time,
-    misspelt_unit,
     number_at,
     sized,
 )
@@ -402,10 +401,7 @@ class Rotation(PrescribingSupport):
     @cached_property
     def rotation_angle(self) -> Component:
         """The angle [rad] as a number or formula."""
-        text = self.angle
-        formula = isinstance(text, str) and not (is_quantity(text) or misspelt_unit(text, ("t",)))
-        with keyed("angle"):
-            return Formula.parse(text, allowed=("t",)) if formula else to_si(text, "rad")
+        return angle_of(self.angle)
 
     def place(self, t: float, default: Amplitude) -> FloatArray:
         """The point's present place c + d [m], of shape (3,).

@@ -104,13 +104,13 @@ class DynamicResidual:
         }
         named = {name: form for name, form in forms.items() if form is not None}
         self._forms = dict(zip(named, compiled(problem, list(named.values())), strict=True))
-        self.obstacles = [term for term in problem.terms if term.shift is not None]
+        self.obstacles = [term for term in problem.terms if term.pose is not None]
         of_forms = [term for term in self.obstacles if not term.nodal]
         contact_forms = compiled(problem, forms_of(of_forms, "work"))
         self._contact_forms = dict(zip(of_forms, contact_forms, strict=True))
         # Restraints of a label are assembled as one: obstacles that share theirs with springs are
         # in them already, and must not be added once more.
-        others = {term.label for term in problem.terms if term.shift is None}
+        others = {term.label for term in problem.terms if term.pose is None}
         self._adds_restraint = [term.label not in others for term in self.obstacles]
         self._contact_labels = {term.label for term in self.obstacles} - others
         self._mass = np.abs(lumped(problem, self.assembler))

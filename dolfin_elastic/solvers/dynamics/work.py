@@ -102,6 +102,27 @@ def springs_of_friction(problem: Problem) -> float:
     return sum(term.energy() for term in problem.terms if term.dissipates)
 
 
+class Middle:
+    """How rigid obstacles carry points of the body in a step."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._dim, own = problem.body.dim, problem.V.dofmap.index_map.size_local
+        self._u = problem.u.x.array[: own * self._dim]
+        self._X = problem.V.tabulate_dof_coordinates()[:own, : self._dim]
+
+    def carried(self, term: Term, before: FloatArray, du: FloatArray) -> FloatArray:
+        """Motion of what was at the owned nodes in the middle of a step, owned entries [m].
+
+        Args:
+            term: Of an obstacle.
+            before: Its pose at the start.
+            du: Change of the displacement up to now, owned entries [m].
+        """
+        assert term.pose is not None
+        places = self._X + (self._u - du / 2).reshape(-1, self._dim)
+        return term.pose.carried(before, places).reshape(-1)
+
+
 # --- implicit motion ---
 
 
@@ -131,7 +152,8 @@ class EnergyBalance:
         self.scale = 0.0
         problem = moving.problem
         self._constant = problem.loaded and not problem.loads_change
-        self._shifts: FloatArray = np.empty(0)
+        self._poses: list[FloatArray] = []
+        self._middle = Middle(problem)
         self._springs = 0.0
         size = problem.constant(1.0) * problem.weak_form.volume(None, 1)
         volume = integral(problem, compiled(problem, [size])[0])
@@ -139,7 +161,7 @@ class EnergyBalance:
 
     def begin(self) -> None:
         """Takes in positions of obstacles and the velocity that the motion begins with."""
-        self._shifts = self._shifts_now()
+        self._poses = self._poses_now()
         self._v = self._velocity_now()
         self._springs = springs_of_friction(self._moving.problem)
 
@@ -155,11 +177,10 @@ class EnergyBalance:
         outside = forces.loads + forces.reactions + forces.restraints
         rows = (outside, forces.damping, -forces.dashpots)
         local = np.array([*(np.dot(row[moves], du) for row in rows), 0.0])
-        before, self._shifts = self._shifts, self._shifts_now()
+        before, self._poses = self._poses, self._poses_now()
         local[0] -= np.dot(forces.contact.sum(axis=0), du)
-        steps = zip(self._moving.obstacles, contact, self._shifts - before, strict=True)
-        for term, push, shift in steps:
-            work = np.sum(push.reshape(-1, len(shift)) @ shift)
+        for term, push, pose in zip(self._moving.obstacles, contact, before, strict=True):
+            work = np.dot(push, self._middle.carried(term, pose, du))
             local[0] += work
             local[3] += (work - np.dot(push, du)) * term.dissipates
         if self._supports_move:
@@ -186,9 +207,9 @@ class EnergyBalance:
         """A copy of the present velocity, owned entries [m/s]."""
         return self._velocity.x.array[: len(self._moving.displacement_dofs)].copy()
 
-    def _shifts_now(self) -> FloatArray:
-        """Displacements of the obstacles, shape (obstacles, dim) [m]."""
-        return np.array([o.shift.value for o in self._moving.obstacles if o.shift is not None])
+    def _poses_now(self) -> list[FloatArray]:
+        """Those of the obstacles."""
+        return [one.pose.now for one in self._moving.obstacles if one.pose is not None]
 
     @property
     def work(self) -> float:
@@ -253,7 +274,8 @@ class _Path:
 
     Args:
         forces: Gives those at the present state, owned entries [N]; collective.
-        shift: What they move instead of the body [m].
+        obstacle: What they move instead of the body.
+        middle: Gives how; of obstacles.
         past: They are friction on what moves so; their work is what they take from the body's
             motion past it.
 
@@ -264,19 +286,20 @@ class _Path:
     def __init__(
         self,
         forces: Callable[[], FloatArray],
-        shift: fem.Constant | None = None,
+        obstacle: Term | None = None,
+        middle: Middle | None = None,
         *,
         past: bool = False,
     ) -> None:
-        self._forces, self._shift, self.past = forces, shift, past
+        self._forces, self._obstacle, self._middle, self.past = forces, obstacle, middle, past
         self._before: FloatArray = np.empty(0)
-        self._place: FloatArray = self._before
+        self._pose: FloatArray = self._before
 
     def begin(self) -> None:
         """Takes in the state from which the next step starts. Collective."""
         self._before = self._forces().copy()
-        if self._shift is not None:
-            self._place = self._shift.value.copy()
+        if self._obstacle is not None and self._obstacle.pose is not None:
+            self._pose = self._obstacle.pose.now
 
     def step(self, du: FloatArray) -> float:
         """This rank's share of the work of a step [J]. Collective.
@@ -284,9 +307,9 @@ class _Path:
         Args:
             du: Change of the displacement in the step, owned entries [m].
         """
-        if self._shift is not None:
-            moved = self._shift.value - self._place
-            along, self._place = np.tile(moved, len(du) // len(moved)), self._place + moved
+        if (one := self._obstacle) is not None and one.pose is not None:
+            assert self._middle is not None
+            along, self._pose = self._middle.carried(one, self._pose, du), one.pose.now
             du = along - du if self.past else along
         now = self._forces()
         work = 0.5 * (np.dot(self._before, du) + np.dot(now, du))
@@ -319,13 +342,13 @@ class ExternalWork:
         self._u, self._v = problem.u.x.array[: assembler.size], v.x.array[: assembler.size]
         springs = [term for term in problem.terms if term.account == "springs"]
         resting = springs if all(term.at_rest for term in springs) else []
-        works = [term for term in problem.terms if term.shift is None and term not in resting]
+        works = [term for term in problem.terms if term.pose is None and term not in resting]
         changing = forms_of(works, "work")
         if problem.loaded and problem.loads_change:
             at_points = problem.constant(0.0) * sum(problem.v) * problem.weak_form.volume(None, 1)
             external = problem.weak_form.external
             changing.append(at_points if external is None else external)
-        self._steady = problem.loaded and not problem.loads_change
+        self._steady, self._middle = problem.loaded and not problem.loads_change, Middle(problem)
         self.paths: list[_Path] = []
         self._forces: list[NodalForces] = []
         if changing:
@@ -335,7 +358,7 @@ class ExternalWork:
             a = assembler
             self.paths.append(_Path(lambda: a.constrained_part(a.residual.owned)))
         for term in problem.terms:
-            if term.shift is not None and not term.at_rest:
+            if term.pose is not None and not term.at_rest:
                 self._add_term(term)
         self._rubs = problem.terms.dissipates
         for term in problem.terms:
@@ -348,23 +371,24 @@ class ExternalWork:
 
     def _add_term(self, term: Term, *, past: bool = False) -> None:
         if (work := term.form("work")) is not None:
-            self._add(work, shift=term.shift, past=past)
+            self._add(work, obstacle=term, past=past)
         else:
             forces = partial(self._assembler.reactions.of_term, term)
-            self.paths.append(_Path(forces, term.shift, past=past))
+            self.paths.append(_Path(forces, term, self._middle, past=past))
 
     def _add(
         self,
         work: ufl.Form,
         points: float = 0.0,
-        shift: fem.Constant | None = None,
+        obstacle: Term | None = None,
         *,
         past: bool = False,
     ) -> None:
         dofmap = self._problem.V.dofmap
         vector = la.vector(dofmap.index_map, dofmap.index_map_bs)
         self._forces.append(NodalForces(self._problem, work, vector, points=points))
-        self.paths.append(_Path(self._forces[-1].assemble, shift, past=past))
+        forces = self._forces[-1].assemble
+        self.paths.append(_Path(forces, obstacle, self._middle, past=past))
 
     def begin(self, work: float = 0.0, friction: float = 0.0) -> None:
         """Takes in the state that the next step begins with. Collective.

@@ -460,13 +460,13 @@ class ArcLength:
     def _passage_check(self) -> Callable[[NewtonResult], NewtonResult]:
         """Refuses what has passed an obstacle unseen on its way from the present state."""
         u, terms, newton = self._problem.u.x.array, self._problem.terms, self._bordered
-        start, shifts, here = u.copy(), terms.shifts, newton.unknowns()
+        start, poses, here = u.copy(), terms.poses, newton.unknowns()
 
         def check(result: NewtonResult) -> NewtonResult:
             """The same, or that it has passed one, or ends deep in one. Collective."""
             if not (result.converged and terms.opens):
                 return result
-            through, end = passed(terms, start - u, shifts), newton.unknowns()
+            through, end = passed(terms, start - u, poses), newton.unknowns()
             if not terms.joins:  # these Newton's method looks at itself
                 through |= leads_through(self._problem, newton.put_back, end, here)
                 newton.put_back(end)

@@ -280,7 +280,7 @@ class LoadStepping:
             goal = self._problem.terms.within_stride(self._t, goal, self._problem.acting)
             step = _Step(self._t, goal, self._newton.unknowns())
             self._problem.set_time(goal, default=PROPORTIONAL)
-            before = self._problem.u.x.array.copy(), self._problem.terms.shifts
+            before = self._problem.u.x.array.copy(), self._problem.terms.poses
             result = self._solve(step)
             last = goal >= self._settings.end
             refusal = self._refusal(*before, last=last) if result.converged else result.reason
@@ -350,7 +350,7 @@ class LoadStepping:
         return state
 
     def _refusal(
-        self, before: FloatArray, shifts: Sequence[FloatArray | None], *, last: bool
+        self, before: FloatArray, poses: Sequence[FloatArray | None], *, last: bool
     ) -> str:
         """Why the equilibrium is not the next point of the path; empty: it is. Collective.
 
@@ -359,12 +359,12 @@ class LoadStepping:
 
         Args:
             before: Displacements at the start of the step, local array [m].
-            shifts: Of the terms there: a force may have moved an obstacle since [m].
+            poses: Of the terms there: a force may have moved an obstacle since.
         """
         if self._problem.linear:
             self._verdict = judge(self._newton)
             return UNSTABLE if self._verdict.stable is False else ""
-        if refusal := self._unseen(before, shifts):
+        if refusal := self._unseen(before, poses):
             return refusal
         self._path_check.evaluate()
         if not self._path_check.finite():
@@ -376,10 +376,10 @@ class LoadStepping:
             return ""
         return ANOTHER if self._path_check.jumped(self._newton.result.target) else ""
 
-    def _unseen(self, before: FloatArray, shifts: Sequence[FloatArray | None]) -> str:
+    def _unseen(self, before: FloatArray, poses: Sequence[FloatArray | None]) -> str:
         """What the forces of contact have not seen, see `_refusal`. Collective."""
         terms = self._problem.terms
-        if passed(terms, before - self._problem.u.x.array, shifts):
+        if passed(terms, before - self._problem.u.x.array, poses):
             return PASSED
         return ENTERED if intrusion(terms) is not None else ""
 

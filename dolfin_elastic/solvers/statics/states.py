@@ -169,8 +169,8 @@ class StaticStates:
         targets = np.abs(np.nan_to_num(problem.constraints.targets, posinf=0.0, neginf=0.0))
         moved = {"a support": largest(problem.body.comm, float(np.max(targets, initial=0.0)))}
         for term in problem.terms:
-            if term.shift is not None:
-                shift = np.abs(np.nan_to_num(term.shift.value, posinf=0.0, neginf=0.0))
+            if term.pose is not None:
+                shift = np.abs(np.nan_to_num(term.pose.shift.value, posinf=0.0, neginf=0.0))
                 moved[f"the obstacle of '{term.label}'"] = float(np.max(shift))
         what, far = max(moved.items(), key=lambda one: one[1])
         unit = problem.body.unit

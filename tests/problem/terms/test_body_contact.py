@@ -589,7 +589,7 @@ def test_work_of_a_step(keys):
     problem.terms.begin_step()
     u[:] = (places[0] + places[1]) / 2
     weights = StepWeights(1.0, 0.5, 0.5, 0.25, 0.5, 0.25)
-    problem.terms.enter_stage(weights, problem.terms.shifts)
+    problem.terms.enter_stage(weights, problem.terms.poses)
     assembler = Assembler(problem)
     first, last = pair.end_gaps()
     kinds = {(bool(a < 0), bool(b < 0)) for a, b in zip(first, last, strict=True)}

@@ -43,6 +43,7 @@ from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.self_contact import AnyContact, SelfContact
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import shear_modulus
+from dolfin_elastic.problem.pose import Pose
 from dolfin_elastic.problem.term import Blocks, Term
 
 NEAR = 0.1
@@ -247,7 +248,7 @@ class Barrier(Term):
             parts = [body.owned_facets(name) for name in contact.surfaces]
             facets = np.unique(np.concatenate(parts)).astype(np.int32)
         self.surface = CollisionSurface(context, facets, ipctk)
-        self.shift = context.constant([0.0] * body.dim)
+        self.pose = Pose(context)
         self.reach = float(contact.distance or 0.0) or NEAR * self.surface.edge
         candidates = ipctk.Candidates()
         candidates.build(self.surface.mesh, self.surface.rest, self.reach)
@@ -404,7 +405,7 @@ class SmoothFriction(Term):
     follows_path = dissipates = True
 
     def __init__(self, barrier: Barrier, context: FormContext, index: int) -> None:
-        self._barrier, self.label, self.shift = barrier, barrier.label, barrier.shift
+        self._barrier, self.label, self.pose = barrier, barrier.label, barrier.pose
         self._surface, self._ipctk, self._dim = barrier.surface, library(), context.body.dim
         V, self._index = context.unknowns.V, index
         self._start, self._last = fem.Function(V), fem.Function(V)  # forces of the last step [N]

@@ -123,7 +123,7 @@ class BodyContact(SurfaceGaps):
         """See `VertexContact`: each with the cut of its end."""
         if not self.step.on:
             return super()._means_over(way)
-        self._end.x.array[:] = self.step.ends()[1].reshape(-1)
+        self._end.x.array[:] = self.step.past_ends()[1].reshape(-1)
         finite, gaps = self._at_end.renew(), self._at_end.there.gap
         return self._start[0], self._mean_of(self._at_end, gaps if finite else gaps + np.nan)
 

@@ -19,6 +19,7 @@ from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArra
 from dolfin_elastic.mesh.geometry.curved import facet_points, facet_shape_functions
 from dolfin_elastic.mesh.geometry.simplices import cells_beside_facets, dofs_on_facets
 from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.pose import Pose
 
 LATTICE = 4
 """Parts of an edge of a face between the points that are looked at."""
@@ -130,6 +131,11 @@ class MovedFaces(NamedTuple):
         """Some of the faces."""
         faces = self.X[which], self.x[which], self.behind[which]
         return MovedFaces(*faces, self.cells, self.parts)
+
+    def seen_from(self, pose: Pose) -> MovedFaces:
+        """They as an obstacle sees them, where they are less its displacement."""
+        places = (pose.seen(x) for x in (self.x, self.behind, self.cells))
+        return MovedFaces(self.X, *places, self.parts)
 
     def under(self, gaps: FloatArray) -> Depth:
         """The deepest of the points under an obstacle. Local.

@@ -1,7 +1,7 @@
 """`CoulombFriction`: the tangential traction between a surface of the body and a rigid obstacle.
 
-With w = u - (displacement of the obstacle) the traction on the body is, as in plasticity without
-hardening,
+With the motion w past the obstacle, w = u - (displacement of the obstacle), the traction on the
+body is, as in plasticity without hardening,
 
     trial = P (tau - eps_t (w - s)),    t = trial min(1, mu p/|trial|),    P = 1 - n n,
 
@@ -23,6 +23,8 @@ with alpha = 1/2 points that stick lose none.
 
 A vertex that pulls until equilibrium is found, see `vertex_contact`, has a p below 0 in this law,
 and a traction that is turned round, so that Newton's method sees no kink.  No equilibrium has one.
+
+Of an obstacle that turns w, s and all vectors are as it sees them, see `pose`.
 
 Slip over a step ds = s - s(before) does the work -t . ds per area, which is lost.  While points
 slide the tangent is not symmetric: the traction depends on the pressure, but not the other way
@@ -46,6 +48,7 @@ from dolfin_elastic.core.parallel import largest, total
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import shear_modulus
+from dolfin_elastic.problem.pose import Pose
 from dolfin_elastic.problem.term import StepWeights, Term
 from dolfin_elastic.problem.terms.contact.pair import ContactPair, allowed_gap
 from dolfin_elastic.problem.terms.contact.surfaces import FACTOR, uniaxial_modulus
@@ -89,10 +92,11 @@ class _Tractions(Term):
     restrains = follows_path = dissipates = True
     account = "contact"
     states = "open", "sticking", "sliding"
+    pose: Pose
 
     def __init__(self, pair: ContactPair, context: FormContext, index: int) -> None:
         self._pair, self._context, self._comm = pair, context, pair.comm
-        self.label, self.shift, self.at_rest = pair.label, pair.shift, pair.at_rest
+        self.label, self.pose, self.at_rest = pair.label, pair.pose, pair.at_rest
         self.nodes, self._mu = pair.nodes_of_displacement, context.constant(pair.contact.friction)
         self._share = min(
             shear_modulus(region.typical) / uniaxial_modulus(region) for region in context.regions
@@ -122,8 +126,7 @@ class _Tractions(Term):
 
     def _moved(self) -> FloatArray:
         """Displacement relative to the obstacle at the owned nodes, (n, dim) [m]. Collective."""
-        u = self._context.unknowns.u.x.array.reshape(-1, self._context.body.dim)
-        return np.asarray(u[self.nodes] - self._pair.shift.value)
+        return self._pair.seen() - self._pair.places()
 
     def _of(self, field: fem.Function) -> FloatArray:
         """A vector field at the owned nodes of the surface, (n, dim)."""
@@ -172,7 +175,7 @@ class _Tractions(Term):
 
         Collective.
         """
-        return self.nodes, self.tractions()
+        return self.nodes, self.pose.to_space(self.tractions())
 
     def nodal_status(self) -> tuple[IndexArray, IndexArray]:
         """Owned nodes of the surface, and `OPEN`, `STICK` or `SLIP` of each. Collective."""
@@ -252,7 +255,7 @@ class CoulombFriction(_Tractions):
         t, _, limit = self._tractions()
         back = (t - self._of(self._tau)) / self.springs[:, None] * (limit > 0.0)[:, None]
         back -= np.sum(back * n, axis=1)[:, None] * n
-        nodes, motion = self._with(back)
+        nodes, motion = self._with(self.pose.to_space(back))
         unknowns.u.x.array.reshape(-1, self._context.body.dim)[nodes] += motion
         unknowns.u.x.scatter_forward()
         unknowns.u_to_w()
@@ -266,7 +269,7 @@ class CoulombFriction(_Tractions):
         """See `Term`."""
         self._begun = self._moved()
 
-    def enter_stage(self, step: StepWeights, shift: FloatArray | None) -> None:
+    def enter_stage(self, step: StepWeights, pose: FloatArray | None) -> None:
         """See `Term`."""
         self._old, self._stage = step.alpha_f if self._pair.in_steps else 0.0, None
 

@@ -137,7 +137,7 @@ class MovingMass(Term):
             a = (self._given() - self._force.value()) / self.mass
         self._begun = s, v, a
 
-    def enter_stage(self, step: StepWeights, shift: FloatArray | None) -> None:
+    def enter_stage(self, step: StepWeights, pose: FloatArray | None) -> None:
         """See `Term`."""
         self._step, self._offset, self._in_stage = step, 0.0, True
 

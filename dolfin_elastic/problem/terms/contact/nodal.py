@@ -66,7 +66,8 @@ class NodalContact(ContactPair):
         obstacle's curvature 1/R that has the further eigenvalue eps g/R, which is smaller.
         """
         if kind == "work":
-            return self.pressure * ufl.inner(self._normal, self._context.v) * self._measure
+            push = self.pose.acting_in_form(self._normal)
+            return self.pressure * ufl.inner(push, self._context.v) * self._measure
         if kind == "energy":
             q = ufl.max_value(self._trial_pressure, 0.0)
             return (q**2 - self.lam**2) / (2 * self.penalty) * self._measure
@@ -75,7 +76,7 @@ class NodalContact(ContactPair):
     @cached_property
     def _gap(self) -> tuple[Expr, Expr]:
         """Gap and normal of the current place."""
-        return self._gap_at(self._context.X + self._context.u - self.shift)
+        return self._gap_at(self.step.place(self._context.X))
 
     @cached_property
     def _ends(self) -> tuple[Expr, Expr]:
@@ -119,7 +120,7 @@ class Touch(NamedTuple):
     """What friction depends on, in UFL, and the area over which its forces are integrated.
 
     Attributes:
-        normal: Of the obstacle at the present place.
+        normal: The obstacle's, as it has it, at the present place.
         pressure: Contact pressure on the reference area, not below 0 [Pa].
         closed: 1 where the surface is in contact, also without a pressure; else 0.
         area: Reference area, by the rule of the pressure.

@@ -40,14 +40,16 @@ class NodalFriction(CoulombFriction):
     @cached_property
     def _traction(self) -> Expr:
         at = self._touch
-        moved = self._context.u - self._pair.shift - self._stuck
+        X = self._context.X
+        moved = self._pair.step.place(X) - X - self._stuck
         trial = self._tau - self._share * self._pair.penalty * moved
         trial -= ufl.dot(trial, at.normal) * at.normal
         limit, square = self._mu * at.pressure, ufl.inner(trial, trial)
         sticks = ufl.le(square, (limit / ALL) ** 2)
         # Of points that stick the length is not asked for, and may be 0.
         length = ufl.sqrt(ufl.conditional(sticks, 1.0, square))
-        return at.closed * ufl.conditional(sticks, 1.0, limit / length) * trial
+        traction = at.closed * ufl.conditional(sticks, 1.0, limit / length) * trial
+        return self._pair.pose.acting_in_form(traction)
 
     def form(self, kind: Kind) -> ufl.Form | None:
         """See `Term`."""

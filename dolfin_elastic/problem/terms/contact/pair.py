@@ -18,7 +18,6 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from dolfinx import fem
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.ghosts import with_ghosts
@@ -37,6 +36,7 @@ from dolfin_elastic.model.amplitude import Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.constraints.rows import Constraints
 from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.pose import Pose
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Acting
 from dolfin_elastic.problem.terms.contact.depths import UNSEEN, Depth, Faces, deepest_of
@@ -163,7 +163,7 @@ class _Pressures(InSteps):
         self._places: FloatArray = np.asarray(every[self.nodes, : body.dim])
         self.memory, self.index = {f"contact_{index}": self.lam}, index
         self.follows: Constraints | None = None
-        self.at_rest = not contact.values and contact.push is None
+        self.at_rest = not contact.moves and contact.push is None
         heights = heights_over(body, facets)
         self.penalty = penalties(context, *heights)
         self.size = mean_height(body, facets, heights)
@@ -174,13 +174,14 @@ class _Pressures(InSteps):
             self.penalty.x.array[self.penalty.x.array > 0.0] = self.eps[:] = contact.stiffness
         self._first = self.penalty.x.array.copy(), self.eps.copy()
         self._areas = owned_areas(body, self.facets, None if self._axisymmetric else thickness)
-        self.shift: fem.Constant = context.constant([0.0] * body.dim)
+        self.pose = Pose(context, contact.centre)
+        self.shift = self.pose.shift
         if contact.between is None:
             self._at_nodes = contact.obstacle.followed()
         self.pulls_to: FloatArray = np.zeros(len(self.nodes))
         self.slack, self.augments = SLACK * cell_size(body), True
         self._reach = context.constant(self.slack)
-        self.step = ContactStep(context, self.shift, self.size)
+        self.step = ContactStep(context, self.pose, self.size)
 
     def _names(self, contact: Contact) -> Sequence[str]:
         """Of the surfaces that carry the pressures."""
@@ -204,16 +205,20 @@ class _Pressures(InSteps):
 
     def gaps(self) -> tuple[FloatArray, FloatArray]:
         """Gaps [m] and obstacle's normals at the owned nodes, (n,) and (n, dim). Not collective."""
-        return self.contact.obstacle.gaps(self._moved())
+        gaps, normals = self.contact.obstacle.gaps(self.seen())
+        return gaps, self.pose.to_space(normals)
 
     def nodal_normals(self) -> FloatArray:
-        """The obstacle's normals at the owned nodes in an iteration, (n, dim). Not collective."""
-        return self._at_nodes.gaps(self._moved())[1]
+        """Normals at the owned nodes in an iteration, as the obstacle has them, (n, dim). Local."""
+        return self._at_nodes.gaps(self.seen())[1]
 
-    def _moved(self) -> FloatArray:
+    def seen(self) -> FloatArray:
         """Places of the owned nodes as the obstacle sees them, (n, dim)."""
-        u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
-        return np.asarray(self.places() + u[self.nodes_of_displacement] - self.shift.value)
+        return self.step.at_stage(self.places(), self._of_nodes)
+
+    def _of_nodes(self, of_all: FloatArray) -> FloatArray:
+        """The rows of the owned nodes of what all nodes have."""
+        return np.asarray(of_all[self.nodes_of_displacement])
 
     def pressures(self, penalty: FloatArray | None = None) -> FloatArray:
         """Pressure per reference area at the owned nodes of the surface, of the step [Pa].
@@ -237,9 +242,8 @@ class _Pressures(InSteps):
         if not self.step.on:
             gaps = self.pressing_gaps()
             return gaps, gaps
-        nodes, X = self.nodes_of_displacement, self.places()
-        first, last = (self.contact.obstacle.gaps(X + one[nodes])[0] for one in self.step.ends())
-        return first, last
+        first, last = self.step.ends(self.places(), self._of_nodes)
+        return self.contact.obstacle.gaps(first)[0], self.contact.obstacle.gaps(last)[0]
 
     @property
     def reach(self) -> float:
@@ -402,7 +406,7 @@ class ContactPair(_Pressures):
             return False  # it begins elsewhere
         beside, _ = cells_beside_facets(mesh, self.facets)
         middles = (
-            corners.mean(axis=1)[:, :d] - self.shift.value
+            self.pose.seen(corners.mean(axis=1)[:, :d] - self.shift.value)
             for corners in (facet_corners(mesh, self.facets), cell_corners(mesh, beside))
         )
         outer, inner = (self.contact.obstacle.gaps(places)[0] for places in middles)
@@ -435,7 +439,7 @@ class ContactPair(_Pressures):
     def set_time(self, t: float, default: Amplitude) -> None:
         """See `Term`: moves the obstacle, unless a force does."""
         if self.contact.push is None:
-            self.shift.value[:] = self.contact.displacement_at(t, default, self._dim)
+            self.pose.put(self.contact.pose_at(t, default, self._dim))
 
     def within_stride(self, t: float, goal: float, acting: Acting) -> float:
         """See `Term`: the obstacle moves no farther than it is thick; supports count by `follows`.
@@ -462,9 +466,10 @@ class ContactPair(_Pressures):
         """
         if self.at_rest or self.contact.between is not None or self.contact.push is not None:
             return goal
-        x, ways = self._moved() + self.shift.value, np.linspace(t, goal, LOOKS + 1)
-        places = [self.contact.displacement_at(*acting(s), self._dim) for s in ways]
-        gaps = [np.min(self.contact.obstacle.gaps(x - at)[0], initial=np.inf) for at in places]
+        u, ways = self._context.unknowns.u.x.array, np.linspace(t, goal, LOOKS + 1)
+        poses = [self.contact.pose_at(*acting(s), self._dim) for s in ways]
+        places = (self._seen_from(u.reshape(-1, self._dim) - at[:, 0], at) for at in poses)
+        gaps = [np.min(self.contact.obstacle.gaps(x)[0], initial=np.inf) for x in places]
         least = np.array([smallest(self.comm, float(gap)) for gap in gaps])
         deepest = int(np.argmin(least))
         passes = least[deepest] < min(least[0], least[-1], 0.0) - PASSED * self.size
@@ -472,19 +477,34 @@ class ContactPair(_Pressures):
 
     def longest_step(self, motion: FloatArray) -> float:
         """See `Term`: of nodes that are outside of the obstacle, and deep in it on the way."""
-        way = motion.reshape(-1, self._dim)[self.nodes_of_displacement]
+        way = self.pose.to_obstacle(self._of_nodes(motion.reshape(-1, self._dim)))
         return smallest(self.comm, float(np.min(self._free_shares(way), initial=1.0)))
+
+    def passes(self, back: FloatArray, pose: FloatArray) -> bool:
+        """See `Term`."""
+        u = self._context.unknowns.u.x.array + back
+        before = self._seen_from(u.reshape(-1, self._dim) - pose[:, 0], pose)
+        shares = self._free_shares(before - self.seen())
+        return smallest(self.comm, float(np.min(shares, initial=1.0))) < 1.0
+
+    def _seen_from(self, past: FloatArray, pose: FloatArray) -> FloatArray:
+        """See `seen`, in another pose.
+
+        Args:
+            past: Displacements less the obstacle's of all nodes [m].
+        """
+        return self.pose.seen(self.places() + self._of_nodes(past), pose[:, 1:])
 
     def _free_shares(self, way: FloatArray) -> FloatArray:
         """The share of its straight way after which each node is deep in a thin obstacle.
 
         Args:
-            way: From here on, (n, dim) [m].
+            way: From here on, as the obstacle sees it, (n, dim) [m].
         """
         depth, shares = self.contact.obstacle.thickness, np.ones(len(way))
         if not np.isfinite(depth):
             return shares
-        x, lengths = self._moved(), np.linalg.norm(way, axis=1)
+        x, lengths = self.seen(), np.linalg.norm(way, axis=1)
         some = np.flatnonzero(lengths > STRIDE * depth)
         gaps, _ = self.contact.obstacle.gaps(x[some])
         some = some[(gaps > -depth / 2) & (gaps < lengths[some])]
@@ -508,7 +528,8 @@ class ContactPair(_Pressures):
             raise ConvergenceError(found[0], advice=found[2])
         if self.contact.between is not None:
             return
-        start, end = (u[self.nodes_of_displacement] for u in self.step.both())
+        past = self.step.start.x.array.reshape(-1, self._dim)
+        start, end = self._seen_from(past, self._begun), self.seen()
         passed = self.places()[self._free_shares(start - end) < 1.0].round(12).tolist()
         if places := [place for part in self.comm.allgather(passed) for place in part]:
             unit, depth = self._context.body.unit, self.contact.obstacle.thickness
@@ -535,7 +556,7 @@ class ContactPair(_Pressures):
     def deepest(self) -> Depth:
         """The deepest point of faces in it, or of its edges in elements. Collective."""
         obstacle, u = self.contact.obstacle, self._context.unknowns.u.x.array
-        faces = self._faces.at(u.reshape(-1, self._dim) - self.shift.value)
+        faces = self._faces.at(u.reshape(-1, self._dim) - self.shift.value).seen_from(self.pose)
         gaps = obstacle.gaps(faces.corners)[0].min(axis=1)
         near = gaps < faces.sizes
         faces, seen = faces.some(near), np.maximum(0.0, -gaps[near])
@@ -615,8 +636,12 @@ def _travel(
     pair: ContactPair, start: tuple[float, Amplitude], end: tuple[float, Amplitude]
 ) -> float:
     """How far an obstacle moves, and supports do [m]. Collective."""
-    ways = [np.array(pair.contact.displacement_at(*at, pair._dim)) for at in (start, end)]
-    result = float(np.linalg.norm(ways[1] - ways[0]))
+    poses = [pair.contact.pose_at(*at, pair._dim) for at in (start, end)]
+    result = float(np.linalg.norm(poses[1][:, 0] - poses[0][:, 0]))
+    if pair.contact.rotation is not None:
+        u = pair._context.unknowns.u.x.array.reshape(-1, pair._dim)
+        ways = np.subtract(*(pair._seen_from(u, pose) for pose in poses))
+        result += largest(pair.comm, float(np.max(np.linalg.norm(ways, axis=1), initial=0.0)))
     if pair.follows is not None:
         (one,), (two,) = (pair.follows.values_at([t], default) for t, default in (start, end))
         result += largest(pair.comm, float(np.max(np.abs(two - one), initial=0.0)))

@@ -25,6 +25,8 @@ Petocz, Comput. Methods Appl. Mech. Eng. 158 (1998) 269 (penalty); O. Gonzalez, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import ufl
 from dolfinx import fem
@@ -32,9 +34,13 @@ from ufl.core.expr import Expr
 
 from dolfin_elastic.core.types import BoolArray, FloatArray
 from dolfin_elastic.problem.context import FormContext
+from dolfin_elastic.problem.pose import Pose
 from dolfin_elastic.problem.term import StepWeights, Term
 
 TINY = np.finfo(float).tiny
+
+AtPoints = Callable[[FloatArray], FloatArray]
+"""Gives displacements of points, shape (..., dim), of those of all nodes, (nodes, dim) [m]."""
 
 SHORT = 1e-14
 """Square of the way over that of an element's size below which no correction of the normal is
@@ -45,18 +51,18 @@ class ContactStep:
     """The step of a motion over which a contact takes its forces.  Collective to make.
 
     Args:
-        shift: Displacement of the obstacle [m].
+        pose: Of the obstacle.
         size: Of an element [m].
 
     Attributes:
-        start: Displacement past the obstacle at the start of the step [m].
+        start: Displacement less that of the obstacle at the start of the step [m].
         share: 1 in a step; 0 at a state, which is all of the step then.
         old: Share alpha of the old displacement in the stage's.
         short: See `SHORT` [m^2].
     """
 
-    def __init__(self, context: FormContext, shift: fem.Constant, size: float) -> None:
-        self._context, self._shift = context, shift
+    def __init__(self, context: FormContext, pose: Pose, size: float) -> None:
+        self._context, self._pose = context, pose
         self.start = fem.Function(context.unknowns.V)
         self.share, self.old = context.constant(0.0), context.constant(0.0)
         self.short = SHORT * size**2
@@ -86,11 +92,6 @@ class ContactStep:
         """Forces are those of a state again. Not collective."""
         self.share.value = 0.0
 
-    def both(self) -> tuple[FloatArray, FloatArray]:
-        """Displacements past the obstacle where the step began and now, (nodes, dim) [m]."""
-        past = self._past()
-        return self.start.x.array.reshape(past.shape), past
-
     # --- in UFL ---
 
     def places(self, X: Expr) -> tuple[Expr, Expr]:
@@ -99,9 +100,17 @@ class ContactStep:
         Args:
             X: Their reference places.
         """
-        past = self._context.u - self._shift
+        past, pose = self._context.u - self._pose.shift, self._pose
         way = self.share * (past - self.start)
-        return X + past - way, X + past + self.old / (1 - self.old) * way
+        last = X + past + self.old / (1 - self.old) * way
+        return pose.seen_in_form(X + past - way, at_start=True), pose.seen_in_form(last)
+
+    def place(self, X: Expr) -> Expr:
+        """Where points are at the stage: the mean of both ends, as the obstacle sees them."""
+        if self._pose.last is None:
+            return X + self._context.u - self._pose.shift
+        first, last = self.places(X)
+        return (1 - self.old) * last + self.old * first
 
     def mean_normal(self, gaps: tuple[Expr, Expr], way: Expr, normal: Expr) -> Expr:
         """The direction of the module.
@@ -117,17 +126,32 @@ class ContactStep:
     # --- numbers ---
 
     def _past(self) -> FloatArray:
-        """Displacements past the obstacle of all nodes of this rank, (nodes, dim) [m]."""
-        dim = len(self._shift.value)
-        return np.asarray(self._context.unknowns.u.x.array.reshape(-1, dim) - self._shift.value)
+        """Displacements less the obstacle's of all nodes of this rank, (nodes, dim) [m]."""
+        shift = self._pose.shift.value
+        return np.asarray(self._context.unknowns.u.x.array.reshape(-1, len(shift)) - shift)
 
-    def ends(self) -> tuple[FloatArray, FloatArray]:
-        """Displacements past the obstacle at both ends of the step, (nodes, dim) [m]."""
+    def ends(self, X: FloatArray, at: AtPoints) -> tuple[FloatArray, FloatArray]:
+        """Where the obstacle sees points at both ends of the step, shape of X [m].
+
+        Args:
+            X: Their reference places.
+            at: Gives what they have of the nodes' displacements.
+        """
+        (start, end), pose = self.past_ends(), self._pose
+        return pose.seen(X + at(start), pose.at_start), pose.seen(X + at(end))
+
+    def past_ends(self) -> tuple[FloatArray, FloatArray]:
+        """Displacements less the obstacle's at both ends of the step, (nodes, dim) [m]."""
         past = self._past()
-        if not self.on:
-            return past, past
-        way = past - self.start.x.array.reshape(past.shape)
-        return past - way, past + self.ahead * way
+        start = self.start.x.array.reshape(past.shape) if self.on else past
+        return start, past + self.ahead * (past - start) if self.on else past
+
+    def at_stage(self, X: FloatArray, at: AtPoints) -> FloatArray:
+        """Where the obstacle sees points at the stage, see `place` and `ends`."""
+        if self._pose.last is None or not self.on:
+            return self._pose.seen(X + at(self._past()))
+        (first, last), old = self.ends(X, at), float(self.old.value)
+        return (1 - old) * last + old * first
 
     def pressures(self, first: FloatArray, last: FloatArray, least: FloatArray) -> FloatArray:
         """Pressures of the step [Pa].
@@ -169,30 +193,33 @@ class InSteps(Term):
     """A term of a moving obstacle whose forces are those of a `ContactStep`.
 
     Attributes:
-        shift: Displacement of the obstacle [m].
+        pose: Of the obstacle.
         step: Over which forces are taken, see the module.
     """
 
     in_steps = True
-    shift: fem.Constant
+    pose: Pose
     step: ContactStep
     _begun: FloatArray
 
     def begin_step(self) -> None:
         """See `Term`."""
         self.step.begin()
-        self._begun = self.shift.value.copy()
+        self._begun = self.pose.now
 
-    def enter_stage(self, step: StepWeights, shift: FloatArray | None) -> None:
+    def enter_stage(self, step: StepWeights, pose: FloatArray | None) -> None:
         """See `Term`; as the body at the stage, the obstacle is at the mean of both ends."""
         old = step.alpha_f
         self.step.enter(old if self.in_steps else 0.0)
-        if shift is not None:
-            self.shift.value[:] = (1 - old) * shift + old * self._begun
+        if pose is not None:
+            self.pose.shift.value[:] = ((1 - old) * pose + old * self._begun)[:, 0]
+            if self.step.on:
+                self.pose.enter(self._begun, pose)
 
     def leave_stage(self, *, found: bool) -> None:
         """See `Term`."""
         self.step.leave()
+        self.pose.enter(self.pose.now, self.pose.now)
 
 
 def pressure_of_step(step: ContactStep, first: Expr, last: Expr, least: Expr) -> Expr:

@@ -152,24 +152,24 @@ class VertexContact(_Followed):
 
     def places_of_points(self) -> FloatArray:
         """The points of the functions as the obstacle sees them, (facets, points, dim) [m]."""
-        moved = self.functions.displacements() - self.shift.value
-        return np.asarray(self.functions.X + moved)
+        return self.step.at_stage(self.functions.X, self.functions.displacements)
 
     def _at_points(self) -> tuple[FloatArray, FloatArray]:
         """Gaps and normals there, shapes (facets, points) and (facets, points, dim)."""
-        return _measured(self.functions, self._of_points, self.places_of_points())
+        gaps, normals = _measured(self.functions, self._of_points, self.places_of_points())
+        return gaps, self.pose.to_space(normals)
 
     def _over_step(self) -> Way:
         """Gaps and normals at the points over the step; of a state all ends are alike."""
         if not self.step.on:
             gaps, normals = self._at_points()
             return Way(gaps, gaps, normals, normals)
-        first, last = (self.functions.X + self.functions.displacements(u) for u in self.step.ends())
+        first, last = self.step.ends(self.functions.X, self.functions.displacements)
         before = _measured(self.functions, self._of_ends[0], first)[0]
         gaps, normals = _measured(self.functions, self._of_ends[1], last)
         middle = _measured(self.functions, self._of_points, (first + last) / 2)[1]
         along = self.step.mean_normals((before, gaps), last - first, middle)
-        return Way(before, gaps, along, normals)
+        return Way(before, gaps, self.pose.acting(along), self.pose.to_space(normals))
 
     def end_gaps(self) -> tuple[FloatArray, FloatArray]:
         """See `ContactPair`: mean gaps."""
@@ -184,8 +184,8 @@ class VertexContact(_Followed):
         """See `ContactPair`: those of midside nodes, too."""
         _, _, nodes = self.functions.every
         X = self._context.unknowns.V.tabulate_dof_coordinates()[nodes, : self._dim]
-        u = self._context.unknowns.u.x.array.reshape(-1, self._dim)
-        return nodes, self.contact.obstacle.gaps(X + u[nodes] - self.shift.value)[0]
+        places = self.step.at_stage(X, lambda of_all: of_all[nodes])
+        return nodes, self.contact.obstacle.gaps(places)[0]
 
     def pressing_gaps(self) -> FloatArray:
         """See `ContactPair`: mean gaps."""
@@ -283,12 +283,15 @@ class VertexContact(_Followed):
 
     def curvatures(self) -> FloatArray | None:
         """Second derivatives of the gap at the owned vertices, (n, dim, dim) [1/m]; None: 0."""
-        return None if self.flat else self._at_nodes.curvature(self._moved())
+        if self.flat:
+            return None
+        return self.pose.matrices_to_space(self._at_nodes.curvature(self.seen()))
 
     def curvatures_of_points(self) -> FloatArray:
         """Those at the points of the functions, (facets, points, dim, dim) [1/m]."""
         x, (first, rows) = self.places_of_points(), self.functions.distinct
         curvature = self._of_points.curvature(x.reshape(-1, self._dim)[first])
+        curvature = self.pose.matrices_to_space(curvature)
         return curvature[rows].reshape(*x.shape, self._dim)
 
     def _turning(self, pressures: FloatArray) -> Blocks:
@@ -298,7 +301,13 @@ class VertexContact(_Followed):
         curvature = self.curvatures_of_points()[some]
         N = self.functions.at(some)
         values = -np.einsum(
-            "fq,fqk,fql,fqde->fklde", at_points[some], N, N, curvature, optimize=True
+            "fq,fqk,fql,cd,fqde->fklce",
+            at_points[some],
+            N,
+            N,
+            self.pose.pushes,
+            curvature,
+            optimize=True,
         )
         return self._blocks_between(self.functions.nodes(some), values)
 

@@ -46,7 +46,8 @@ class VertexFriction(CoulombFriction):
 
     def _moved(self) -> FloatArray:
         """See `CoulombFriction`: means."""
-        return self._functions.means(self._functions.displacements()) - self._pair.shift.value
+        X = self._functions.X
+        return self._functions.means(self._vertices.places_of_points() - X)
 
     def _with(self, motion: FloatArray) -> tuple[IndexArray, FloatArray]:
         """See `CoulombFriction`: faces move linearly."""
@@ -54,7 +55,7 @@ class VertexFriction(CoulombFriction):
 
     def nodal_tractions(self) -> tuple[IndexArray, FloatArray]:
         """See `CoulombFriction`: linear between the vertices."""
-        return self._functions.at_nodes(self.tractions())
+        return self._functions.at_nodes(self._pair.pose.to_space(self.tractions()))
 
     def nodal_status(self) -> tuple[IndexArray, IndexArray]:
         """See `CoulombFriction`: between vertices a point slides where one of them does."""
@@ -65,8 +66,9 @@ class VertexFriction(CoulombFriction):
         return nodes, np.where(closed, np.where(slides, SLIP, STICK), OPEN).astype(np.int32)
 
     def motions(self, motion: FloatArray) -> FloatArray:
-        """Means of a motion of local nodes past the obstacle, (n, dim) [m]. Collective."""
-        return self._functions.means(self._functions.displacements(motion))
+        """Means of a motion of local nodes, as the obstacle sees it, (n, dim) [m]. Collective."""
+        means = self._functions.means(self._functions.displacements(motion))
+        return self._pair.pose.to_obstacle(means)
 
     def trial(
         self, t: FloatArray, n: FloatArray, limit: FloatArray
@@ -92,12 +94,13 @@ class VertexFriction(CoulombFriction):
 
     def add_forces(self, forces: FloatArray) -> None:
         """See `Term`; what the iteration solves with acts as its tangent has it."""
-        functions, t, now = self._functions, self.tractions(), self.multipliers.iterate
+        functions, acting = self._functions, self._pair.pose.acting
+        t, now = self.tractions(), self.multipliers.iterate
         if now is not None:
-            more = functions.at_points(t - now.values)
+            more = functions.at_points(acting(t - now.values))
             forces += functions.spread(more, turned=False)
             t = now.values
-        forces += functions.spread(functions.at_points(t))
+        forces += functions.spread(functions.at_points(acting(t)))
 
     def blocks(self) -> Blocks:
         """See `Term`: sum of H_I^T (-dt_I/du), H_I the integral of psi_I N.
@@ -105,11 +108,12 @@ class VertexFriction(CoulombFriction):
         With m = trial/|trial|, where a point sticks it is dt = d(trial), and where it slides
         dt = mu m dp + mu p/|trial| (1 - m m) d(trial).  By the motion d(trial) = -eps_t P dw; by
         the turn of the normal, P = 1 - n n, it is -(n . y) dn - n (y . dn) with the trial before
-        its projection, y = tau - eps_t (w - s).
+        its projection, y = tau - eps_t (w - s).  Vectors are those in space.
         """
         from scipy.sparse import csr_array, eye_array, kron
 
         pair, areas, now = self._vertices, self.areas, self.multipliers.iterate
+        to_space = self._pair.pose.to_space
         _, falls = pair.state()
         active, eps = falls > 0, self.springs
         if now is None:
@@ -123,7 +127,7 @@ class VertexFriction(CoulombFriction):
         nodes, h = self._functions.rows(pair.near)
         _, G = self._functions.rows(pair.near, pair.normals())
 
-        n, d = pair.nodal_normals(), self._dim
+        trial, n, d = to_space(trial), to_space(pair.nodal_normals()), self._dim
         slides &= active
         size = np.where(slides, np.linalg.norm(trial, axis=1), 1.0)
         m = trial / size[:, None]
@@ -131,17 +135,19 @@ class VertexFriction(CoulombFriction):
         by_trial = np.where(slides, limit / size, active)[:, None, None] * one
         by_trial -= np.where(slides, limit / size, 0.0)[:, None, None] * m[:, :, None] * m[:, None]
 
-        H = csr_array(kron(h, eye_array(d)))
-        rows = diagonal(by_trial @ P * (eps / areas)[:, None, None]) @ H
-        softer = np.where(slides, float(self._mu.value) * falls / areas, 0.0)
+        rows = diagonal(by_trial @ P * (eps / areas)[:, None, None])
+        rows @= csr_array(kron(h, eye_array(d)))
+        softer = np.where(slides, self.coefficient * falls / areas, 0.0)
         rows += diagonal((softer[:, None] * m)[:, :, None]) @ G
         if (curvatures := pair.curvatures()) is not None:
             y = tau
             if now is None:
                 y = y - eps[:, None] * (self._moved() - self._of(self._stuck))
+            y = to_space(y)
             turn = np.sum(n * y, axis=1)[:, None, None] * one + n[:, :, None] * y[:, None, :]
             rows += diagonal(by_trial @ turn @ curvatures) @ self._at_own(nodes)
-        return blocks_of(nodes, csr_array(H.T @ rows), h, d)
+        spread = csr_array(kron(h.T, pair.pose.pushes))
+        return blocks_of(nodes, csr_array(spread @ rows), h, d)
 
     def _at_own(self, nodes: IntArray) -> csr_array:
         """Picks the displacement of each vertex out of those of nodes, by components.

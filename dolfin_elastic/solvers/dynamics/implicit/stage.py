@@ -242,13 +242,13 @@ class StageSolver:
         problem.constraints.check_finite()
         if problem.loads_change:
             self._newton.begin()
-        u_end, shifts = np.asarray(problem.constraints.targets), problem.terms.shifts
+        u_end, poses = np.asarray(problem.constraints.targets), problem.terms.poses
         u_start = problem.constraints.constrained_part(problem.u.x.array)
         v_end, a_end = prescribed_rates(problem, end, h)
         a = self._prescribed_acceleration(v_end, a_end, h)
         problem.set_time(start.t + (1 - p.alpha_f) * h)
         weights = StepWeights(h, p.alpha_m, p.alpha_f, p.beta, p.gamma, p.start)
-        problem.terms.enter_stage(weights, shifts)
+        problem.terms.enter_stage(weights, poses)
         return Stage(
             parameters=p,
             prescribed=problem.constraints,
