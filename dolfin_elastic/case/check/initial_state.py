@@ -31,6 +31,9 @@ TIMES = 41
 """Times of a motion, or of statics, at which supports and loads are evaluated."""
 _NEAR = 0.5
 """Gap over the body's diagonal up to which an obstacle in another unit would fit."""
+_LARGE_FIT = 0.1
+"""Interference over the diagonal of all bodies from which on its unit is in doubt."""
+
 _COARSE = 2.0
 """Length of an obstacle's facets over the height of the elements beside it."""
 
@@ -246,6 +249,12 @@ def _distance_notes(case: Case, problem: Problem) -> Iterator[str]:
             yield (
                 f"contact '{pair.label}': it begins {unit.length(-gap)} deep in the obstacle, "
                 "more than the body is large"
+            )
+        fit = pair.contact.interference
+        if not isinstance(fit, str) and abs(fit) > _LARGE_FIT * diagonal:
+            yield (
+                f"contact '{pair.label}': the interference of {unit.length(fit)} is more than a "
+                f"tenth of the body, {unit.length(diagonal)}: is its unit right?"
             )
         if text := _coarse_facets(pair, unit) or _other_size(pair, unit, diagonal):
             yield f"contact '{pair.label}': {text}"

@@ -114,6 +114,8 @@ def _read(path: Path) -> meshio.Mesh:
             f"meshio cannot read it: {' '.join(output.getvalue().split())[:300]}", where=path.name
         ) from None
     except Exception as error:  # readers fail in any way on damaged files
+        if path.suffix.lower() == ".stl":
+            _check_vertices(path)
         raise MeshError(
             f"meshio cannot read it: {_reason(path, error)}",
             where=path.name,
@@ -333,6 +335,22 @@ def _check_stl(path: Path) -> None:
             where=path.name,
             expected="all of the file, as it was written",
         )
+
+
+def _check_vertices(path: Path) -> None:
+    """Refuses text STL with a vertex that is not three numbers, which numpy says without a line."""
+    for number, line in _lines(path):
+        key, *words = line.split() or [""]
+        try:
+            wrong = key == "vertex" and len([float(word) for word in words]) != 3
+        except ValueError:
+            wrong = True
+        if wrong:
+            raise MeshError(
+                f"'{line.strip()[:80]}' is no vertex of three numbers",
+                where=f"{path.name}:{number}",
+                expected='for example "vertex 0.5 0 1.25"',
+            ) from None
 
 
 _CHECKS: dict[str, Callable[[Path], None]] = {

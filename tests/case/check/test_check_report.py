@@ -898,6 +898,7 @@ Physical Curve("down") = {5}; Physical Curve("head") = {7};
         (-0.1, {"interference": "ignore"}, ["nothing will move"]),
         (0.1, {}, ["can never touch: the surfaces come no nearer than 0.1 m", "nothing will"]),
         (0.1, {"adjust": 0.1, "interference": 0.01}, []),
+        (0.0, {"interference": 0.3}, ["the interference of 0.3 m is more than a tenth"]),
         (0.0, {"friction": 0.3}, ["friction alone supports `lid`, which could else move along x"]),
     ],
 )
