@@ -29,6 +29,7 @@ from dolfin_elastic.core.shapes.shapes import (
     SphereObstacle,
 )
 from dolfin_elastic.core.shapes.sharp import BoxObstacle, ConeObstacle
+from dolfin_elastic.core.shapes.turned import Turned
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import (
@@ -357,6 +358,17 @@ class Contact(OnSurfaces):
             factor = default.of(amplitude_of(self.rotation.value, self.curve), t)
             turn = self.rotation.matrix(t, factor, dim)
         return np.column_stack([self.displacement_at(t, default, dim), turn])
+
+    def turned(self, shape: Shape, pose: FloatArray) -> Shape:
+        """Its obstacle as it has turned.
+
+        Args:
+            shape: The obstacle [m], its file read.
+            pose: Of `pose_at`.
+        """
+        if self.rotation is None:
+            return shape
+        return Turned.of(shape, pose[:, 1:], self.rotation.point)
 
     def check(self, dim: int, *, axisymmetric: bool) -> None:
         """Raises where the obstacle, in metres, or its motion does not fit the body.

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Annotated, ClassVar
 
-from pydantic import model_validator
+from pydantic import BeforeValidator, model_validator
 
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.schema import Record
@@ -13,6 +13,7 @@ from dolfin_elastic.core.shapes.directions import Direction, check_components, u
 from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.shapes.turn import rotation
 from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.core.units import no_switch
 from dolfin_elastic.model.values import Component, angle_of, at_time
 
 
@@ -28,7 +29,7 @@ class Turning(Record):
     lengths: ClassVar[tuple[str, ...]] = ("point",)
     point: Point
     axis: Direction | None = None
-    angle: Any
+    angle: Annotated[float | str, BeforeValidator(no_switch)]
 
     @model_validator(mode="after")
     def _read(self) -> Turning:
@@ -45,7 +46,7 @@ class Turning(Record):
 
         Args:
             t: Time [s], or load parameter.
-            factor: Of the angle.
+            factor: By which the angle is multiplied.
         """
         angle = factor * at_time(self.value, t)
         return rotation(unit_vector(self.axis or "z"), angle)[:dim, :dim]

@@ -104,6 +104,15 @@ class _StepHooks:
     def follow(self) -> None:
         """Moves what follows the displacement of the stage. Collective."""
 
+    def passes(self, back: FloatArray, pose: FloatArray) -> bool:
+        """Whether the motion back to a former state leads through it. Collective.
+
+        Args:
+            back: See `Term.longest_step`.
+            pose: What `Term.pose` was in that state.
+        """
+        return False
+
     def make_convex(self) -> bool:
         """Makes its blocks semidefinite until steps are short again; whether that changes them."""
         return False
@@ -261,15 +270,6 @@ class Term(_Joining):
             motion: Of the displacement's nodes, local array [m].
         """
         return 1.0
-
-    def passes(self, back: FloatArray, pose: FloatArray) -> bool:
-        """Whether the motion back to a former state leads through it. Collective.
-
-        Args:
-            back: See `longest_step`.
-            pose: What `pose.now` was in that state.
-        """
-        return False
 
     def without_rest(self) -> InputError | None:
         """That it acts in motion only, with what to do; None: it does not."""

@@ -192,7 +192,7 @@ def passed(terms: Terms, back: FloatArray, poses: Sequence[FloatArray | None]) -
 
     Args:
         back: See `Term.longest_step`.
-        poses: Of the obstacles in that state.
+        poses: Of the obstacles in that state, see `Terms.poses`.
     """
     pairs = zip(terms, poses, strict=True)
     return any(

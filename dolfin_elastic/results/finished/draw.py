@@ -282,5 +282,6 @@ def obstacles_of(run: FinishedRun, t: float) -> list[tuple[str, Shape, FloatArra
             if key not in drawn:
                 continue
             shape = shape.with_facets(Facets.read(drawn[key]))
-        result.append((one.label, shape, shift(one)))
+        pose = one.pose_at(t, default, run.dim)
+        result.append((one.label, one.turned(shape, pose), shift(one)))
     return result

@@ -9,6 +9,7 @@ import numpy as np
 from dolfin_elastic.core.shapes.box import Box
 from dolfin_elastic.core.shapes.shapes import Shape
 from dolfin_elastic.core.shapes.triangles import whole
+from dolfin_elastic.core.shapes.turned import Turned
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.results.scene.scene import OBSTACLE, Obstacle
 
@@ -40,6 +41,6 @@ def obstacles_beside(
     """
     near = Box(reach.low, reach.high)
     return tuple(
-        Obstacle(name, *shape.drawn(near, dim), whole(shift), colour)
+        Obstacle(name, *shape.drawn(near, dim), whole(shift), colour, isinstance(shape, Turned))
         for name, shape, shift in shapes
     )

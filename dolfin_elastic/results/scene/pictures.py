@@ -487,7 +487,11 @@ class Painter:
 
     def _obstacles(self) -> list[tuple[str, Shape, FloatArray]]:
         return [
-            (pair.label, pair.contact.obstacle, np.asarray(pair.shift.value))
+            (
+                pair.label,
+                pair.contact.turned(pair.contact.obstacle, pair.pose.now),
+                np.asarray(pair.shift.value),
+            )
             for pair in self.problem.contact_pairs
             if pair.contact.between is None
         ]

@@ -131,6 +131,7 @@ class Obstacle:
         triangles: Shape (m, 3).
         shift: Its displacement [m], shape (3,).
         colour: As matplotlib reads it.
+        turned: It turns: points are those of one state.
     """
 
     name: str
@@ -138,6 +139,7 @@ class Obstacle:
     triangles: IntArray
     shift: FloatArray
     colour: str = OBSTACLE
+    turned: bool = False
 
 
 @dataclass(frozen=True)

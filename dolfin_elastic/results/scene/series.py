@@ -155,7 +155,8 @@ class Series:
     def _finished(self, panel: Picture, index: int) -> Picture:
         window, own = joined_windows(self._windows), panel.scene.obstacles
         if own:
-            moved = (replace(a, shift=b.shift) for a, b in zip(self._floor, own, strict=True))
+            pairs = zip(self._floor, own, strict=True)
+            moved = (b if b.turned else replace(a, shift=b.shift) for a, b in pairs)
             panel = replace(panel, scene=replace(panel.scene, obstacles=tuple(moved)))
         return finished(panel, self._ends[index], self._limits, window, marks=self._marks)
 

@@ -114,8 +114,8 @@ class Middle:
         """Motion of what was at the owned nodes in the middle of a step, owned entries [m].
 
         Args:
-            term: Of an obstacle.
-            before: Its pose at the start.
+            term: Of a rigid obstacle, with a pose that is not None.
+            before: That of the start of the step, see `Pose.now`.
             du: Change of the displacement up to now, owned entries [m].
         """
         assert term.pose is not None
@@ -275,7 +275,7 @@ class _Path:
     Args:
         forces: Gives those at the present state, owned entries [N]; collective.
         obstacle: What they move instead of the body.
-        middle: Gives how; of obstacles.
+        middle: Gives how; None without an obstacle.
         past: They are friction on what moves so; their work is what they take from the body's
             motion past it.
 

@@ -102,8 +102,8 @@ def test_a_plane_that_has_turned(dim, degree):
 
 @pytest.mark.parametrize("degree", [1, 2])
 def test_a_block_on_a_turntable(degree):
-    """It sticks and turns with it, by 30 degrees, as it was: friction alone holds it."""
-    c, turn = np.array([1.0, 0.2, 0.0]), np.pi / 6
+    """It sticks and turns with it, by 10 degrees, as it was: friction alone holds it."""
+    c, turn = np.array([1.0, 0.2, 0.0]), np.pi / 13.5
     table = Contact(
         on="bottom",
         plane={"axis": "z", "at": 0},
@@ -112,7 +112,7 @@ def test_a_block_on_a_turntable(degree):
         name="table",
     )
     problem = Problem(
-        box_body(size=(1, 1, 0.5), cells=(2, 2, 1)),
+        box_body(size=(1, 1, 0.5), cells=(1, 1, 1)),
         NeoHookean(E=E, nu=0.3, density=1000),
         loads=[Gravity(value=[0, 0, "-10*min(1, 4*t)"])],
         contacts=[table],

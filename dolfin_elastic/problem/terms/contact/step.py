@@ -51,7 +51,7 @@ class ContactStep:
     """The step of a motion over which a contact takes its forces.  Collective to make.
 
     Args:
-        pose: Of the obstacle.
+        pose: Of the obstacle, see `pose`.
         size: Of an element [m].
 
     Attributes:
