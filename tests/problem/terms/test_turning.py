@@ -18,6 +18,8 @@ from dolfin_elastic import (
     rectangle_body,
 )
 from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.shapes.box import Box
+from dolfin_elastic.model.amplitude import CONSTANT
 from dolfin_elastic.problem.state import State, StateCopy
 
 E = 1e6
@@ -213,3 +215,16 @@ def test_axes_that_do_not_fit(rotation, dim, axisymmetric, where):
     with pytest.raises(InputError) as error:
         contact.check(dim, axisymmetric=axisymmetric)
     assert error.value.where == where
+
+
+def test_what_is_drawn_has_turned():
+    """Corners of the drawn box are on its surface; and a quarter of a turn swaps its sides."""
+    row = {"point": [1, 0, 0], "axis": "z", "angle": "90 deg"}
+    box = {"center": [1, 0, 0], "size": [4, 2, 1]}
+    contact = Contact(on="a", box=box, rotation=row).in_metres(1.0)
+    shape = contact.turned(contact.obstacle, contact.pose_at(1.0, CONSTANT, 3))
+    points, _ = shape.drawn(Box(np.zeros(3), np.ones(3)), 3)
+    np.testing.assert_allclose(shape.gaps(points)[0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.ptp(points, axis=0), [2, 4, 1], atol=1e-12)
+    gaps, normals = shape.gaps(np.array([[2.5, 0, 0]]))
+    np.testing.assert_allclose([*gaps, *normals[0]], [0.5, 1, 0, 0], atol=1e-12)
