@@ -115,7 +115,8 @@ class Contact(OnSurfaces):
         ),
         **dict.fromkeys(
             ("distance", "slow"),
-            "it belongs to contact of a surface with itself: `self` in place of `on`, or all = true",
+            "it belongs to contact of a surface with itself: `self` in place of `on`, "
+            "or all = true",
         ),
     }
 

@@ -204,8 +204,8 @@ class RigidMesh(Shape):
         return -result if self.hollow else result
 
     @property
-    def rounding(self) -> float:
-        """See `Shape.rounding`."""
+    def edge_radius(self) -> float:
+        """See `Shape.edge_radius`."""
         return abs(self._offset)
 
     def edges(self, dim: int) -> FloatArray:

@@ -149,7 +149,7 @@ class Shape(Record):
         return np.zeros((*x.shape, x.shape[-1]))
 
     @property
-    def rounding(self) -> float:
+    def edge_radius(self) -> float:
         """Radius by which its `edges` are round [m]."""
         return 0.0
 

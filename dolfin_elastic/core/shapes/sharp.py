@@ -78,6 +78,11 @@ class BoxObstacle(Shape):
         return math.inf if self.hollow else min(self.size) / 2
 
     @property
+    def edge_radius(self) -> float:
+        """See `Shape.edge_radius`."""
+        return self.rounding or 0.0
+
+    @property
     def sharp(self) -> FloatArray:
         """Half the sides of the box with sharp edges within it."""
         return np.asarray(np.array(self.size) / 2 - (self.rounding or 0.0))
@@ -152,16 +157,16 @@ class BoxObstacle(Shape):
         local *= np.where(off, -1.0 if self.hollow else 1.0, 0.0)[..., None, None]
         return np.asarray(sides.T @ (local / length[..., None]) @ sides)
 
-    def _corners(self, dim: int) -> tuple[FloatArray, Triangles]:
-        points, triangles = block(dim)
-        x = np.array(self.center) + points * (np.array(self.size) / 2) @ self.sides(dim)
-        return x, (np.array([whole(row) for row in x]), triangles)
+    def _corners(self, half: FloatArray) -> Triangles:
+        """Those of a box with such halves of its sides about its middle, and its triangles."""
+        points, triangles = block(len(half))
+        return np.array(self.center) + points * half @ self.sides(len(half)), triangles
 
     def edges(self, dim: int) -> FloatArray:
         """See `Shape.edges`."""
-        x, _ = self._corners(dim)
         if self.hollow:
             return super().edges(dim)
+        x, _ = self._corners(self.sharp)
         if dim == 2:
             return np.stack([x, x], axis=1)
         beside = [[0, 1], [1, 2], [2, 3], [3, 0]]
@@ -170,7 +175,8 @@ class BoxObstacle(Shape):
 
     def triangles(self, near: Box, dim: int) -> Triangles:
         """See `Shape.triangles`."""
-        return self._corners(dim)[1]
+        x, triangles = self._corners(np.array(self.size) / 2)
+        return np.array([whole(row) for row in x]), triangles
 
 
 class ConeObstacle(Shape):
@@ -190,6 +196,11 @@ class ConeObstacle(Shape):
     half_angle: AcuteAngle
     inside: bool = False
     rounding: PositiveLength | None = None
+
+    @property
+    def edge_radius(self) -> float:
+        """See `Shape.edge_radius`."""
+        return self.rounding or 0.0
 
     @property
     def sharp(self) -> FloatArray:
@@ -255,7 +266,7 @@ class ConeObstacle(Shape):
 
     def edges(self, dim: int) -> FloatArray:
         """See `Shape.edges`: its tip."""
-        return np.array([[self.tip, self.tip]] * (not self.hollow)).reshape(-1, 2, dim)
+        return np.array([[self.sharp, self.sharp]] * (not self.hollow)).reshape(-1, 2, dim)
 
     def triangles(self, near: Box, dim: int) -> Triangles:
         """See `Shape.triangles`: the part of its surface that is nearest to the box."""

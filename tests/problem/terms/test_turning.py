@@ -161,7 +161,7 @@ def dragged(scheme: str, degree: int = 1) -> Dynamics:
     ],
 )
 def test_work_of_an_obstacle_that_turns(scheme, degree, close):
-    """What it has put into the body is in it: to round-off, or as nodes that hit in explicit steps allow."""
+    """What it has put into the body is in it: to round-off, or as explicit hits of nodes allow."""
     scale = off = 0.0
     for state in dragged(scheme, degree).steps():
         e = state.energies

@@ -134,8 +134,8 @@ class MovedFaces(NamedTuple):
 
     def seen_from(self, pose: Pose) -> MovedFaces:
         """They as an obstacle sees them, where they are less its displacement."""
-        places = (pose.seen(x) for x in (self.x, self.behind, self.cells))
-        return MovedFaces(self.X, *places, self.parts)
+        x, behind, cells = (pose.seen(at) for at in (self.x, self.behind, self.cells))
+        return MovedFaces(self.X, x, behind, cells, self.parts)
 
     def under(self, gaps: FloatArray) -> Depth:
         """The deepest of the points under an obstacle. Local.

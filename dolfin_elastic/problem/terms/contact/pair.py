@@ -561,7 +561,7 @@ class ContactPair(_Pressures):
         near = gaps < faces.sizes
         faces, seen = faces.some(near), np.maximum(0.0, -gaps[near])
         under = faces.under(obstacle.gaps(faces.x)[0])
-        return deepest_of(self.comm, under, faces.entered(self._edges, seen, obstacle.rounding))
+        return deepest_of(self.comm, under, faces.entered(self._edges, seen, obstacle.edge_radius))
 
     def intrusion(self) -> tuple[str, tuple[float, ...], str] | None:
         """See `Term`: it lies deeper in what it touches than its vertices see."""
