@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
 
@@ -213,9 +214,11 @@ class Newton:
         self._multipliers = self._joint(line_search) if (shift or check) is None else []
         with (
             stage("solve"),
+            ExitStack() as left,
             self.options.in_force(snes_linesearch_type=line_search),
             self.options.elastic_errors(),
         ):
+            left.callback(self._end_multipliers)
             self.install_test(max_iterations)
             self.snes.setFromOptions()
             self.ksp.setFromOptions()
@@ -241,8 +244,7 @@ class Newton:
                 raise_if_agreed(self.assembler.comm)
             self.finish(failed)
             self._source.put(self._x)
-            for one in self._multipliers:
-                one.end(found=self.result.converged)
+            self._end_multipliers(found=self.result.converged)
             at_rest = self._inertia is None  # in motion the stage does so: it has rows of its own
             if at_rest and self.result.converged and self.assembler.settle_pressures():
                 self.assembler.residual.assemble()
@@ -258,6 +260,12 @@ class Newton:
         if line_search != "basic" or self.bordered is not None or terms.bars:
             return []
         return [term.multipliers for term in terms if term.multipliers is not None]
+
+    def _end_multipliers(self, *, found: bool = False) -> None:
+        """What else was unknown is so no longer; after errors, too. Collective where found."""
+        for one in self._multipliers:
+            one.end(found=found)
+        self._multipliers = []
 
     def begin(
         self,
