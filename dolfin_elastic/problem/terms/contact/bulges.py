@@ -16,8 +16,8 @@ no uniform pressure has a part in it.  Where all faces of length h bulge alike k
     kappa >= 4.4 p^2/(mu h).
 
 In an equilibrium the bulges vanish as far as faces can follow the obstacle; and where p is small
-against mu, kappa is small against the body's own stiffness.  Its p is the multiplier, which
-Newton's method does not change.
+against mu, kappa is small against the body's own stiffness.  Its p is the multiplier; where this
+is an unknown of Newton's method that of the iteration, of which the tangent has no derivative.
 
 Source: M. A. Biot, Appl. Sci. Res. A 12 (1963) 168 (instability of surfaces under compression);
 K. L. Johnson, Contact Mechanics, Cambridge 1985, section 13.2 (half-space under a wave).

@@ -93,7 +93,7 @@ class _Followed(ContactPair):
     def augment(self) -> None:
         """See `Term`."""
         super().augment()
-        self._open()
+        self.open()
 
     def pressures(self, penalty: FloatArray | None = None) -> FloatArray:
         """See `ContactPair`."""
@@ -109,9 +109,9 @@ class _Followed(ContactPair):
         """What an iteration has learnt of an obstacle's normals does not outlive it."""
         for obstacle in self._followed:
             obstacle.forget()
-        self._open()
+        self.open()
 
-    def _open(self) -> None:
+    def open(self) -> None:
         """Vertices that pressed in the last equilibrium pull before they open, others do not."""
         self.delays = False
         self.pulls_to[:] = np.where(self.lam.x.array[self.nodes] > 0.0, self.size, 0.0)
@@ -373,6 +373,7 @@ class VertexPressures(Multipliers):
             left = np.where(now.active | (gaps < 0.0), gaps, 0.0)
             pair.lam.x.array[pair.nodes] = now.values + pair.eps * left
             pair.lam.x.scatter_forward()
+            pair.open()  # what was left in the iterations pulls no more
 
 
 def gap_rates(pair: VertexContact, motion: FloatArray) -> FloatArray:
