@@ -72,6 +72,7 @@ class GainRemoval:
         if not gained > 0.0:  # nor where a law has no energy
             return False
         self._level -= self._slow_down(gained, pushes)
+        self._balance.begin()  # the next step begins with this velocity
         return True
 
     def _energy(self) -> float:
