@@ -111,6 +111,7 @@ def test_a_block_on_a_turntable(degree):
         plane={"axis": "z", "at": 0},
         rotation={"point": c.tolist(), "axis": "z", "angle": f"{turn}*max(t - 1/4, 0)"},
         friction=0.3,
+        gap_tolerance=1e-10,
         name="table",
     )
     problem = Problem(
