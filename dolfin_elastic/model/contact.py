@@ -352,12 +352,18 @@ class Contact(OnSurfaces):
             return [0.0] * dim
         return [default.of(amplitude_of(v, self.curve), t) * at_time(v, t) for v in self.values]
 
+    def angle_at(self, t: float, default: Amplitude) -> float:
+        """By which the obstacle has turned at time t [rad], see `displacement_at`."""
+        if self.rotation is None:
+            return 0.0
+        angle = self.rotation.value
+        return float(default.of(amplitude_of(angle, self.curve), t) * at_time(angle, t))
+
     def pose_at(self, t: float, default: Amplitude, dim: int) -> FloatArray:
         """See `Pose.now`, at time t; for the arguments see `displacement_at`."""
         turn = np.eye(dim)
         if self.rotation is not None:
-            factor = default.of(amplitude_of(self.rotation.value, self.curve), t)
-            turn = self.rotation.matrix(t, factor, dim)
+            turn = self.rotation.matrix(self.angle_at(t, default), dim)
         return np.column_stack([self.displacement_at(t, default, dim), turn])
 
     def turned(self, shape: Shape, pose: FloatArray) -> Shape:

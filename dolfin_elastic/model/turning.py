@@ -14,7 +14,7 @@ from dolfin_elastic.core.shapes.shapes import Point
 from dolfin_elastic.core.shapes.turn import rotation
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.core.units import no_switch
-from dolfin_elastic.model.values import Component, angle_of, at_time
+from dolfin_elastic.model.values import Component, angle_of
 
 
 class Turning(Record):
@@ -41,14 +41,8 @@ class Turning(Record):
         """The angle [rad] as a number or formula."""
         return angle_of(self.angle)
 
-    def matrix(self, t: float, factor: float, dim: int) -> FloatArray:
-        """The orthogonal matrix at time t, shape (dim, dim).
-
-        Args:
-            t: Time [s], or load parameter.
-            factor: By which the angle is multiplied.
-        """
-        angle = factor * at_time(self.value, t)
+    def matrix(self, angle: float, dim: int) -> FloatArray:
+        """The orthogonal matrix of an angle [rad], shape (dim, dim)."""
         return rotation(unit_vector(self.axis or "z"), angle)[:dim, :dim]
 
     def check(self, dim: int, *, axisymmetric: bool) -> None:

@@ -68,6 +68,19 @@ def test_a_roller_drives_a_strip(degree):
     np.testing.assert_allclose(own(state)[:, 0] - before, R * angle, rtol=1e-6)
 
 
+def test_no_load_step_has_a_whole_turn():
+    """Of two rotations that are alike what sticks to a drum would be driven by nothing."""
+    square = rectangle_body(size=(1, 1), cells=(2, 2))
+    drum = Contact(
+        on="bottom",
+        sphere={"center": [0.5, 0.5], "radius": 1, "inside": True},
+        rotation={"point": [0.5, 0.5], "angle": "6*t"},
+        name="drum",
+    )
+    problem = Problem(square, LinearElastic(E=E, nu=0.0), contacts=[drum])
+    assert problem.terms.within_stride(0.0, 1.0, problem.acting) == 0.25
+
+
 @pytest.mark.parametrize(("dim", "degree"), [(2, 1), (2, 2), (3, 1)])
 def test_a_plane_that_has_turned(dim, degree):
     """In the end it is as one that was drawn there: forces, displacements and pressures."""

@@ -49,6 +49,9 @@ FAR = 1e30
 STRIDE = 0.5
 """Share of an obstacle's radius that it may move in one step, lest it jump over a surface."""
 
+TURN = np.pi / 2
+"""Angle by which it may turn in one step: two rotations do not tell whole turns between them."""
+
 TOUCHING = 0.25
 """Gap, over the height of the elements, up to which faces show on which side of it the body is."""
 
@@ -212,16 +215,16 @@ class ContactPair(Pressures):
     def within_stride(self, t: float, goal: float, acting: Acting) -> float:
         """See `Term`: the obstacle moves no farther than it is thick; supports count by `follows`.
 
-        Nor does it pass the surface: it goes to where it is deepest first. Collective.
+        Nor does it turn by more than `TURN`, or pass the surface: it goes to where it is deepest
+        first. Collective.
         """
         if self.at_rest and self.follows is None:
             return goal
         goal = self._deepest(t, goal, acting)
-        if not np.isfinite(stride := STRIDE * self.contact.obstacle.thickness):
-            return goal
-
+        stride, angle = STRIDE * self.contact.obstacle.thickness, self.contact.angle_at
         for _ in range(HALVINGS):
-            if _travel(self, acting(t), acting(goal)) <= stride:
+            ends = acting(t), acting(goal)
+            if abs(angle(*ends[1]) - angle(*ends[0])) <= TURN and _travel(self, *ends) <= stride:
                 break
             goal = t + (goal - t) / 2
         return goal
