@@ -254,10 +254,10 @@ class Newton:
     def _joint(self, line_search: str) -> list[Multipliers]:
         """The multipliers that are unknowns in a solve with full steps.
 
-        Backtracking looks at the displacement alone: then they follow it.
+        Backtracking looks at the displacement alone: then they follow it, and in motion do so.
         """
-        terms = self.assembler.problem.terms
-        if line_search != "basic" or self.bordered is not None or terms.bars:
+        terms, moving = self.assembler.problem.terms, self._inertia is not None
+        if line_search != "basic" or self.bordered is not None or terms.bars or moving:
             return []
         return [term.multipliers for term in terms if term.multipliers is not None]
 
