@@ -209,9 +209,25 @@ def _percent_notes(case: Case) -> Iterator[str]:
 def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     """All that is doubtful in contacts, and where there should be one. Collective."""
     yield from _percent_notes(case)
+    yield from _name_notes(problem)
     yield from _distance_notes(case, problem)
     yield from _start_notes(case, problem)
     yield from touching_notes(problem)
+
+
+def _name_notes(problem: Problem) -> Iterator[str]:
+    """Contacts of which results have one name, with each other or with a support."""
+    labels = [pair.label for pair in problem.contact_pairs]
+    supports = {support.label for support in problem.supports}
+    for label in dict.fromkeys(labels):
+        others = "several contacts" if labels.count(label) > 1 else ""
+        if label in supports:
+            others = "a contact and a support"
+        if others:
+            yield (
+                f"{others} are called '{label}': results are the sum of both; a `name` for each "
+                "tells them apart"
+            )
 
 
 def _distance_notes(case: Case, problem: Problem) -> Iterator[str]:

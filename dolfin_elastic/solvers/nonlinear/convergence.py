@@ -294,6 +294,10 @@ class ConvergenceTest:
         """Measures the applied forces, which scalar unknowns may change. Collective."""
         self._applied = self._assembler.reactions.load_norm()
 
+    def take_norm(self, norm: float) -> None:
+        """Takes the norm of the residual with which an iteration solves [N]. Not collective."""
+        self._norm = norm
+
     def linear_tolerance(self) -> float:
         """Relative tolerance of the next linear solve. Collective.
 

@@ -371,7 +371,9 @@ class Newton:
 
     def _tangent(self, snes: PETSc.SNES, x: PETSc.Vec, A: PETSc.Mat, P: PETSc.Mat) -> None:
         if sum(one.linearise() for one in self._multipliers):
-            self.assembler.residual.evaluate(x, snes.getFunction()[0])
+            f = snes.getFunction()[0]
+            self.assembler.residual.evaluate(x, f)
+            self.test.take_norm(f.norm())
         if self.bordered is None:
             self.assembler.tangent.assemble(x)
         else:

@@ -17,7 +17,6 @@ from dolfin_elastic.model.amplitude import PROPORTIONAL
 from dolfin_elastic.problem.state import RestartState, SavedState, State, restoring
 from dolfin_elastic.problem.term_list import intrusion, passed
 from dolfin_elastic.solvers.audit.equilibrium import PathEnergyCheck
-from dolfin_elastic.solvers.diagnostics.sliding import released
 from dolfin_elastic.solvers.diagnostics.stability import Verdict, judge
 from dolfin_elastic.solvers.messages import in_words
 from dolfin_elastic.solvers.nonlinear.convergence import (
@@ -321,6 +320,8 @@ class LoadStepping:
 
     def _released(self, result: NewtonResult) -> str:
         """That the last iterate of a failure is off its contact, in words. Collective."""
+        from dolfin_elastic.solvers.diagnostics.sliding import released
+
         if result.converged or self._retry.failed is None:
             return ""
         self._newton.put_back(self._retry.failed)

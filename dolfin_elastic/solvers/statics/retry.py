@@ -42,6 +42,9 @@ a hundredth of a cell.  A slender body returns from perturbations small against 
 INVERSE_ITERATIONS = 5
 """For the weakest mode: enough for one that stands out."""
 
+UNSETTLED = "gaps remain where there is contact pressure"
+"""Why an equilibrium does not count: after a smaller step its multipliers are nearer."""
+
 AUGMENTATIONS = 10
 """Times that what terms remember is renewed in one load step."""
 
@@ -278,6 +281,8 @@ class RetryStrategy:
         result = replace(
             result, newton=newton, longest=longest, krylov=krylov, predicted=first.predicted
         )
+        if result.converged and any(term.unsettled() for term in terms if term.multipliers):
+            return result.refused(UNSETTLED)
         return self._refuse_inverted(result)
 
     def _refuse_inverted(self, result: NewtonResult) -> NewtonResult:

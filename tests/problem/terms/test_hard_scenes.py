@@ -213,8 +213,8 @@ SCENES: dict[str, tuple[Callable[[], Statics | Dynamics], str]] = {
         ),
         r"the obstacle lies .* deep in 'c'",
     ),
-    "a tip on a body": (  # the default stiffness is that of the long faces below it
-        lambda: still(pair(LOWER, Box((0.5, 1), (1, 1), (4, 4), tip), stiffness=1e10)),
+    "a tip on a body": (
+        lambda: still(pair(LOWER, Box((0.5, 1), (1, 1), (4, 4), tip))),
         "",
     ),
     "a needle in a body": (
@@ -233,7 +233,6 @@ SCENES: dict[str, tuple[Callable[[], Statics | Dynamics], str]] = {
                 Box((0, 0), (2, 1), (2, 2)),
                 Box((0.9, 1), (0.2, 0.5), (2, 3)),
                 press=[0, -0.1],
-                stiffness=1e9,
             )
         ),
         "",

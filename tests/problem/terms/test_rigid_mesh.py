@@ -150,14 +150,15 @@ def test_a_plane_of_triangles(degree, friction, folder, comm):
     found = []
     file = written(folder / "plane.stl", *sheet(3), comm)
     for shape in ({"plane": {"axis": "z", "at": 0}}, {"mesh": file}):
-        problem = pressed(degree, {"friction": friction, **shape})
+        problem = pressed(degree, {"friction": friction, "gap_tolerance": 1e-12, **shape})
         found.append((last(problem, steps=2), problem.u.x.array.copy()))
     (one, u), (two, v) = found
     # Both solves end at a force out of balance of 1e-8 of the others.
     assert two.reactions["floor"] == pytest.approx(one.reactions["floor"], rel=1e-8, abs=1e-8)
     assert np.max(np.abs(u - v), initial=0) < 1e-9
     for key in ("stick_share_floor", "friction_dissipation_floor", "contact_area_floor"):
-        assert two.numbers[key] == pytest.approx(one.numbers[key], rel=1e-7, abs=1e-12)
+        # Multipliers of slip are unknowns where triangles are: to 1e-6 of mu p.
+        assert two.numbers[key] == pytest.approx(one.numbers[key], rel=3e-6, abs=1e-12)
 
 
 # Facets of 1/10 lie up to 0.1^2/(4*3) below the ball: 0.6 % of the depth, those of 3/8 all but 9 %.
@@ -171,8 +172,8 @@ def test_a_round_cap(degree, cells, smooth, within, folder, comm):
     """A block on a ball of facets, with the force and the pressures of a ball."""
     z = lambda x, y: np.sqrt(9 - x**2 - y**2) - 3  # noqa: E731
     file = written(folder / "cap.ply", *sheet(cells, z, 1.5), comm)
-    ball = {"sphere": {"center": [0.5, 0.5, -3], "radius": 3}}
-    mesh = {"mesh": {"file": file, "smooth": smooth}}
+    ball = {"sphere": {"center": [0.5, 0.5, -3], "radius": 3}, "gap_tolerance": 1e-6}
+    mesh = {"mesh": {"file": file, "smooth": smooth}, "gap_tolerance": 1e-6}
     found = []
     for shape in (ball, mesh | {"motion": [0.5, 0.5, 0], "curve": "constant"}):
         problem = pressed(degree, shape, displacement=[0, 0, "-0.15*t"])
@@ -277,7 +278,7 @@ def test_tangent_on_edges(degree, folder, comm):
         contacts=[Contact.model_validate(contact)],
     )
     (pair,) = problem.contact_pairs
-    pair.lam.x.array[:] = 1e4
+    pair.lam.x.array[:] = 3e3
     with against_differences(problem) as (assembler, off, size):
         assert comm.allreduce(int(np.sum(pair.pressures() > 0))) > 0
         # Cancellation: 1e-16 of the forces over 1e-7 of the place.

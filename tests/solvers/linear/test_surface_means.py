@@ -44,6 +44,9 @@ def block(shape: str, share: float, *, friction: float = 0.0, stiffer: float = 1
     pushed = 1e3 + pair.eps * pair.pressing_gaps()
     pair.lam.x.array[pair.nodes] = np.where(pressed, pushed, -1e12)
     pair.lam.x.scatter_forward()
+    # Faces are curbed by the pressure, which multipliers have in equilibrium.
+    pressures = np.where(pressed, 1e3, 0.0)
+    pair.values = lambda: pressures
     return problem
 
 

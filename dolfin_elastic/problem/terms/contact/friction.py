@@ -126,7 +126,11 @@ class _Tractions(Term):
 
     def _moved(self) -> FloatArray:
         """Displacement relative to the obstacle at the owned nodes, (n, dim) [m]. Collective."""
-        return self._pair.seen() - self._pair.places()
+        pair = self._pair
+        if pair.pose.last is None:  # places would add their round-off
+            u = self._context.unknowns.u.x.array.reshape(-1, self._context.body.dim)
+            return np.asarray(u[self.nodes] - pair.pose.shift.value)
+        return pair.seen() - pair.places()
 
     def _of(self, field: fem.Function) -> FloatArray:
         """A vector field at the owned nodes of the surface, (n, dim)."""

@@ -30,10 +30,10 @@ import numpy as np
 from dolfin_elastic.core.types import BoolArray, FloatArray
 
 RIGID = 30.0
-"""E over the penalty of the law: contact is 300 times as stiff as the elements behind it."""
+"""E over the penalty by default: contact is 300 times as stiff as the elements behind it."""
 
 SETTLED = 1e-6
-"""Error of tractions of slip, over the largest mu p."""
+"""Error of pressures by the gap that is left, and of tractions of slip, over the largest one."""
 
 
 @dataclass

@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
+from mpi4py import MPI
 
 from dolfin_elastic.core.errors import ConvergenceError, InputError
 from dolfin_elastic.core.parallel import largest, smallest, total
@@ -74,7 +75,7 @@ _ALONG = 1e-6
 class ContactPair(Pressures):
     """One contact on one body. Collective to make."""
 
-    _what, _rounds = "the obstacle", " by `offset` of a mesh"
+    _what, _rounds = "the obstacle", " (`rounding` of a box or cone, `offset` of a mesh)"
 
     def share(self) -> FloatArray:
         """Part of the area of each owned node that lies opposite something, (n,). Not collective.
@@ -241,7 +242,8 @@ class ContactPair(Pressures):
         poses = [self.contact.pose_at(*acting(s), self._dim) for s in ways]
         places = (self._seen_from(u.reshape(-1, self._dim) - at[:, 0], at) for at in poses)
         gaps = [np.min(self.contact.obstacle.gaps(x)[0], initial=np.inf) for x in places]
-        least = np.array([smallest(self.comm, float(gap)) for gap in gaps])
+        least = np.array(gaps)
+        self.comm.Allreduce(MPI.IN_PLACE, least, op=MPI.MIN)
         deepest = int(np.argmin(least))
         passes = least[deepest] < min(least[0], least[-1], 0.0) - PASSED * self.size
         return float(ways[deepest]) if passes else goal

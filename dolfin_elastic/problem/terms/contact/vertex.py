@@ -32,9 +32,10 @@ from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.spaces import Unknowns
 from dolfin_elastic.problem.term import Blocks, Kind, Means, Multipliers
 from dolfin_elastic.problem.terms.contact.bulges import FaceBulges
-from dolfin_elastic.problem.terms.contact.multipliers import RIGID, PressureIterate
+from dolfin_elastic.problem.terms.contact.multipliers import RIGID, SETTLED, PressureIterate
 from dolfin_elastic.problem.terms.contact.nodal import RULE
 from dolfin_elastic.problem.terms.contact.pair import ContactPair
+from dolfin_elastic.problem.terms.contact.surfaces import FACTOR
 from dolfin_elastic.problem.terms.contact.vertex_functions import VertexFunctions, blocks_of
 
 
@@ -343,7 +344,8 @@ class VertexPressures(Multipliers):
             least = least - pair.eps * pair.pulls_to
         p = pair.values()
         active = p - pair.eps * gaps >= least
-        self.iterate = PressureIterate(np.where(active, p, 0.0), gaps, active, RIGID * pair.eps)
+        stiffness = RIGID * np.maximum(pair.eps, FACTOR / pair.softness)
+        self.iterate = PressureIterate(np.where(active, p, 0.0), gaps, active, stiffness)
         return True
 
     def foresee(self, motion: FloatArray) -> None:
@@ -361,9 +363,12 @@ class VertexPressures(Multipliers):
         if (now := self.iterate) is None:
             return True
         pair = self._pair
-        pulls = now.active & (now.values < pair.eps * (pair.pressing_gaps() - pair.reach))
+        gaps, most = pair.pressing_gaps(), largest(pair.comm, float(np.max(now.values, initial=0)))
+        pulls = now.active & (now.values < pair.eps * (gaps - pair.reach))
+        # Nor do its pressures differ from those of the law, which have the gaps in them.
+        loose = now.active & (np.abs(gaps) > np.maximum(pair.slack, SETTLED * most / pair.eps))
         off, allowed = pair.gap_error()
-        return off <= allowed and not largest(pair.comm, float(np.any(pulls)))
+        return off <= allowed and not largest(pair.comm, float(np.any(pulls | loose)))
 
     def end(self, *, found: bool) -> None:
         """See `Multipliers`: the law of the penalty has the same pressures here."""

@@ -46,8 +46,10 @@ class VertexFriction(CoulombFriction):
 
     def _moved(self) -> FloatArray:
         """See `CoulombFriction`: means."""
-        X = self._functions.X
-        return self._functions.means(self._vertices.places_of_points() - X)
+        functions, pose = self._functions, self._pair.pose
+        if pose.last is None:  # places would add their round-off
+            return functions.means(functions.displacements()) - pose.shift.value
+        return functions.means(self._vertices.places_of_points() - functions.X)
 
     def _with(self, motion: FloatArray) -> tuple[IndexArray, FloatArray]:
         """See `CoulombFriction`: faces move linearly."""
