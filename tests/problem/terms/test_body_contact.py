@@ -535,7 +535,9 @@ def test_ironing(degree, friction):
     assert max(iterations) <= 12
     # Ripple of such coarse elements, found: 2.5 and 0.6 %.
     assert np.ptp(normal) / 2 < (0.03 if degree == 1 else 0.008) * np.mean(normal)
-    np.testing.assert_allclose(along, friction * np.array(normal), atol=0.02 * np.mean(normal))
+    # Normals are those of the faces of the slab, which linear elements turn from one to the next.
+    slack = 0.06 if degree == 1 else 0.02
+    np.testing.assert_allclose(along, friction * np.array(normal), atol=slack * np.mean(normal))
 
 
 @pytest.mark.long
