@@ -16,6 +16,7 @@ from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.shapes.surface import FEATURES
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body, span
+from dolfin_elastic.mesh.geometry.curved import facet_areas
 from dolfin_elastic.model.amplitude import CONSTANT, PROPORTIONAL, Amplitude
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.problem.connectivity import ConnectedBodies
@@ -31,6 +32,9 @@ TIMES = 41
 """Times of a motion, or of statics, at which supports and loads are evaluated."""
 _NEAR = 0.5
 """Gap over the body's diagonal up to which an obstacle in another unit would fit."""
+_ROUND_FACES = 0.5
+"""Size of faces over the radius of an edge beyond which forces on it jump."""
+
 _LARGE_FIT = 0.1
 """Interference over the diagonal of all bodies from which on its unit is in doubt."""
 
@@ -210,6 +214,7 @@ def contact_notes(case: Case, problem: Problem) -> Iterator[str]:
     """All that is doubtful in contacts, and where there should be one. Collective."""
     yield from _percent_notes(case)
     yield from _name_notes(problem)
+    yield from _edge_notes(problem)
     yield from _distance_notes(case, problem)
     yield from _start_notes(case, problem)
     yield from touching_notes(problem)
@@ -227,6 +232,23 @@ def _name_notes(problem: Problem) -> Iterator[str]:
             yield (
                 f"{others} are called '{label}': results are the sum of both; a `name` for each "
                 "tells them apart"
+            )
+
+
+def _edge_notes(problem: Problem) -> Iterator[str]:
+    """Round edges of obstacles that faces cannot follow. Collective."""
+    mesh, dim, unit = problem.body.mesh, problem.body.dim, problem.body.unit
+    for pair in problem.contact_pairs:
+        radius = pair.contact.obstacle.edge_radius if pair.contact.between is None else 0.0
+        if radius <= 0.0:
+            continue
+        sizes = facet_areas(mesh, pair.facets) ** (1 / (dim - 1))
+        least = smallest(problem.body.comm, float(np.min(sizes, initial=np.inf)))
+        if least > _ROUND_FACES * radius:
+            yield (
+                f"contact '{pair.label}': even its smallest faces, {unit.length(least)}, are long "
+                f"for edges of the radius {unit.length(radius)}: the force jumps as the edge "
+                f"passes a vertex; faces of {unit.length(radius / 5)} follow it"
             )
 
 

@@ -339,11 +339,10 @@ class VertexPressures(Multipliers):
         pair = self._pair
         if not pair.augments:
             return False
-        gaps, least = pair.pressing_gaps(), -pair.eps * pair.reach
-        if self.iterate is None:
-            least = least - pair.eps * pair.pulls_to
-        p = pair.values()
-        active = p - pair.eps * gaps >= least
+        gaps, p, before = pair.pressing_gaps(), pair.values(), self.iterate
+        presses = p > 0.0 if before is None else before.active
+        stays = (p >= -pair.eps * pair.reach) & (gaps < pair.size)
+        active = np.where(presses, stays, gaps <= pair.reach)
         stiffness = RIGID * np.maximum(pair.eps, FACTOR / pair.softness)
         self.iterate = PressureIterate(np.where(active, p, 0.0), gaps, active, stiffness)
         return True
@@ -364,7 +363,7 @@ class VertexPressures(Multipliers):
             return True
         pair = self._pair
         gaps, most = pair.pressing_gaps(), largest(pair.comm, float(np.max(now.values, initial=0)))
-        pulls = now.active & (now.values < pair.eps * (gaps - pair.reach))
+        pulls = now.active & (now.values < -pair.eps * pair.reach)
         # Nor do its pressures differ from those of the law, which have the gaps in them.
         loose = now.active & (np.abs(gaps) > np.maximum(pair.slack, SETTLED * most / pair.eps))
         off, allowed = pair.gap_error()
