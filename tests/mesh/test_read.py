@@ -787,3 +787,16 @@ def test_errors_of_a_check_come_with_the_notes_of_the_mesh(folder: Path) -> None
 def test_dimension_of_elements(kind: str, dim: int) -> None:
     """Unknown ones count as solid: they are refused, and not taken for a part of the surface."""
     assert Block(kind, np.empty((0, 1), dtype=np.int64)).dim == dim
+
+
+@pytest.mark.parametrize(("kind", "count", "order"), [(29, 20, 3), (30, 35, 4), (21, 10, 3)])
+def test_elements_of_high_order_are_refused_by_their_order(
+    folder: Path, kind: int, count: int, order: int
+) -> None:
+    points = "".join(f"{i} {i} {i * i} {i % 3}\n" for i in range(1, count + 1))
+    text = f"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n{count}\n{points}$EndNodes\n"
+    row = " ".join(map(str, range(1, count + 1)))
+    text += f"$Elements\n1\n1 {kind} 2 1 1 {row}\n$EndElements\n"
+    on_root(MPI.COMM_WORLD, lambda: (folder / "a.msh").write_text(text) and None)
+    with pytest.raises(MeshError, match=rf"of order {order}: found 1 t.*Mesh\.ElementOrder = 2"):
+        read_body(folder / "a.msh")

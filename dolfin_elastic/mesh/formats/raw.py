@@ -326,7 +326,13 @@ def _order(solid: Sequence[Block], blocks: Sequence[Block], dim: int, source: st
             where=source,
             expected="save the volume (or 2D) elements too",
         )
-    if other:
+    if high := [_high_order(kind, dim) for kind in other]:
+        if all(high):
+            raise MeshError(
+                f"the elements are of order {', '.join(high)}: {_found(solid)}",
+                where=source,
+                expected="order 1 or 2 (in Gmsh: Mesh.ElementOrder = 2)",
+            )
         raise MeshError(
             f"the mesh has elements other than simplices: {_found(solid)}",
             where=source,
@@ -340,6 +346,14 @@ def _order(solid: Sequence[Block], blocks: Sequence[Block], dim: int, source: st
             expected="mesh the whole body with one order",
         )
     return orders.pop()
+
+
+def _high_order(kind: str, dim: int) -> str:
+    """Order of simplices with more nodes than are read, from 3; empty for other elements."""
+    shape = {2: "triangle", 3: "tetra"}[dim]
+    count = kind.removeprefix(shape)
+    known = {math.comb(order + dim, dim): order for order in range(3, 11)}
+    return str(known.get(int(count), "")) if kind.startswith(shape) and count.isdigit() else ""
 
 
 def _advice(dim: int) -> str:
