@@ -11,6 +11,7 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.mesh import mesh_statistics, read_body
 from dolfin_elastic.mesh.formats.cad.script import files_of_script
+from dolfin_elastic.mesh.formats.cad.units import stated_unit
 
 BOX = 'SetFactory("OpenCASCADE");\nBox(1) = {0, 0, 0, 1, 1, 1};\n'
 COMMANDS = {
@@ -83,6 +84,24 @@ def test_names_are_plain_paths_below(tmp_path: Path, name: str) -> None:
     (folder / "a.geo").write_text(f'{BOX}Merge "{name.format(folder=folder)}";\n')
     with pytest.raises(MeshError, match="not in the folder of the script"):
         files_of_script(folder / "a.geo")
+
+
+def test_a_script_is_in_the_unit_of_the_shapes_that_it_reads(tmp_path: Path) -> None:
+    """Those that a comment or a text names are not read."""
+    path, read = tmp_path / "a.geo", 'Merge "part.step";'
+    units = {
+        'v() = ShapeFromFile("part.step");': "mm",
+        f"{read} // OCCTargetUnit is left as it is": "mm",
+        f"// instead of `Merge' \n/* {read} */ // {read}\n Printf('{read}');": "",
+        f'Geometry.OCCTargetUnit = "M"; {read}': "",
+    }
+    for text, unit in units.items():
+        path.write_text(text)
+        stated = stated_unit(path)
+        assert (stated.name if stated else "") == unit, text
+        (tmp_path / "part.step").write_text("no body")
+        named = {file.name for file in files_of_script(path)} - {"a.geo"}
+        assert named == ({"part.step"} if "OCC" in text or unit else set())
 
 
 def test_sizes_of_a_script_are_kept_below_the_size_asked_for(folder: Path) -> None:

@@ -29,7 +29,7 @@ _REFUSED = {
 SCRIPTS = (".geo", ".geo_unrolled")
 _TOKEN = re.compile(
     r"//[^\n\r]*|/\*.*?(?:\*/|\Z)|\"[^\"]*(?:\"|\Z)|'[^']*(?:'|\Z)"
-    r"|(?P<read>\b(?:Include|Merge(?:WithBoundingBox)?)\b[^;\"']*[\"'](?P<file>[^\"']*)[\"'])"
+    r"|(?P<read>\b(?:Include|Merge(?:WithBoundingBox)?|ShapeFromFile)\b[^;\"']*[\"'](?P<file>[^\"']*)[\"'])"
     r"|(?P<word>\b[A-Za-z_]\w*)",
     re.DOTALL | re.ASCII,
 )
@@ -62,6 +62,16 @@ def files_of_script(path: Path) -> dict[Path, bytes]:
             else:
                 result[file] = (folder / file).read_bytes()
     return result
+
+
+def files_named(text: str) -> list[str]:
+    """Names of the files that a script reads; those in comments and texts are none."""
+    return [token["file"] for token in _TOKEN.finditer(text) if token["read"]]
+
+
+def without_comments(text: str) -> str:
+    """A script without its comments."""
+    return _TOKEN.sub(lambda token: " " if token[0].startswith(("//", "/*")) else token[0], text)
 
 
 def _read_by(folder: Path, script: Path, text: str) -> list[Path]:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from dolfin_elastic.core.units import LENGTHS, LengthUnit
+from dolfin_elastic.mesh.formats.cad.script import files_named, without_comments
 
 _PREFIXES = {
     "KILO": 1e3,
@@ -38,7 +39,8 @@ _MERGED = (".step", ".stp", ".iges", ".igs")
 def stated_unit(path: Path) -> LengthUnit | None:
     """The unit of a STEP or IGES file. Local.
 
-    Parts with different units are converted to millimetres; so is what a .geo file merges.
+    Parts with different units are converted to millimetres; so is what a .geo file reads by
+    Merge or ShapeFromFile.
 
     Returns:
         None where the file states none; .brep files never do.
@@ -49,9 +51,9 @@ def stated_unit(path: Path) -> LengthUnit | None:
         result = set(_step_units(data))
     elif suffix in (".iges", ".igs"):
         result = set(_iges_units(data))
-    elif suffix == ".geo" and "OCCTargetUnit" not in data:
-        merged = re.findall(r"\bMerge[^;]*?[\"']([^\"';]*)[\"']", data)
-        result = {1e-3} if any(Path(name).suffix.lower() in _MERGED for name in merged) else set()
+    elif suffix == ".geo" and "OCCTargetUnit" not in without_comments(data):
+        read = [Path(name).suffix.lower() for name in files_named(data)]
+        result = {1e-3} if not set(_MERGED).isdisjoint(read) else set()
     if not result:
         return None
     metres = result.pop() if len(result) == 1 else 1e-3
