@@ -30,10 +30,13 @@ _NUMBER = re.compile(
     r"(?:\s*((?:[^\W\d_]|[%°]).*?)|\s+(1\s*/.*?)|\s*(/\s*(?:K|degC|°C)))?\s*",
     re.DOTALL,
 )
-_UNIT = re.compile(
-    r"(?:1\s*/\s*)?(?:(?:[^\W\d_]|[%°])+(?:\s*(?:\^|\*\*)\s*-?[0-9](?![0-9])|[²³])?(?:\s*[*/·.]\s*|\s+|\Z))+"
-)
-"""Units handed to pint: names with one-digit powers, since it would evaluate 9^9^9 for hours."""
+_POWER = r"(?:[^\W\d_]|[%°])+(?:\s*(?:\^|\*\*)\s*-?[0-9](?![0-9])|[²³])?"
+_TIMES = r"(?:\s*[*/·.]\s*|\s+)"
+_PRODUCT = rf"{_POWER}(?:{_TIMES}{_POWER})*"
+_FACTOR = rf"(?:{_POWER}|\(\s*{_PRODUCT}\s*\))"
+_UNIT = re.compile(rf"(?:1\s*/\s*)?{_FACTOR}(?:{_TIMES}{_FACTOR})*\s*")
+"""Units handed to pint: names with one-digit powers, and products of them in parentheses, since it
+would evaluate 9^9^9 for hours."""
 
 
 MAX_UNIT_LENGTH = 40
