@@ -56,8 +56,10 @@ FAULTS = {
     "no label": (cube("").replace("\n3, ", "\n, ", 1), r"inp:4: .* is not a row of numbers"),
     "twice": (cube("*NODE\n3, 0.5, 0.5, 0.5\n"), "1 nodes stand twice, at different positions"),
     "spherical": (cube("").replace("*NODE", "*NODE, SYSTEM=S"), "inp:1: .*SYSTEM=S is not underst"),
-    "other file": (cube("*NODE, INPUT=a.txt\n"), r"inp:17: \*NODE: INPUT= is not read"),
-    "type": (cube("*ELEMENT, TYPE=GAPUNI\n9, 1, 2\n"), "inp:17: .*element type GAPUNI is unknown"),
+    "other file": (cube("*NODE, INPUT=a.txt\n"), r"inp:17: \*NODE: there is no file"),
+    "type": (cube("*ELEMENT, TYPE=U1\n9, 1, 2\n"), "inp:17: .*element type U1 is unknown"),
+    "spring": (cube("*ELEMENT, TYPE=SPRINGA\nx, 1, 2\n"), "inp:18: .*'x' is no whole number"),
+    "unknown": (cube("*TAPERED ELEMENT\n9, 1, 2\n"), "inp:17: .*this keyword is not understood"),
     "cut": (cube("*ELEMENT, TYPE=C3D4\n9, 1, 2\n"), "inp:18: .*3 numbers do not make rows of 5"),
     "letter": (cube("*ELEMENT, TYPE=C3D4\n9, 1, 2, x, 4\n"), "inp:18: .*'x' is no whole number"),
     "no name": (cube("*NSET\n1\n"), r"inp:17: \*NSET: NSET= is missing"),
@@ -104,6 +106,58 @@ def test_damaged_decks(folder: Path) -> None:
         return refused
 
     assert on_root(COMM, attempt) >= 80
+
+
+@pytest.mark.parametrize(
+    ("kind", "nodes", "side", "name"),
+    [
+        ("C3D8", 8, "S2", "hexahedra"),
+        ("C3D20R", 20, "S6", "hexahedra"),
+        ("C3D6", 6, "S1", "wedges"),
+        ("CPS4", 4, "S4", "quadrilaterals"),
+    ],
+)
+def test_faces_of_elements_that_are_not_supported(
+    folder: Path, kind: str, nodes: int, side: str, name: str
+) -> None:
+    rows = "".join(f"{i}, {i}., {i * i}., {i % 3}.\n" for i in range(1, nodes + 1))
+    cell = ", ".join(map(str, range(1, nodes + 1)))
+    text = f"*NODE\n{rows}*ELEMENT, TYPE={kind}\n1, {cell}\n*SURFACE, NAME=a\n1, {side}\n"
+    with pytest.raises(MeshError, match=f"faces of {name}.*, which are not supported"):
+        deck(folder, text)
+
+
+def test_elements_without_shape_and_unknown_keywords_are_counted(folder: Path) -> None:
+    more = "*NODE\n900, 5., 5., 5.\n*ELEMENT, TYPE=SPRINGA, ELSET=spring\n9, 900, 3\n10, 900, 4\n"
+    more += "*ELEMENT, TYPE=CONN3D2\n11, , 2\n*ELEMENT, TYPE=B31\n12, 900, 2\n"
+    more += "*ELSET, ELSET=both\n1, 9\n*SPELL\n1.\n*SPELL\n*STATIC\n"
+    body = deck(folder, cube(more))
+    assert body.num_cells == 6 and body.kinds("both") == ("region",)
+    said = "elements that are left out; the case file states such: 2 SPRINGA, 1 CONN3D2"
+    assert said in body.notes
+    assert "keywords that are not read: 2 *SPELL" in body.information
+    with pytest.raises(MeshError, match="'spring' .*its elements are left out"):
+        body.region("spring")
+
+
+def test_lines_in_other_files(folder: Path) -> None:
+    """INPUT= and *INCLUDE, also amid the lines of a keyword; faults name the other file."""
+    whole = cube("*NSET, NSET=foot\n1, 2\n")
+    _, nodes, elements = whole.split("*", 2)
+    lines = nodes.splitlines(keepends=True)[1:]
+    made(lambda: (folder / "first.txt").write_text("** nodes\n" + "".join(lines[:3])))
+    made(lambda: (folder / "rest.txt").write_text("".join(lines[4:])))
+    text = f"*NODE, INPUT=first.txt, NSET=every\n{lines[3]}*INCLUDE, INPUT=rest.txt\n*{elements}"
+    body, direct = deck(folder, text), deck(folder, whole)
+    assert mesh_statistics(body).volume == pytest.approx(1)
+    assert np.array_equal(body.mesh.geometry.x, direct.mesh.geometry.x)
+    assert COMM.allreduce(len(body.owned_points("every"))) == 8
+    made(lambda: (folder / "first.txt").write_text("\n1, 0., zero\n"))
+    with pytest.raises(MeshError, match=r"^first\.txt:2: \*NODE: '1, 0\., zero' is not a row"):
+        deck(folder, text)
+    made(lambda: (folder / "first.txt").write_text("*ELEMENT\n"))
+    with pytest.raises(MeshError, match=r"^first\.txt:1: .*a keyword in a file of INPUT="):
+        deck(folder, text)
 
 
 # --- sets ---

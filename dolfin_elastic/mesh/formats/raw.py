@@ -131,6 +131,11 @@ _KIND_NAMES = {
 }
 
 
+def kind_name(kind: str) -> str:
+    """Name of a kind of elements: hexahedra of hexahedron20."""
+    return _KIND_NAMES.get(kind) or _KIND_NAMES.get(kind.rstrip("0123456789"), kind)
+
+
 @dataclass(frozen=True)
 class Block:
     """Elements of one kind and the named parts some of them belong to.
@@ -369,9 +374,7 @@ def _found(blocks: Iterable[Block]) -> str:
     counts: Counter[str] = Counter()
     for block in blocks:
         counts[block.kind] += len(block.nodes)
-    return "found " + (
-        ", ".join(f"{n} {_KIND_NAMES.get(k, k)}" for k, n in counts.items()) or "none"
-    )
+    return "found " + (", ".join(f"{n} {kind_name(k)}" for k, n in counts.items()) or "none")
 
 
 def _gather(blocks: Sequence[Block], items: Sequence[IntArray]) -> dict[str, IntArray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -17,6 +17,7 @@ from dolfin_elastic.core.types import FloatArray, IntArray
 
 Number = TypeVar("Number", np.int64, np.float64)
 _DEEPEST = 5  # files within files
+_WITH_INPUT = ("NODE", "ELEMENT", "NSET", "ELSET")
 
 
 @dataclass
@@ -79,6 +80,17 @@ class Card:
             )
         return numbers.reshape(-1, width)
 
+    def first_integers(self) -> IntArray:
+        """The first entry of each row; a line that ends with a comma goes on."""
+        result, begins = [], True
+        for row, line in enumerate(self.lines):
+            word = line.partition(",")[0].strip()
+            if begins and not _is_whole(word):
+                raise self.error(f"'{word}' is no whole number", row=row)
+            result += [int(word)] if begins else []
+            begins = not line.rstrip().endswith(",")
+        return np.array(result, dtype=np.int64)
+
     def numbers(self, width: int) -> FloatArray:
         """The first entries of each line; what is blank or left out is zero.
 
@@ -128,8 +140,12 @@ def _is_whole(word: str) -> bool:
         return False
 
 
-def read_cards(path: Path, depth: int = 0) -> Iterator[Card]:
+def read_cards(path: Path, depth: int = 0, above: Card | None = None) -> Iterator[Card]:
     """Keywords of a file, and of those that it includes, in their order.
+
+    Args:
+        depth: Number of the files that include this one.
+        above: The keyword before it, whose data lines may go on in it.
 
     Raises:
         MeshError: A file that is included does not exist, or includes itself.
@@ -140,7 +156,7 @@ def read_cards(path: Path, depth: int = 0) -> Iterator[Card]:
             where=path.name,
             expected="leave out that of a file that includes this one",
         )
-    card = Card("", {}, path.name, 1)
+    card = _goes_on(above, path, 1)
     continued = ""
     if fault := why_no_file(path, sys.maxsize):
         raise MeshError(fault, where=path.name)
@@ -154,15 +170,56 @@ def read_cards(path: Path, depth: int = 0) -> Iterator[Card]:
         continued += line.strip()
         if continued.endswith(","):  # the keyword line goes on
             continue
-        if card.word != "INCLUDE":
-            yield card
+        yield from _complete(card, path)
+        last = card
         card, continued = _card(continued, path.name, number), ""
         if card.word == "INCLUDE":
-            inner = path.parent / card.option("INPUT")
-            if not inner.is_file():
-                raise card.error(f"there is no file '{inner}'", expected=not_shown(inner))
-            yield from read_cards(inner, depth + 1)
-    yield card
+            inner = _input(card, path)
+            for inside in read_cards(inner, depth + 1, last):
+                yield inside
+                last = inside
+            card = _goes_on(last, path, number)
+    yield from _complete(card, path)
+
+
+def _goes_on(above: Card | None, path: Path, line: int) -> Card:
+    """A card for data lines that belong to a keyword in another file; often there are none."""
+    if above is None or above.word not in _WITH_INPUT:
+        return Card("", {}, path.name, line)
+    options = {key: value for key, value in above.options.items() if key != "INPUT"}
+    return Card(above.word, options, path.name, line)
+
+
+def _complete(card: Card, path: Path) -> Iterator[Card]:
+    """A keyword with its data lines, and those of the file that its INPUT names."""
+    if card.word not in _WITH_INPUT or "INPUT" not in card.options:
+        yield card
+        return
+    inner = _input(card, path)
+    options = {key: value for key, value in card.options.items() if key != "INPUT"}
+    yield replace(card, options=options)
+    lines = inner.read_text("latin-1").splitlines()
+    data = [
+        (number, line)
+        for number, line in enumerate(lines, start=1)
+        if line.strip() and not line.startswith("**")
+    ]
+    result = Card(card.word, options, inner.name, 1)
+    result.lines, result.at = [line for _, line in data], [number for number, _ in data]
+    for row, line in enumerate(result.lines):
+        if line.lstrip().startswith("*"):
+            raise result.error(
+                "a keyword in a file of INPUT=", row=row, expected="data lines, or *INCLUDE"
+            )
+    yield result
+
+
+def _input(card: Card, path: Path) -> Path:
+    """The file that a keyword reads."""
+    inner = path.parent / card.option("INPUT")
+    if not inner.is_file():
+        raise card.error(f"there is no file '{inner}'", expected=not_shown(inner))
+    return inner
 
 
 def _card(text: str, file: str, line: int) -> Card:

@@ -38,12 +38,14 @@ class Picked:
         asked: Number of elements that the line names.
         missing: How many of them do not exist or have no such face.
         unknown_side: Some exist, but none has such a face.
+        unsupported: Kind of those without faces, where elements of this kind are not supported.
     """
 
     found: list[tuple[str, IntArray]]
     asked: int
     missing: int
     unknown_side: bool
+    unsupported: str = ""
 
 
 class Facets:
@@ -53,6 +55,7 @@ class Facets:
         self._elements = elements
         solid = any(stem(e.kind) in ("tetra", "hexahedron", "wedge", "pyramid") for e in elements)
         self._dim, self._cells = (3, "tetra") if solid else (2, "triangle")
+        self._others = ("hexahedron", "wedge", "pyramid") if solid else ("quad",)
 
     def pick(self, members: IntArray, side: str) -> Picked:
         """Facets of one line of a *SURFACE.
@@ -61,11 +64,13 @@ class Facets:
             members: Numbers of elements, all different.
             side: The face in capitals; empty: those on the boundary of the body.
         """
-        result, with_face, existing = [], 0, 0
+        result, with_face, existing, other = list[tuple[str, IntArray]](), 0, 0, ""
         for elements in self._elements:
             inside = np.isin(elements.labels, members)
             existing += int(np.count_nonzero(inside))
             corners = faces(elements.kind, side, self._dim)
+            if corners is None and inside.any() and stem(elements.kind) in self._others:
+                other = elements.kind
             if corners is None or not inside.any():
                 continue
             with_face += int(np.count_nonzero(inside))
@@ -75,7 +80,7 @@ class Facets:
                     nodes = nodes[match_rows(self._boundary, np.sort(nodes, axis=1)) >= 0]
                 result.append((_KINDS[nodes.shape[1]], nodes))
         missing = max(len(members) - with_face, 0)
-        return Picked(result, len(members), missing, existing > 0 and with_face == 0)
+        return Picked(result, len(members), missing, existing > 0 and with_face == 0, other)
 
     @cached_property
     def _boundary(self) -> IntArray:
@@ -101,10 +106,16 @@ _TYPES = {
     ("wedge", 6): "C3D6 DC3D6 SC6",
     ("wedge15", 15): "C3D15",
     ("pyramid", 5): "C3D5",
-    ("line", 2): "T3D2 T2D2 B21 B31 B33 R2D2 CONN3D2",
-    ("line3", 3): "T3D3 T2D3 B22 B32",
+    ("line", 2): "T3D2 T2D2 B21 B31 B33 R2D2 PIPE21 PIPE31",
+    ("line3", 3): "T3D3 T2D3 B22 B32 PIPE22 PIPE32",
     ("vertex", 1): "MASS ROTARYI SPRING1 DASHPOT1",
 }
+_WITHOUT_SHAPE = (
+    *("SPRINGA", "SPRING2", "DASHPOTA", "DASHPOT2", "GAPUNI", "GAPCYL", "GAPSPHER", "GAPK"),
+    *("CONN2D2", "CONN3D2", "JOINTC", "JOINT2D", "JOINT3D", "DCOUP2D", "DCOUP3D", "DISTCOUP"),
+    *("ITSUNI", "ITSCYL", "HEATCAP", "DRAG2D", "DRAG3D", "DGAP", "RB2D2", "RB3D2"),
+)
+"""Types of elements that connect nodes by a law, whatever lies between them."""
 # Vertices of the faces S1, S2 ... in the order of the Abaqus manual.
 _TETRAHEDRON = ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0))
 _TRIANGLE = ((0, 1), (1, 2), (2, 0))
@@ -128,6 +139,11 @@ def element_kind(name: str) -> tuple[str, int] | None:
         if name.startswith(base) and not name[len(base) :][:1].isdigit()
     ]
     return max(fits)[1] if fits else None
+
+
+def has_no_shape(name: str) -> bool:
+    """Whether elements of a type, in capitals, connect nodes by a law and are part of no mesh."""
+    return name.startswith(_WITHOUT_SHAPE)
 
 
 def stem(kind: str) -> str:

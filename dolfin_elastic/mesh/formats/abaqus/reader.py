@@ -7,7 +7,7 @@ Read here rather than through meshio 5.3, which loses every *SURFACE, fails on *
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
@@ -17,29 +17,32 @@ import numpy as np
 from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.mesh.formats.abaqus.cards import Card, read_cards
-from dolfin_elastic.mesh.formats.abaqus.elements import Elements, Facets, element_kind
-from dolfin_elastic.mesh.formats.raw import Block, MeshFile, find, find_all, joined, missing
+from dolfin_elastic.mesh.formats.abaqus.elements import (
+    Elements,
+    Facets,
+    element_kind,
+    has_no_shape,
+)
+from dolfin_elastic.mesh.formats.abaqus.words import (
+    OF_A_CASE,
+    REFUSED,
+    SILENT,
+    speaks_of_the_mesh,
+)
+from dolfin_elastic.mesh.formats.raw import (
+    Block,
+    MeshFile,
+    find,
+    find_all,
+    joined,
+    kind_name,
+    missing,
+)
 
 _NO_NODES = np.empty((0, 0), dtype=np.int64)
 _ASSEMBLY = 1 << 40
 """Offset of the numbers of nodes that belong to an assembly itself, such as reference points: they
 begin at 1, as those of the part do."""
-_OF_A_CASE = (
-    *("MATERIAL", "BOUNDARY", "CLOAD", "DLOAD", "DSLOAD", "TEMPERATURE", "CONTACT PAIR"),
-    *("TIE", "EQUATION", "MPC", "COUPLING", "RIGID BODY", "SPRING", "DASHPOT", "MASS"),
-)
-"""Keywords of the model, which are not read, and reported so that nobody relies on them."""
-_UNREAD = (
-    *("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "NMAP", "SYSTEM", "USER ELEMENT", "PARAMETER"),
-    *("IMPERFECTION", "SYMMETRIC MODEL GENERATION", "IMPORT", "SUPERELEMENT", "SUBSTRUCTURE PATH"),
-)
-"""Keywords that make or move nodes and elements."""
-_OF_RESULTS = (
-    *("NODE OUTPUT", "NODE PRINT", "NODE FILE", "NODE RESPONSE", "NODAL THICKNESS", "NODAL ENERGY"),
-    *("ELEMENT OUTPUT", "ELEMENT RESPONSE", "ELEMENT MATRIX OUTPUT", "ELEMENT OPERATOR OUTPUT"),
-    *("ELEMENT RECOVERY MATRIX", "ELEMENT PROPERTIES"),
-)
-"""Keywords about results at nodes and elements, not about the mesh."""
 _OPTIONS = {
     "NODE": ("NSET", "SYSTEM", "INPUT"),
     "ELEMENT": ("TYPE", "ELSET", "INPUT", "SOLID ELEMENT NUMBERING"),
@@ -68,7 +71,9 @@ class _Deck:
         scope: ASSEMBLY in an assembly outside of its instances; else empty.
         references: Numbers of nodes of the assembly itself, beside those of its part.
         others: Keywords that are not read, because the case file takes their place.
+        unread: Other keywords that are not read, to their number.
         types: Type to number of elements.
+        left: Type to the numbers of elements that have no shape.
     """
 
     numbers: list[IntArray] = field(default_factory=list)
@@ -83,7 +88,9 @@ class _Deck:
     scope: str = ""
     references: list[IntArray] = field(default_factory=list)
     others: list[str] = field(default_factory=list)
+    unread: Counter[str] = field(default_factory=Counter)
     types: Counter[str] = field(default_factory=Counter)
+    left: dict[str, list[IntArray]] = field(default_factory=dict)
 
     def add(self, sets: dict[str, list[IntArray]], name: str, numbers: IntArray) -> None:
         """Adds members to a set."""
@@ -113,8 +120,10 @@ def read_abaqus(path: Path) -> MeshFile:
         _check_understood(card)
         if card.word in _TAKE:
             _TAKE[card.word](deck, card)
-        elif card.word in _OF_A_CASE:
+        elif card.word in OF_A_CASE:
             deck.others.append(f"*{card.word}")
+        elif card.word not in SILENT:
+            deck.unread[f"*{card.word}"] += 1
     if not deck.points or not deck.elements:
         raise MeshError("there are no *NODE or no *ELEMENT lines", where=path.name)
     if stray:
@@ -131,21 +140,23 @@ def read_abaqus(path: Path) -> MeshFile:
     }
     lost = {deck.names[key]: reason for key, reason in deck.lost.items()}
     information = _information(deck)
-    return MeshFile(points, blocks, information=information, point_sets=sets, incomplete=lost)
+    return MeshFile(
+        points, blocks, _notes(deck), information=information, point_sets=sets, incomplete=lost
+    )
 
 
 def _check_understood(card: Card) -> None:
     """Refuses what would define nodes, elements or coordinates and is not understood."""
-    if card.word in _UNREAD:
+    if card.word in REFUSED:
         raise card.error("this is not understood", expected="write the mesh out in full")
     unknown = [key for key in card.options if key not in _OPTIONS.get(card.word, card.options)]
     if unknown:
         known = ", ".join(_OPTIONS[card.word])
         raise card.error(f"{unknown[0]} is not understood", expected=f"known: {known}")
-    if card.word in _TAKE or card.word in _OF_RESULTS or card.word in _OF_A_CASE:
+    if card.word in _TAKE or card.word in SILENT or card.word in OF_A_CASE:
         return
     alike = get_close_matches(card.word, _TAKE, n=1, cutoff=_ALIKE)
-    if alike or card.word.startswith(("NODE ", "ELEMENT ")):
+    if alike or speaks_of_the_mesh(card.word):
         hint = f"did you mean *{alike[0]}?" if alike else "*NODE, *ELEMENT"
         raise card.error("this keyword is not understood", expected=hint)
 
@@ -159,16 +170,27 @@ def _information(deck: _Deck) -> list[str]:
     result = (
         [f"elements that name parts only and have no stiffness: {', '.join(low)}"] if low else []
     )
-    others = ", ".join(dict.fromkeys(deck.others))
-    return [*result, f"not read, because the case file states it: {others}"] if others else result
+    if others := ", ".join(dict.fromkeys(deck.others)):
+        result.append(f"not read, because the case file states it: {others}")
+    if unread := _counted(deck.unread):
+        result.append(f"keywords that are not read: {unread}")
+    return result
+
+
+def _notes(deck: _Deck) -> list[str]:
+    """Elements that are left out, although they may hold or load the body."""
+    left = _counted({name: len(joined(labels)) for name, labels in deck.left.items()})
+    return [f"elements that are left out; the case file states such: {left}"] if left else []
+
+
+def _counted(numbers: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in numbers.items())
 
 
 # --- keywords ---
 
 
 def _take_nodes(deck: _Deck, card: Card) -> None:
-    if "INPUT" in card.options:
-        raise card.error("INPUT= is not read", expected="*INCLUDE, or the lines in the file itself")
     if not card.lines:
         return
     rows = card.numbers(4)
@@ -197,10 +219,14 @@ def _cartesian(card: Card, x: FloatArray) -> FloatArray:
 
 
 def _take_elements(deck: _Deck, card: Card) -> None:
-    if "INPUT" in card.options:
-        raise card.error("INPUT= is not read", expected="*INCLUDE, or the lines in the file itself")
     name = card.option("TYPE").upper()
     known = element_kind(name)
+    if has_no_shape(name):
+        labels = card.first_integers()
+        deck.left.setdefault(name, []).append(labels)
+        if "ELSET" in card.options:
+            deck.add(deck.elsets, card.option("ELSET"), labels)
+        return
     if known is None:
         raise card.error(
             f"the element type {name} is unknown",
@@ -339,14 +365,20 @@ def _blocks(deck: _Deck, numbers: IntArray) -> Iterator[Block]:
     sets = {key: np.unique(joined(rows)) for key, rows in deck.elsets.items()}
     labels = np.concatenate([elements.labels for elements in deck.elements])
     every, times = np.unique(labels, return_counts=True)
+    left = joined([rows for labels in deck.left.values() for rows in labels])
     for key, members in sets.items():
+        if len(members) and np.isin(members, left).all():
+            deck.mark_incomplete(key, "its elements are left out")
+            continue
         twice = np.count_nonzero(np.isin(members, every[times > 1]))
         if twice:
             deck.mark_incomplete(
                 key, f"{twice} of its {len(members)} elements stand twice in the file"
             )
         deck.mark_incomplete(key, "" if len(members) else "it has no elements")
-        deck.mark_incomplete(key, missing(np.setdiff1d(members, every), len(members), "elements"))
+        deck.mark_incomplete(
+            key, missing(np.setdiff1d(members, np.append(every, left)), len(members), "elements")
+        )
     for elements in deck.elements:
         parts = {
             deck.names[key]: np.flatnonzero(np.isin(elements.labels, members))
@@ -407,6 +439,13 @@ def _facets(
         one = name.isdigit()
         members = np.array([int(name)]) if one else _known(card, deck.elsets, name, "ELSET", row)
         picked = facets.pick(np.unique(members), side)
+        if picked.unsupported:
+            raise card.error(
+                f"'{key}' asks for faces of {kind_name(picked.unsupported)}, which are not "
+                "supported",
+                row=row,
+                expected="mesh with tetrahedra, or with triangles in 2D",
+            )
         if picked.unknown_side:
             raise card.error(f"'{key}' asks for the face '{side}', which no element has", row=row)
         count, lost = count + picked.asked, lost + picked.missing
