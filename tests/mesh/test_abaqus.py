@@ -69,7 +69,14 @@ FAULTS = {
     "step": (cube("*NSET, NSET=a, GENERATE\n1, 9, 0\n"), "inp:18: .*'1, 9, 0' generates nothing"),
     "face": (cube("*SURFACE, NAME=a\nALL, S5\n"), "inp:18: .*the face 'S5', which no element has"),
     "ngen": (cube("*NGEN\n1, 2\n"), r"inp:17: \*NGEN: this is not understood"),
-    "turned": (cube("*INSTANCE, NAME=a\n0., 0., 1.\n"), "inp:17: .*moved or turned"),
+    "motion": (cube("*INSTANCE, NAME=a\n0., 0., 1., 2.\n"), "inp:18: .*motion is not understood"),
+    "axis": (cube("*INSTANCE, NAME=a\n0.\n1., 0., 0., 1., 0., 0., 9.\n"), "inp:19: .*no length"),
+    "no part": (cube("*INSTANCE, NAME=a, PART=p\n"), "inp:17: .*there is no part 'P' before"),
+    "two parts": (cube("*PART, NAME=p\n*PART, NAME=p\n"), "inp:18: .*there is a part 'p' before"),
+    "no instance": (cube("*PART, NAME=p\n*PART, NAME=q\n*NODE\n"), "has 2 parts without an inst"),
+    "two instances": (cube("*INSTANCE, NAME=a\n*INSTANCE, NAME=A\n"), "inp:18: .*an instance 'A'"),
+    "system": (cube("*SYSTEM\n0., 0., 0., 0., 0., 1.\n"), "inp:18: .*the points span no plane"),
+    "systems": (cube("*SYSTEM\n0.\n0.\n0.\n"), "inp:20: .*there are more than two lines"),
     "offset": (cube("*INSTANCE, NAME=a\n0., up, 1.\n"), "inp:18: .*not a row of numbers"),
     "include": (cube("*INCLUDE, INPUT=none.inp\n"), "inp:17: .*there is no file"),
     "circle": (cube("*INCLUDE, INPUT=deck.inp\n"), "goes round in a circle"),
@@ -158,6 +165,79 @@ def test_lines_in_other_files(folder: Path) -> None:
     made(lambda: (folder / "first.txt").write_text("*ELEMENT\n"))
     with pytest.raises(MeshError, match=r"^first\.txt:1: .*a keyword in a file of INPUT="):
         deck(folder, text)
+
+
+def test_coordinate_systems(folder: Path) -> None:
+    """One with three points, one turned about the global Z, a moved one, and the global again."""
+    text = "*SYSTEM\n1., 2., 3., 1., 2., 5.\n4., 2., 3.\n*NODE\n1, 1., 0., 0.\n2, 0., 1., 7.\n"
+    text += "*SYSTEM\n1., 0., 0., 1., 2., 0.\n*NODE\n3, 1., 2., 3.\n*SYSTEM\n1., 1., 1.\n"
+    text += "*NODE, SYSTEM=C\n4, 2., 90., 5.\n*SYSTEM\n*NODE\n5, 1., 2., 3.\n"
+    made(lambda: (folder / "deck.inp").write_text(f"{text}*ELEMENT, TYPE=C3D4\n1, 1, 2, 3, 4\n"))
+    points = [[1, 2, 4], [2, 9, 3], [-1, 1, 3], [1, 3, 6], [1, 2, 3]]
+    assert read_abaqus(folder / "deck.inp").points == pytest.approx(np.array(points), abs=1e-14)
+
+
+# --- assemblies ---
+
+PART = "*PART, NAME=p\n" + cube("*NSET, NSET=corner\n1\n*SURFACE, NAME=foot\nlow, S1\n*END PART\n")
+PART = PART.replace("*SURFACE", "*ELSET, ELSET=low\n1\n*SURFACE")
+TURN = "1., 0., 0., 1., 0., 1., 90."
+
+
+def assembly(more: str, second: str = f"2., 0., 0.\n{TURN}\n") -> str:
+    """The cube as instance a, and as b: moved by 2 along x and turned about an axis at x = 1."""
+    text = f"{PART}*ASSEMBLY, NAME=all\n*INSTANCE, NAME=a, PART=p\n*END INSTANCE\n"
+    text += f"*INSTANCE, NAME=b, PART=P\n{second}*END INSTANCE\n"
+    return f"{text}{more}*END ASSEMBLY\n"
+
+
+def test_instances_are_moved_and_turned(folder: Path) -> None:
+    more = "*NSET, NSET=both\na.1, all.b.2\n*NSET, NSET=low, INSTANCE=b\n1, 2\n*NSET, NSET=sets\n"
+    more += "b.corner\n*ELSET, ELSET=_s, INSTANCE=b, GENERATE\n1, 2\n*SURFACE, NAME=top\n_s, S1\n"
+    more += (
+        "*NODE, NSET=own\n1, 9., 9., 9.\n*NSET, NSET=rp\n1\n*SURFACE, NAME=feet, COMBINE=UNION\n"
+    )
+    more += (
+        "a.foot\nb.foot\n*ELEMENT, TYPE=CONN3D2\n1, 1, b.3\n*ELEMENT, TYPE=MASS, ELSET=m\n2, b.1\n"
+    )
+    made(lambda: (folder / "deck.inp").write_text(assembly(more)))
+    file = read_abaqus(folder / "deck.inp")
+    turned = np.stack([1 - POINTS[:, 1], POINTS[:, 0] + 1, POINTS[:, 2]], axis=1)
+    assert file.points == pytest.approx(np.vstack([POINTS, turned, [[9, 9, 9]]]), abs=1e-14)
+    rows = {"a.corner": [0], "b.corner": [8], "both": [0, 9], "low": [8, 9], "sets": [8]}
+    rows |= {"own": [16], "rp": [16]}
+    assert {name: list(found) for name, found in file.point_sets.items()} == rows
+    body = read_body(folder / "deck.inp")
+    volumes = {"a": 1, "b": 1, "a.ALL": 1, "b.ALL": 1, "_s": 1 / 3, "a.low": 1 / 6, "b.low": 1 / 6}
+    assert mesh_statistics(body).regions == pytest.approx(volumes)
+    size, kinds = mesh_statistics(body).surfaces, body.kinds
+    assert size["feet"] == pytest.approx(size["a.foot"] + size["b.foot"])
+    assert size["a.foot"] == pytest.approx(size["b.foot"]) and size["top"] > 0
+    assert kinds("m") == ("point",)
+
+
+def test_numbers_of_an_assembly_name_their_instance(folder: Path) -> None:
+    faults = {
+        "*NSET, NSET=n\n1\n": "1 is a number in one of 2 instances",
+        "*NSET, NSET=n, INSTANCE=c\n1\n": "there is no instance 'C' before it",
+        "*NSET, NSET=n\nc.corner\n": "the NSET 'c.corner' does not exist",
+        "*ELEMENT, TYPE=MASS\nx, a.1\n": "'x' is no whole number",
+        "*ELEMENT, TYPE=MASS\n1, a.1, 2\n": "3 entries do not make rows of 2",
+        "*ELEMENT, TYPE=T3D2\n1, a.1, a.corner.x\n": "'a.corner.x' does not exist",
+    }
+    for more, said in faults.items():
+        with pytest.raises(MeshError, match=said):
+            deck(folder, assembly(more))
+    with pytest.raises(MeshError, match="refer to 1 points that do not exist, for example 77"):
+        deck(folder, assembly("").replace("ALL\n1, 1,", "ALL\n1, 77,"))
+
+
+def test_one_part_without_instance_and_one_too_many(folder: Path) -> None:
+    """A single part is taken as it is; of several, those without an instance are left out."""
+    assert mesh_statistics(deck(folder, PART)).volume == pytest.approx(1)
+    body = deck(folder, PART.replace("=p", "=q") + assembly("", "0., 0., 5.\n"))
+    assert mesh_statistics(body).volume == pytest.approx(2)
+    assert "parts without an instance, which are left out: Q" in body.information
 
 
 # --- sets ---

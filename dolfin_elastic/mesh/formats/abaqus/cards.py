@@ -80,14 +80,18 @@ class Card:
             )
         return numbers.reshape(-1, width)
 
+    def integer(self, row: int, word: str) -> int:
+        """An entry of a data line as an integer."""
+        if not _is_whole(word):
+            raise self.error(f"'{word}' is no whole number", row=row)
+        return int(word)
+
     def first_integers(self) -> IntArray:
         """The first entry of each row; a line that ends with a comma goes on."""
         result, begins = [], True
         for row, line in enumerate(self.lines):
             word = line.partition(",")[0].strip()
-            if begins and not _is_whole(word):
-                raise self.error(f"'{word}' is no whole number", row=row)
-            result += [int(word)] if begins else []
+            result += [self.integer(row, word)] if begins else []
             begins = not line.rstrip().endswith(",")
         return np.array(result, dtype=np.int64)
 

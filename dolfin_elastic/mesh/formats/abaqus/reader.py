@@ -6,9 +6,7 @@ Read here rather than through meshio 5.3, which loses every *SURFACE, fails on *
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -17,12 +15,14 @@ import numpy as np
 from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.mesh.formats.abaqus.cards import Card, read_cards
+from dolfin_elastic.mesh.formats.abaqus.deck import STRIDE, Deck, Scope
 from dolfin_elastic.mesh.formats.abaqus.elements import (
     Elements,
     Facets,
     element_kind,
     has_no_shape,
 )
+from dolfin_elastic.mesh.formats.abaqus.motions import displaced, system
 from dolfin_elastic.mesh.formats.abaqus.words import (
     OF_A_CASE,
     REFUSED,
@@ -40,9 +40,6 @@ from dolfin_elastic.mesh.formats.raw import (
 )
 
 _NO_NODES = np.empty((0, 0), dtype=np.int64)
-_ASSEMBLY = 1 << 40
-"""Offset of the numbers of nodes that belong to an assembly itself, such as reference points: they
-begin at 1, as those of the part do."""
 _OPTIONS = {
     "NODE": ("NSET", "SYSTEM", "INPUT"),
     "ELEMENT": ("TYPE", "ELSET", "INPUT", "SOLID ELEMENT NUMBERING"),
@@ -54,67 +51,14 @@ _ALIKE = 0.8
 """Likeness from which on an unknown keyword is one of the mesh, misspelt."""
 
 
-@dataclass
-class _Deck:
-    """Content of the file in its own numbering; keys of sets are in capitals.
-
-    Attributes:
-        numbers: Of the nodes.
-        points: Their coordinates, shape (n, 3) each.
-        elements: Kind, numbers and nodes of the elements of each *ELEMENT.
-        nsets: Nodes of each *NSET.
-        elsets: Elements of each *ELSET.
-        surfaces: Each *SURFACE.
-        names: The spelling that a name had first.
-        lost: Name of an incomplete set to the reason.
-        parts: Number of *PART keywords.
-        scope: ASSEMBLY in an assembly outside of its instances; else empty.
-        references: Numbers of nodes of the assembly itself, beside those of its part.
-        others: Keywords that are not read, because the case file takes their place.
-        unread: Other keywords that are not read, to their number.
-        types: Type to number of elements.
-        left: Type to the numbers of elements that have no shape.
-    """
-
-    numbers: list[IntArray] = field(default_factory=list)
-    points: list[FloatArray] = field(default_factory=list)
-    elements: list[Elements] = field(default_factory=list)
-    nsets: dict[str, list[IntArray]] = field(default_factory=dict)
-    elsets: dict[str, list[IntArray]] = field(default_factory=dict)
-    surfaces: dict[str, Card] = field(default_factory=dict)
-    names: dict[str, str] = field(default_factory=dict)
-    lost: dict[str, str] = field(default_factory=dict)
-    parts: int = 0
-    scope: str = ""
-    references: list[IntArray] = field(default_factory=list)
-    others: list[str] = field(default_factory=list)
-    unread: Counter[str] = field(default_factory=Counter)
-    types: Counter[str] = field(default_factory=Counter)
-    left: dict[str, list[IntArray]] = field(default_factory=dict)
-
-    def add(self, sets: dict[str, list[IntArray]], name: str, numbers: IntArray) -> None:
-        """Adds members to a set."""
-        self.names.setdefault(name.upper(), name)
-        sets.setdefault(name.upper(), []).append(numbers)
-
-    def mark_incomplete(self, key: str, reason: str) -> None:
-        """Records why a set is incomplete.
-
-        Args:
-            reason: Why; empty where it is complete.
-        """
-        if reason:
-            self.lost[key] = reason
-
-
 def read_abaqus(path: Path) -> MeshFile:
     """Reads an input file and what it includes. Local: one rank reads.
 
     Raises:
         MeshError: The file is damaged, or makes its mesh by commands instead of listing it.
     """
-    deck, stray = _Deck(), ""
-    for card in read_cards(path):
+    deck, stray = Deck(), ""
+    for card in _with_parts(deck, read_cards(path)):
         if not card.word and card.lines:
             stray = stray or f"{card.file}:{card.at[0]}"
         _check_understood(card)
@@ -124,6 +68,7 @@ def read_abaqus(path: Path) -> MeshFile:
             deck.others.append(f"*{card.word}")
         elif card.word not in SILENT:
             deck.unread[f"*{card.word}"] += 1
+    deck.enter(Scope())
     if not deck.points or not deck.elements:
         raise MeshError("there are no *NODE or no *ELEMENT lines", where=path.name)
     if stray:
@@ -133,16 +78,61 @@ def read_abaqus(path: Path) -> MeshFile:
             expected="for example *NODE above them",
         )
     numbers, points = _points(deck, path)
+    _name_instances(deck)
     blocks = [*_blocks(deck, numbers), *_surfaces(deck, numbers)]
+    titles = deck.titles()
     sets = {
-        deck.names[key]: _node_rows(deck, key, numbers, joined(rows))
+        titles[key]: _node_rows(deck, key, numbers, joined(rows))
         for key, rows in deck.nsets.items()
     }
-    lost = {deck.names[key]: reason for key, reason in deck.lost.items()}
+    lost = {titles[key]: reason for key, reason in deck.lost.items()}
     information = _information(deck)
     return MeshFile(
         points, blocks, _notes(deck), information=information, point_sets=sets, incomplete=lost
     )
+
+
+def _with_parts(deck: Deck, cards: Iterator[Card]) -> Iterator[Card]:
+    """The keywords of a file, and behind each *INSTANCE those of its part."""
+    part, card = None, None
+    for card in cards:
+        if card.word == "PART":
+            _check_understood(card)
+            name = card.option("NAME")
+            if name.upper() in deck.parts:
+                raise card.error(f"there is a part '{name}' before it")
+            part = deck.parts[name.upper()] = []
+            continue
+        part = None if card.word in ("END PART", "ASSEMBLY") else part
+        if part is not None:
+            _check_understood(card)
+            part.append(card)
+            continue
+        yield card
+        if card.word == "INSTANCE" and "PART" in card.options:
+            name = card.option("PART").upper()
+            if name not in deck.parts:
+                hint = nearest(name, deck.parts)
+                raise card.error(f"there is no part '{name}' before it", expected=hint)
+            deck.used.add(name)
+            yield from deck.parts[name]
+    if deck.parts and card is not None and not deck.instances:
+        if len(deck.parts) > 1:
+            raise card.error(
+                f"the file has {len(deck.parts)} parts without an instance",
+                expected="an *ASSEMBLY with an *INSTANCE of each",
+            )
+        deck.used.update(deck.parts)
+        yield from next(iter(deck.parts.values()))
+
+
+def _name_instances(deck: Deck) -> None:
+    """Makes a set of the elements of each instance, where there are several."""
+    for key, scope in deck.instances.items():
+        index = scope.offset // STRIDE
+        labels = joined([e.labels[e.labels // STRIDE == index] for e in deck.elements])
+        if len(deck.instances) > 1 and len(labels) and key not in deck.names:
+            deck.add(deck.elsets, scope.instance, labels)
 
 
 def _check_understood(card: Card) -> None:
@@ -161,7 +151,7 @@ def _check_understood(card: Card) -> None:
         raise card.error("this keyword is not understood", expected=hint)
 
 
-def _information(deck: _Deck) -> list[str]:
+def _information(deck: Deck) -> list[str]:
     """Elements without stiffness, and keywords that are not read."""
     dims = {
         name: Block(kind[0], _NO_NODES).dim for name in deck.types if (kind := element_kind(name))
@@ -170,6 +160,8 @@ def _information(deck: _Deck) -> list[str]:
     result = (
         [f"elements that name parts only and have no stiffness: {', '.join(low)}"] if low else []
     )
+    if unused := ", ".join(name for name in deck.parts if name not in deck.used):
+        result.append(f"parts without an instance, which are left out: {unused}")
     if others := ", ".join(dict.fromkeys(deck.others)):
         result.append(f"not read, because the case file states it: {others}")
     if unread := _counted(deck.unread):
@@ -177,7 +169,7 @@ def _information(deck: _Deck) -> list[str]:
     return result
 
 
-def _notes(deck: _Deck) -> list[str]:
+def _notes(deck: Deck) -> list[str]:
     """Elements that are left out, although they may hold or load the body."""
     left = _counted({name: len(joined(labels)) for name, labels in deck.left.items()})
     return [f"elements that are left out; the case file states such: {left}"] if left else []
@@ -190,21 +182,24 @@ def _counted(numbers: Mapping[str, int]) -> str:
 # --- keywords ---
 
 
-def _take_nodes(deck: _Deck, card: Card) -> None:
+def _take_nodes(deck: Deck, card: Card) -> None:
     if not card.lines:
         return
     rows = card.numbers(4)
     numbers = rows[:, 0].astype(np.int64)
-    bad = np.flatnonzero((numbers != rows[:, 0]) | (numbers < 1))
+    bad = np.flatnonzero((numbers != rows[:, 0]) | (numbers < 1) | (numbers >= STRIDE))
     if len(bad):
         raise card.error(f"{rows[bad[0], 0]:g} is no number of a node", row=int(bad[0]))
-    if deck.scope and deck.points:
-        deck.references.append(numbers)
-        numbers = numbers + _ASSEMBLY
+    numbers = deck.new_numbers("NSET", numbers)
     deck.numbers.append(numbers)
-    deck.points.append(_cartesian(card, rows[:, 1:]))
+    points = _cartesian(card, rows[:, 1:])
+    deck.points.append(points if deck.system is None else deck.system(points))
     if "NSET" in card.options:
         deck.add(deck.nsets, card.option("NSET"), numbers)
+
+
+def _take_system(deck: Deck, card: Card) -> None:
+    deck.system = system(card)
 
 
 def _cartesian(card: Card, x: FloatArray) -> FloatArray:
@@ -218,11 +213,11 @@ def _cartesian(card: Card, x: FloatArray) -> FloatArray:
     return np.stack([x[:, 0] * np.cos(angle), x[:, 0] * np.sin(angle), x[:, 2]], axis=1)
 
 
-def _take_elements(deck: _Deck, card: Card) -> None:
+def _take_elements(deck: Deck, card: Card) -> None:
     name = card.option("TYPE").upper()
     known = element_kind(name)
     if has_no_shape(name):
-        labels = card.first_integers()
+        labels = deck.new_numbers("ELSET", card.first_integers())
         deck.left.setdefault(name, []).append(labels)
         if "ELSET" in card.options:
             deck.add(deck.elsets, card.option("ELSET"), labels)
@@ -233,38 +228,51 @@ def _take_elements(deck: _Deck, card: Card) -> None:
             expected="C3D4 and C3D10 (tetrahedra), CPE3 and CPE6 (plane) are read",
         )
     kind, size = known
-    rows = card.integers(size + 1)
-    deck.types[name] += len(rows)
-    deck.elements.append(Elements(kind, rows[:, 0], rows[:, 1:]))
+    labels, nodes = _element_rows(deck, card, size)
+    deck.types[name] += len(labels)
+    deck.elements.append(Elements(kind, labels, nodes))
     if "ELSET" in card.options:
-        deck.add(deck.elsets, card.option("ELSET"), rows[:, 0])
+        deck.add(deck.elsets, card.option("ELSET"), labels)
 
 
-def _take_set(deck: _Deck, card: Card) -> None:
-    sets = deck.nsets if card.word == "NSET" else deck.elsets
+def _element_rows(deck: Deck, card: Card, size: int) -> tuple[IntArray, IntArray]:
+    """Numbers of elements and of their nodes, which in an assembly may be of any instance."""
+    scope = deck.scope
+    if not scope.in_assembly or not deck.instances:
+        rows = card.integers(size + 1)
+        return rows[:, 0] + scope.offset, rows[:, 1:] + scope.offset
+    words = list(card.fields())
+    if len(words) % (size + 1):
+        raise card.error(f"{len(words)} entries do not make rows of {size + 1}")
+    nodes = [
+        deck.members(card, scope, "NSET", word, row)
+        for i, (row, word) in enumerate(words)
+        if i % (size + 1)
+    ]
+    numbers = [card.integer(row, word) for row, word in words[:: size + 1]]
+    labels = deck.new_numbers("ELSET", np.array(numbers, dtype=np.int64))
+    if any(len(one) != 1 for one in nodes):
+        raise card.error("an element has a set in place of a node")
+    return labels, joined(nodes).reshape(-1, size)
+
+
+def _take_set(deck: Deck, card: Card) -> None:
+    sets, scope = deck.nsets if card.word == "NSET" else deck.elsets, deck.scope_of(card)
     name = card.option(card.word)
     if "GENERATE" in card.options:
-        deck.add(sets, name, _in_scope(deck, card, _generated(card)))
+        deck.add(sets, name, deck.resolved(card, scope, card.word, _generated(card)))
         return
     if card.word == "NSET" and "ELSET" in card.options:
-        members = _known(card, deck.elsets, card.option("ELSET"), "ELSET")
+        members = deck.known(card, scope, "ELSET", card.option("ELSET"))
         deck.add(sets, name, _nodes_of(deck, members))
     numbers, others = [], []
     for row, word in card.fields():
         if word.isdigit():
             numbers.append(int(word))
         else:
-            others.append(_known(card, sets, word, card.word, row))
-    own = _in_scope(deck, card, np.array(numbers, dtype=np.int64))
+            others.append(deck.members(card, scope, card.word, word, row))
+    own = deck.resolved(card, scope, card.word, np.array(numbers, dtype=np.int64))
     deck.add(sets, name, joined([own, *others]))
-
-
-def _in_scope(deck: _Deck, card: Card, numbers: IntArray) -> IntArray:
-    """Numbers of a *NSET: those of the assembly itself mean its own nodes, if there are such."""
-    if card.word != "NSET" or not deck.scope or "INSTANCE" in card.options:
-        return numbers
-    own = np.isin(numbers, joined(deck.references))
-    return np.where(own, numbers + _ASSEMBLY, numbers)
 
 
 def _generated(card: Card) -> IntArray:
@@ -283,63 +291,49 @@ def _generated(card: Card) -> IntArray:
     return joined(result)
 
 
-def _nodes_of(deck: _Deck, members: IntArray) -> IntArray:
+def _nodes_of(deck: Deck, members: IntArray) -> IntArray:
     return np.unique(
         joined([e.nodes[np.isin(e.labels, members)].reshape(-1) for e in deck.elements])
     )
 
 
-def _known(
-    card: Card, sets: dict[str, list[IntArray]], word: str, what: str, row: int | None = None
-) -> IntArray:
-    """Members of a set that a data line names."""
-    name = word.strip('"').rpartition(".")[2]  # "Part-1.Set" within an assembly
-    if name.upper() not in sets:
-        hint = nearest(name.upper(), sets)
-        raise card.error(f"the {what} '{word}' does not exist", row=row, expected=hint)
-    return joined(sets[name.upper()])
+def _take_surface(deck: Deck, card: Card) -> None:
+    deck.surfaces[deck.name(card.option("NAME"))] = card, deck.scope_of(card)
 
 
-def _take_surface(deck: _Deck, card: Card) -> None:
+def _take_assembly(deck: Deck, card: Card) -> None:
+    if card.word == "ASSEMBLY":
+        deck.assemblies.add(card.options.get("NAME", "").upper())
+    deck.enter(Scope(in_assembly=card.word != "END ASSEMBLY"))
+
+
+def _take_instance(deck: Deck, card: Card) -> None:
     name = card.option("NAME")
-    deck.names.setdefault(name.upper(), name)
-    deck.surfaces[name.upper()] = card
+    if name.upper() in deck.instances:
+        raise card.error(f"there is an instance '{name}' before it")
+    scope = Scope(name, len(deck.instances) * STRIDE)
+    deck.instances[name.upper()] = scope
+    deck.enter(scope, displaced(card))
 
 
-def _take_part(deck: _Deck, card: Card) -> None:
-    deck.parts += 1
-    if deck.parts > 1:
-        raise card.error("the file has more than one part", expected="merge them into one")
-
-
-def _enter(deck: _Deck, card: Card) -> None:
-    deck.scope = "ASSEMBLY" if card.word in ("ASSEMBLY", "END INSTANCE") else ""
-
-
-def _take_instance(deck: _Deck, card: Card) -> None:
-    _enter(deck, card)
-    if card.lines and card.numbers(7).any():  # a translation, and a rotation in a second line
-        raise card.error("the instance is moved or turned", expected="save the mesh in place")
-
-
-_TAKE: dict[str, Callable[[_Deck, Card], None]] = {
+_TAKE: dict[str, Callable[[Deck, Card], None]] = {
     "NODE": _take_nodes,
     "ELEMENT": _take_elements,
     "NSET": _take_set,
     "ELSET": _take_set,
     "SURFACE": _take_surface,
-    "PART": _take_part,
+    "SYSTEM": _take_system,
     "INSTANCE": _take_instance,
-    "END INSTANCE": _enter,
-    "ASSEMBLY": _enter,
-    "END ASSEMBLY": _enter,
+    "END INSTANCE": _take_assembly,
+    "ASSEMBLY": _take_assembly,
+    "END ASSEMBLY": _take_assembly,
 }
 
 
 # --- the mesh ---
 
 
-def _points(deck: _Deck, path: Path) -> tuple[IntArray, FloatArray]:
+def _points(deck: Deck, path: Path) -> tuple[IntArray, FloatArray]:
     """Numbers of the nodes in ascending order, and their coordinates."""
     every, points = np.concatenate(deck.numbers), np.concatenate(deck.points)
     numbers, first, row = np.unique(every, return_index=True, return_inverse=True)
@@ -347,21 +341,21 @@ def _points(deck: _Deck, path: Path) -> tuple[IntArray, FloatArray]:
     if other.any():
         raise MeshError(
             f"{len(np.unique(every[other]))} nodes stand twice, at different positions, for "
-            f"example {every[other][0]}",
+            f"example {every[other][0] % STRIDE}",
             where=path.name,
         )
     return numbers, points[first]
 
 
-def _node_rows(deck: _Deck, key: str, numbers: IntArray, wanted: IntArray) -> IntArray:
+def _node_rows(deck: Deck, key: str, numbers: IntArray, wanted: IntArray) -> IntArray:
     wanted = np.unique(wanted)
     rows = find(numbers, wanted)
     deck.mark_incomplete(key, "" if len(wanted) else "it has no nodes")
-    deck.mark_incomplete(key, missing(wanted[rows < 0], len(wanted), "nodes"))
+    deck.mark_incomplete(key, missing(wanted[rows < 0] % STRIDE, len(wanted), "nodes"))
     return rows[rows >= 0]
 
 
-def _blocks(deck: _Deck, numbers: IntArray) -> Iterator[Block]:
+def _blocks(deck: Deck, numbers: IntArray) -> Iterator[Block]:
     sets = {key: np.unique(joined(rows)) for key, rows in deck.elsets.items()}
     labels = np.concatenate([elements.labels for elements in deck.elements])
     every, times = np.unique(labels, return_counts=True)
@@ -376,51 +370,54 @@ def _blocks(deck: _Deck, numbers: IntArray) -> Iterator[Block]:
                 key, f"{twice} of its {len(members)} elements stand twice in the file"
             )
         deck.mark_incomplete(key, "" if len(members) else "it has no elements")
-        deck.mark_incomplete(
-            key, missing(np.setdiff1d(members, np.append(every, left)), len(members), "elements")
-        )
+        lost = np.setdiff1d(members, np.append(every, left))
+        deck.mark_incomplete(key, missing(lost % STRIDE, len(members), "elements"))
+    titles = deck.titles()
     for elements in deck.elements:
+        _check_nodes(elements, numbers)
         parts = {
-            deck.names[key]: np.flatnonzero(np.isin(elements.labels, members))
+            titles[key]: np.flatnonzero(np.isin(elements.labels, members))
             for key, members in sets.items()
         }
         yield Block(elements.kind, find_all(numbers, elements.nodes), parts)
 
 
-def _surfaces(deck: _Deck, numbers: IntArray) -> Iterator[Block]:
+def _check_nodes(elements: Elements, numbers: IntArray) -> None:
+    """Refuses nodes that do not exist, by their numbers in the file."""
+    lost = elements.nodes[find(numbers, elements.nodes) < 0]
+    if len(lost):
+        find_all(np.empty(0, dtype=np.int64), np.unique(lost) % STRIDE)
+
+
+def _surfaces(deck: Deck, numbers: IntArray) -> Iterator[Block]:
     """Facets of each *SURFACE as blocks of elements; those of type NODE become sets of nodes."""
     facets = Facets(deck.elements)
     result: dict[str, list[tuple[str, IntArray]]] = {}
-    for key, card in deck.surfaces.items():
+    titles = deck.titles()
+    for key, (card, scope) in deck.surfaces.items():
         if card.options.get("TYPE", "ELEMENT").upper() == "NODE":
-            deck.nsets.setdefault(key, [_members(deck, card, "NSET")])
+            deck.nsets.setdefault(key, [_nodes_of_surface(deck, card, scope)])
             continue
-        result[key] = list(_facets(deck, key, card, facets, result))
+        result[key] = list(_facets(deck, key, facets, result))
         for kind, nodes in result[key]:
             rows = find_all(numbers, nodes)
-            yield Block(kind, rows, {deck.names[key]: np.arange(len(rows))})
+            yield Block(kind, rows, {titles[key]: np.arange(len(rows))})
 
 
-def _members(deck: _Deck, card: Card, what: str) -> IntArray:
+def _nodes_of_surface(deck: Deck, card: Card, scope: Scope) -> IntArray:
     """Nodes of a *SURFACE of type NODE: of each line the first entry, a set or a node."""
     firsts = [(row, line.split(",")[0].strip()) for row, line in enumerate(card.lines)]
-    return joined(
-        [
-            np.array([int(word)]) if word.isdigit() else _known(card, deck.nsets, word, what, row)
-            for row, word in firsts
-            if word
-        ]
-    )
+    return joined([deck.members(card, scope, "NSET", word, row) for row, word in firsts if word])
 
 
 def _facets(
-    deck: _Deck,
+    deck: Deck,
     key: str,
-    card: Card,
     facets: Facets,
     before: dict[str, list[tuple[str, IntArray]]],
 ) -> Iterator[tuple[str, IntArray]]:
     """Kind and nodes of the facets that the lines of a *SURFACE name."""
+    card, scope = deck.surfaces[key]
     combine = card.options.get("COMBINE", "").upper()
     if combine not in ("", "UNION"):
         deck.lost[key] = f"COMBINE={combine} is not read"
@@ -430,14 +427,13 @@ def _facets(
         name, side = ([*line.split(","), ""])[:2]
         name, side = name.strip(), side.strip().upper()
         if combine:
-            other = name.strip('"').upper()
+            other = scope.key(name.strip('"'))
             if other not in before:
                 hint = nearest(other, before)
                 raise card.error(f"there is no surface '{name}' before it", row=row, expected=hint)
             yield from before[other]
             continue
-        one = name.isdigit()
-        members = np.array([int(name)]) if one else _known(card, deck.elsets, name, "ELSET", row)
+        members = deck.members(card, scope, "ELSET", name, row)
         picked = facets.pick(np.unique(members), side)
         if picked.unsupported:
             raise card.error(
