@@ -18,6 +18,7 @@ from dolfin_elastic.mesh.body import Body, CadSource
 from dolfin_elastic.mesh.distribute import CAD, Permutation, build_body, is_cad
 from dolfin_elastic.mesh.formats.cad.process import Permission
 from dolfin_elastic.mesh.formats.cleaning import straight
+from dolfin_elastic.mesh.formats.midsides import in_order
 from dolfin_elastic.mesh.formats.raw import MeshFile, RawMesh, assemble
 from dolfin_elastic.mesh.geometry.checks import check_cells
 from dolfin_elastic.mesh.local_size import NO_SIZES, CadSizes
@@ -235,7 +236,7 @@ def reader(
         return lambda: _msh(path, permission, time), cpp.io.perm_gmsh
     if suffix in CAD:
         return cad, cpp.io.perm_gmsh
-    return lambda: _other_reader(suffix)(path), cpp.io.perm_vtk
+    return lambda: in_order(_other_reader(suffix)(path)), cpp.io.perm_vtk
 
 
 def _msh(path: Path, permission: Permission, time: float | None) -> MeshFile:

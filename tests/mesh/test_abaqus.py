@@ -177,6 +177,23 @@ def test_coordinate_systems(folder: Path) -> None:
     assert read_abaqus(folder / "deck.inp").points == pytest.approx(np.array(points), abs=1e-14)
 
 
+@pytest.mark.parametrize("order", [[0, 1, 2, 3, 5, 4], [2, 0, 1, 5, 3, 4]])
+def test_midside_nodes_in_another_order(folder: Path, order: list[int]) -> None:
+    """Also where the cells are curved; cells of different orders are refused as before."""
+    points, cells = quadratic(*box((1, 1, 1), (2, 2, 2)))
+    points[:, 0] += 0.05 * np.sin(3 * points[:, 1])
+    right = deck(folder, inp_text(points, cells))
+    mixed = cells[:, [0, 1, 2, 3, *(4 + k for k in order)]]
+    body = deck(folder, inp_text(points, mixed))
+    back = ", ".join(map(str, [1, 2, 3, 4, *(5 + k for k in np.argsort(order))]))
+    assert any(f"of {len(cells)} elements" in n and n.endswith(f"order {back}") for n in body.notes)
+    assert mesh_statistics(body).volume == pytest.approx(mesh_statistics(right).volume, rel=1e-12)
+    assert not any("midside" in note for note in right.notes)
+    mixed[::2] = cells[::2]
+    with pytest.raises(MeshError, match="fold over themselves"):
+        deck(folder, inp_text(points, mixed))
+
+
 # --- assemblies ---
 
 PART = "*PART, NAME=p\n" + cube("*NSET, NSET=corner\n1\n*SURFACE, NAME=foot\nlow, S1\n*END PART\n")

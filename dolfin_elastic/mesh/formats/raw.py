@@ -391,7 +391,7 @@ def _left_out(blocks: Sequence[Block], dim: int) -> list[str]:
     return [f"left out, of too high a dimension: {', '.join(high)}"] if high else []
 
 
-_MIDSIDES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+MIDSIDES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 """End vertices of the midside nodes of quadratic cells in the order of Abaqus, VTK and MED."""
 
 
@@ -421,7 +421,7 @@ def _midsides(solid: Sequence[Block], dim: int, facets: IntArray) -> IntArray:
     """Midside nodes of facets, sorted vertices: shape (F, sides); of linear cells (F, 0)."""
     if solid[0].nodes.shape[1] == dim + 1:
         return np.empty((len(facets), 0), dtype=np.int64)
-    columns = _MIDSIDES[: solid[0].nodes.shape[1] - dim - 1]
+    columns = MIDSIDES[: solid[0].nodes.shape[1] - dim - 1]
     ends = np.concatenate([np.sort(b.nodes[:, pair], axis=1) for b in solid for pair in columns])
     middles = np.concatenate([b.nodes[:, dim + 1 + k] for b in solid for k in range(len(columns))])
     ends, first = np.unique(ends, axis=0, return_index=True)
