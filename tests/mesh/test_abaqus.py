@@ -68,7 +68,20 @@ FAULTS = {
     "generate": (cube("*NSET, NSET=a, GENERATE\n1, x\n"), "inp:18: .*'1, x' generates nothing"),
     "step": (cube("*NSET, NSET=a, GENERATE\n1, 9, 0\n"), "inp:18: .*'1, 9, 0' generates nothing"),
     "face": (cube("*SURFACE, NAME=a\nALL, S5\n"), "inp:18: .*the face 'S5', which no element has"),
-    "ngen": (cube("*NGEN\n1, 2\n"), r"inp:17: \*NGEN: this is not understood"),
+    "nmap": (cube("*NMAP\n1, 2\n"), r"inp:17: \*NMAP: this is not understood"),
+    "ngen": (cube("*NGEN\n1, 8, 2\n"), "inp:18: .*'1, 8, 2' generates nothing"),
+    "ngen node": (cube("*NGEN\n1, 21, 10\n"), "inp:18: .*the node 21 does not exist before it"),
+    "arc": (cube("*NGEN, LINE=C\n1, 2, 1, 1\n"), "inp:18: .*'1, 2, 1, 1' generates nothing"),
+    "nfill": (cube("*NSET, NSET=a\n1\n*NFILL\na, ALL, 2\n"), "inp:20: .*NSET 'ALL' does not"),
+    "bias": (cube("*NFILL, BIAS=2.\n"), "inp:17: .*BIAS is not understood"),
+    "reflect": (cube("*NCOPY, REFLECT=POINT\n"), "inp:17: .*REFLECT is not understood"),
+    "no shift": (cube("*NCOPY, OLD SET=a\n"), "inp:17: .*SHIFT is missing"),
+    "elgen": (cube("*ELGEN\n9, 2\n"), "inp:18: .*the element 9 does not exist before it"),
+    "copies": (cube("*ELGEN\n1, 99999, 1, 1, 99999\n"), "inp:18: .*no number of copies"),
+    "large": (cube("*ELGEN\n1, 2, 1, 9999999999\n"), "inp:18: .*the number 9999999999 is too l"),
+    "below": (cube("*ELGEN\n1, 2, 1, -1\n"), "inp:17: .*0 is no number of a node or an element"),
+    "elgen rows": (cube("*ELGEN\n1, 0\n"), "inp:18: .*'1, 0' generates nothing"),
+    "elcopy": (cube("*ELCOPY, OLD SET=ALL, ELEMENT SHIFT=a\n"), "inp:17: .*SHIFT NODES= is miss"),
     "motion": (cube("*INSTANCE, NAME=a\n0., 0., 1., 2.\n"), "inp:18: .*motion is not understood"),
     "axis": (cube("*INSTANCE, NAME=a\n0.\n1., 0., 0., 1., 0., 0., 9.\n"), "inp:19: .*no length"),
     "no part": (cube("*INSTANCE, NAME=a, PART=p\n"), "inp:17: .*there is no part 'P' before"),
@@ -192,6 +205,36 @@ def test_midside_nodes_in_another_order(folder: Path, order: list[int]) -> None:
     mixed[::2] = cells[::2]
     with pytest.raises(MeshError, match="fold over themselves"):
         deck(folder, inp_text(points, mixed))
+
+
+def test_generated_nodes_and_elements(folder: Path) -> None:
+    """A bar of 4 x 1 x 1 from two corner nodes, and lines on a circle and a parabola."""
+    text = "*NODE\n1, 0., 0., 0.\n5, 4., 0., 0.\n*NGEN, NSET=low\n1, 5, 1\n"
+    text += "*NCOPY, CHANGE NUMBER=10, OLD SET=low, SHIFT, NEW SET=back\n0., 1., 0.\n\n"
+    text += "*NCOPY, CHANGE NUMBER=200, OLD SET=low, SHIFT, NEW SET=high\n0., 0., 2.\n"
+    text += "*NCOPY, CHANGE NUMBER=200, OLD SET=back, SHIFT, NEW SET=top\n0., 0., 2.\n"
+    text += "*NFILL\nlow, high, 2, 100\nback, top, 2, 100\n"
+    text += "*NCOPY, CHANGE NUMBER=1000, OLD SET=back, SHIFT, MULTIPLE=2\n0.\n"
+    text += "0., 0., 0., 0., 0., 1., 90.\n"
+    x, y, z = 1, 10, 100
+    paths = [[0, a, a + b, x + y + z] for a in (x, y, z) for b in (x, y, z) if a != b]
+    rows = "".join(f"{i}, {', '.join(str(1 + n) for n in p)}\n" for i, p in enumerate(paths, 1))
+    text += f"*ELEMENT, TYPE=C3D4, ELSET=first\n{rows}*ELGEN, ELSET=all\n"
+    text += "".join(f"{i}, 3, 1, 10, 2, 100, 100\n" for i in range(1, 7))
+    text += "*ELCOPY, OLD SET=first, ELEMENT SHIFT=30, SHIFT NODES=3, NEW SET=last\n"
+    text += "*NODE\n4001, 2., 0., 0.\n4004, 0., 2., 0.\n4010, 0., 0., 1.\n4014, 4., 0., 1.\n"
+    text += "4020, 2., 3., 1.\n*NGEN, LINE=C\n4001, 4004, 1, 1\n*NGEN, LINE=P, NSET=bow\n"
+    text += "4010, 4014, 1, 4020\n"
+    made(lambda: (folder / "deck.inp").write_text(text))
+    file = read_abaqus(folder / "deck.inp")
+    assert list(file.points[file.point_sets["bow"], 1]) == pytest.approx([0, 2.25, 3, 2.25, 0])
+    for radius, angle in zip((2, 2), np.radians([30, 60]), strict=True):
+        point = np.array([np.cos(angle), np.sin(angle), 0]) * radius
+        assert np.linalg.norm(file.points - point, axis=1).min() < 1e-14
+    # Node 15 at (4, 1) is turned twice by 90 degrees.
+    assert np.linalg.norm(file.points - [-4, -1, 0], axis=1).min() < 1e-14
+    regions = mesh_statistics(read_body(folder / "deck.inp")).regions
+    assert regions == pytest.approx({"first": 1, "all": 6, "last": 1})
 
 
 # --- assemblies ---

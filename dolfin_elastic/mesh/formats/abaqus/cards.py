@@ -80,8 +80,8 @@ class Card:
             )
         return numbers.reshape(-1, width)
 
-    def integer(self, row: int, word: str) -> int:
-        """An entry of a data line as an integer."""
+    def integer(self, row: int | None, word: str) -> int:
+        """An entry of a data line, or without one of the keyword line, as an integer."""
         if not _is_whole(word):
             raise self.error(f"'{word}' is no whole number", row=row)
         return int(word)

@@ -68,7 +68,7 @@ class Deck:
         own: NSET and ELSET to the numbers of nodes and elements of the assembly itself.
         others: Keywords that are not read, because the case file takes their place.
         unread: Other keywords that are not read, to their number.
-        types: Type to number of elements.
+        unsorted: Keys of the sets of nodes whose order counts.
         left: Type to the numbers of elements that have no shape.
     """
 
@@ -92,8 +92,13 @@ class Deck:
     own: dict[str, list[IntArray]] = field(default_factory=lambda: {"NSET": [], "ELSET": []})
     others: list[str] = field(default_factory=list)
     unread: Counter[str] = field(default_factory=Counter)
-    types: Counter[str] = field(default_factory=Counter)
+    unsorted: set[str] = field(default_factory=set)
     left: dict[str, list[IntArray]] = field(default_factory=dict)
+
+    @staticmethod
+    def label(number: int) -> int:
+        """A number of a node or an element as the file has it."""
+        return int(number) % STRIDE
 
     def name(self, name: str) -> str:
         """Key of a set or surface that the present keyword defines."""

@@ -22,11 +22,13 @@ class Elements:
         kind: In the words of meshio.
         labels: Numbers of the elements, shape (n,).
         nodes: Numbers of their nodes, shape (n, k).
+        type: In capitals, as C3D10M.
     """
 
     kind: str
     labels: IntArray
     nodes: IntArray
+    type: str
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ Read here rather than through meshio 5.3, which loses every *SURFACE, fails on *
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 
 from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.core.types import FloatArray, IntArray
+from dolfin_elastic.mesh.formats.abaqus import commands
 from dolfin_elastic.mesh.formats.abaqus.cards import Card, read_cards
 from dolfin_elastic.mesh.formats.abaqus.deck import STRIDE, Deck, Scope
 from dolfin_elastic.mesh.formats.abaqus.elements import (
@@ -45,6 +47,7 @@ _OPTIONS = {
     "ELEMENT": ("TYPE", "ELSET", "INPUT", "SOLID ELEMENT NUMBERING"),
     "INSTANCE": ("NAME", "PART"),
     "PART": ("NAME",),
+    **commands.OPTIONS,
 }
 """Parameters that are understood."""
 _ALIKE = 0.8
@@ -153,10 +156,11 @@ def _check_understood(card: Card) -> None:
 
 def _information(deck: Deck) -> list[str]:
     """Elements without stiffness, and keywords that are not read."""
-    dims = {
-        name: Block(kind[0], _NO_NODES).dim for name in deck.types if (kind := element_kind(name))
-    }
-    low = [f"{deck.types[name]} {name}" for name in dims if dims[name] < max(dims.values())]
+    types, dims = Counter[str](), dict[str, int]()
+    for elements in deck.elements:
+        types[elements.type] += len(elements.labels)
+        dims[elements.type] = Block(elements.kind, _NO_NODES).dim
+    low = [f"{types[name]} {name}" for name in dims if dims[name] < max(dims.values())]
     result = (
         [f"elements that name parts only and have no stiffness: {', '.join(low)}"] if low else []
     )
@@ -229,8 +233,7 @@ def _take_elements(deck: Deck, card: Card) -> None:
         )
     kind, size = known
     labels, nodes = _element_rows(deck, card, size)
-    deck.types[name] += len(labels)
-    deck.elements.append(Elements(kind, labels, nodes))
+    deck.elements.append(Elements(kind, labels, nodes, name))
     if "ELSET" in card.options:
         deck.add(deck.elsets, card.option("ELSET"), labels)
 
@@ -259,6 +262,8 @@ def _element_rows(deck: Deck, card: Card, size: int) -> tuple[IntArray, IntArray
 def _take_set(deck: Deck, card: Card) -> None:
     sets, scope = deck.nsets if card.word == "NSET" else deck.elsets, deck.scope_of(card)
     name = card.option(card.word)
+    if card.word == "NSET" and "UNSORTED" in card.options:
+        deck.unsorted.add(deck.name(name))
     if "GENERATE" in card.options:
         deck.add(sets, name, deck.resolved(card, scope, card.word, _generated(card)))
         return
@@ -323,6 +328,7 @@ _TAKE: dict[str, Callable[[Deck, Card], None]] = {
     "ELSET": _take_set,
     "SURFACE": _take_surface,
     "SYSTEM": _take_system,
+    **dict.fromkeys(commands.OPTIONS, commands.generate),
     "INSTANCE": _take_instance,
     "END INSTANCE": _take_assembly,
     "ASSEMBLY": _take_assembly,

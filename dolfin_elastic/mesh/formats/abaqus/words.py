@@ -12,8 +12,7 @@ OF_A_CASE = frozenset(
 REFUSED = frozenset(
     (
         *("NMAP", "USER ELEMENT", "PARAMETER", "IMPERFECTION", "SYMMETRIC MODEL GENERATION"),
-        *("IMPORT", "SUPERELEMENT", "SUBSTRUCTURE PATH", "NGEN", "NFILL", "NCOPY", "ELGEN"),
-        "ELCOPY",
+        *("IMPORT", "SUPERELEMENT", "SUBSTRUCTURE PATH"),
     )
 )
 """Keywords that make, move or remove nodes and elements."""
