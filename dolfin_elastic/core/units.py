@@ -30,10 +30,11 @@ _NUMBER = re.compile(
     r"(?:\s*((?:[^\W\d_]|[%°]).*?)|\s+(1\s*/.*?)|\s*(/\s*(?:K|degC|°C)))?\s*",
     re.DOTALL,
 )
-_POWER = r"(?:[^\W\d_]|[%°])+(?:\s*(?:\^|\*\*)\s*-?[0-9](?![0-9])|[²³])?"
+_EXPONENT = r"(?:\s*(?:\^|\*\*)\s*-?[0-9](?![0-9])|[²³])?"
+_POWER = rf"(?:[^\W\d_]|[%°])+{_EXPONENT}"
 _TIMES = r"(?:\s*[*/·.]\s*|\s+)"
 _PRODUCT = rf"{_POWER}(?:{_TIMES}{_POWER})*"
-_FACTOR = rf"(?:{_POWER}|\(\s*{_PRODUCT}\s*\))"
+_FACTOR = rf"(?:{_POWER}|\(\s*{_PRODUCT}\s*\){_EXPONENT})"
 _UNIT = re.compile(rf"(?:1\s*/\s*)?{_FACTOR}(?:{_TIMES}{_FACTOR})*\s*")
 """Units handed to pint: names with one-digit powers, and products of them in parentheses, since it
 would evaluate 9^9^9 for hours."""

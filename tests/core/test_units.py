@@ -34,6 +34,7 @@ FINITE = "a number up to 1e308, no nan and no inf"
         ("1 N/mm**2", "Pa", 1e6),
         ("210000 N/(mm^2)", "Pa", 210e9),
         ("2 kN/(m s^-1)", "N*s/m", 2e3),
+        ("1 N/(mm)^2", "Pa", 1e6),
         ("3 1/(ms)", "1/s", 3e3),
         (2, "m", 2.0),
         (2.5, "Pa", 2.5),
