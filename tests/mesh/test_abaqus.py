@@ -260,7 +260,8 @@ def test_instances_are_moved_and_turned(folder: Path) -> None:
     more += (
         "a.foot\nb.foot\n*ELEMENT, TYPE=CONN3D2\n1, 1, b.3\n*ELEMENT, TYPE=MASS, ELSET=m\n2, b.1\n"
     )
-    made(lambda: (folder / "deck.inp").write_text(assembly(more)))
+    text = assembly(more).replace("*END PART", "*SPELL\n*END PART", 1)
+    made(lambda: (folder / "deck.inp").write_text(text))
     file = read_abaqus(folder / "deck.inp")
     turned = np.stack([1 - POINTS[:, 1], POINTS[:, 0] + 1, POINTS[:, 2]], axis=1)
     assert file.points == pytest.approx(np.vstack([POINTS, turned, [[9, 9, 9]]]), abs=1e-14)
@@ -274,6 +275,7 @@ def test_instances_are_moved_and_turned(folder: Path) -> None:
     assert size["feet"] == pytest.approx(size["a.foot"] + size["b.foot"])
     assert size["a.foot"] == pytest.approx(size["b.foot"]) and size["top"] > 0
     assert kinds("m") == ("point",)
+    assert "keywords that are not read: 1 *SPELL" in body.information
 
 
 def test_numbers_of_an_assembly_name_their_instance(folder: Path) -> None:

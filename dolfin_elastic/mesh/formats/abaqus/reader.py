@@ -60,7 +60,7 @@ def read_abaqus(path: Path) -> MeshFile:
     Raises:
         MeshError: The file is damaged, or makes its mesh by commands instead of listing it.
     """
-    deck, stray = Deck(), ""
+    deck, stray, seen = Deck(), "", set[tuple[str, int]]()
     for card in _with_parts(deck, read_cards(path)):
         if not card.word and card.lines:
             stray = stray or f"{card.file}:{card.at[0]}"
@@ -69,7 +69,8 @@ def read_abaqus(path: Path) -> MeshFile:
             _TAKE[card.word](deck, card)
         elif card.word in OF_A_CASE:
             deck.others.append(f"*{card.word}")
-        elif card.word not in SILENT:
+        elif card.word not in SILENT and (card.file, card.line) not in seen:
+            seen.add((card.file, card.line))  # once, however many instances its part has
             deck.unread[f"*{card.word}"] += 1
     deck.enter(Scope())
     if not deck.points or not deck.elements:
