@@ -132,7 +132,7 @@ def test_damaged_decks(folder: Path) -> None:
     ("kind", "nodes", "side", "name"),
     [
         ("C3D8", 8, "S2", "hexahedra"),
-        ("C3D20R", 20, "S6", "hexahedra"),
+        ("C3D20R", 20, "S6", "20-node hexahedra"),
         ("C3D6", 6, "S1", "wedges"),
         ("CPS4", 4, "S4", "quadrilaterals"),
     ],

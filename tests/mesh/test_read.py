@@ -798,5 +798,7 @@ def test_elements_of_high_order_are_refused_by_their_order(
     row = " ".join(map(str, range(1, count + 1)))
     text += f"$Elements\n1\n1 {kind} 2 1 1 {row}\n$EndElements\n"
     on_root(MPI.COMM_WORLD, lambda: (folder / "a.msh").write_text(text) and None)
-    with pytest.raises(MeshError, match=rf"of order {order}: found 1 t.*Mesh\.ElementOrder = 2"):
+    with pytest.raises(
+        MeshError, match=rf"of order {order}: found 1 {count}-node t.*Mesh\.ElementOrder = 2"
+    ):
         read_body(folder / "a.msh")

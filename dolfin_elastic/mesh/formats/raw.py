@@ -132,8 +132,12 @@ _KIND_NAMES = {
 
 
 def kind_name(kind: str) -> str:
-    """Name of a kind of elements: hexahedra of hexahedron20."""
-    return _KIND_NAMES.get(kind) or _KIND_NAMES.get(kind.rstrip("0123456789"), kind)
+    """Name of a kind of elements: 20-node hexahedra of hexahedron20."""
+    shape = kind.rstrip("0123456789")
+    known = _KIND_NAMES.get(shape, shape)
+    return _KIND_NAMES.get(kind) or f"{kind.removeprefix(shape)}-node {known}".removeprefix(
+        "-node "
+    )
 
 
 @dataclass(frozen=True)
