@@ -84,6 +84,18 @@ def test_groups(folder: Path, number: int) -> None:
     assert size.surfaces == pytest.approx({"foot": 4, "top": 4})
 
 
+@pytest.mark.parametrize("blank", [[], [""]])
+def test_empty_groups(folder: Path, blank: list[str]) -> None:
+    """SALOME writes an empty line for their members, as no other program does."""
+    empty = [line for i in (7, 8, 9) for line in group(2467, i, f"nothing {i}", [])[:2] + blank]
+    lines = [*empty[: len(empty) // 3], *group(2467, 3, "foot", [(8, 101), (8, 102)])]
+    lines += empty[len(empty) // 3 :]
+    made(lambda: (folder / "cube.unv").write_text(cube(dataset(2467, lines))))
+    body = read_body(folder / "cube.unv")
+    assert mesh_statistics(body).surfaces == pytest.approx({"foot": 1})
+    assert body.notes == ("groups without members: nothing 7, nothing 8, nothing 9",)
+
+
 @pytest.mark.parametrize(("number", "kinds"), [(15, 2412), (781, 780), (2411, 2412)])
 def test_versions_of_nodes_and_elements(folder: Path, number: int, kinds: int) -> None:
     lines = [line for i, c in enumerate(CELLS, start=1) for line in element(i, 111, c, kinds)]

@@ -233,6 +233,9 @@ def _take_elements(contents: _Contents, dataset: _Dataset) -> None:
 def _take_groups(contents: _Contents, dataset: _Dataset) -> None:
     width, row, lines = _GROUPS[dataset.number], 0, dataset.lines
     while row < len(lines):
+        if not lines[row].strip():  # SALOME writes one for the members of an empty group
+            row += 1
+            continue
         head = dataset.integers(row, row + 1)
         if not len(head) or row + 1 >= len(lines):
             raise dataset.error("a group is cut short", row)
@@ -310,12 +313,15 @@ def _mesh(contents: _Contents, path: Path) -> MeshFile:
         parts = {name: np.flatnonzero(np.isin(numbers, m)) for name, m in members.items()}
         blocks.append(Block(kind, rows[:, _ORDER.get(kind, slice(None))], parts))
     every, lost, sets = np.unique(joined(present)), dict(contents.lost), {}
+    empty = list[str]()
     for name, (nodes_of, _) in contents.groups.items():
         wanted = np.unique(joined(nodes_of))
         rows = find(labels, wanted)
         if len(wanted):
             sets[name] = rows[rows >= 0]
         elements = members[name]
+        if not len(wanted) + len(elements) and name not in lost:
+            empty.append(name)
         reasons = [
             missing(wanted[rows < 0], len(wanted), "nodes"),
             missing(np.setdiff1d(elements, every), len(elements), "elements"),
@@ -323,6 +329,8 @@ def _mesh(contents: _Contents, path: Path) -> MeshFile:
         if any(reasons):
             lost[name] = next(filter(None, reasons))
     notes = [f"elements left out: {', '.join(left_out)}"] if left_out else []
+    if empty:
+        notes.append(f"groups without members: {', '.join(empty)}")
     return MeshFile(points, blocks, notes, point_sets=sets, incomplete=lost)
 
 
