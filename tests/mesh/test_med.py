@@ -45,6 +45,46 @@ def test_groups_of_every_dimension() -> None:
     assert places(body, "corner") == [(2, 1, 1)]
 
 
+def thin(path: Path) -> None:
+    """Leaves out what MED may leave out: groups of a family, numbers of families that are 0."""
+    import h5py
+
+    write(path)
+    with h5py.File(path, "r+") as file:
+        families = file["FAS/mesh/ELEME"]
+        for family in families.values():
+            if family.attrs["NUM"] == -6:
+                del family["GRO"]
+        step = next(iter(file["ENS_MAA/mesh"].values()))
+        del step["MAI/SE2/FAM"]
+
+
+def test_families_without_groups(folder: Path) -> None:
+    """They name nothing, and neither do elements without a number of a family."""
+    made(lambda: thin(folder / "block.med"))
+    body = read_body(folder / "block.med")
+    size = mesh_statistics(body)
+    assert size.volume == pytest.approx(2) and size.regions == {}
+    assert size.surfaces == pytest.approx({"foot": 2})
+    names = {name for parts in body.parts.values() for name in parts}
+    assert names == {"foot", "corner"} and body.notes == ()
+
+
+def test_meshes_without_families(folder: Path) -> None:
+    def bare() -> None:
+        import h5py
+
+        write(folder / "block.med")
+        with h5py.File(folder / "block.med", "r+") as file:
+            del file["FAS"]
+            step = next(iter(file["ENS_MAA/mesh"].values()))
+            for group in (step["NOE"], *step["MAI"].values()):
+                del group["FAM"]
+
+    made(bare)
+    assert mesh_statistics(read_body(folder / "block.med")).volume == pytest.approx(2)
+
+
 def places(body: Body, name: str) -> list[tuple[float, ...]]:
     """Nodes of a point on all ranks [m]."""
     own = body.mesh.geometry.x[body.owned_points(name)]

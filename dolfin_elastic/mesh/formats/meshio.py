@@ -108,7 +108,8 @@ def _read(path: Path) -> meshio.Mesh:
             stack.enter_context(warnings.catch_warnings())
             # What numpy says of words amid numbers, from which on it reads nothing.
             warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
-            mesh = meshio.read(path)
+            gaps = _gaps_of_med(path) if path.suffix.lower() == ".med" else {}
+            mesh = meshio.med.read(_filled(path, gaps)) if gaps else meshio.read(path)
     except SystemExit:
         raise MeshError(
             f"meshio cannot read it: {' '.join(output.getvalue().split())[:300]}", where=path.name
@@ -271,6 +272,52 @@ def _check_med(path: Path) -> None:
                     where=path.name,
                     expected="rectangular coordinates",
                 )
+
+
+def _gaps_of_med(path: Path) -> dict[str, int | None]:
+    """What MED may leave out, while meshio needs it.
+
+    Returns:
+        Path of the numbers of families of elements, all of which are 0, to the number of elements;
+        of families without groups, and of a mesh without families, to None.
+    """
+    gaps: dict[str, int | None] = {}
+    with hdf5.opened(path) as file:
+        for name, mesh in file["ENS_MAA"].items():
+            families = mesh.get("FAS", file.get(f"FAS/{name}"))
+            if families is None:
+                gaps[f"FAS/{name}/ELEME"] = None
+            for kind in ("NOEUD", "ELEME"):
+                for family in (families or {}).get(kind, {}).values():
+                    if "GRO" not in family:
+                        gaps[f"{family.name}/GRO"] = None
+            step = mesh if "NOE" in mesh else next(iter(mesh.values()))
+            elements = list(step["MAI"].values())
+            if any("FAM" in one for one in elements):
+                gaps |= {
+                    f"{one.name}/FAM": int(one["NOD"].attrs["NBR"])
+                    for one in elements
+                    if "FAM" not in one
+                }
+    return gaps
+
+
+def _filled(path: Path, gaps: Mapping[str, int | None]) -> io.BytesIO:
+    """A copy of a MED file in memory without its gaps."""
+    import h5py
+
+    copy = io.BytesIO(path.read_bytes())
+    with h5py.File(copy, "r+") as file:
+        for name, count in gaps.items():
+            if count is not None:
+                file[name] = np.zeros(count, dtype=np.int64)
+                continue
+            group = file.create_group(name)
+            if name.endswith("/GRO"):
+                group.attrs["NBR"] = 0
+                group["NOM"] = np.zeros((0, 80), dtype=np.int8)
+    copy.seek(0)
+    return copy
 
 
 def _check_cgns(path: Path) -> None:
