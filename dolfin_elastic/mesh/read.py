@@ -49,8 +49,8 @@ def read_body(
     become fields.
 
     Args:
-        path: .msh; .xdmf; .inp, .unv, .vtu, .vtk, .med, .mesh and whatever else meshio reads;
-            .geo, .step, .brep or .iges, which Gmsh meshes on the fly.
+        path: .msh; .xdmf; .inp, .bdf, .unv, .exo, .vtu, .vtk, .med, .mesh and whatever else
+            meshio reads; .geo, .step, .brep or .iges, which Gmsh meshes on the fly.
         scale: Metres per unit of length of the file; None: the unit that the file states (STEP,
             IGES and .unv), else 1.
         size: Size of the elements in the file's unit, or a text with a unit; only for CAD files.
@@ -268,6 +268,10 @@ def _other_reader(suffix: str) -> Callable[[Path], MeshFile]:
         from dolfin_elastic.mesh.formats.nastran import read_nastran
 
         return read_nastran
+    if suffix in (".e", ".exo", ".ex2", ".g"):
+        from dolfin_elastic.mesh.formats.exodus import read_exodus
+
+        return read_exodus
     from dolfin_elastic.mesh.formats.meshio import read_meshio
 
     return read_meshio

@@ -1,4 +1,4 @@
-"""Every other format, through meshio: .vtu, .vtk, .med, .mesh, .bdf ... with their names."""
+"""Every other format, through meshio: .vtk, .med, .mesh, .cgns ... with their names."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _read(path: Path) -> meshio.Mesh:
         raise MeshError(
             f"meshio cannot read it: {_reason(path, error)}",
             where=path.name,
-            expected="formats: .msh, .xdmf, .inp, .unv, .vtu, .vtk, .med, .mesh, .bdf; "
+            expected="formats: .msh, .xdmf, .inp, .unv, .vtu, .vtk, .med, .mesh, .bdf, .exo; "
             ".geo, .step, .brep",
         ) from None
     _check_warnings(output.getvalue(), path)
