@@ -236,7 +236,7 @@ def reader(
         return lambda: _msh(path, permission, time), cpp.io.perm_gmsh
     if suffix in CAD:
         return cad, cpp.io.perm_gmsh
-    return lambda: in_order(_other_reader(suffix)(path)), cpp.io.perm_vtk
+    return lambda: in_order(_other_reader(path)(path)), cpp.io.perm_vtk
 
 
 def _msh(path: Path, permission: Permission, time: float | None) -> MeshFile:
@@ -250,8 +250,11 @@ def _msh(path: Path, permission: Permission, time: float | None) -> MeshFile:
         return convert_msh(path, permission)
 
 
-def _other_reader(suffix: str) -> Callable[[Path], MeshFile]:
+def _other_reader(path: Path) -> Callable[[Path], MeshFile]:
     """The reader of a format whose quadratic cells have their nodes in VTK's order."""
+    suffix = path.suffix.lower()
+    if suffix == ".dat" and _is_tecplot(path):
+        suffix = ".tec"
     if suffix == ".inp":
         from dolfin_elastic.mesh.formats.abaqus import read_abaqus
 
@@ -264,7 +267,7 @@ def _other_reader(suffix: str) -> Callable[[Path], MeshFile]:
         from dolfin_elastic.mesh.formats.unv import read_unv
 
         return read_unv
-    if suffix in (".bdf", ".nas", ".fem"):
+    if suffix in (".bdf", ".nas", ".fem", ".dat"):
         from dolfin_elastic.mesh.formats.nastran import read_nastran
 
         return read_nastran
@@ -275,3 +278,11 @@ def _other_reader(suffix: str) -> Callable[[Path], MeshFile]:
     from dolfin_elastic.mesh.formats.meshio import read_meshio
 
     return read_meshio
+
+
+def _is_tecplot(path: Path) -> bool:
+    """Whether a .dat file is one of Tecplot: it begins with a title, variables or a zone."""
+    with path.open(encoding="latin-1") as file:
+        lines = (line.strip() for line in file)
+        first = next((line for line in lines if line and line[0] not in "#$"), "")
+    return first.upper().startswith(("TITLE", "VARIABLES", "ZONE", "FILETYPE")) and "=" in first

@@ -14,7 +14,9 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.mesh import mesh_statistics, read_body
+from dolfin_elastic.mesh.formats.cad.process import Permission
 from dolfin_elastic.mesh.formats.nastran import read_nastran
+from dolfin_elastic.mesh.read import reader
 
 COMM = MPI.COMM_WORLD
 POINTS, CELLS = box((3, 2, 1), (3, 2, 1))
@@ -96,7 +98,7 @@ def test_field_formats(folder: Path, form: Callable[..., str], cells: str) -> No
     assert body.mesh.geometry.cmap.degree == (1 if cells == "linear" else 2)
 
 
-@pytest.mark.parametrize("suffix", [".bdf", ".nas", ".fem"])
+@pytest.mark.parametrize("suffix", [".bdf", ".nas", ".fem", ".dat"])
 def test_other_ways_to_write(tmp_path: Path, suffix: str) -> None:
     """No control sections as Gmsh does, comments, small letters, tabs, exponents without E."""
     bulk = deck(number=exponents, form=small).partition("BEGIN BULK\n")[2]
@@ -104,7 +106,7 @@ def test_other_ways_to_write(tmp_path: Path, suffix: str) -> None:
         "\nCT", "$ more\n\n$\nCT", 1
     )
     (tmp_path / f"a{suffix}").write_text(bulk)
-    found = read_nastran(tmp_path / f"a{suffix}")
+    found = reader(tmp_path / f"a{suffix}", pytest.fail, Permission(False, 1.0))[0]()
     assert np.array_equal(found.points, POINTS) and len(found.blocks[0].nodes) == len(CELLS)
 
 
@@ -239,6 +241,7 @@ def test_files_that_include_themselves(tmp_path: Path) -> None:
         ("CTRIWING,9,1,1,2,3", "a.bdf:4: CTRIWING: this element is not understood"),
         ("CIHEX1,9,1,1,2,3", "a.bdf:4: CIHEX1: this element"),
         ("CSUPER,1,0,1,2", "a.bdf:4: CSUPER: a superelement is not understood"),
+        ("CHEXA,9,1,1,2,3,4,5,6\n+,7,8", "a.bdf:4: CHEXA: this kind of element is not supp"),
         ("=,*1,=,=,*0.5", r"a.bdf:4: entries made by replication \(=\) are not understood"),
         ("GRID,99,77,0.,0.,0.", "a.bdf:4: GRID: there is no coordinate system 77; known: there"),
         ("GRID,99,,0.,zero,0.", "a.bdf:4: GRID: field 5 is 'zero', no number"),
@@ -303,3 +306,24 @@ def test_what_is_beside_the_body(folder: Path) -> None:
     assert mesh_statistics(body).surfaces == pytest.approx({"30": 6})
     assert f"have no stiffness: {len(shells)} CTRIA3, 1 CBAR" in body.information[0]
     assert body.information[1].endswith("the case file states it: 1 CONM2, 1 RBE2")
+
+
+def test_supports_and_loads(tmp_path: Path) -> None:
+    """They are counted, those of GRID and GRDSET too, as are directions of their own."""
+    before = [
+        "CORD2R,3,0,0.,0.,0.,0.,1.,0.\n+,1.,0.,0.",
+        "GRDSET,,,,,,3",
+        "SPC1,1,123,1,2",
+        "FORCE,2,1,0,1.,0.,0.,1.",
+        "FORCE,2,2,0,1.,0.,0.,1.",
+        "PLOAD4,2,1,1.",
+        "SET1,9,1,2",
+        "GRID,900,,0.,0.,0.,0,123",
+    ]
+    (tmp_path / "a.bdf").write_text(deck(form=free, number=full, before=before))
+    assert read_nastran(tmp_path / "a.bdf").information == [
+        "not read, because the case file states it: 1 SPC1, 2 FORCE, 1 PLOAD4, 1 SET1, "
+        "1 GRID with supports (PS)",
+        f"{len(POINTS)} GRID with directions in a coordinate system of their own (CD): supports "
+        "and loads of the case file are in basic directions",
+    ]

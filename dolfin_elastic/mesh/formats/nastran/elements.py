@@ -66,7 +66,23 @@ NO_ELEMENTS = frozenset(
 )
 """Other entries that begin with C."""
 
+_OF_A_CASE = (
+    *("SPC", "FORCE", "MOMENT", "PLOAD", "GRAV", "ACCEL", "RFORCE", "LOAD", "TEMP", "DLOAD"),
+    *("RLOAD", "TLOAD", "LSEQ", "DAREA", "SLOAD", "DEFORM", "SUPORT", "ASET", "BSET", "QSET"),
+    *("OMIT", "USET", "SESET", "SET1", "SET2", "SET3", "SET4", "BSURF", "BCONP", "BCTSET"),
+    *("BCTABLE", "BCONTACT", "BCBODY", "BLSEG", "BGSET", "SPOINT", "EPOINT", "DMIG", "GENEL"),
+)
+"""How supports, loads, sets, contacts, and matrices and unknowns beside the mesh begin."""
+
+SOLIDS = ("tetra", "tetra10", "triangle", "triangle6")
+"""Elements that a body may consist of."""
+
 _NODES = ("GRIDB", "GRIDF", "GRIDS", "GRIDA", "EGRID", "RINGAX", "SECTAX", "RINGFL")
+
+
+def is_of_a_case(name: str) -> bool:
+    """Whether an entry is to be said in the case file."""
+    return name in OTHERS or name.startswith(_OF_A_CASE)
 
 
 def misunderstood(name: str) -> str:

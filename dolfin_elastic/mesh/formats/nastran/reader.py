@@ -16,7 +16,13 @@ import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IntArray
-from dolfin_elastic.mesh.formats.nastran.elements import KINDS, OTHERS, Kind, misunderstood
+from dolfin_elastic.mesh.formats.nastran.elements import (
+    KINDS,
+    SOLIDS,
+    Kind,
+    is_of_a_case,
+    misunderstood,
+)
 from dolfin_elastic.mesh.formats.nastran.entries import Entry, read_entries
 from dolfin_elastic.mesh.formats.nastran.systems import System, Systems, systems_of
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile, find
@@ -46,23 +52,32 @@ class _Bulk:
     Attributes:
         grids: Number of a node to its entry.
         systems: Number of a coordinate system to its definition.
-        default: System of nodes that name none, from GRDSET.
+        default: GRDSET, whose fields hold for nodes that leave them blank.
         elements: Kind to elements.
         others: Entries that are not read, and how many.
     """
 
     grids: dict[int, Entry] = field(default_factory=dict)
     systems: dict[int, System] = field(default_factory=dict)
-    default: int = 0
+    default: Entry | None = None
     elements: dict[str, _Elements] = field(default_factory=dict)
     others: Counter[str] = field(default_factory=Counter)
+
+    def system_of(self, entry: Entry, index: int = 1) -> int:
+        """Number of the coordinate system of a node.
+
+        Args:
+            index: Of the field: 1 of its coordinates, 5 of the directions at it.
+        """
+        default = self.default.integer(index, 0) if self.default and not entry.text(index) else 0
+        return entry.integer(index, default)
 
     def point(self, number: int) -> tuple[int, FloatArray] | None:
         """System and coordinates of a node; None: it does not exist."""
         entry = self.grids.get(number)
         if entry is None:
             return None
-        return entry.integer(1, self.default), np.array([entry.real(i) for i in (2, 3, 4)])
+        return self.system_of(entry), np.array([entry.real(i) for i in (2, 3, 4)])
 
 
 def read_nastran(path: Path) -> MeshFile:
@@ -78,6 +93,7 @@ def read_nastran(path: Path) -> MeshFile:
     if not bulk.grids or not bulk.elements:
         raise MeshError("there are no GRID or no elements", where=path.name)
     numbers, points = _points(bulk)
+    _check_solids(bulk)
     blocks = [_block(kind, elements, numbers) for kind, elements in bulk.elements.items()]
     return MeshFile(points, blocks, information=_information(bulk))
 
@@ -87,7 +103,7 @@ def _take(bulk: _Bulk, entry: Entry) -> None:
         take(bulk, entry)
     elif entry.name in KINDS:
         _take_element(bulk, entry, KINDS[entry.name])
-    elif entry.name in OTHERS:
+    elif is_of_a_case(entry.name):
         bulk.others[entry.name] += 1
     elif what := misunderstood(entry.name):
         raise entry.error(f"{what} is not understood", "GRID, CORD1 and CORD2, CTETRA, CTRIA3 ...")
@@ -101,7 +117,7 @@ def _take_grid(bulk: _Bulk, entry: Entry) -> None:
 
 
 def _take_default(bulk: _Bulk, entry: Entry) -> None:
-    bulk.default = entry.integer(1, 0)
+    bulk.default = entry
 
 
 def _take_system(bulk: _Bulk, entry: Entry) -> None:
@@ -142,12 +158,29 @@ def _points(bulk: _Bulk) -> tuple[IntArray, FloatArray]:
     labels = sorted(bulk.grids)
     numbers, entries = np.array(labels, dtype=np.int64), [bulk.grids[label] for label in labels]
     x = np.array([[entry.real(i) for i in (2, 3, 4)] for entry in entries])
-    of = np.array([entry.integer(1, bulk.default) for entry in entries])
+    of = np.array([bulk.system_of(entry) for entry in entries])
     systems, points = Systems(bulk.systems, bulk.point), np.empty_like(x)
     for number in np.unique(of).tolist():
         rows = np.flatnonzero(of == number)
         points[rows] = systems.place(number, x[rows], entries[int(rows[0])])
     return numbers, points
+
+
+def _dims(bulk: _Bulk) -> dict[str, int]:
+    """Dimension of each kind of elements."""
+    return {kind: Block(kind, _NO_NODES).dim for kind in bulk.elements}
+
+
+def _check_solids(bulk: _Bulk) -> None:
+    """Refuses bodies of hexahedra and the like, with the first of them."""
+    dims = _dims(bulk)
+    for kind, elements in bulk.elements.items():
+        if dims[kind] == max(2, *dims.values()) and kind not in SOLIDS:
+            raise elements.entries[0].error(
+                f"this kind of element is not supported; there are {len(elements.nodes)} of "
+                f"{len(elements.nodes[0])} nodes",
+                "a mesh of CTETRA, or of CTRIA3 or CTRIA6",
+            )
 
 
 def _block(kind: str, elements: _Elements, numbers: IntArray) -> Block:
@@ -162,7 +195,11 @@ def _block(kind: str, elements: _Elements, numbers: IntArray) -> Block:
 
 def _information(bulk: _Bulk) -> list[str]:
     """Elements without stiffness, and entries that are not read."""
-    dims = {kind: Block(kind, _NO_NODES).dim for kind in bulk.elements}
+    dims = _dims(bulk)
+    everywhere = bulk.default.text(6) if bulk.default else ""
+    fixed = sum((grid.text(6) or everywhere).strip("0") != "" for grid in bulk.grids.values())
+    if fixed:
+        bulk.others["GRID with supports (PS)"] = fixed
     low = Counter(
         entry.name
         for kind, elements in bulk.elements.items()
@@ -173,8 +210,14 @@ def _information(bulk: _Bulk) -> list[str]:
         "elements that name parts only and have no stiffness": low,
         "not read, because the case file states it": bulk.others,
     }
-    return [
+    result = [
         f"{text}: {', '.join(f'{count} {name}' for name, count in elements.items())}"
         for text, elements in texts.items()
         if elements
     ]
+    if turned := sum(bulk.system_of(grid, 5) != 0 for grid in bulk.grids.values()):
+        result.append(
+            f"{turned} GRID with directions in a coordinate system of their own (CD): supports and "
+            "loads of the case file are in basic directions"
+        )
+    return result
