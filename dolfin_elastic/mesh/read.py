@@ -271,10 +271,23 @@ def _other_reader(path: Path) -> Callable[[Path], MeshFile]:
         from dolfin_elastic.mesh.formats.nastran import read_nastran
 
         return read_nastran
+    return _rarer_reader(path, suffix)
+
+
+def _rarer_reader(path: Path, suffix: str) -> Callable[[Path], MeshFile]:
     if suffix in (".e", ".exo", ".ex2", ".g"):
         from dolfin_elastic.mesh.formats.exodus import read_exodus
 
         return read_exodus
+    if suffix in (".node", ".ele"):
+        from dolfin_elastic.mesh.formats.text.tetgen import read_tetgen
+
+        return read_tetgen
+    if suffix == ".mesh":
+        from dolfin_elastic.mesh.formats.text.mfem import is_mfem, read_mfem
+
+        if is_mfem(path):
+            return read_mfem
     from dolfin_elastic.mesh.formats.meshio import read_meshio
 
     return read_meshio

@@ -1,0 +1,1 @@
+"""Meshes as plain text: TetGen and MFEM."""
