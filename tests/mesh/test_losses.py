@@ -211,6 +211,21 @@ def test_zones(tmp_path: Path) -> None:
         file.copy("Base/Zone1", "Base/Zone2")
     with pytest.raises(MeshError, match="a.cgns: it has 2 zones with 1 sections of elements"):
         read_body(path)
+    with h5py.File(path, "r+") as file:
+        file.move("Base", "block")
+    with pytest.raises(MeshError, match="this layout of CGNS is not read: .*; save the mesh in"):
+        read_body(path)
+    path.write_bytes(b"@(#)ADF Database Version B02012>")
+    with pytest.raises(MeshError, match="a.cgns: it is no HDF5 file; .* adf2hdf converts ADF"):
+        read_body(path)
+
+
+def test_quadratic_elements_of_medit(tmp_path: Path) -> None:
+    """As Gmsh writes them."""
+    path = tmp_path / "a.mesh"
+    path.write_text("MeshVersionFormatted 2\n Tetrahedra\n 1\n 1 2 3 4 5 6 7 8 9 10 1\n End\n")
+    with pytest.raises(MeshError, match="a.mesh: its Tetrahedra have 10 nodes each; linear"):
+        read_body(path)
 
 
 @pytest.mark.parametrize("key", ["BaseOffset", "Order"])

@@ -321,13 +321,22 @@ def _filled(path: Path, gaps: Mapping[str, int | None]) -> io.BytesIO:
 
 
 def _check_cgns(path: Path) -> None:
-    """Of CGNS the first zone of the first base is read."""
+    """Of CGNS the first zone of the first base is read, under the names that meshio gives them."""
     if not hdf5.is_hdf5(path):
-        return
+        raise MeshError(
+            "it is no HDF5 file", where=path.name, expected="CGNS in HDF5: adf2hdf converts ADF"
+        )
     with hdf5.opened(path) as file:
         zones = [name for base in file.values() for name in _groups(base)]
         sections = _groups(file["Base/Zone1"]) if "Base/Zone1" in file else []
         elements = [name for name in sections if "ElementConnectivity" in file["Base/Zone1"][name]]
+        known = "Base/Zone1/GridElements" in file
+    if not known:
+        raise MeshError(
+            "this layout of CGNS is not read: it has no Base/Zone1/GridElements",
+            where=path.name,
+            expected="save the mesh in another format, for example .msh, .vtu or .exo",
+        )
     if len(zones) > 1 or len(elements) > 1:
         raise MeshError(
             f"it has {len(zones)} zones with {len(elements)} sections of elements",
@@ -342,6 +351,21 @@ def _groups(group: object) -> list[str]:
     if not isinstance(group, h5py.Group):
         return []
     return [name for name, one in group.items() if isinstance(one, h5py.Group)]
+
+
+def _check_medit(path: Path) -> None:
+    """Gmsh writes quadratic elements in the lines of linear ones, which meshio cannot split."""
+    words = {"Triangles": 4, "Tetrahedra": 5}
+    lines = (line for _, line in _lines(path) if line)
+    for line in lines:
+        count = next(lines, "") if line in words else ""
+        first = next(lines, "").split() if count.isdecimal() and int(count) else []
+        if len(first) > words.get(line, len(first)):
+            raise MeshError(
+                f"its {line} have {len(first) - 1} nodes each",
+                where=path.name,
+                expected="linear elements, or another format, for example .msh or .vtu",
+            )
 
 
 def _check_tecplot(path: Path) -> None:
@@ -403,6 +427,7 @@ def _check_vertices(path: Path) -> None:
 _CHECKS: dict[str, Callable[[Path], None]] = {
     ".med": _check_med,
     ".cgns": _check_cgns,
+    ".mesh": _check_medit,
     ".dat": _check_tecplot,
     ".tec": _check_tecplot,
     ".stl": _check_stl,
