@@ -212,7 +212,7 @@ def test_included_files(folder: Path) -> None:
 
     def write() -> None:
         (folder / "parts").mkdir()
-        top = "BEGIN BULK\nINCLUDE 'parts/\nnodes.bdf'\nInclude \"parts/some.inc\"\n"
+        top = "BEGIN BULK\nINCLUDE 'parts/\nnodes.bdf'\nInclude \"parts\\some.inc\"\n"
         (folder / "a.bdf").write_text(f"{head}INCLUDE parts/control\n{top}{lines[-1]}\nENDDATA\n")
         (folder / "parts/control").write_text("SET 1 = 4\n")
         nodes = [line for line in lines if line.startswith("GRID")]

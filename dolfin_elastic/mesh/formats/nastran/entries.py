@@ -196,7 +196,7 @@ def _lines(path: Path, depth: int = 0) -> Iterator[_Line]:
 
 
 def _included(path: Path, line: _Line, name: str, depth: int) -> Iterator[_Line]:
-    inner = path.parent / name
+    inner = path.parent / name.replace("\\", "/")  # as Windows writes it
     if not name or not inner.is_file():
         raise line.error(f"INCLUDE: there is no file '{name}'", not_shown(inner))
     yield from _lines(inner, depth + 1)
