@@ -3,8 +3,7 @@
 Read here rather than through meshio 5.3, which needs a library for netCDF, fails on blocks of TET4
 and leaves out side sets and names.  Classic netCDF files (CDF-1 and CDF-2) are read by scipy,
 netCDF-4 files, which are HDF5, by h5py.  Elements of four and ten nodes list these as VTK does.
-Source: L. A. Schoof, V. R. Yarberry, EXODUS II: A Finite Element Data Model, SAND92-2137 (1994),
-sections 4.8 (element blocks) and 4.11 (side sets, table 5: side numbering).
+Source: L. A. Schoof, V. R. Yarberry, EXODUS II: A Finite Element Data Model, SAND92-2137 (1994).
 """
 
 from __future__ import annotations

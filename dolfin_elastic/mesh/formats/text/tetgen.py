@@ -2,7 +2,7 @@
 
 Read here rather than through meshio 5.3, which takes tetrahedra of four nodes only and leaves out
 all faces.  Source: H. Si, TetGen, A Quality Tetrahedral Mesh Generator, Version 1.5 User's Manual
-(2013), section 5.2 (file formats).
+(2013), on file formats.
 """
 
 from __future__ import annotations
