@@ -278,11 +278,12 @@ class RetryStrategy:
             result = solve(line_search)
             newton, krylov = newton + result.newton, krylov + result.krylov
             longest = max(longest, result.newton)
+        else:
+            if result.converged and any(term.unsettled() for term in terms if term.multipliers):
+                result = result.refused(UNSETTLED)
         result = replace(
             result, newton=newton, longest=longest, krylov=krylov, predicted=first.predicted
         )
-        if result.converged and any(term.unsettled() for term in terms if term.multipliers):
-            return result.refused(UNSETTLED)
         return self._refuse_inverted(result)
 
     def _refuse_inverted(self, result: NewtonResult) -> NewtonResult:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dolfin_elastic.core.shapes.turn import rotation
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.formats.abaqus.cards import Card
 
@@ -45,10 +46,7 @@ def displaced(card: Card) -> Motion:
         length = np.linalg.norm(b - a)
         if not length > 0:
             raise card.error("the axis of the rotation has no length", row=1)
-        x, y, z = (b - a) / length
-        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        # Rodrigues' formula
-        turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+        turn = rotation(tuple(map(float, (b - a) / length)), float(angle))
         shift = turn @ (shift - a) + a
     return Motion(turn, shift)
 

@@ -163,7 +163,7 @@ class BodyContact(SurfaceGaps):
     def curvatures(self) -> None:
         """See `VertexContact`: friction leaves the turn of normals out of its tangent."""
 
-    def _turning(self, pressures: FloatArray) -> Blocks:
+    def _turning(self, pressures: FloatArray, gaps: FloatArray) -> Blocks:
         """Minus the derivative of the forces by the second variation of gaps. Collective.
 
         With the metric a, the bend b, A = a - g b and

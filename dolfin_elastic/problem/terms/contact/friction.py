@@ -45,11 +45,12 @@ import numpy as np
 from dolfinx import fem
 
 from dolfin_elastic.core.parallel import largest, total
-from dolfin_elastic.core.types import FloatArray, IndexArray
+from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.material_regions import shear_modulus
 from dolfin_elastic.problem.pose import Pose
 from dolfin_elastic.problem.term import StepWeights, Term
+from dolfin_elastic.problem.terms.contact.multipliers import across
 from dolfin_elastic.problem.terms.contact.pair import ContactPair, allowed_gap
 from dolfin_elastic.problem.terms.contact.surfaces import FACTOR, uniaxial_modulus
 
@@ -161,14 +162,26 @@ class _Tractions(Term):
         """Traction and trial at the owned nodes, (n, dim) [Pa], and mu p, (n,) [Pa]. Collective."""
         pair, n = self._pair, self._pair.nodal_normals()
         limit = self.coefficient * pair.pressures(np.asarray(self.springs / self._share))
-        trial = self._of(self._tau) - self.springs[:, None] * (
-            self._moved() - self._of(self._stuck)
-        )
-        trial -= np.sum(trial * n, axis=1)[:, None] * n
+        trial, _, slides = self.trial(self._of(self._tau), n, limit)
         length = np.linalg.norm(trial, axis=1)
-        share = np.divide(limit, length, out=np.ones_like(limit), where=length > limit / ALL)
+        share = np.divide(limit, length, out=np.ones_like(limit), where=slides)
         share[limit == 0.0] = 0.0
         return share[:, None] * trial, trial, limit
+
+    def trial(
+        self, t: FloatArray, n: FloatArray, limit: FloatArray
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Trial tractions, the motions since points stuck, and which of them slide. Collective.
+
+        Args:
+            t: Multipliers, (n, dim) [Pa].
+            n: Normals, (n, dim).
+            limit: mu p, (n,) [Pa].
+        """
+        off = self._moved() - self._of(self._stuck)
+        trial = across(t - self.springs[:, None] * off, n)
+        slides: BoolArray = np.asarray(np.linalg.norm(trial, axis=1) > limit / ALL)
+        return trial, across(off, n), slides
 
     def tractions(self) -> FloatArray:
         """Per reference area at the owned nodes, (n, dim) [Pa]. Collective."""
@@ -243,8 +256,7 @@ class CoulombFriction(_Tractions):
         if not self._augments:
             return False
         n = self._pair.nodal_normals()
-        off = self._moved() - self._of(self._stuck)
-        off -= np.sum(off * n, axis=1)[:, None] * n
+        off = across(self._moved() - self._of(self._stuck), n)
         slip = np.linalg.norm(off[self.status() == STICK], axis=1)
         return largest(self._comm, float(np.max(slip, initial=0.0))) > allowed_gap(self._pair)
 
@@ -258,7 +270,7 @@ class CoulombFriction(_Tractions):
         unknowns, n = self._context.unknowns, self._pair.nodal_normals()
         t, _, limit = self._tractions()
         back = (t - self._of(self._tau)) / self.springs[:, None] * (limit > 0.0)[:, None]
-        back -= np.sum(back * n, axis=1)[:, None] * n
+        back = across(back, n)
         nodes, motion = self._with(self.pose.to_space(back))
         unknowns.u.x.array.reshape(-1, self._context.body.dim)[nodes] += motion
         unknowns.u.x.scatter_forward()
@@ -302,7 +314,7 @@ class CoulombFriction(_Tractions):
         old = first * shortened(before, within)
         e = old + (-t / self.springs[:, None] - old) / (1 - self._old)
         n, limit = self._pair.nodal_normals(), self._tractions()[2]
-        e -= np.sum(e * n, axis=1)[:, None] * n
+        e = across(e, n)
         length = self.springs * np.linalg.norm(e, axis=1)
         e *= np.divide(limit, length, out=np.ones_like(limit), where=length > limit)[:, None]
         e *= shortened(within, after)

@@ -36,25 +36,39 @@ SETTLED = 1e-6
 """Error of pressures by the gap that is left, and of tractions of slip, over the largest one."""
 
 
-@dataclass
-class PressureIterate:
-    """The pressures at the owned vertices in an iteration.
+@dataclass(kw_only=True)
+class Iterate:
+    """Multipliers at the owned vertices in an iteration.
 
     Attributes:
-        values: Multipliers [Pa]; at the end of the iteration once there is one.
-        gaps: Mean gaps where it begins [m].
-        active: Which vertices are in contact in it.
-        stiffness: E [Pa/m].
-        after: Multipliers after all of the step, see `foresee` [Pa].
+        values: They [Pa]; at the end of the iteration once there is one.
+        after: They after all of the step, see `foresee` [Pa].
         ended: The step was taken.
     """
 
     values: FloatArray
+    after: FloatArray | None = None
+    ended: bool = False
+
+    def step(self, share: float) -> None:
+        """Takes a share of the step."""
+        assert self.after is not None
+        self.values, self.ended = self.values + share * (self.after - self.values), True
+
+
+@dataclass(kw_only=True)
+class PressureIterate(Iterate):
+    """The pressures, (n,).
+
+    Attributes:
+        gaps: Mean gaps where the iteration begins [m].
+        active: Which vertices are in contact in it.
+        stiffness: E [Pa/m].
+    """
+
     gaps: FloatArray
     active: BoolArray
     stiffness: FloatArray
-    after: FloatArray | None = None
-    ended: bool = False
 
     @property
     def acting(self) -> FloatArray:
@@ -73,19 +87,13 @@ class PressureIterate:
         """Takes the pressures after the step, which changes the gaps by `rates` [m]."""
         self.after = self._after(self.gaps + rates)
 
-    def step(self, share: float) -> None:
-        """Takes a share of the step."""
-        assert self.after is not None
-        self.values, self.ended = self.values + share * (self.after - self.values), True
 
-
-@dataclass
-class TractionIterate:
-    """The tractions at the owned vertices in an iteration, (n, dim) where they are vectors.
+@dataclass(kw_only=True)
+class TractionIterate(Iterate):
+    """The tractions, (n, dim).
 
     Attributes:
-        values: Multipliers [Pa]; at the end of the iteration once there is one.
-        off: Motion along the surface since points stuck, where it begins [m].
+        off: Motion along the surface since points stuck, where the iteration begins [m].
         normals: Of the surface there.
         slides: Which vertices slide in it, (n,).
         along: Directions of their tractions.
@@ -93,11 +101,8 @@ class TractionIterate:
         mu: Coulomb's coefficient.
         springs: Penalty of the law, (n,) [Pa/m].
         pressures: Of the same iteration.
-        after: Multipliers after all of the step [Pa].
-        ended: The step was taken.
     """
 
-    values: FloatArray
     off: FloatArray
     normals: FloatArray
     slides: BoolArray
@@ -106,8 +111,6 @@ class TractionIterate:
     mu: float
     springs: FloatArray
     pressures: PressureIterate
-    after: FloatArray | None = None
-    ended: bool = False
 
     @property
     def limits(self) -> FloatArray:
@@ -137,11 +140,6 @@ class TractionIterate:
         """Takes the tractions after the step, in which points move by `way` [m]."""
         assert self.pressures.after is not None
         self.after = self._after(self.pressures.after, way)
-
-    def step(self, share: float) -> None:
-        """Takes a share of the step."""
-        assert self.after is not None
-        self.values, self.ended = self.values + share * (self.after - self.values), True
 
 
 def across(vectors: FloatArray, normals: FloatArray) -> FloatArray:

@@ -263,7 +263,7 @@ class VertexContact(_Followed):
             result += self._blocks_between(self.functions.nodes(some), values)
         if self.multipliers.iterate is not None:
             pressures = self.values()
-        return result if self.flat else result + self._turning(pressures)
+        return result if self.flat else result + self._turning(pressures, way.last)
 
     def means(self) -> Means:
         """See `Term`."""
@@ -295,9 +295,14 @@ class VertexContact(_Followed):
         curvature = self.pose.matrices_to_space(curvature)
         return curvature[rows].reshape(*x.shape, self._dim)
 
-    def _turning(self, pressures: FloatArray) -> Blocks:
-        """Minus the derivative of the forces by the turn of the normals. Collective."""
-        at_points = self.bulges.loads(pressures, self._at_points()[0])
+    def _turning(self, pressures: FloatArray, gaps: FloatArray) -> Blocks:
+        """Minus the derivative of the forces by the turn of the normals. Collective.
+
+        Args:
+            pressures: At the owned vertices [Pa].
+            gaps: At the points of the functions [m].
+        """
+        at_points = self.bulges.loads(pressures, gaps)
         some: BoolArray = np.asarray(self.functions.beside(self.near).any(axis=1))
         curvature = self.curvatures_of_points()[some]
         N = self.functions.at(some)
@@ -344,7 +349,8 @@ class VertexPressures(Multipliers):
         stays = (p >= -pair.eps * pair.reach) & (gaps < pair.size)
         active = np.where(presses, stays, gaps <= pair.reach)
         stiffness = RIGID * np.maximum(pair.eps, FACTOR / pair.softness)
-        self.iterate = PressureIterate(np.where(active, p, 0.0), gaps, active, stiffness)
+        values = np.where(active, p, 0.0)
+        self.iterate = PressureIterate(values=values, gaps=gaps, active=active, stiffness=stiffness)
         return True
 
     def foresee(self, motion: FloatArray) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dolfin_elastic.core.parallel import largest
-from dolfin_elastic.core.types import BoolArray, FloatArray, IndexArray, IntArray
+from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.problem.context import FormContext
 from dolfin_elastic.problem.term import Blocks, Multipliers
 from dolfin_elastic.problem.terms.contact.friction import ALL, OPEN, SLIP, STICK, CoulombFriction
@@ -71,21 +71,6 @@ class VertexFriction(CoulombFriction):
         """Means of a motion of local nodes, as the obstacle sees it, (n, dim) [m]. Collective."""
         means = self._functions.means(self._functions.displacements(motion))
         return self._pair.pose.to_obstacle(means)
-
-    def trial(
-        self, t: FloatArray, n: FloatArray, limit: FloatArray
-    ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Trial tractions, the motions since points stuck, and which of them slide. Collective.
-
-        Args:
-            t: Multipliers, (n, dim) [Pa].
-            n: Normals, (n, dim).
-            limit: mu p, (n,) [Pa].
-        """
-        off = across(self._moved() - self._of(self._stuck), n)
-        y = across(t, n) - self.springs[:, None] * off
-        slides: BoolArray = np.asarray(np.linalg.norm(y, axis=1) > limit / ALL)
-        return y, off, slides
 
     # --- forces ---
 
@@ -191,9 +176,17 @@ class VertexTractions(Multipliers):
         if before is not None:
             slides &= ~(before.slides & (np.sum(y * before.along, axis=1) < 0.0))
         size = np.where(slides, np.linalg.norm(y, axis=1), 1.0)
-        along, turns = y / size[:, None], mu * pressures.values / size
-        springs = friction.springs
-        self.iterate = TractionIterate(t, off, n, slides, along, turns, mu, springs, pressures)
+        self.iterate = TractionIterate(
+            values=t,
+            off=off,
+            normals=n,
+            slides=slides,
+            along=y / size[:, None],
+            turns=mu * pressures.values / size,
+            mu=mu,
+            springs=friction.springs,
+            pressures=pressures,
+        )
         return True
 
     def foresee(self, motion: FloatArray) -> None:
