@@ -1,0 +1,1 @@
+"""Surfaces of triangles: readers, checks, mending, and filling with tetrahedra."""
