@@ -26,8 +26,8 @@ BROUGHT = {
 }
 """Modules that come with another package and are of its version."""
 
-OPTIONAL = {"lz4", "ipctk"}
-"""Modules whose absence has a message: lz4 is in Debian's environment, ipctk is on PyPI only."""
+OPTIONAL = {"lz4", "ipctk", "manifold3d", "nibabel", "pydicom", "pytetwild", "pxr"}
+"""Modules whose absence has a message: Debian has lz4, nibabel and pydicom, PyPI the others."""
 
 UNDER_OTHER_NAMES = {"python3-dev", "python3-h5py-mpi", "python3-imageio-ffmpeg"}
 """Packages that no module imports by name: compiled forms, h5py and imageio need them."""
