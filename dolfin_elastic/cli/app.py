@@ -24,6 +24,7 @@ from click.exceptions import ClickException
 from typer.core import TyperCommand, TyperGroup
 
 from dolfin_elastic.cli.converge import converge
+from dolfin_elastic.cli.import_deck import import_deck
 from dolfin_elastic.cli.look.command import look
 from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import guard_output, lost_output
@@ -106,6 +107,7 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
   dolfin-elastic converge beam.toml --until "displacement of tip" 1%
                                             refine the mesh until it is known so well
   dolfin-elastic convert wing.msh wing.xdmf a large mesh, for many cores to read in parallel
+  dolfin-elastic import part.inp            a case file of a deck of another program
   dolfin-elastic verify                     known results, computed on this installation
 
 \b
@@ -200,6 +202,7 @@ app.command(cls=Verb, context_settings={"allow_extra_args": True, "ignore_unknow
 app.command(cls=Verb)(materials)
 app.command(cls=Verb)(report)
 app.command(cls=Verb)(convert)
+app.command("import", cls=Verb)(import_deck)
 app.command(cls=Verb)(new)
 app.command(cls=Verb)(schema)
 app.command(cls=Verb)(verify)
@@ -222,7 +225,11 @@ def info() -> None:
 def _only_what_is_asked_for() -> Iterator[None]:
     """Typer makes all commands of a program at each start, of which one is called: 15 ms."""
     every, asked = app.registered_commands, sys.argv[1] if len(sys.argv) > 1 else ""
-    one = [known for known in every if known.callback and known.callback.__name__ == asked]
+    one = [
+        known
+        for known in every
+        if known.callback and (known.name or known.callback.__name__) == asked
+    ]
     app.registered_commands = one or every
     try:
         yield

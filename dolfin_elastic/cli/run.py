@@ -84,6 +84,18 @@ def run(
     _compute_all(InTurn(read.analyses(), folder, options, comm), shown, comm)
 
 
+def compute_case(case: Path, comm: MPI.Comm, *, quiet: bool) -> None:
+    """Computes a case file as `run` does; leaves with an exit code that is not 0. Collective."""
+    from dolfin_elastic.case.check.rest import read_case
+    from dolfin_elastic.case.run import InTurn
+
+    read = read_case(case, comm=comm)
+    folder, options = read.results_folder(), parse_arguments([])[0]
+    check_kept(folder, "output.folder")
+    shown = _Shown(quiet=quiet, verbose=False, json=False, profile=False)
+    _compute_all(InTurn(read.analyses(), folder, options, comm), shown, comm)
+
+
 def restart(
     folder: Annotated[Path, typer.Argument(metavar="DIR", hidden=True)],
     petsc: Petsc = None,

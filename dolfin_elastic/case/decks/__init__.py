@@ -1,0 +1,1 @@
+"""Input files of other programs as cases: materials, supports, loads and steps beside the mesh."""

@@ -1,0 +1,36 @@
+"""`read_deck`: the reader that a deck's suffix asks for."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import cast
+
+from dolfin_elastic.case.decks.deck import Deck
+from dolfin_elastic.core.errors import MeshError, nearest_file, not_shown, why_no_file
+
+MOST_BYTES = 1 << 31
+READERS = {
+    ".inp": "abaqus.reader",
+}
+"""Suffix to the module of `case/decks` whose `read` makes a `Deck` of a path."""
+
+
+def read_deck(path: Path) -> Deck:
+    """A deck of another program. Not collective.
+
+    Raises:
+        MeshError: There is none, its suffix is not known, or it is damaged.
+    """
+    known = ", ".join(READERS)
+    if path.suffix.lower() not in READERS:
+        raise MeshError("this is no deck by its suffix", where=str(path), expected=known)
+    if fault := why_no_file(path, MOST_BYTES):
+        raise MeshError(fault, where=str(path))
+    if not path.is_file():
+        beside = [str(p) for p in path.parent.glob("*") if p.suffix.lower() in READERS]
+        hint = not_shown(path) or (nearest_file(str(path), beside) if beside else "")
+        raise MeshError("there is no such deck", where=str(path), expected=hint)
+    name = READERS[path.suffix.lower()]
+    module = import_module(f"dolfin_elastic.case.decks.{name}")
+    return cast("Deck", module.read(path))
