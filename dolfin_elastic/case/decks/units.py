@@ -25,7 +25,7 @@ class System:
 
     def text(self, number: Quantity) -> str | float:
         """A number as a case has it; 0 stays bare."""
-        return f"{number.value!r} {self.units[number.dimension]}" if number.value else 0
+        return f"{plain(number.value)} {self.units[number.dimension]}" if number.value else 0
 
 
 def _system(
@@ -119,3 +119,8 @@ def _shown(pascal: float) -> str:
         ((f, u) for f, u in ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa")) if pascal >= f), (1, "Pa")
     )
     return f"{pascal / factor:.4g} {unit}"
+
+
+def plain(value: float) -> str:
+    """A number with all its digits, and no decimals where it is whole."""
+    return repr(float(value)).removesuffix(".0")

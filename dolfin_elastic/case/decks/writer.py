@@ -38,7 +38,7 @@ def case_texts(deck: Deck, name: str, units: str = "") -> dict[str, str]:
 
     Args:
         deck: As a reader has made it; what cannot be written is added to its `left_out`.
-        name: Of the case file, without suffix; of several each has the number of its step behind it.
+        name: Of the case file, without suffix; of several each has its number behind it.
         units: System of units, see `units.SYSTEMS`; by default the deck's.
 
     Returns:
