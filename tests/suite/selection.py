@@ -57,6 +57,7 @@ POINTS = {
     "hostile/test_petsc_options.py",
     "hostile/test_terminal.py",
     "mesh/test_components.py",
+    "mesh/images/test_images.py",
     "mesh/test_losses.py",
     "model/materials/test_library.py",
     "model/materials/test_moduli.py",
