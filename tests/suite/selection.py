@@ -58,6 +58,7 @@ POINTS = {
     "hostile/test_terminal.py",
     "mesh/test_components.py",
     "mesh/images/test_images.py",
+    "mesh/test_fill.py",
     "mesh/test_losses.py",
     "model/materials/test_library.py",
     "model/materials/test_moduli.py",

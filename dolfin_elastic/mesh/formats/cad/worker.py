@@ -33,6 +33,7 @@ from dolfin_elastic.mesh.formats.cad.meshing import (
 )
 from dolfin_elastic.mesh.formats.cad.shapes import Lengths
 from dolfin_elastic.mesh.formats.cad.sizes import LocalField
+from dolfin_elastic.mesh.formats.surfaces.in_gmsh import GIVEN, fill_in_gmsh
 
 ASKED_OF_MODEL = ("getEntities", "getBoundingBox", "getClosestPoint", "getType", "getAdjacencies")
 """Functions of Gmsh's model that tell something of it and change nothing."""
@@ -104,6 +105,7 @@ class _Worker:
             "convert": self._convert,
             "load": self._load,
             "ask": self._ask,
+            "fill": self._fill,
         }
 
     def answer(self, question: Mapping[str, Any]) -> object:
@@ -187,6 +189,10 @@ class _Worker:
     def _load(self) -> None:
         """Loads a CAD file, of which the next questions are."""
         load(self._gmsh, self._path)
+
+    def _fill(self, way: dict[str, Any]) -> None:
+        """Fills the complex in the file's folder with tetrahedra."""
+        fill_in_gmsh(self._gmsh, self._path.parent / GIVEN, self._folder, way)
 
     def _ask(self, name: str, arguments: list[list[float] | int]) -> object:
         """The result of a function of the model, one of `ASKED_OF_MODEL`."""

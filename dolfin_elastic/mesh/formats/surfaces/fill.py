@@ -1,0 +1,195 @@
+"""`fill`: tetrahedra between the triangles of a `Plc`, made by Gmsh in a process of its own."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
+from dolfin_elastic.mesh.formats.cad.process import Permission, gmsh_process, notes_of
+from dolfin_elastic.mesh.formats.raw import Block, MeshFile
+from dolfin_elastic.mesh.formats.surfaces.bodies import bodies_of, region_volumes
+from dolfin_elastic.mesh.formats.surfaces.in_gmsh import FILLED, GIVEN
+from dolfin_elastic.mesh.formats.surfaces.nearest import nearest_triangles
+from dolfin_elastic.mesh.formats.surfaces.plc import Plc
+
+_LARGEST, _SMALLEST = 1 / 10, 1 / 200
+"""Default sizes over the diagonal of the body, as for CAD files."""
+_STEEPEST = 20.0
+"""Largest over smallest size where one is given."""
+_CAP = 10.0
+"""Smallest size over the deviation: an edge of this size on a circle, of which it is an eighth, is
+so far from it."""
+_ROUNDS = 8.0, 12.0
+"""Elements round a circle, the coarser first."""
+_VOLUME = 1e-3
+"""Relative error of a volume from which on another way is tried."""
+
+
+@dataclass(frozen=True)
+class _Way:
+    """How a complex is filled; see `in_gmsh.fill_in_gmsh`."""
+
+    remesh: bool
+    order: int
+    smallest: float
+    largest: float
+    round: float
+    words: str
+
+
+def fill(
+    plc: Plc,
+    *,
+    source: str,
+    size: float | None,
+    deviation: float | None,
+    curved: bool | None,
+    permission: Permission,
+) -> MeshFile:
+    """Fills the regions of a complex with tetrahedra. Local: one rank fills.
+
+    New triangles on the surface, and quadratic cells that follow it, come first; where Gmsh fails
+    or a volume is wrong by more than 0.1 %, finer ones do, and last the triangles given.  Parts of
+    the complex become surfaces and regions by their names; quadratic cells have VTK's order.
+
+    Args:
+        source: Name of the file, for messages.
+        size: Of the elements, in the file's unit; None: a tenth of the diagonal, and smaller ones
+            where the surface is curved.
+        deviation: Distance from the surface that does no harm: sizes by curvature are not smaller
+            than it needs; None: 1/2000 of the diagonal.
+        curved: False: straight cells.
+        permission: Time that Gmsh may take.
+
+    Raises:
+        MeshError: Gmsh cannot fill it.
+    """
+    bodies, regions = bodies_of(plc)
+    wanted = region_volumes(plc)
+    until = time.monotonic() + permission.seconds
+    best: tuple[float, _Way, Mapping[str, AnyArray]] | None = None
+    error: MeshError | None = None
+    for way in _ways(plc, size, deviation, straight=curved is False):
+        try:
+            filled = _filled(plc, bodies, source, way, until - time.monotonic())
+        except MeshError as caught:
+            error = error or caught
+            continue
+        volumes = np.bincount(
+            regions[filled["bodies"]], cell_volumes(filled["points"], filled["cells"]), len(wanted)
+        )
+        miss = float(np.abs(volumes / wanted - 1).max())
+        if best is None or miss < best[0]:
+            best = miss, way, filled
+        if miss < _VOLUME:
+            break
+    if best is None:
+        raise error or MeshError("Gmsh cannot fill it", where=source)
+    miss, way, filled = best
+    file = _file(plc, filled, regions)
+    notes = list(notes_of(permission))
+    if miss >= _VOLUME:
+        notes.append(f"the volume of the elements differs by {miss:.1%} from that of the surface")
+    order = "elements curved" if filled["cells"].shape[1] == 10 else ""
+    words = ", ".join(filter(None, [f"filled by Gmsh, {way.words}", order]))
+    return replace(file, notes=notes, information=[words])
+
+
+def _ways(
+    plc: Plc, size: float | None, deviation: float | None, *, straight: bool
+) -> Iterator[_Way]:
+    """How it is tried, one way after the other."""
+    diagonal = float(np.linalg.norm(np.ptp(plc.points, axis=0)))
+    largest = _LARGEST * diagonal if size is None else size
+    smallest = _SMALLEST * diagonal if size is None else size / _STEEPEST
+    if deviation is not None:
+        smallest = min(max(smallest, _CAP * deviation), largest)
+    words = "default size" if size is None else f"size {size:g}"
+    for count in _ROUNDS:
+        yield _Way(True, 1 if straight else 2, smallest, largest, count, words)
+    yield _Way(False, 1, 0.0, largest, 0.0, f"{words}, with the file's own triangles")
+
+
+def _filled(
+    plc: Plc, bodies: IntArray, source: str, way: _Way, seconds: float
+) -> Mapping[str, AnyArray]:
+    """The arrays that `in_gmsh.fill_in_gmsh` writes."""
+    _, groups = np.unique(np.column_stack([plc.patches, plc.regions]), axis=0, return_inverse=True)
+    content = io.BytesIO()
+    np.savez(
+        content,
+        points=plc.points,
+        triangles=plc.triangles,
+        groups=groups.reshape(-1),
+        bodies=bodies,
+    )
+    within = Permission(seconds=max(seconds, 1.0))
+    files = {Path(GIVEN): content.getvalue()}
+    with gmsh_process(Path(source), files, within) as (gmsh, folder):
+        arguments: dict[str, Any] = vars(way)
+        gmsh.ask("fill", way=arguments)
+        with np.load(folder / FILLED, allow_pickle=False) as data:
+            return {name: data[name] for name in data.files}
+
+
+def _file(plc: Plc, filled: Mapping[str, AnyArray], regions: IntArray) -> MeshFile:
+    """Cells and facets with their names."""
+    points, cells, facets = filled["points"], filled["cells"], filled["facets"]
+    middles = points[facets[:, :3]].mean(axis=1)
+    patches = plc.patches[nearest_triangles(plc.points, plc.triangles, middles)]
+    order = 1 if cells.shape[1] == 4 else 2
+    return MeshFile(
+        points,
+        [
+            Block(
+                "tetra" if order == 1 else "tetra10",
+                cells,
+                _named(plc.region_names, regions[filled["bodies"]]),
+            ),
+            Block(
+                "triangle" if order == 1 else "triangle6",
+                facets,
+                _named(plc.patch_names, patches),
+            ),
+        ],
+    )
+
+
+def _named(names: Any, numbers: IntArray) -> dict[str, IntArray]:
+    """Name to the rows that carry it."""
+    rows = {name: [k for k, other in enumerate(names) if other == name] for name in names if name}
+    return {name: np.flatnonzero(np.isin(numbers, of)) for name, of in rows.items()}
+
+
+def cell_volumes(points: FloatArray, cells: IntArray) -> FloatArray:
+    """Volumes of tetrahedra, of quadratic ones in VTK's order by quadrature, shape (n,)."""
+    x = points[cells]
+    if cells.shape[1] == 4:
+        return np.asarray(np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / 6)
+    result = np.zeros(len(cells))
+    # Degree 3, as the determinant has: P. Keast, Comput. Methods Appl. Mech. Eng. 55 (1986) 339.
+    places = [np.full(4, 0.25), *(np.where(np.eye(4), 1 / 2, 1 / 6))]
+    for weight, at in zip((-4 / 5, *[9 / 20] * 4), places, strict=True):
+        result += weight / 6 * np.linalg.det(np.einsum("tnc,nk->tkc", x, _slopes(at)))
+    return result
+
+
+def _slopes(at: FloatArray) -> FloatArray:
+    """Derivatives of the ten shape functions in VTK's order, shape (10, 3).
+
+    Args:
+        at: Barycentric coordinates, shape (4,).
+    """
+    slope = np.array([[-1, -1, -1], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+    edges = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]
+    corners = (4 * at[:, None] - 1) * slope
+    middles = [4 * (at[a] * slope[b] + at[b] * slope[a]) for a, b in edges]
+    return np.concatenate([corners, middles])

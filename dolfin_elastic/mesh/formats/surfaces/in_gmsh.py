@@ -1,0 +1,184 @@
+"""Tetrahedra between triangles, in the process of Gmsh (`cad/worker.py`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
+from dolfin_elastic.mesh.formats.cad.meshing import logged_errors
+
+GIVEN = "complex.npz"
+"""The file with points, triangles, groups and bodies; see `fill_in_gmsh`."""
+FILLED = "filled.npz"
+"""The file with points, cells, bodies, facets and entities."""
+_SHARP = 40.0
+"""Angle between triangles from which on their common edge stays an edge [degrees]."""
+_TRIANGLE, _TETRAHEDRON = 2, 4
+_CURVED = {2: 9, 3: 11}
+"""Gmsh's types of elements."""
+_GMSH_TO_VTK = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]
+_LEAST = 0.1
+"""Smallest over largest determinant of a curved cell; see `cad/curved.py`."""
+_SIDES = ((0, 1, 4), (1, 2, 5), (2, 0, 6), (3, 0, 7), (3, 2, 8), (3, 1, 9))
+"""Ends and middle of the edges of Gmsh's quadratic tetrahedron."""
+
+
+def fill_in_gmsh(gmsh: ModuleType, given: Path, folder: Path, way: Mapping[str, Any]) -> None:
+    """Fills bodies with cells; writes them as `FILLED`, quadratic ones in VTK's order.
+
+    Args:
+        gmsh: Gmsh with an empty model.
+        given: File with `points`, shape (n, 3), `triangles` (m, 3), their `groups` (m,), which stay
+            apart, and the `bodies` behind and in front of them (m, 2), -1 for none.
+        folder: To write into.
+        way: `remesh`: new triangles on the surface; `order` of the cells; sizes `smallest` and
+            `largest`; elements `round` a circle, 0 for those sizes alone.
+
+    Raises:
+        MeshError: Gmsh cannot do it.
+    """
+    data = np.load(given, allow_pickle=False)
+    points, triangles, bodies = data["points"], data["triangles"], data["bodies"]
+    _surfaces(gmsh, points, triangles, data["groups"], remesh=way["remesh"])
+    owners = _owners(gmsh, points[triangles].mean(axis=1), bodies)
+    volumes = _volumes(gmsh, owners)
+    options = {
+        "MeshSizeMax": way["largest"],
+        "MeshSizeMin": way["smallest"],
+        "MeshSizeFromCurvature": way["round"],
+        "OptimizeThreshold": 0.5,
+    }
+    for name, value in options.items():
+        gmsh.option.setNumber(f"Mesh.{name}", value)
+    _generate(gmsh)
+    curved = way["order"] == 2 and _curve(gmsh)
+    _save(gmsh, folder / FILLED, volumes, order=2 if curved else 1)
+
+
+def _surfaces(
+    gmsh: ModuleType, points: FloatArray, triangles: IntArray, groups: IntArray, *, remesh: bool
+) -> None:
+    """Makes a discrete surface of each group; of these, if asked for, ones with parameters."""
+    mesh = gmsh.model.mesh
+    order = np.argsort(groups, kind="stable")
+    starts = np.flatnonzero(np.diff(groups[order], prepend=-1))
+    for k, rows in enumerate(np.split(order, starts[1:])):
+        tag = gmsh.model.addDiscreteEntity(2)
+        if k == 0:
+            mesh.addNodes(2, tag, np.arange(1, len(points) + 1), points.ravel())
+        mesh.addElementsByType(tag, _TRIANGLE, [], (triangles[rows] + 1).ravel())
+    mesh.reclassifyNodes()
+    if remesh:
+        mesh.classifySurfaces(np.radians(_SHARP), True, True, np.pi)
+        mesh.createGeometry()
+    else:
+        mesh.createTopology()
+
+
+def _owners(gmsh: ModuleType, middles: FloatArray, bodies: IntArray) -> dict[int, IntArray]:
+    """Number of each surface to the bodies behind and in front of it.
+
+    Args:
+        middles: Of the triangles given, of which Gmsh's surfaces still consist, shape (m, 3).
+    """
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(middles)
+    tags, coordinates, _ = gmsh.model.mesh.getNodes()
+    place = np.zeros((int(tags.max()) + 1, 3))
+    place[tags] = coordinates.reshape(-1, 3)
+    result = {}
+    for _, tag in gmsh.model.getEntities(2):
+        nodes = gmsh.model.mesh.getElementsByType(_TRIANGLE, tag)[1].reshape(-1, 3)
+        rows = tree.query(place[nodes.astype(np.int64)].mean(axis=1))[1]
+        pairs, count = np.unique(np.sort(bodies[rows], axis=1), axis=0, return_counts=True)
+        result[int(tag)] = pairs[np.argmax(count)]
+    return result
+
+
+def _volumes(gmsh: ModuleType, owners: Mapping[int, IntArray]) -> dict[int, int]:
+    """Number of each volume to its body."""
+    result = {}
+    for body in sorted({int(b) for pair in owners.values() for b in pair if b >= 0}):
+        around = [tag for tag, pair in owners.items() if body in pair]
+        loop = gmsh.model.geo.addSurfaceLoop(around)
+        result[int(gmsh.model.geo.addVolume([loop]))] = body
+    gmsh.model.geo.synchronize()
+    return result
+
+
+def _generate(gmsh: ModuleType) -> None:
+    gmsh.option.setNumber("General.AbortOnError", 1)
+    gmsh.model.mesh.generate(3)
+    empty = [e for e in gmsh.model.getEntities(3) if not len(gmsh.model.mesh.getElements(*e)[0])]
+    if told := logged_errors(gmsh) or ("a body has no elements" if empty else ""):
+        raise MeshError(f"Gmsh cannot fill it: {told}")
+
+
+def _curve(gmsh: ModuleType) -> bool:
+    """Makes cells quadratic whose surface is curved; folded ones get straight edges."""
+    mesh = gmsh.model.mesh
+    mesh.setOrder(2)
+    nodes, x = _cells(gmsh, _CURVED[3])
+    rise = [np.linalg.norm(x[:, c] - (x[:, a] + x[:, b]) / 2, axis=1) for a, b, c in _SIDES]
+    chord = np.linalg.norm(x[:, 0] - x[:, 1], axis=1).max()
+    if np.max(rise) < 1e-9 * chord:
+        mesh.setOrder(1)
+        return False
+    if _folded(gmsh).any():
+        mesh.optimize("HighOrder")
+    straight = np.zeros(len(nodes), dtype=bool)
+    while (new := _folded(gmsh) & ~straight).any():
+        straight |= new
+        nodes, x = _cells(gmsh, _CURVED[3])
+        for a, b, c in _SIDES:
+            for tag, place in zip(nodes[new, c], (x[new, a] + x[new, b]) / 2, strict=True):
+                mesh.setNode(int(tag), place.tolist(), [])
+    return True
+
+
+def _folded(gmsh: ModuleType) -> BoolArray:
+    """Whether the map of a quadratic cell is singular, or almost, somewhere in it."""
+    tags = gmsh.model.mesh.getElementsByType(_CURVED[3])[0].tolist()
+    low, high = (
+        np.asarray(gmsh.model.mesh.getElementQualities(tags, name))
+        for name in ("minDetJac", "maxDetJac")
+    )
+    return np.asarray(low < _LEAST * np.maximum(np.abs(low), np.abs(high)))
+
+
+def _cells(gmsh: ModuleType, kind: int, tag: int = -1) -> tuple[IntArray, FloatArray]:
+    """Nodes of the elements of a kind, shape (n, k), and their coordinates (n, k, 3)."""
+    numbers, nodes = gmsh.model.mesh.getElementsByType(kind, tag)
+    tags, coordinates, _ = gmsh.model.mesh.getNodes()
+    order = np.argsort(tags)
+    nodes = np.asarray(nodes, dtype=np.int64).reshape(len(numbers), -1)
+    at = order[np.searchsorted(tags, nodes, sorter=order)]
+    return nodes, np.asarray(coordinates).reshape(-1, 3)[at]
+
+
+def _save(gmsh: ModuleType, path: Path, volumes: Mapping[int, int], *, order: int) -> None:
+    cell, facet = (_TETRAHEDRON, _TRIANGLE) if order == 1 else (_CURVED[3], _CURVED[2])
+    blocks: dict[str, list[IntArray]] = {"cells": [], "bodies": [], "facets": [], "entities": []}
+    for dim, kind, nodes, owner in ((3, cell, "cells", "bodies"), (2, facet, "facets", "entities")):
+        for _, tag in gmsh.model.getEntities(dim):
+            numbers, rows = gmsh.model.mesh.getElementsByType(kind, tag)
+            blocks[nodes].append(np.asarray(rows, dtype=np.int64).reshape(len(numbers), -1))
+            number = volumes[int(tag)] if dim == 3 else int(tag)
+            blocks[owner].append(np.full(len(numbers), number))
+    arrays: dict[str, Any] = {name: np.concatenate(parts) for name, parts in blocks.items()}
+    tags, coordinates, _ = gmsh.model.mesh.getNodes()
+    used = np.unique(arrays["cells"])
+    rows = np.argsort(tags)[np.searchsorted(np.sort(tags), used)]
+    arrays["points"] = np.asarray(coordinates).reshape(-1, 3)[rows]
+    for name in ("cells", "facets"):
+        arrays[name] = np.searchsorted(used, arrays[name])
+    if order == 2:
+        arrays["cells"] = arrays["cells"][:, _GMSH_TO_VTK]
+    np.savez(path, allow_pickle=False, **arrays)

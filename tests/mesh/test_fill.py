@@ -1,0 +1,105 @@
+"""Closed surfaces filled with tetrahedra: volumes, names, cavities, regions within regions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.complexes import alone, ball, box, complex_of, torus
+
+from dolfin_elastic.core.types import FloatArray
+from dolfin_elastic.mesh.formats.cad.process import Permission
+from dolfin_elastic.mesh.formats.raw import MeshFile
+from dolfin_elastic.mesh.formats.surfaces import fill as module
+from dolfin_elastic.mesh.formats.surfaces.bodies import bodies_of, region_volumes
+from dolfin_elastic.mesh.formats.surfaces.fill import cell_volumes, fill
+from dolfin_elastic.mesh.formats.surfaces.plc import OUTSIDE, Plc
+
+
+def filled(plc: Plc, **options: Any) -> MeshFile:
+    given: dict[str, Any] = {"size": None, "deviation": None, "curved": None, **options}
+    return fill(plc, source="part.stl", permission=Permission(seconds=60), **given)
+
+
+def kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only the last way is tried: the triangles given stay."""
+    ways: Callable[..., Any] = module._ways
+    monkeypatch.setattr(module, "_ways", lambda *a, **k: list(ways(*a, **k))[-1:])
+
+
+def volumes(file: MeshFile) -> dict[str, float]:
+    cells = file.blocks[0]
+    each = cell_volumes(file.points, cells.nodes)
+    assert each.min() > 0
+    return {name: float(each[rows].sum()) for name, rows in cells.parts.items()}
+
+
+def areas(file: MeshFile) -> dict[str, float]:
+    facets = file.blocks[1]
+    a, b, c = np.moveaxis(file.points[facets.nodes[:, :3]], 1, 0)
+    each: FloatArray = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return {name: float(each[rows].sum()) for name, rows in facets.parts.items()}
+
+
+def test_a_ball_becomes_curved_cells_of_its_volume() -> None:
+    plc = alone(ball(1, times=4))
+    file = filled(plc, size=0.5)
+    assert file.blocks[0].kind == "tetra10"
+    # Middle nodes lie on the facets given: 4e-5 was measured; straight cells miss 2 %.
+    assert volumes(file)["region0"] == pytest.approx(region_volumes(plc)[0], rel=3e-4)
+    assert not file.notes
+
+
+def test_a_box_keeps_its_sides_and_straight_cells() -> None:
+    file = filled(alone(box((1, 2, 3), n=3)), size=0.8)
+    assert file.blocks[0].kind == "tetra"
+    assert volumes(file)["region0"] == pytest.approx(6, rel=1e-12)
+    assert sorted(areas(file).values()) == pytest.approx([2, 2, 3, 3, 6, 6], rel=1e-9)
+
+
+def test_straight_cells_of_a_torus_keep_its_triangles() -> None:
+    plc = alone(torus(2, 0.6, n=12))
+    file = filled(plc, size=0.6, curved=False)
+    assert "own triangles" in file.information[0]
+    assert volumes(file)["region0"] == pytest.approx(region_volumes(plc)[0], rel=1e-12)
+
+
+def test_regions_in_regions_and_cavities(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each region has its own cells; a hole has none, and a body within it some again."""
+    kept(monkeypatch)
+    shells = [ball(r, times=2) for r in (1.0, 0.7, 0.4, 0.2)]
+    plc = complex_of(
+        (shells[0], (0, 1)), (ball(2, times=2), (1, OUTSIDE)), (shells[1], (OUTSIDE, 0)),
+        (shells[2], (0, OUTSIDE)), (shells[3], (OUTSIDE, 0)),
+    )  # fmt: skip
+    assert bodies_of(plc)[1].tolist() == [0, 0, 1]
+    file = filled(plc)
+    true = region_volumes(plc)
+    assert volumes(file) == pytest.approx({"region0": true[0], "region1": true[1]}, rel=1e-12)
+    assert sum(areas(file).values()) == pytest.approx(sum(areas_of(plc)), rel=1e-12)
+
+
+def test_boxes_that_touch_in_an_edge_are_two_bodies(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their surface has edges of four triangles."""
+    kept(monkeypatch)
+    a, b = box((1, 1, 1)), box((1, 1, 1), (1, 1, 0))
+    soup = np.concatenate([a[0][a[1]], b[0][b[1]]])
+    points, triangles = np.unique(np.round(soup.reshape(-1, 3), 9), axis=0, return_inverse=True)
+    triangles = triangles.reshape(-1, 3)
+    plc = Plc(
+        points,
+        triangles,
+        np.tile([0, OUTSIDE], (len(triangles), 1)),
+        np.zeros(len(triangles), dtype=np.int64),
+        ["body"],
+        ["skin"],
+    )
+    assert bodies_of(plc)[1].tolist() == [0, 0]
+    assert volumes(filled(plc))["body"] == pytest.approx(2, rel=1e-12)
+
+
+def areas_of(plc: Plc) -> FloatArray:
+    a, b, c = np.moveaxis(plc.points[plc.triangles], 1, 0)
+    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
