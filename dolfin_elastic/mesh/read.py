@@ -49,7 +49,7 @@ def read_body(
     become fields.
 
     Args:
-        path: .msh; .xdmf; .inp, .bdf, .unv, .exo, .vtu, .vtk, .med, .mesh and whatever else
+        path: .msh; .xdmf; .inp, .bdf, .feb, .unv, .exo, .vtu, .vtk, .med, .mesh and whatever else
             meshio reads; .geo, .step, .brep or .iges, which Gmsh meshes on the fly.
         scale: Metres per unit of length of the file; None: the unit that the file states (STEP,
             IGES and .unv), else 1.
@@ -279,6 +279,10 @@ def _rarer_reader(path: Path, suffix: str) -> Callable[[Path], MeshFile]:
         from dolfin_elastic.mesh.formats.exodus import read_exodus
 
         return read_exodus
+    if suffix == ".feb":
+        from dolfin_elastic.mesh.formats.febio import read_febio
+
+        return read_febio
     if suffix in (".node", ".ele"):
         from dolfin_elastic.mesh.formats.text.tetgen import read_tetgen
 
