@@ -12,6 +12,7 @@ from dolfin_elastic.core.errors import MeshError, nearest_file, not_shown, why_n
 MOST_BYTES = 1 << 31
 READERS = {
     ".inp": "abaqus.reader",
+    ".feb": "febio.reader",
 }
 """Suffix to the module of `case/decks` whose `read` makes a `Deck` of a path."""
 
