@@ -29,7 +29,8 @@ from dolfin_elastic.cli.look.command import look
 from dolfin_elastic.cli.materials import material, materials
 from dolfin_elastic.cli.pipes import guard_output, lost_output
 from dolfin_elastic.cli.run import Trust, collect_garbage, log_to_screen, restart, run
-from dolfin_elastic.cli.tools.files import convert, new, schema
+from dolfin_elastic.cli.tools.convert import convert
+from dolfin_elastic.cli.tools.files import new, schema
 from dolfin_elastic.cli.tools.plot import plot
 from dolfin_elastic.cli.tools.report import report
 from dolfin_elastic.cli.tools.verify import verify
@@ -104,6 +105,7 @@ HELP = """Deformable elastic bodies on DOLFINx and PETSc, on any number of cores
   dolfin-elastic restart beam_results       go on after it was stopped or killed
   dolfin-elastic report beam_results        a page about it that can be mailed
   dolfin-elastic plot beam_results          pictures, films and curves of what it has left
+  dolfin-elastic convert beam_results b.glb what it has left, for Blender, USD, FreeCAD
   dolfin-elastic converge beam.toml --until "displacement of tip" 1%
                                             refine the mesh until it is known so well
   dolfin-elastic convert wing.msh wing.xdmf a large mesh, for many cores to read in parallel

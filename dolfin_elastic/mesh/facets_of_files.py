@@ -63,6 +63,27 @@ def read_facets(
     Raises:
         MeshError: The file cannot be read, or is no surface.
     """
+    points, triangles, used = _read(path, unit, otherwise, size)
+    return clean(points * used.metres, triangles, path.name, used)
+
+
+def read_triangles(path: Path, metres: float) -> tuple[FloatArray, IntArray]:
+    """Corners [m] and triangles of a surface as a file holds them, in its order. Local.
+
+    Args:
+        metres: Metres per unit of length of the file, where it states none.
+
+    Raises:
+        MeshError: The file cannot be read, or is no surface.
+    """
+    points, triangles, used = _read(path, None, LengthUnit.of(metres), None)
+    return points * used.metres, triangles
+
+
+def _read(
+    path: Path, unit: LengthUnit | None, otherwise: LengthUnit, size: float | str | None
+) -> tuple[FloatArray, IntArray, LengthUnit]:
+    """See `read_facets`; points in the unit that comes with them."""
     check_file(path, size)
     stated = stated_unit_of(path)
     used = unit or stated or otherwise
@@ -77,8 +98,7 @@ def read_facets(
         )
 
     file = reader(path, cad, permission)[0]()
-    points, triangles = _triangles(file, path.name)
-    return clean(points * used.metres, triangles, path.name, used)
+    return *_triangles(file, path.name), used
 
 
 def _triangles(file: MeshFile, name: str) -> tuple[FloatArray, IntArray]:

@@ -1,10 +1,9 @@
-"""Commands that make and read files: `convert`, `schema`, `new`."""
+"""Commands that make files: `schema`, `new`."""
 # ruff: noqa: D301
 
 from __future__ import annotations
 
 import json
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +13,6 @@ import typer
 from dolfin_elastic.core.errors import CaseError, check_kept
 from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.signals import launched_rank
-from dolfin_elastic.core.startup.libraries import start
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -91,43 +89,3 @@ def schema() -> None:
     from dolfin_elastic.case.reference.json_schema import case_schema
 
     print(json.dumps(case_schema(), indent=1, ensure_ascii=False))
-
-
-def convert(
-    mesh: Annotated[Path, typer.Argument(metavar="MESH", hidden=True)],
-    target: Annotated[Path, typer.Argument(metavar="TARGET", hidden=True)],
-    *,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
-) -> None:
-    """Write a mesh as XDMF, which all ranks read in parallel.
-
-    \b
-      dolfin-elastic convert wing.msh wing.xdmf     writes wing.xdmf and wing.h5
-
-    For large meshes: every other format is read by one rank, with the memory of one. Names of
-    regions, surfaces, edges and points, fields and the unit of length stay.
-
-    \f
-    Raises:
-        CaseError: docker/run would not keep the target.
-        MeshError: The mesh cannot be read, or the target is no .xdmf file or exists.
-        OutputError: The files cannot be written.
-    """
-    start()
-    from mpi4py import MPI
-
-    from dolfin_elastic.cli.run import collect_garbage
-    from dolfin_elastic.mesh.formats.convert import convert_mesh
-
-    collect_garbage()
-    check_kept(target.parent, str(target))
-    conversion = convert_mesh(mesh, target, comm=MPI.COMM_WORLD, force=force)
-    if MPI.COMM_WORLD.rank == 0:
-        for note in conversion.notes:
-            print(f"warning: {mesh.name}: {note}", file=sys.stderr)
-        unit = f", in {conversion.unit}" if conversion.unit else ""
-        size = f"{conversion.cells} cells, {conversion.points} points{unit}"
-        print(f"{target} and {target.with_suffix('.h5').name} written: {size}")
-        for kind, names in [*conversion.parts.items(), ("field", conversion.fields)]:
-            if names:
-                print(f"  {kind}s: {', '.join(names)}")

@@ -121,7 +121,7 @@ def plot(
             _write_curves(run, result, file, f"--{given[0]}")
         else:
             seen_from = _view(view)
-            _check_positive("--scale", scale, "--scale 20", zero=True)
+            check_positive("--scale", scale, "--scale 20", zero=True)
             look = _look(seen_from, _axis(up), scale, limits, clip, plain=plain)
             _draw(run, _fields(run, field, step), look, step, output, fps, speed)
 
@@ -143,9 +143,9 @@ def _draw(
     file = output or run.folder / f"plot_{'_'.join(fields)}.png"
     _check_apart(run, file)
     # Also of a picture, for which they are nothing: who gives them expects them to be obeyed.
-    _check_positive("--fps", fps, "--fps 25")
+    check_positive("--fps", fps, "--fps 25")
     if speed is not None:
-        _check_positive("--speed", speed, "--speed 0.1")
+        check_positive("--speed", speed, "--speed 0.1")
     if file.suffix == ".gif":
         check_frames(fps, "--fps")
     if file.suffix in _FILMS:
@@ -187,7 +187,7 @@ def _look(
     )
 
 
-def _check_positive(option: str, value: float, example: str, *, zero: bool = False) -> None:
+def check_positive(option: str, value: float, example: str, *, zero: bool = False) -> None:
     """Refuses numbers that are no size of anything: below 0, without end, nan.
 
     Args:
@@ -229,6 +229,20 @@ def _limits(text: str) -> Limits:
         raise InputError(
             error.what, where="--range", expected="for example 0:2e8, '0:200 MPa' or 2%:98%"
         ) from None
+
+
+def fixed_limits(text: str) -> tuple[float, float]:
+    """Ends of the colours [SI] that do not follow from the values.
+
+    Raises:
+        InputError: They are none, or percentiles.
+    """
+    limits = _limits(text)
+    if limits.share or limits.ends is None:
+        raise InputError(
+            "percentiles are for pictures and films", where="--range", expected="for example 0:2e8"
+        )
+    return limits.ends
 
 
 def _fields(run: FinishedRun, given: Sequence[str] | None, step: int) -> list[str]:

@@ -167,7 +167,7 @@ def _panel(
     left = picture_of(
         surface,
         Surface(cells, x, values, numbers) if run.dim == 3 else None,
-        replace(look, up=look.up or _up(run)),
+        replace(look, up=look.up or up_of(run)),
         reach,
         name,
         plane=run.dim == 2,
@@ -203,7 +203,8 @@ def reliable_of(run: FinishedRun, name: str) -> Reliable | None:
     return Reliable.of(error.get(name), error.get(other)) if isinstance(error, Mapping) else None
 
 
-def _up(run: FinishedRun) -> Up:
+def up_of(run: FinishedRun) -> Up:
+    """The axis that is up in pictures of a run, see `up_against`; in a plane z."""
     if run.dim == 2:
         return "z"
     rows = [dict(row) for row in run.case.get("load", []) if row.get("kind") == "gravity"]

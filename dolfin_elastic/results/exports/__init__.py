@@ -1,0 +1,1 @@
+"""Finished results as files for other programs: surfaces that move, and nodes with their fields."""
