@@ -18,6 +18,7 @@ from dolfin_elastic.core.units import MESH_UNITS, LengthUnit, MeshLength, Time, 
 from dolfin_elastic.mesh import Body, box_body, rectangle_body
 from dolfin_elastic.mesh.assembly.placement import Place, Placed, check_names
 from dolfin_elastic.mesh.distribute import is_cad
+from dolfin_elastic.mesh.formats.surfaces.options import is_surface
 from dolfin_elastic.mesh.generate import number_of_cells
 from dolfin_elastic.mesh.local_size import MOST_CELLS, NO_SIZES, CadSizes, LocalSize
 from dolfin_elastic.mesh.selectors import Selector
@@ -61,16 +62,23 @@ class Source(Record):
     """Where a mesh comes from: exactly one of `file`, `box` and `rectangle`.
 
     Attributes:
-        file: Mesh or CAD file, relative to the case file's folder.
+        file: Mesh or CAD file, or a closed surface (.stl, .obj, .ply, .3mf), relative to the case
+            file's folder.
         box: A box made on the spot.
         rectangle: A rectangle made on the spot.
-        size: Size of the elements, for CAD files only.
+        size: Size of the elements, for CAD files and surfaces only.
+        deviation: Distance between elements and surface that does no harm, for surfaces only: where
+            the surface is curved, elements are not smaller than that needs.
+        repair: Whether a surface is mended; a note says what that has changed.
+        angle: Between triangles of a surface, from which on their edge divides patches [degrees];
+            by default 40.
         time_limit: Time that Gmsh may take for a file.
         join: Whether bodies of a STEP, IGES or BREP file that touch are joined; True by default.
-        curved: Whether a CAD file's elements follow curved surfaces; by default where the
-            displacement is quadratic.  Of a finished mesh, false: its elements are straight.
-        unit: Unit of length of the mesh and of bare numbers about it; by default that of a STEP or
-            IGES file, else "m".
+        curved: Whether the elements of a CAD file or a surface follow curved surfaces; by default
+            where the displacement is quadratic.  Of a finished mesh, false: its elements are
+            straight.
+        unit: Unit of length of the mesh and of bare numbers about it; by default that of a STEP,
+            IGES or 3MF file, else "m"; required for .stl, .obj and .ply.
     """
 
     kinds: ClassVar[tuple[str, ...]] = ("file", "box", "rectangle")
@@ -80,6 +88,9 @@ class Source(Record):
     box: WhenGiven[Box] | None = None
     rectangle: WhenGiven[Rectangle] | None = None
     size: MeshLength | None = None
+    deviation: MeshLength | None = None
+    repair: bool | None = None
+    angle: Annotated[float, Field(gt=0, le=180)] | None = None
     time_limit: Time = Field(default=600.0, gt=0)
     curved: bool | None = None
     join: bool | None = None
@@ -106,6 +117,9 @@ class Source(Record):
             "size": (self.size, f"a {key} takes no element size", f"use {key}.cells"),
             "curved": (self.curved, f"a {key} has no curved surfaces", "leave it out"),
             "join": (self.join is not None, f"a {key} is a single body", "leave it out"),
+            "deviation": (self.deviation, f"a {key} is no surface of triangles", "leave it out"),
+            "repair": (self.repair is not None, f"a {key} has nothing to mend", "leave it out"),
+            "angle": (self.angle, f"a {key} has its own names of surfaces", "leave it out"),
         }
         for name, (value, what, expected) in wrong.items():
             if key == "parts" and getattr(self, name) is not None:
@@ -132,6 +146,11 @@ class Source(Record):
     def cad(self) -> bool:
         """Gmsh meshes its file."""
         return self.file is not None and is_cad(self.file)
+
+    @property
+    def surface(self) -> bool:
+        """Its file is a surface that is filled."""
+        return self.file is not None and is_surface(self.file)
 
     @property
     def cells_made(self) -> float:
@@ -168,11 +187,14 @@ class Source(Record):
                 comm=comm,
                 scale=self.metres,
                 size=self.size,
-                curved=curved if self.cad else self.curved,
+                curved=curved if self.cad or self.surface else self.curved,
                 join=self.join,
                 trust=trust,
                 time_limit=self.time_limit,
                 local=local if self.cad else NO_SIZES,
+                deviation=self.deviation,
+                repair=self.repair,
+                angle=self.angle,
             )
         made = self.box or self.rectangle
         assert made is not None

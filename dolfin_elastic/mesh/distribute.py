@@ -23,6 +23,7 @@ from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
 from dolfin_elastic.mesh.faces import CadFaces
 from dolfin_elastic.mesh.fields import distribute_fields
+from dolfin_elastic.mesh.formats.surfaces.options import SURFACES
 from dolfin_elastic.mesh.geometry.boundary_shape import KnownSurface
 from dolfin_elastic.mesh.geometry.simplices import (
     boundary_facets,
@@ -105,7 +106,7 @@ def build_body(
 def _one_reader(mesh: Mesh, source: str) -> list[str]:
     """A hint where one rank has read what all could read."""
     cells, ranks = mesh.topology.index_map(mesh.topology.dim).size_global, mesh.comm.size
-    if Path(source).suffix.lower() in CAD or (ranks == 1 and cells < LARGE):
+    if Path(source).suffix.lower() in (*CAD, *SURFACES) or (ranks == 1 and cells < LARGE):
         return []
     readers = f"one of {ranks} ranks" if ranks > 1 else "one process, with its memory"
     new = Path(source).stem + (".xdmf" if Path(source).suffix != ".xdmf" else "_shared.xdmf")

@@ -27,6 +27,7 @@ from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body, extent, span
 from dolfin_elastic.mesh.distribute import is_cad
 from dolfin_elastic.mesh.fields import MeshField
+from dolfin_elastic.mesh.formats.surfaces.options import is_surface
 from dolfin_elastic.mesh.geometry.curved import shape_functions
 from dolfin_elastic.mesh.geometry.locate import OUTSIDE_TOLERANCE, ROUND_OFF, in_reference_cells
 from dolfin_elastic.mesh.read import check_file, read_body, stated_unit_of
@@ -65,8 +66,9 @@ class FieldFile:
         unit: LengthUnit | None = None,
     ) -> None:
         path = Path(path)
-        if is_cad(path):
-            raise MeshError("a CAD file has no fields", expected="a mesh with fields on it")
+        if is_cad(path) or is_surface(path):
+            what = "CAD file" if is_cad(path) else "surface of triangles"
+            raise MeshError(f"a {what} has no fields", expected="a mesh with fields on it")
         on_root(body.comm, lambda: check_file(path))
         if unit is None:
             unit = on_root(body.comm, lambda: stated_unit_of(path)) or body.unit

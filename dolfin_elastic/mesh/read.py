@@ -20,6 +20,7 @@ from dolfin_elastic.mesh.formats.cad.process import Permission
 from dolfin_elastic.mesh.formats.cleaning import straight
 from dolfin_elastic.mesh.formats.midsides import in_order
 from dolfin_elastic.mesh.formats.raw import MeshFile, RawMesh, assemble
+from dolfin_elastic.mesh.formats.surfaces.options import SURFACES, SurfaceOptions, is_surface
 from dolfin_elastic.mesh.geometry.checks import check_cells
 from dolfin_elastic.mesh.local_size import NO_SIZES, CadSizes
 
@@ -41,8 +42,11 @@ def read_body(
     time_limit: float = 600.0,
     local: CadSizes = NO_SIZES,
     time: float | None = None,
+    deviation: float | str | None = None,
+    repair: bool | None = None,
+    angle: float | None = None,
 ) -> Body:
-    """Reads a mesh, or meshes a CAD file, with the names of the file's parts.
+    """Reads a mesh, or meshes a CAD file or what a surface encloses, with names of parts.
 
     Collective.  Gmsh physical groups, Abaqus sets, MED groups and integer references of other
     formats become named regions (cells) and surfaces (facets); other data of cells and points
@@ -50,10 +54,12 @@ def read_body(
 
     Args:
         path: .msh; .xdmf; .inp, .bdf, .feb, .unv, .exo, .vtu, .vtk, .med, .mesh and whatever else
-            meshio reads; .geo, .step, .brep or .iges, which Gmsh meshes on the fly.
+            meshio reads; .geo, .step, .brep or .iges, which Gmsh meshes on the fly; .stl, .obj,
+            .ply or .3mf, a closed surface that is filled.
         scale: Metres per unit of length of the file; None: the unit that the file states (STEP,
-            IGES and .unv), else 1.
-        size: Size of the elements in the file's unit, or a text with a unit; only for CAD files.
+            IGES, .unv and .3mf), else 1; required for .stl, .obj and .ply.
+        size: Size of the elements in the file's unit, or a text with a unit; only for CAD files
+            and surfaces.
         curved: Quadratic cells that follow curved surfaces; None: where there are any, and the
             cells do not fold.  Finished meshes are as they are, but False reads their quadratic
             cells as straight ones.
@@ -63,6 +69,11 @@ def read_body(
         time_limit: Time that Gmsh may take [s].
         local: Local element sizes, for CAD files; see `refine.local` for finished meshes.
         time: Of fields at several time steps, in .xdmf and .msh files, which one; None: the last.
+        deviation: Distance between elements and a surface of triangles that does no harm, as
+            `size`; sizes by curvature are not smaller than it needs.
+        repair: Mends a surface of triangles, and notes what that has changed.
+        angle: Between triangles of a surface, from which on their edge divides patches [degrees];
+            None: 40.
 
     Raises:
         MeshError: The file cannot be read, or the mesh is not fit for use.
@@ -72,6 +83,14 @@ def read_body(
     suffix = path.suffix.lower()
     stated = on_root(comm, lambda: stated_unit_of(path))
     unit = stated or METRE if scale is None else LengthUnit.of(scale)
+    options = SurfaceOptions(_in_unit(deviation, unit), repair, angle)
+    options.check(path)
+    if is_surface(path) and scale is None and stated is None:
+        on_root(comm, lambda: _ask_for_unit(path))
+    if is_surface(path) and dim == 2:
+        raise MeshError(
+            "a surface of triangles encloses a solid", where=path.name, expected="dim = 3"
+        )
     if suffix in XDMF:
         from dolfin_elastic.mesh.formats.xdmf import read_xdmf
 
@@ -83,7 +102,7 @@ def read_body(
         raise MeshError(
             f"a {suffix} file has one time step", where=path.name, expected="leave time out"
         )
-    edge = to_si(size, "m") / unit.metres if isinstance(size, str) else size
+    edge = _in_unit(size, unit)
     if edge is not None and not edge > 0:
         raise MeshError(
             f"the size of the elements must be positive, not {size}",
@@ -93,7 +112,13 @@ def read_body(
 
     permission = Permission(trust, time_limit)
 
-    def cad() -> MeshFile:
+    def meshed() -> MeshFile:
+        if is_surface(path):
+            from dolfin_elastic.mesh.formats.surfaces.body import mesh_surface
+
+            return mesh_surface(
+                path, size=edge, curved=curved, options=options, unit=unit, permission=permission
+            )
         from dolfin_elastic.mesh.formats.cad.read import mesh_cad
 
         return mesh_cad(
@@ -108,11 +133,11 @@ def read_body(
             permission=permission,
         )
 
-    read, permutation = reader(path, cad, permission, time)
+    read, permutation = reader(path, meshed, permission, time)
 
     def raw() -> RawMesh:
         result = assemble(read(), source=path.name, dim=dim)
-        return straight(result) if curved is False and suffix not in CAD else result
+        return straight(result) if curved is False and suffix not in (*CAD, *SURFACES) else result
 
     body = build_body(
         raw,
@@ -129,8 +154,19 @@ def read_body(
     return check_cells(_with_unit(body, stated))
 
 
+def _in_unit(length: float | str | None, unit: LengthUnit) -> float | None:
+    """A length in the unit of a file."""
+    return to_si(length, "m") / unit.metres if isinstance(length, str) else length
+
+
+def _ask_for_unit(path: Path) -> None:
+    from dolfin_elastic.mesh.formats.surfaces.body import unit_is_missing
+
+    raise unit_is_missing(path)
+
+
 def stated_unit_of(path: Path) -> LengthUnit | None:
-    """The unit that a CAD file, a universal file or a converted mesh states. Local."""
+    """The unit that a CAD file, a .unv or .3mf file or a converted mesh states. Local."""
     suffix = path.suffix.lower()
     if suffix in XDMF:
         from dolfin_elastic.mesh.formats.xdmf_arrays import unit_of_xdmf
@@ -140,6 +176,10 @@ def stated_unit_of(path: Path) -> LengthUnit | None:
         from dolfin_elastic.mesh.formats.unv import unit_of_unv
 
         return unit_of_unv(path)
+    if suffix == ".3mf":
+        from dolfin_elastic.mesh.formats.surfaces.threemf import unit_of_3mf
+
+        return unit_of_3mf(path)
     if suffix not in CAD:
         return None
     from dolfin_elastic.mesh.formats.cad.units import stated_unit
@@ -198,24 +238,26 @@ def check_file(
     if path.stat().st_size == 0:
         raise MeshError("the file is empty", where=path.name, expected="save the mesh anew")
     cad = is_cad(path)
-    if size is not None and not cad:
+    meshed = cad or is_surface(path)
+    if size is not None and not meshed:
         raise MeshError(
             "mesh.size is given, but this file is a finished mesh",
             where=path.name,
-            expected=f"size is for {', '.join(CAD)}",
+            expected=f"size is for {', '.join((*CAD, *SURFACES))}",
         )
-    if curved and not cad:
+    if curved and not meshed:
         raise MeshError(
             "mesh.curved is given, but this file is a finished mesh",
             where=path.name,
-            expected=f"curved is for {', '.join(CAD)}; a mesh of quadratic elements is curved "
-            "already",
+            expected=f"curved is for {', '.join((*CAD, *SURFACES))}; a mesh of quadratic elements "
+            "is curved already",
         )
     if join is not None and path.suffix.lower() not in SHAPES:
         raise MeshError(
-            "bodies are to be joined or not, but this file is a finished mesh"
-            if not cad
-            else "a .geo file joins its bodies itself",
+            "a .geo file joins its bodies itself"
+            if cad
+            else "bodies are to be joined or not, but this file is "
+            + ("a surface" if meshed else "a finished mesh"),
             where=path.name,
             expected=f"join is for {', '.join(SHAPES)}"
             + ("; in a .geo file write Coherence; or BooleanFragments" if cad else ""),
@@ -223,19 +265,21 @@ def check_file(
 
 
 def reader(
-    path: Path, cad: Callable[[], MeshFile], permission: Permission, time: float | None = None
+    path: Path, meshed: Callable[[], MeshFile], permission: Permission, time: float | None = None
 ) -> tuple[Callable[[], MeshFile], Permutation]:
     """How one rank reads a file, and the node order of its quadratic cells.
 
     Args:
-        cad: Meshes it, if it is a CAD file.
+        meshed: Meshes it, if it is a CAD file or a surface.
         time: See `read_body`.
     """
     suffix = path.suffix.lower()
     if suffix == ".msh":
         return lambda: _msh(path, permission, time), cpp.io.perm_gmsh
     if suffix in CAD:
-        return cad, cpp.io.perm_gmsh
+        return meshed, cpp.io.perm_gmsh
+    if suffix in SURFACES:
+        return meshed, cpp.io.perm_vtk
     return lambda: in_order(_other_reader(path)(path)), cpp.io.perm_vtk
 
 

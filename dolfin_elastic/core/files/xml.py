@@ -7,6 +7,7 @@ file.  Definitions stand before the first element, so that is where they are loo
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.parsers import expat
@@ -61,3 +62,28 @@ def _stop(*_: object) -> None:
 
 def _refuse(*_: object) -> None:
     raise UnsafeXmlError("definitions of entities (<!ENTITY) are not read")
+
+
+def walk(
+    content: bytes,
+    start: Callable[[str, Mapping[str, str]], None],
+    end: Callable[[str], None] | None = None,
+) -> None:
+    """Calls for each element as it begins and ends, for files too large for a tree. Not collective.
+
+    Args:
+        start: Called with its name, "{namespace}name" where it has a namespace, and its attributes.
+
+    Raises:
+        ElementTree.ParseError: It is no XML file, or has definitions of its own.
+    """
+    parser = expat.ParserCreate(namespace_separator="}")
+    parser.buffer_text = True
+    parser.EntityDeclHandler = _refuse
+    parser.StartElementHandler = start
+    if end is not None:
+        parser.EndElementHandler = end
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        raise UnsafeXmlError(str(error)) from None

@@ -22,6 +22,7 @@ from dolfin_elastic.mesh.distribute import Permutation, is_cad
 from dolfin_elastic.mesh.formats.cad.process import Permission
 from dolfin_elastic.mesh.formats.cleaning import clean
 from dolfin_elastic.mesh.formats.raw import MeshFile, RawMesh, assemble
+from dolfin_elastic.mesh.formats.surfaces.options import is_surface
 from dolfin_elastic.mesh.formats.xdmf import PARTS, is_shared
 from dolfin_elastic.mesh.formats.xdmf_arrays import UNIT
 from dolfin_elastic.mesh.read import XDMF, check_file, reader, stated_unit_of
@@ -113,6 +114,12 @@ def _no_cad() -> MeshFile:
 
 def _check_target(path: Path, target: Path, *, force: bool) -> None:
     """Refuses what is no finished mesh, or need not be converted, and files that exist."""
+    if is_surface(path):
+        raise MeshError(
+            "a surface of triangles has no mesh yet",
+            where=str(path),
+            expected="[mesh] file = ... fills it; gmsh -3 meshes what it can read",
+        )
     if is_cad(path):
         raise MeshError(
             "a CAD file has no mesh yet",

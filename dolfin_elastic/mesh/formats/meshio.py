@@ -115,8 +115,6 @@ def _read(path: Path) -> meshio.Mesh:
             f"meshio cannot read it: {' '.join(output.getvalue().split())[:300]}", where=path.name
         ) from None
     except Exception as error:  # readers fail in any way on damaged files
-        if path.suffix.lower() == ".stl":
-            _check_vertices(path)
         raise MeshError(
             f"meshio cannot read it: {_reason(path, error)}",
             where=path.name,
@@ -393,44 +391,12 @@ def _check_vtk(path: Path) -> None:
         raise MeshError("it has several grids", where=path.name, expected="one DATASET")
 
 
-def _check_stl(path: Path) -> None:
-    """Binary STL of another size than it states is taken as text, of which nothing is found."""
-    with path.open("rb") as file:
-        head = file.read(84)
-    size, stated = path.stat().st_size, int.from_bytes(head[80:], "little")
-    is_text = b"solid" in head.lower() and b"\0" not in head
-    if not is_text and size != 84 + 50 * stated:
-        raise MeshError(
-            "it is no STL file, or a part of one: it does not begin with 'solid', and as a binary "
-            f"one it states {stated} triangles, which are {84 + 50 * stated} bytes; it has {size}",
-            where=path.name,
-            expected="all of the file, as it was written",
-        )
-
-
-def _check_vertices(path: Path) -> None:
-    """Refuses text STL with a vertex that is not three numbers, which numpy says without a line."""
-    for number, line in _lines(path):
-        key, *words = line.split() or [""]
-        try:
-            wrong = key == "vertex" and len([float(word) for word in words]) != 3
-        except ValueError:
-            wrong = True
-        if wrong:
-            raise MeshError(
-                f"'{line.strip()[:80]}' is no vertex of three numbers",
-                where=f"{path.name}:{number}",
-                expected='for example "vertex 0.5 0 1.25"',
-            ) from None
-
-
 _CHECKS: dict[str, Callable[[Path], None]] = {
     ".med": _check_med,
     ".cgns": _check_cgns,
     ".mesh": _check_medit,
     ".dat": _check_tecplot,
     ".tec": _check_tecplot,
-    ".stl": _check_stl,
     ".su2": _check_su2,
     ".vtk": _check_vtk,
 }

@@ -1,0 +1,97 @@
+"""`mesh_surface`: tetrahedra within the closed surface of a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.units import LengthUnit
+from dolfin_elastic.mesh.formats.cad.process import Permission
+from dolfin_elastic.mesh.formats.raw import Block, MeshFile, joined
+from dolfin_elastic.mesh.formats.surfaces.complex import read_complex
+from dolfin_elastic.mesh.formats.surfaces.options import SurfaceOptions
+from dolfin_elastic.mesh.formats.surfaces.reader import read_soup
+
+ASKED = ("mm", "inch", "m")
+"""Units in which the size of a body is said where its file has none."""
+
+_METRES = {"mm": 1e-3, "inch": 0.0254, "m": 1.0}
+
+
+def mesh_surface(
+    path: Path,
+    *,
+    size: float | None,
+    curved: bool | None,
+    options: SurfaceOptions,
+    unit: LengthUnit,
+    permission: Permission,
+) -> MeshFile:
+    """Fills the closed surface of a file with tetrahedra. Local: one rank meshes.
+
+    Args:
+        size: Of the elements, in the file's unit; see `fill`.
+        curved: Quadratic cells that follow curved surfaces; None: where there are any.
+        unit: Of the file's lengths, for messages.
+
+    Raises:
+        MeshError: The file is damaged, the surface has a fault, or Gmsh cannot fill it.
+    """
+    from dolfin_elastic.mesh.formats.surfaces.fill import fill
+
+    made = read_complex(path, unit=unit, repair=bool(options.repair), angle=options.angle)
+    filled = fill(
+        made.plc,
+        source=path.name,
+        size=size,
+        deviation=options.deviation,
+        curved=curved,
+        permission=Permission(seconds=permission.seconds),  # a surface needs no trust
+    )
+    return replace(
+        filled,
+        blocks=[_with_groups(block, made.groups) for block in filled.blocks],
+        notes=[*made.notes, *filled.notes],
+        information=[*made.information, *filled.information],
+    )
+
+
+def _with_groups(block: Block, groups: Mapping[str, Sequence[str]]) -> Block:
+    """Facets with the names of groups that have several patches."""
+    if block.dim != 2:
+        return block
+    more = {
+        name: np.unique(joined([block.parts[one] for one in patches if one in block.parts]))
+        for name, patches in groups.items()
+    }
+    return replace(block, parts={**block.parts, **more})
+
+
+def sizes_in_units(path: Path) -> str:
+    """The size that the body of a file would have in each of some units. Local.
+
+    Raises:
+        MeshError: The file is damaged.
+    """
+    soup = read_soup(path)
+    extent = np.ptp(soup.points[np.unique(soup.triangles)], axis=0)
+    texts = []
+    for name in ASKED:
+        mm = extent * _METRES[name] / 1e-3
+        factor, shown = (1.0, "mm") if mm.max() < 1e4 else (1e-3, "m")
+        texts.append(f"{name}: " + " x ".join(f"{x * factor:.3g}" for x in mm) + f" {shown}")
+    return "; ".join(texts)
+
+
+def unit_is_missing(path: Path) -> MeshError:
+    """The error of a file whose lengths have no unit. Local."""
+    return MeshError(
+        f"the lengths of a {path.suffix.lower()} file have no unit, and the body would have this "
+        f"size with unit = {sizes_in_units(path)}",
+        where=path.name,
+        expected='write which, for example unit = "mm"',
+    )
