@@ -41,6 +41,21 @@ class Quantity:
 
 
 @dataclass(frozen=True)
+class FieldValue:
+    """Numbers that differ from node to node: a field of the mesh, in units of the deck.
+
+    Attributes:
+        field: Its name in the mesh.
+        dimension: What it measures.
+        reference: What is subtracted from each value.
+    """
+
+    field: str
+    dimension: Dimension
+    reference: float = 0.0
+
+
+@dataclass(frozen=True)
 class Place:
     """Where something stands in a deck.
 
@@ -66,7 +81,7 @@ class Entry:
     Attributes:
         place: Where it stands in the deck.
         keys: Keys of the case's table, such as kind, on and value; numbers with a dimension are
-            `Quantity`, also in lists and tables.  No `curve`: see `ramp`.
+            `Quantity` or `FieldValue`, also in lists and tables.  No `curve`: see `ramp`.
         remark: What there is to say of it, behind the place in the comment.
         ramp: Rows of time in the step, as a fraction of its length (in motion: as in the deck), and
             factor; None: in statics in proportion to the load of the step, in motion constant.

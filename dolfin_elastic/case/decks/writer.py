@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import cast
 
-from dolfin_elastic.case.decks.deck import Deck, Entry, LeftOut, Quantity, Step
+from dolfin_elastic.case.decks.deck import Deck, Entry, FieldValue, LeftOut, Quantity, Step
 from dolfin_elastic.case.decks.units import System, system
 from dolfin_elastic.case.toml import key_text, value_text
 
@@ -162,7 +162,9 @@ def _held(entry: Entry) -> str:
 
 def _moves(entry: Entry) -> bool:
     values = entry.keys.get("displacement")
-    return isinstance(values, list) and any(_number(value) for value in values)
+    return isinstance(values, list) and any(
+        _number(value) or isinstance(value, FieldValue) for value in values
+    )
 
 
 def _number(value: object) -> float:
@@ -282,6 +284,9 @@ def _plain(value: object, known: System) -> object:
     """A value with its units as texts."""
     if isinstance(value, Quantity):
         return known.text(value)
+    if isinstance(value, FieldValue):
+        field = {"field": value.field, "unit": known.units[value.dimension]}
+        return field | ({"reference": value.reference} if value.reference else {})
     if isinstance(value, list | tuple):
         return [_plain(one, known) for one in value]
     if isinstance(value, Mapping):

@@ -7,7 +7,7 @@ Read here rather than through meshio 5.3, which loses every *SURFACE, fails on *
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from dolfin_elastic.mesh.formats.abaqus.elements import (
     has_no_shape,
 )
 from dolfin_elastic.mesh.formats.abaqus.motions import displaced, system
+from dolfin_elastic.mesh.formats.abaqus.numbered import Numbered
 from dolfin_elastic.mesh.formats.abaqus.words import (
     OF_A_CASE,
     REFUSED,
@@ -61,7 +62,8 @@ def read_abaqus(path: Path) -> MeshFile:
         MeshError: The file is damaged, or makes its mesh by commands instead of listing it.
     """
     deck, stray, seen = Deck(), "", set[tuple[str, int]]()
-    for card in _with_parts(deck, read_cards(path)):
+    numbered = Numbered(path.name)
+    for card in with_parts(deck, read_cards(path)):
         if not card.word and card.lines:
             stray = stray or f"{card.file}:{card.at[0]}"
         _check_understood(card)
@@ -69,6 +71,7 @@ def read_abaqus(path: Path) -> MeshFile:
             _TAKE[card.word](deck, card)
         elif card.word in OF_A_CASE:
             deck.others.append(f"*{card.word}")
+            numbered.take(deck, card)
         elif card.word not in SILENT and (card.file, card.line) not in seen:
             seen.add((card.file, card.line))  # once, however many instances its part has
             deck.unread[f"*{card.word}"] += 1
@@ -83,20 +86,24 @@ def read_abaqus(path: Path) -> MeshFile:
         )
     numbers, points = _points(deck, path)
     _name_instances(deck)
-    blocks = [*_blocks(deck, numbers), *_surfaces(deck, numbers)]
+    blocks = [*_blocks(deck, numbers), *_surfaces(deck, numbers, numbered.pressed)]
     titles = deck.titles()
     sets = {
         titles[key]: _node_rows(deck, key, numbers, joined(rows))
         for key, rows in deck.nsets.items()
     }
-    lost = {titles[key]: reason for key, reason in deck.lost.items()}
-    information = _information(deck)
     return MeshFile(
-        points, blocks, _notes(deck), information=information, point_sets=sets, incomplete=lost
+        points,
+        blocks,
+        _notes(deck),
+        information=_information(deck),
+        point_sets={**numbered.point_sets(numbers), **sets},
+        point_data=numbered.point_data(numbers),
+        incomplete={titles[key]: reason for key, reason in deck.lost.items()},
     )
 
 
-def _with_parts(deck: Deck, cards: Iterator[Card]) -> Iterator[Card]:
+def with_parts(deck: Deck, cards: Iterator[Card]) -> Iterator[Card]:
     """The keywords of a file, and behind each *INSTANCE those of its part."""
     part, card = None, None
     for card in cards:
@@ -335,6 +342,8 @@ _TAKE: dict[str, Callable[[Deck, Card], None]] = {
     "ASSEMBLY": _take_assembly,
     "END ASSEMBLY": _take_assembly,
 }
+MESH_WORDS = frozenset((*_TAKE, "PART", "END PART"))
+"""Keywords of the mesh."""
 
 
 # --- the mesh ---
@@ -396,8 +405,12 @@ def _check_nodes(elements: Elements, numbers: IntArray) -> None:
         find_all(np.empty(0, dtype=np.int64), np.unique(lost) % STRIDE)
 
 
-def _surfaces(deck: Deck, numbers: IntArray) -> Iterator[Block]:
-    """Facets of each *SURFACE as blocks of elements; those of type NODE become sets of nodes."""
+def _surfaces(deck: Deck, numbers: IntArray, pressed: Collection[str]) -> Iterator[Block]:
+    """Facets of each *SURFACE as blocks of elements; those of type NODE become sets of nodes.
+
+    Args:
+        pressed: Keys of those that loads make: without them the mesh is whole.
+    """
     facets = Facets(deck.elements)
     result: dict[str, list[tuple[str, IntArray]]] = {}
     titles = deck.titles()
@@ -405,7 +418,12 @@ def _surfaces(deck: Deck, numbers: IntArray) -> Iterator[Block]:
         if card.options.get("TYPE", "ELEMENT").upper() == "NODE":
             deck.nsets.setdefault(key, [_nodes_of_surface(deck, card, scope)])
             continue
-        result[key] = list(_facets(deck, key, facets, result))
+        try:
+            result[key] = list(_facets(deck, key, facets, result))
+        except MeshError:
+            if key not in pressed:
+                raise
+            continue
         for kind, nodes in result[key]:
             rows = find_all(numbers, nodes)
             yield Block(kind, rows, {titles[key]: np.arange(len(rows))})

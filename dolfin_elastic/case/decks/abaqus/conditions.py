@@ -1,0 +1,378 @@
+"""Supports, loads, temperatures and ties of Abaqus and CalculiX."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from dolfin_elastic.case.decks.abaqus.materials import floats, place
+from dolfin_elastic.case.decks.abaqus.state import Part, Ramp, Reading
+from dolfin_elastic.case.decks.deck import Entry, FieldValue, Quantity
+from dolfin_elastic.mesh.formats.abaqus.cards import Card
+from dolfin_elastic.mesh.formats.abaqus.numbered import (
+    AXES,
+    components,
+    part_name,
+    pressure_names,
+)
+
+_KNOWN = {
+    "BOUNDARY": {"OP", "AMPLITUDE", "TYPE"},
+    "CLOAD": {"OP", "AMPLITUDE"},
+    "DLOAD": {"OP", "AMPLITUDE"},
+    "DSLOAD": {"OP", "AMPLITUDE", "FOLLOWER"},
+    "TEMPERATURE": {"OP", "AMPLITUDE"},
+}
+_ROTATION = "rotations and temperatures are no unknowns of solids (direction {})"
+
+
+def take_condition(state: Reading, card: Card) -> None:
+    """*BOUNDARY, *CLOAD, *DLOAD, *DSLOAD or *TEMPERATURE."""
+    known = _KNOWN[card.word]
+    for key in card.options:
+        if key not in known:
+            state.fault(card, f"{key} is not understood")
+            return
+    if card.options.get("OP", "MOD").upper() == "NEW":
+        _forget(state, card.word)
+    if state.step is None and card.word not in ("BOUNDARY",) and card.lines:
+        state.fault(card, "it stands before the first *STEP")
+        return
+    _TAKE[card.word](state, card)
+
+
+def _forget(state: Reading, word: str) -> None:
+    """OP=NEW: what earlier steps have stated is gone."""
+    if word == "BOUNDARY":
+        state.supports.clear()
+    elif word == "CLOAD":
+        state.forces.clear()
+    else:
+        state.loads = {key: entry for key, entry in state.loads.items() if key[0] != word}
+
+
+def _ramp(state: Reading, card: Card) -> Ramp:
+    """The amplitude of a keyword over its step, as a fraction of its length; in motion in time."""
+    name = card.options.get("AMPLITUDE", "")
+    if not name:
+        return None
+    amplitude = state.amplitudes.get(name.upper())
+    if amplitude is None:
+        raise card.error(f"there is no *AMPLITUDE '{name[:60]}' before it")
+    others = set(amplitude.options) - {"NAME", "TIME", "VALUE", "DEFINITION", "INPUT"}
+    kind = amplitude.options.get("DEFINITION", "TABULAR").upper()
+    absolute = amplitude.options.get("VALUE", "RELATIVE").upper() == "ABSOLUTE"
+    total = "TOTAL" in amplitude.options.get("TIME", "STEP TIME").upper() and state.deck.steps
+    if others or kind != "TABULAR" or absolute or total or "INPUT" in amplitude.options:
+        state.fault(amplitude, "only tables of relative values over the time of the step are read")
+        return None
+    every = np.array(floats(amplitude)).reshape(-1, 2) if amplitude.lines else np.zeros((1, 2))
+    motion = state.step is not None and state.step.kind == "dynamics"
+    scale = 1.0 if motion else state.period
+    return tuple((float(t / scale), float(value)) for t, value in every)
+
+
+def _words(card: Card) -> Iterator[tuple[int, list[str]]]:
+    for row, line in enumerate(card.lines):
+        yield row, [word.strip() for word in line.split(",")]
+
+
+def _number(card: Card, row: int, words: list[str], index: int) -> float:
+    word = words[index] if len(words) > index else ""
+    try:
+        value = float(word.upper().replace("D", "E", 1) or "0")
+    except ValueError:
+        raise card.error(f"'{word[:40]}' is no number", row=row) from None
+    if not np.isfinite(value):
+        raise card.error(f"'{word[:40]}' is no finite number", row=row)
+    return value
+
+
+def _own_set(state: Reading, card: Card, name: str, row: int) -> str:
+    """The set of the nodes that a keyword names by numbers.
+
+    Raises:
+        MeshError: The mesh has none, for a node does not exist or is in one of several instances.
+    """
+    if name not in state.mesh.point_sets:
+        raise card.error("a node of these numbers does not exist", row=row)
+    return name
+
+
+# --- supports ---
+
+
+def _boundary(state: Reading, card: Card) -> None:
+    kind = card.options.get("TYPE", "DISPLACEMENT").upper()
+    if kind != "DISPLACEMENT":
+        state.fault(card, f"TYPE={kind} is not read")
+        return
+    if state.step is not None and card.options.get("OP", "MOD").upper() == "NEW" and not card.lines:
+        return
+    ramp, by_number = _ramp(state, card), dict[int, int]()
+    held: dict[str, dict[int, float]] = {}
+    for row, words in _words(card):
+        try:
+            values = components(words[1:])
+        except (ValueError, IndexError):
+            raise card.error(f"'{card.lines[row].strip()[:60]}' is no support", row=row) from None
+        if not all(np.isfinite(value) for value in values.values()):
+            raise card.error("a value is no finite number", row=row)
+        beyond = words[1].isdigit() and int(words[2] if len(words) > 2 and words[2] else words[1])
+        if beyond and beyond > 3:
+            state.note(card, _ROTATION.format("4 to 6" if beyond <= 6 else beyond), row)
+        if words[0].isdigit():
+            by_number[int(words[0])] = row
+            held.setdefault(words[0], {}).update(values)
+            continue
+        name = state.name(card, "point", words[0], row)
+        for i, value in values.items():
+            if i <= state.dim:
+                part = Part(Quantity(value, "length"), place(card, row), ramp)
+                state.supports.pop((name, i - 1), None)
+                state.supports[name, i - 1] = part
+    if by_number:
+        _boundary_by_number(state, card, held, ramp, next(iter(by_number.values())))
+
+
+def _boundary_by_number(
+    state: Reading, card: Card, held: dict[str, dict[int, float]], ramp: Ramp, row: int
+) -> None:
+    """Nodes by number, in the sets by directions that the mesh has of them."""
+    name = part_name(card, state.file)
+    for values in held.values():
+        axes = "".join(AXES[i - 1] for i in sorted(values))
+        if not values or (f"{name} {axes}", "xyz".index(axes[0])) in state.supports:
+            continue
+        own = _own_set(state, card, f"{name} {axes}", row)
+        for i in values:
+            moved = f"{name} {AXES[i - 1]}" in state.mesh.point_data
+            value: Quantity | FieldValue = Quantity(0.0, "length")
+            if moved:
+                value = FieldValue(f"{name} {AXES[i - 1]}", "length")
+            if i <= state.dim:
+                state.supports[own, i - 1] = Part(value, place(card), ramp)
+
+
+# --- forces ---
+
+
+def _cload(state: Reading, card: Card) -> None:
+    ramp, numbered = _ramp(state, card), -1
+    for row, words in _words(card):
+        value = _number(card, row, words, 2)
+        if len(words) < 3 or not words[1].isdigit():
+            raise card.error(f"'{card.lines[row].strip()[:60]}' is no force", row=row)
+        axis = int(words[1])
+        if axis > state.dim:
+            if value:
+                state.fault(card, _ROTATION.format(axis), row)
+            continue
+        if words[0].isdigit():
+            numbered = row
+            continue
+        name = state.name(card, "point", words[0], row)
+        key = name, axis - 1
+        before = state.forces.get(key)
+        if before and key in state.fresh and isinstance(before.value, Quantity):
+            value += before.value.value
+        state.fresh.add(key)
+        state.forces[key] = Part(Quantity(value, "force"), place(card, row), ramp)
+    if numbered >= 0:
+        _cload_by_number(state, card, ramp, numbered)
+
+
+def _cload_by_number(state: Reading, card: Card, ramp: Ramp, row: int) -> None:
+    name = _own_set(state, card, part_name(card, state.file), row)
+    nodes = state.mesh.point_sets[name]
+    for other, axis in list(state.forces):
+        if (other, axis) in state.fresh or not np.isin(nodes, state.mesh.point_sets[other]).any():
+            continue
+        state.fault(card, f"it replaces forces of an earlier step at some nodes of '{other}'")
+    state.fresh.add((name, 0))
+    state.forces[name, 0] = Part(FieldValue(name, "force"), place(card), ramp)
+
+
+def _add(state: Reading, card: Card, row: int, key: tuple[str, ...], entry: Entry) -> None:
+    """A load, or another value of the same one."""
+    if key in state.fresh and state.loads.get(key) is not None:
+        key = (*key, str(card.line), str(row))
+    state.fresh.add(key)
+    state.loads[key] = entry
+
+
+def _dload(state: Reading, card: Card) -> None:
+    ramp = _ramp(state, card)
+    for row, words in _words(card):
+        kind = words[1].upper() if len(words) > 1 else ""
+        if kind[:1] == "P" and kind[1:].isdigit():
+            _number(card, row, words, 2)
+            continue
+        if kind not in _BODY:
+            state.fault(card, f"a load {kind[:20]} is not there", row)
+            continue
+        if words[0].isdigit():
+            state.fault(card, f"{kind} on one element by its number", row)
+            continue
+        keys = _BODY[kind](state, card, row, words)
+        if words[0]:
+            keys["on"] = state.name(card, "region", words[0], row)
+        key = (card.word, kind, words[0].upper(), *(words[3:6] if kind == "CENTRIF" else ()))
+        _add(state, card, row, key, Entry(place(card, row), keys, ramp=ramp))
+    for value, name in pressure_names(card, state.file).items():
+        if name.casefold() not in state.names["surface"]:
+            raise card.error("an element of these lines does not exist, or has no such face")
+        keys = {"kind": "pressure", "on": name, "value": Quantity(value, "stress")}
+        _add(state, card, 0, (card.word, name), Entry(place(card), keys, ramp=ramp))
+
+
+def _gravity(state: Reading, card: Card, row: int, words: list[str]) -> dict[str, object]:
+    size = _number(card, row, words, 2)
+    direction = np.array([_number(card, row, words, i) for i in (3, 4, 5)])
+    length = np.linalg.norm(direction)
+    if not length > 0:
+        raise card.error("the direction of gravity is missing", row=row)
+    parts = size * direction / length
+    value = [Quantity(float(x), "acceleration") for x in parts[: state.dim]]
+    return {"kind": "gravity", "value": value}
+
+
+def _centrifugal(state: Reading, card: Card, row: int, words: list[str]) -> dict[str, object]:
+    square = _number(card, row, words, 2)
+    numbers = [_number(card, row, words, i) for i in range(3, 9)]
+    if square < 0 or not any(numbers[3:]):
+        raise card.error("the axis or the square of the speed is wrong", row=row)
+    axis: dict[str, object] = {"point": numbers[:3], "axis": numbers[3:]}
+    return {"kind": "centrifugal", "value": Quantity(float(np.sqrt(square)), "rotation"), **axis}
+
+
+def _body_force(axis: int) -> Callable[[Reading, Card, int, list[str]], dict[str, object]]:
+    def keys(state: Reading, card: Card, row: int, words: list[str]) -> dict[str, object]:
+        value = [Quantity(0.0, "body force") for _ in range(state.dim)]
+        value[axis] = Quantity(_number(card, row, words, 2), "body force")
+        return {"kind": "body-force", "value": value}
+
+    return keys
+
+
+_BODY: dict[str, Callable[[Reading, Card, int, list[str]], dict[str, object]]] = {
+    "GRAV": _gravity,
+    "CENTRIF": _centrifugal,
+    "BX": _body_force(0),
+    "BY": _body_force(1),
+    "BZ": _body_force(2),
+}
+
+
+def _dsload(state: Reading, card: Card) -> None:
+    ramp = _ramp(state, card)
+    for row, words in _words(card):
+        kind = words[1].upper() if len(words) > 1 else ""
+        name = state.name(card, "surface", words[0], row)
+        size = _number(card, row, words, 2)
+        keys: dict[str, object] = {
+            "kind": "pressure",
+            "on": name,
+            "value": Quantity(size, "stress"),
+        }
+        if kind == "TRVEC":
+            direction = np.array([_number(card, row, words, i) for i in (3, 4, 5)])
+            length = np.linalg.norm(direction)
+            if not length > 0:
+                raise card.error("the direction of the traction is missing", row=row)
+            if state.large and card.options.get("FOLLOWER", "YES").upper() != "NO":
+                state.fault(card, "a traction that turns with the surface (FOLLOWER=YES)", row)
+            parts = size * direction / length
+            value = [Quantity(float(x), "stress") for x in parts[: state.dim]]
+            keys |= {"kind": "traction", "value": value}
+        elif kind != "P":
+            state.fault(card, f"a load {kind[:20]} is not there", row)
+            continue
+        entry = Entry(place(card, row), keys, ramp=ramp)
+        _add(state, card, row, (card.word, kind, name.upper()), entry)
+
+
+# --- temperatures ---
+
+
+def _temperature(state: Reading, card: Card) -> None:
+    ramp, name = _ramp(state, card), part_name(card, state.file)
+    if name not in state.mesh.point_data:
+        raise card.error("its nodes are not understood", row=0 if card.lines else None)
+    nodes, values = state.mesh.point_sets[name], state.mesh.point_data[name][:, 0]
+    everywhere = len(nodes) == len(state.mesh.points)
+    first = _initial(state, card)
+    if first is None:
+        return
+    keys: dict[str, object] = {"kind": "thermal"}
+    if everywhere and np.ptp(values) == 0:
+        keys["value"] = Quantity(float(values[0]) - first, "temperature")
+    else:
+        if not everywhere and first:
+            state.fault(card, "nodes without a temperature, beside an initial one that is not 0")
+        keys["value"] = FieldValue(name, "temperature", first)
+    if not any(one.word == "EXPANSION" for m in state.materials.values() for one in m.cards):
+        state.note(card, "no material has an *EXPANSION")
+        return
+    state.loads = {key: entry for key, entry in state.loads.items() if key[0] != "TEMPERATURE"}
+    state.loads["TEMPERATURE", name] = Entry(place(card), keys, ramp=ramp)
+
+
+def _initial(state: Reading, card: Card) -> float | None:
+    """The one initial temperature of the body; None: there are several."""
+    if len(set(state.start.values())) > 1:
+        state.fault(card, "initial temperatures that differ from place to place")
+        return None
+    return next(iter(state.start.values()), 0.0)
+
+
+def take_initial(state: Reading, card: Card) -> None:
+    """*INITIAL CONDITIONS: a temperature, or one velocity of the whole body."""
+    kind = card.options.get("TYPE", "").upper()
+    if kind == "TEMPERATURE":
+        for row, words in _words(card):
+            state.start[words[0].upper()] = _number(card, row, words, 1)
+        return
+    if kind == "VELOCITY":
+        velocity = [0.0] * state.dim
+        for row, words in _words(card):
+            name = "" if words[0].isdigit() else state.name(card, "point", words[0], row)
+            axis = int(_number(card, row, words, 1))
+            whole = len(state.mesh.point_sets.get(name, ())) == len(state.mesh.points)
+            if not whole or not 1 <= axis <= state.dim:
+                state.fault(card, "a velocity of some nodes, not of the whole body", row)
+                return
+            velocity[axis - 1] = _number(card, row, words, 2)
+        state.velocity = velocity
+        return
+    state.fault(card, f"TYPE={kind[:30]} is not read")
+
+
+# --- ties ---
+
+
+def take_tie(state: Reading, card: Card) -> None:
+    """*TIE: the first surface of each line follows the second one."""
+    for key in card.options.keys() - {"NAME", "POSITION TOLERANCE", "ADJUST", "TYPE"}:
+        state.fault(card, f"{key} is not understood")
+    if card.options.get("ADJUST", "YES").upper() != "NO":
+        state.note(card, "nodes are not moved onto the other surface; a gap remains")
+    for row, words in _words(card):
+        if len(words) < 2:
+            raise card.error("two surfaces are needed", row=row)
+        keys: dict[str, object] = {}
+        for key, word in zip(("on", "to"), words, strict=False):
+            keys[key] = state.name(card, "surface", word, row)
+        if tolerance := card.options.get("POSITION TOLERANCE", ""):
+            keys["tolerance"] = _number(card, row, [tolerance], 0)
+        state.deck.ties.append(Entry(place(card, row), keys))
+
+
+_TAKE: dict[str, Callable[[Reading, Card], None]] = {
+    "BOUNDARY": _boundary,
+    "CLOAD": _cload,
+    "DLOAD": _dload,
+    "DSLOAD": _dsload,
+    "TEMPERATURE": _temperature,
+}
