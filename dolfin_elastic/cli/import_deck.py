@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,7 @@ from dolfin_elastic.core.startup.libraries import start
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.decks.deck import Deck
+    from dolfin_elastic.case.decks.references import Reference
 
 
 def import_deck(
@@ -33,6 +35,10 @@ def import_deck(
         bool, typer.Option("--anyway", help="Write it without what changes the answer.")
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing case files.")] = False,
+    compare: Annotated[
+        Path | None,
+        typer.Option("--compare", metavar="FILE", help="Compute it, and compare with results."),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Make a case file of a deck of Abaqus, CalculiX, Nastran or FEBio.
@@ -40,6 +46,7 @@ def import_deck(
     \b
       dolfin-elastic import bracket.inp --units mm-t-s        writes bracket.toml beside it
       dolfin-elastic import bracket.inp --units mm-t-s --run  and computes it
+      dolfin-elastic import bracket.inp --units mm-t-s --compare bracket.frd
 
     UNITS is mm-t-s (mm, N, MPa, t/mm^3), m-kg-s (SI), mm-kg-ms (mm, kN, GPa) or in-lbf-s (psi).
     The mesh of the case is the deck itself.  Each table has the line of the deck that it is from;
@@ -53,17 +60,55 @@ def import_deck(
         MeshError: The deck is damaged, or no deck.
     """
     target = output or deck.with_suffix(".toml")
-    written = list[Path]()
-    if launched_rank() == 0:
-        written = _import(deck, target, units, anyway=anyway, force=force, quiet=quiet)
-    if run:
-        _run(written, quiet)
+    if not (run or compare):
+        if launched_rank() == 0:
+            _import(deck, target, units, anyway=anyway, force=force, quiet=quiet)
+        return
+    start()
+    comm = begin(quiet)
+
+    def written() -> _Imported:
+        reference = read_reference(compare) if compare else None
+        return _import(deck, target, units, reference, anyway=anyway, force=force, quiet=quiet)
+
+    from dolfin_elastic.case.decks.references import read_reference
+    from dolfin_elastic.core.parallel import on_root
+
+    imported = on_root(comm, written)
+    for file in imported.files:
+        compute_case(file, comm, quiet=quiet)
+    if imported.reference is not None and comm.rank == 0:
+        _show_comparison(imported, imported.reference, units)
+
+
+@dataclass
+class _Imported:
+    """What was written.
+
+    Attributes:
+        deck: The deck.
+        path: Where it is.
+        files: The case files.
+        reference: Results of another program.
+    """
+
+    deck: Deck
+    path: Path
+    files: list[Path]
+    reference: Reference | None
 
 
 def _import(
-    path: Path, target: Path, units: str, *, anyway: bool, force: bool, quiet: bool
-) -> list[Path]:
-    """Writes the case files and says what they lack; returns their paths. Not collective."""
+    path: Path,
+    target: Path,
+    units: str,
+    reference: Reference | None = None,
+    *,
+    anyway: bool,
+    force: bool,
+    quiet: bool,
+) -> _Imported:
+    """Writes the case files and says what they lack. Not collective."""
     from dolfin_elastic.case.decks.reading import read_deck
     from dolfin_elastic.case.decks.writer import case_texts
 
@@ -82,7 +127,7 @@ def _import(
     _write(files, force=force)
     if not quiet:
         _say(deck, list(files))
-    return list(files)
+    return _Imported(deck, path, list(files), reference)
 
 
 def _faults(deck: Deck) -> InputError:
@@ -134,9 +179,23 @@ def _say(deck: Deck, files: list[Path]) -> None:
         print(f"{file} written; compute it with: dolfin-elastic run {file}")
 
 
-def _run(written: list[Path], quiet: bool) -> None:
-    """Computes the case files one after the other. Collective."""
-    start()
-    comm = begin(quiet)
-    for file in comm.bcast(written):
-        compute_case(file, comm, quiet=quiet)
+def _show_comparison(imported: _Imported, reference: Reference, units: str) -> None:
+    """Prints the runs beside the results of another program. Not collective."""
+    from dolfin_elastic.case.case import read_case
+    from dolfin_elastic.case.decks.compare import compare, reasons
+    from dolfin_elastic.case.decks.reading import nodes_of
+    from dolfin_elastic.case.decks.units import SYSTEMS
+
+    folders = [
+        case.results_folder() for file in imported.files for case in read_case(file).analyses()
+    ]
+    known = SYSTEMS[units or imported.deck.units]
+    rows = compare(folders, reference, imported.deck, nodes_of(imported.path), known)
+    width = max(len(row.what) for row in rows)
+    print(f"\n {'':<{width}}  {'here':>12}  {'there':>12}  difference")
+    for row in rows:
+        numbers = f"{row.ours:>12.6g}  {row.theirs:>12.6g}  {row.difference:>10.1e}"
+        print(f" {row.what:<{width}}  {numbers}  {row.remark}".rstrip())
+    print("in units of the deck; differences are the largest ones, over the largest number there")
+    for reason in reasons(imported.deck, rows):
+        print(f"may differ by: {reason}")

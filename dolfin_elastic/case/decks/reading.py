@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import cast
 
 from dolfin_elastic.case.decks.deck import Deck
 from dolfin_elastic.core.errors import MeshError, nearest_file, not_shown, why_no_file
+from dolfin_elastic.core.types import FloatArray
 
 MOST_BYTES = 1 << 31
 READERS = {
@@ -35,3 +37,30 @@ def read_deck(path: Path) -> Deck:
     name = READERS[path.suffix.lower()]
     module = import_module(f"dolfin_elastic.case.decks.{name}")
     return cast("Deck", module.read(path))
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """The nodes of a deck by their numbers; empty where results cannot name them.
+
+    Attributes:
+        places: Number to place, in the deck's unit.
+        sets: Name of a set to numbers.
+    """
+
+    places: dict[int, FloatArray] = field(default_factory=dict)
+    sets: dict[str, set[int]] = field(default_factory=dict)
+
+
+def nodes_of(path: Path) -> Nodes:
+    """The nodes of a deck by their numbers. Not collective."""
+    if path.suffix.lower() != ".inp":
+        return Nodes()
+    from dolfin_elastic.mesh.formats.abaqus.reader import read_abaqus
+
+    mesh = read_abaqus(path)
+    if mesh.numbers is None:
+        return Nodes()
+    numbers = [int(number) for number in mesh.numbers]
+    sets = {name: {numbers[row] for row in rows} for name, rows in mesh.point_sets.items()}
+    return Nodes(dict(zip(numbers, mesh.points, strict=True)), sets)

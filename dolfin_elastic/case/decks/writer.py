@@ -74,7 +74,9 @@ def _plans(deck: Deck) -> list[Plan]:
         last = plans[-1] if plans else None
         before = last.steps[-1] if last else None
         goes_on = step.preloaded or (step.kind == "statics" and step.nonlinear)
-        if last and before and goes_on and before.kind == "statics":
+        # Modes at rest depend on no loads: they may be beside an equilibrium.
+        beside = before and step.kind == "modal" and before.supports == step.supports
+        if last and before and (goes_on or beside) and before.kind == "statics":
             last.steps.append(step)
         else:
             plans.append(Plan([step]))

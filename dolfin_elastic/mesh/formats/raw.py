@@ -181,6 +181,8 @@ class MeshFile:
         point_data: Name to numbers of each point, shape (N, columns).
         incomplete: Name of a set whose members are not all there, to the reason with their number.
         faces: Of the CAD model that was meshed.
+        numbers: Of the points in the file, as results of other programs name them, shape (N,);
+            None where they are not known.
     """
 
     points: FloatArray
@@ -191,6 +193,7 @@ class MeshFile:
     point_data: Mapping[str, FloatArray] = field(default_factory=dict)
     incomplete: Mapping[str, str] = field(default_factory=dict)
     faces: Sequence[CadFace] = ()
+    numbers: IntArray | None = None
 
 
 @dataclass(frozen=True)

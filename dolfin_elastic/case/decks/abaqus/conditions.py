@@ -354,8 +354,9 @@ def take_initial(state: Reading, card: Card) -> None:
 
 def take_tie(state: Reading, card: Card) -> None:
     """*TIE: the first surface of each line follows the second one."""
-    for key in card.options.keys() - {"NAME", "POSITION TOLERANCE", "ADJUST", "TYPE"}:
-        state.fault(card, f"{key} is not understood")
+    if others := card.options.keys() - {"NAME", "POSITION TOLERANCE", "ADJUST", "TYPE"}:
+        state.fault(card, f"{', '.join(sorted(others))}: such a tie is not there")
+        return
     if card.options.get("ADJUST", "YES").upper() != "NO":
         state.note(card, "nodes are not moved onto the other surface; a gap remains")
     for row, words in _words(card):
@@ -363,6 +364,9 @@ def take_tie(state: Reading, card: Card) -> None:
             raise card.error("two surfaces are needed", row=row)
         keys: dict[str, object] = {}
         for key, word in zip(("on", "to"), words, strict=False):
+            if word.casefold() in state.names["point"].keys() - state.names["surface"].keys():
+                state.fault(card, f"'{word}' is a set of nodes, which covers no faces", row)
+                return
             keys[key] = state.name(card, "surface", word, row)
         if tolerance := card.options.get("POSITION TOLERANCE", ""):
             keys["tolerance"] = _number(card, row, [tolerance], 0)

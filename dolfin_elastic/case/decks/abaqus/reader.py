@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from difflib import get_close_matches
 from pathlib import Path
 
 from dolfin_elastic.case.decks.abaqus import conditions, steps
@@ -68,6 +69,7 @@ _FAULTS = {
     "TRANSFORM": "supports and loads in other axes; a support across a surface is of kind normal",
     "PRE-TENSION SECTION": 'state it as a load of kind "bolt"',
     "CYCLIC SYMMETRY MODEL": "cyclic symmetry is not there",
+    "REFINE MESH": "CalculiX computes again on a finer mesh; here `converge` does so",
     "SUBMODEL": "driving nodes by another run is not there",
     "MODEL CHANGE": "parts that come or go are not there",
     "BASE MOTION": 'state it as a load of kind "base-acceleration"',
@@ -125,8 +127,9 @@ def _take(state: Reading, card: Card) -> None:
     elif card.word.endswith(" SECTION"):
         state.fault(card, "these elements and their stiffness are left out")
     elif card.word not in SILENT and card.word not in MESH_WORDS:
-        hint = nearest(card.word, [*_TAKE, *_OF_MATERIALS])
-        state.fault(card, f"this keyword is not known; {hint}")
+        alike = get_close_matches(card.word, [*_TAKE, *_OF_MATERIALS], n=1)
+        hint = f"; did you mean *{alike[0]}?" if alike else ""
+        state.fault(card, f"this keyword is not known{hint}")
 
 
 def _damping(state: Reading, card: Card) -> None:

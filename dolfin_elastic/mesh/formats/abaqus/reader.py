@@ -100,6 +100,7 @@ def read_abaqus(path: Path) -> MeshFile:
         point_sets={**numbered.point_sets(numbers), **sets},
         point_data=numbered.point_data(numbers),
         incomplete={titles[key]: reason for key, reason in deck.lost.items()},
+        numbers=numbers % STRIDE if len(deck.instances) < 2 else None,
     )
 
 
