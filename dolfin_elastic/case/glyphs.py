@@ -82,7 +82,7 @@ def _on_parts(body: Body, names: Sequence[str]) -> FloatArray:
     """Places on surfaces, edges and points, and normals or zeros, shape (n, 6). Collective."""
     result: list[FloatArray] = [np.zeros((0, 6))]
     for name in names:
-        if name in body.surfaces:
+        if name in body.surfaces and name not in body.uncovered:
             prepare_facets(body.mesh)
             facets = body.owned_facets(name)
             inner = np.full((1, body.dim - 1), 1.0 / body.dim)

@@ -66,7 +66,7 @@ def _volume(body: Body) -> float:
 
 def _part(body: Body, name: str) -> dict[str, object]:
     """Kind and size of a surface, edge or point; empty for a region. Collective."""
-    if name in body.surfaces:
+    if name in body.surfaces and name not in body.uncovered:
         prepare_facets(body.mesh)
         areas = facet_areas(body.mesh, body.owned_facets(name))
         return {"kind": "surface", "area": float(total(body.comm, float(np.sum(areas))))}

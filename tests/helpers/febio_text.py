@@ -22,7 +22,8 @@ def nodes_text(points: AnyArray, name: str = "") -> str:
     lines = "\n".join(
         f'<node id="{i}">{x!r},{y!r},{z!r}</node>' for i, (x, y, z) in enumerate(points.tolist(), 1)
     )
-    return f"<Nodes{f' name="{name}"' if name else ''}>\n{lines}\n</Nodes>"
+    title = f' name="{name}"' if name else ""
+    return f"<Nodes{title}>\n{lines}\n</Nodes>"
 
 
 def node_set(name: str, rows: AnyArray, version: str) -> str:

@@ -87,7 +87,7 @@ FAULTS = {
         WHOLE.replace(
             "<Elements",
             '<Elements type="hex8" name="h">\n<elem id="9">1,2,3,4,5,6,7,8</elem>\n</Elements>\n'
-            '<Elements type="tet15" name="t">\n<elem id="10">1,2,3,4</elem>\n</Elements>\n<Elements',
+            '<Elements type="tet15" name="t">\n<elem id="10">1</elem>\n</Elements>\n<Elements',
             1,
         ),
         r"a.feb:19: elements other than tetrahedra are not supported: 1 hex8 \(line 19\), 1 tet15 "

@@ -14,6 +14,7 @@ from dolfin_elastic.core.types import FloatArray
 MOST_BYTES = 1 << 31
 READERS = {
     ".inp": "abaqus.reader",
+    **dict.fromkeys((".bdf", ".nas", ".dat", ".fem"), "nastran.reader"),
     ".feb": "febio.reader",
 }
 """Suffix to the module of `case/decks` whose `read` makes a `Deck` of a path."""

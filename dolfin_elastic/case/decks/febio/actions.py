@@ -71,9 +71,7 @@ def _prescribe(tag: Tag, clock: Clock, step: Step) -> None:
     amount = clock.amount(tag, [(value, 1), (scale, 1)])
     values: list[object] = ["free"] * 3
     values[_AXES.index(axis)] = Quantity(amount.values[0], "length")
-    step.supports.append(
-        Entry(place(tag), {"on": on, "displacement": values}, ramp=amount.ramp)
-    )
+    step.supports.append(Entry(place(tag), {"on": on, "displacement": values}, ramp=amount.ramp))
 
 
 # --- loads ---
@@ -101,7 +99,9 @@ def _force(tag: Tag, clock: Clock) -> Entry | None:
 def _pressure(tag: Tag, clock: Clock) -> Entry:
     if flag(tag, "linear"):
         _left_out(clock, tag, "linear = 1: a pressure that does not follow the surface")
-    amount = clock.amount(tag, [(tag.first("pressure") or tag.first("value"), 1), (tag.first("scale"), 1)])
+    amount = clock.amount(
+        tag, [(tag.first("pressure") or tag.first("value"), 1), (tag.first("scale"), 1)]
+    )
     value = Quantity(amount.values[0], "stress")
     keys = {"kind": "pressure", "on": named_part(tag, "surface"), "value": value}
     return Entry(place(tag), keys, ramp=amount.ramp)
@@ -144,7 +144,8 @@ def _weight(tag: Tag, clock: Clock) -> Entry | None:
             _left_out(clock, tag, "components that change over time in different ways")
             return None
         ramp = ramps.pop() if ramps else None
-    keys = {"kind": "gravity", "value": _quantities([-v or 0.0 for v in values], "acceleration")}
+    value = _quantities([-v or 0.0 for v in values], "acceleration")
+    keys: dict[str, object] = {"kind": "gravity", "value": value}
     return Entry(place(tag), keys, ramp=ramp, remark="FEBio's acts against its vector")
 
 
@@ -220,7 +221,7 @@ def take_constraints(section: Tag, clock: Clock, step: Step) -> None:
     for tag in section.children:
         kind = tag.attributes.get("type", tag.name)
         if kind in kinds and "surface" in tag.attributes:
-            keys = {"on": named_part(tag, "surface"), "kind": kinds[kind]}
+            keys: dict[str, object] = {"on": named_part(tag, "surface"), "kind": kinds[kind]}
             step.supports.append(Entry(place(tag), keys, "exactly, without a penalty"))
         else:
             _left_out(clock, tag, f"the constraint '{kind[:40]}' is not known here")

@@ -3,7 +3,8 @@
 Sources: FEBio User Manual, version 4, chapter 4, and the energies of its classes.  Energies of the
 volume of uncoupled materials: k/2 (ln J)^2 ("default"), k/4 (J^2 - 1 - 2 ln J) ("NIKE3D" and
 "Abaqus (GOH)"), k/2 (J - 1)^2 ("Abaqus").  "isotropic elastic" is Hooke's law between second
-Piola-Kirchhoff stress and Green strain.
+Piola-Kirchhoff stress and Green strain.  "Arruda-Boyce" is not that of its authors there: term i is
+multiplied by i.
 """
 
 from __future__ import annotations
@@ -121,12 +122,6 @@ def _yeoh(c: _Constants) -> Keys:
     return {"law": "yeoh", **constants, **c.volume()}
 
 
-def _arruda_boyce(c: _Constants) -> Keys:
-    """N is the number of links of a chain, whose square root is its limit of stretch."""
-    limit = math.sqrt(max(c.number("N"), 0.0))
-    return {"law": "arruda-boyce", "mu": c.stress("mu"), "limit": limit, **c.volume()}
-
-
 def _holzapfel(c: _Constants) -> Keys:
     """Fibres at the angles gamma and -gamma to the first axis, towards the second one."""
     first, second = c.axes()
@@ -157,7 +152,6 @@ LAWS: Mapping[str, Callable[[_Constants], Keys]] = {
     "incomp neo-Hookean": _incompressible_neo_hookean,
     "Ogden": _ogden,
     "Yeoh": _yeoh,
-    "Arruda-Boyce": _arruda_boyce,
     "Holzapfel-Gasser-Ogden": _holzapfel,
 }
 """Type of a material to what makes keys of its constants."""

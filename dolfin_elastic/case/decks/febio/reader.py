@@ -48,10 +48,9 @@ def _module(root: Tag, deck: Deck) -> None:
         if not deck.units:
             deck.leave_out(place(module), f"the units '{units[:40]}' are not known: give --units")
     for section in root.children:
-        if section.name not in (*_NOTHING, *_ACTIONS):
-            if any(section.children):
-                text = f"the section <{section.name[:40]}>"
-                deck.leave_out(place(section), text, "changes the answer")
+        if section.name not in (*_NOTHING, *_ACTIONS) and section.children:
+            text = f"the section <{section.name[:40]}>"
+            deck.leave_out(place(section), text, "changes the answer")
 
 
 def _parts(root: Tag, deck: Deck) -> dict[str, list[str]]:
@@ -185,5 +184,3 @@ def _motion(control: Tag, end: float) -> dict[str, object]:
         "dt": Quantity(numbers(size, 1)[0], "time"),
         "spectral_radius": radius if 0 <= radius <= 1 else 1.0,
     }
-
-

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from dolfin_elastic.case.decks.deck import Deck, Place
 from dolfin_elastic.core.errors import MeshError
@@ -33,9 +34,13 @@ def numbers(tag: Tag, count: int | None = None) -> list[float]:
         values = [float(word) for word in words]
     except ValueError:
         values = []
-    if not values or (count is not None and len(values) != count) or not all(map(math.isfinite, values)):
+    if (
+        not values
+        or (count is not None and len(values) != count)
+        or not all(map(math.isfinite, values))
+    ):
         wanted = "numbers" if count is None else "a number" if count == 1 else f"{count} numbers"
-        raise tag.error(f"<{tag.name}> contains '{tag.text[:60]}'", f"{wanted}")
+        raise tag.error(f"<{tag.name}> contains '{tag.text[:60]}'", wanted)
     return values
 
 
@@ -105,7 +110,7 @@ def _curve(tag: Tag) -> Curve:
     points = tag.first("points")
     rows = [numbers(row, 2) for row in (points or tag).all("pt", "point", "loadpoint")]
     kind = tag.content("interpolate", tag.attributes.get("type", "linear")).lower()
-    if not rows or any(b[0] <= a[0] for a, b in zip(rows, rows[1:], strict=False)):
+    if not rows or any(b[0] <= a[0] for a, b in pairwise(rows)):
         raise tag.error("the times of this load curve do not increase, or there are none")
     # A smooth curve through two points is a line.
     linear = kind == "linear" or (kind == "smooth" and len(rows) == 2)
@@ -175,7 +180,9 @@ class Clock:
             text = f"its value at the end of {curve.place} is between points that are no line"
             self.deck.leave_out(place(tag), text, "changes the answer")
         elif not curve.linear:
-            self.deck.leave_out(curve.place, "not linear between its points; here it is, on the way")
+            self.deck.leave_out(
+                curve.place, "not linear between its points; here it is, on the way"
+            )
         return [(t / self.end, f) for t, f in rows]
 
     def _scaled(self, values: list[float], rows: Sequence[tuple[float, float]] | None) -> Amount:
@@ -185,7 +192,9 @@ class Clock:
         if not size:
             return Amount([0.0 for _ in values], None)
         ramp = tuple((t, f / size) for t, f in rows)
-        return Amount([size * v for v in values], None if not self.motion and ramp == LINEAR else ramp)
+        return Amount(
+            [size * v for v in values], None if not self.motion and ramp == LINEAR else ramp
+        )
 
 
 def named_part(tag: Tag, attribute: str) -> str:

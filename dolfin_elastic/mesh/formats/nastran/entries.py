@@ -49,6 +49,11 @@ class Entry:
         """An error that names file and line."""
         return self.line.error(f"{self.name}: {what}", expected)
 
+    @property
+    def place(self) -> tuple[str, int]:
+        """File and line."""
+        return self.line.file, self.line.number
+
     def text(self, index: int) -> str:
         """A field; empty where it is blank or left out."""
         return self.fields[index] if index < len(self.fields) else ""
@@ -77,6 +82,35 @@ class Entry:
                 expected="for example 1.5, -2.E3 or 1.5-3",
             )
         return float(f"{match[1]}e{match[2] or match[3] or 0}") if match else 0.0
+
+
+@dataclass(frozen=True)
+class Command:
+    """A line of executive or case control.
+
+    Attributes:
+        text: Without its comment, in capitals but for titles.
+        file: The file that it stands in.
+        number: Its line, from 1.
+    """
+
+    text: str
+    file: str
+    number: int
+
+
+def read_control(path: Path) -> list[Command]:
+    """Executive and case control of a file; none where it is bulk data as a whole. Local.
+
+    Raises:
+        MeshError: See `read_entries`.
+    """
+    found = list[Command]()
+    for line in _lines(path):
+        if line.text.upper().split()[0] == "BEGIN":
+            return found
+        found.append(Command(line.text.strip(), line.file, line.number))
+    return []
 
 
 def read_entries(path: Path) -> Iterator[Entry]:

@@ -118,6 +118,34 @@ class Systems:
         """
         return self._placed(number, x, entry, ())
 
+    def axes_at(self, number: int, x: FloatArray, entry: Entry) -> FloatArray:
+        """Directions of a system at a point, as rows in basic components, shape (3, 3).
+
+        Args:
+            number: Of the system.
+            x: Basic coordinates of the point, shape (3,).
+
+        Raises:
+            MeshError: See `place`; or the point is on the axis of the system.
+        """
+        self.place(number, np.zeros((1, 3)), entry)
+        origin, axes = self._frames[number]
+        kind = self._systems[number].kind if number else "R"
+        if kind == "R":
+            return axes
+        y = axes @ (x - origin)
+        across = float(np.hypot(y[0], y[1]))
+        if not across > 1e-12 * max(float(np.abs(y).max()), 1e-300):
+            raise entry.error(f"the point is on the axis of the coordinate system {number}")
+        c, s = y[:2] / across
+        around = np.array([-s, c, 0.0])
+        if kind == "C":
+            return np.asarray(np.stack([[c, s, 0.0], around, [0.0, 0.0, 1.0]]) @ axes)
+        radius = float(np.linalg.norm(y))
+        out = y / radius
+        down = np.array([c * y[2], s * y[2], -across]) / radius
+        return np.asarray(np.stack([out, down, around]) @ axes)
+
     def _placed(
         self, number: int, x: FloatArray, entry: Entry, above: tuple[int, ...]
     ) -> FloatArray:
