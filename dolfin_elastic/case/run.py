@@ -54,6 +54,7 @@ from dolfin_elastic.problem.state import (
 )
 from dolfin_elastic.results.checkpoint.checkpoints import Checkpoints
 from dolfin_elastic.results.checkpoint.lock import FolderLease
+from dolfin_elastic.results.exports.output import Export
 from dolfin_elastic.results.outputs import FORMATS, History, Modes, Summary, Xdmf
 from dolfin_elastic.results.writer import ModeWriter, Output, Writer
 from dolfin_elastic.results.writers.modes import clear as clear_modes
@@ -521,10 +522,14 @@ def outputs_of(case: Case, model: Mapping[str, object]) -> list[Output]:
         model: See `model_record`.
     """
     copies = {"case": written_tables(case), "model": model}
-    return [
-        file.model_copy(update=copies) if isinstance(file, Summary) else file
-        for file in case.files()
-    ]
+    result: list[Output] = []
+    for file in case.files():
+        if isinstance(file, Summary):
+            file = file.model_copy(update=copies)
+        elif isinstance(file, Export) and file.of is not None:
+            file = file.model_copy(update={"of": str(case.folder / file.of)})
+        result.append(file)
+    return result
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import (
@@ -37,7 +37,8 @@ from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.problem.problem import Problem
 from dolfin_elastic.results.checkpoint.checkpoints import CheckpointSettings
 from dolfin_elastic.results.derived.sections import Section
-from dolfin_elastic.results.fields import FIELDS
+from dolfin_elastic.results.exports.output import Export
+from dolfin_elastic.results.fields import DEFAULT, FIELDS, IN_MOTION
 from dolfin_elastic.results.files import LONGEST_NAME
 from dolfin_elastic.results.moments import ReferencePoints, check_reference
 from dolfin_elastic.results.outputs import (
@@ -146,6 +147,7 @@ class Output(Record):
         every: Fields are written every so many steps, and at the end; by default every step, with
             an explicit scheme about 200 states.
         pictures: Pictures of the deformed body.
+        exports: Results for other programs, written at the end of the run.
         probes: Name to a point or surface of the undeformed body, where fields are read off at
             every step.
         moments: Name of a support, spring, contact or tie to the point, fixed in space, about which
@@ -164,6 +166,7 @@ class Output(Record):
     formats: tuple[str, ...] = ("xdmf",)
     every: Steps | None = None
     pictures: list[WhenGiven[Picture]] = Field(default=[])
+    exports: list[WhenGiven[Export]] = Field(default=[])
     probes: dict[str, ProbePoint] = Field(default={})
     moments: dict[str, Reference | dict[str, Reference]] = Field(default={})
     sections: dict[str, Section] = Field(default={})
@@ -200,6 +203,33 @@ class Output(Record):
                     expected="a file of its own",
                 )
         return pictures
+
+    @model_validator(mode="after")
+    def _check_exports(self) -> Self:
+        if self.exports and "xdmf" not in self.formats:
+            raise InputError(
+                "exports are made from results.xdmf",
+                where="exports",
+                expected='formats = ["xdmf", ...]',
+            )
+        written = self.fields or (*DEFAULT, *IN_MOTION)
+        files = [picture.file for picture in self.pictures]
+        for index, one in enumerate(self.exports):
+            missing = [n for n in ("displacement", one.field) if n and n not in written]
+            if missing:
+                raise InputError(
+                    f"'{missing[0]}' is not written, and exports show what is",
+                    where=f"exports[{index}].field",
+                    expected=f'fields = [..., "{missing[0]}"]',
+                )
+            if one.file in files:
+                raise InputError(
+                    f"'{one.file}' is the file of an output above",
+                    where=f"exports[{index}].file",
+                    expected="a file of its own",
+                )
+            files.append(one.file)
+        return self
 
     @field_validator("probes", "sections")
     @classmethod
@@ -246,6 +276,21 @@ class Output(Record):
             except InputError as error:
                 raise error.at(f"output.pictures[{i}]") from None
 
+    def check_exports(self, folder: Path) -> None:
+        """Checks that exports can be made, and that surfaces for them can be read. Not collective.
+
+        Args:
+            folder: That of the case file.
+
+        Raises:
+            InputError: One cannot.
+        """
+        for i, one in enumerate(self.exports):
+            try:
+                one.check(folder)
+            except InputError as error:
+                raise error.at(f"output.exports[{i}]") from None
+
     def make_probe(self, problem: Problem) -> Probe:
         """The probe that evaluates the fields at its points and surfaces. Collective."""
         unit = problem.body.unit.metres
@@ -290,11 +335,12 @@ class Output(Record):
         ]
         result: list[File] = []
         if states:
-            result = [*(FORMATS[name].of(keys) for name in self.formats), History()]
+            result = [*(FORMATS[name].from_keys(keys) for name in self.formats), History()]
+        last = [Summary(), *(self.exports if states else ())]  # exports are made of what is there
         if not modes:
-            return [*result, *pictures, Summary()]
+            return [*result, *pictures, *last]
         drawn = [ModePicture(**{**table_of(p), "amplitude": self.amplitude}) for p in pictures]
-        return [*result, Modes(frames=self.frames, amplitude=self.amplitude), *drawn, Summary()]
+        return [*result, Modes(frames=self.frames, amplitude=self.amplitude), *drawn, *last]
 
     def only(self, *, modes: bool, motion: bool | None) -> Self:
         """What of it one of several analyses gives.
@@ -314,7 +360,8 @@ class Output(Record):
         if modes:
             bare = [(p, table_of(p)) for p in self.pictures if not p.film]
             pictures = [type(p)(**{k: v for k, v in t.items() if k != "field"}) for p, t in bare]
-        keys: dict[str, object] = {"pictures": pictures}
+        exports = [e for e in self.exports if e.field is None or given(e.field)]
+        keys: dict[str, object] = {"pictures": pictures, "exports": exports}
         if self.fields is not None:
             keys["fields"] = tuple(filter(given, self.fields))
         keys["probes"] = {
@@ -326,7 +373,7 @@ class Output(Record):
 
     def names(self) -> list[str]:
         """Names of files that the case gives its results."""
-        return [picture.file for picture in self.pictures]
+        return [one.file for one in (*self.pictures, *self.exports)]
 
 
 # --- reading ---

@@ -105,7 +105,12 @@ def _number_of(value: float | str) -> float:
     return float(parts[0]) * factor
 
 
-def _check_suffix(file: str, suffix: str, *others: str) -> str:
+def check_suffix(file: str, suffix: str, *others: str) -> str:
+    """Refuses names of files that have another ending, or lie outside the results' folder.
+
+    Raises:
+        InputError: It is such a name.
+    """
     if not file.endswith((suffix, *others)) or file in (suffix, *others):
         endings = " or ".join(filter(None, [", ".join((suffix, *others[:-1])), *others[-1:]]))
         raise InputError(
@@ -142,7 +147,7 @@ class FieldFile(Output):
     @field_validator("file")
     @classmethod
     def _check_file(cls, file: str) -> str:
-        return _check_suffix(file, Path(cls.model_fields["file"].default).suffix)
+        return check_suffix(file, Path(cls.model_fields["file"].default).suffix)
 
     def open(self, problem: Problem, folder: Path, saved: Numbers | None = None) -> SeriesWriter:
         """See `Output.open`."""
@@ -203,7 +208,7 @@ FORMATS: dict[str, type[Output]] = {
     "msh": Msh,
 }
 """Name of a format in `output.formats` to its output."""
-_REFUSED = {"frd": "no library that Debian has writes CalculiX's .frd files"}
+_EXPORTED = ("frd", "glb", "usd", "usdc", "ply", "obj")
 
 
 def check_formats(names: Iterable[str]) -> tuple[str, ...]:
@@ -214,12 +219,11 @@ def check_formats(names: Iterable[str]) -> tuple[str, ...]:
     """
     unique = tuple(dict.fromkeys(names))
     for index, name in enumerate(unique):
-        if name in _REFUSED:
-            known = ", ".join(FORMATS)
+        if name in _EXPORTED:
             raise InputError(
-                f"'{name}' cannot be written: {_REFUSED[name]}",
+                f"'{name}' is written at the end of a run",
                 where=f"[{index}]",
-                expected=f"known: {known}",
+                expected=f'exports = [{{file = "results.{name}"}}]',
             )
         if name not in FORMATS:
             raise InputError(
@@ -342,7 +346,7 @@ class Picture(Output):
     def _check_file(cls, file: str) -> str:
         from dolfin_elastic.results.scene.series import FILMS
 
-        return _check_suffix(file, ".png", *FILMS)
+        return check_suffix(file, ".png", *FILMS)
 
     @field_validator("field")
     @classmethod

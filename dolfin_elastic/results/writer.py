@@ -68,7 +68,7 @@ class Output(Record):
         """
 
     @classmethod
-    def of(cls, keys: Mapping[str, object]) -> Self:
+    def from_keys(cls, keys: Mapping[str, object]) -> Self:
         """From those of the keys `fields`, `every` and `frames` of a run that it has."""
         return cls(**{key: value for key, value in keys.items() if key in cls.model_fields})
 

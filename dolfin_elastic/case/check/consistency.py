@@ -13,6 +13,7 @@ from dolfin_elastic.case.case import Case, in_order, locate_errors
 from dolfin_elastic.case.check.initial_state import NOTHING_MOVES
 from dolfin_elastic.case.check.plausibility import plausibility_notes
 from dolfin_elastic.case.toml import key_parts, key_text
+from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.errors import (
     CaseError,
     InputError,
@@ -309,6 +310,7 @@ def _check_output(case: Case, body: Body) -> None:
     """Points of probes and planes of pictures meet the body. Collective."""
     case.output.check_probes(body)
     case.output.check_clips(body)
+    on_root(body.comm, lambda: case.output.check_exports(case.folder))
 
 
 def _check_field_names(case: Case, body: Body) -> None:

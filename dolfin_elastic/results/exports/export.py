@@ -20,6 +20,7 @@ _SURFACES = {
     ".glb": ("glb", "write_glb"),
     ".ply": ("series", "write_ply"),
     ".obj": ("series", "write_obj"),
+    ".usd": ("usd", "write_usd"),
     ".usdc": ("usd", "write_usd"),
     ".usda": ("usd", "write_usd"),
 }

@@ -151,8 +151,10 @@ class Moving:
     def _colours(self, values: FloatArray) -> FloatArray:
         low, high = self.ends
         among = (values - low) / (high - low) if high > low else np.zeros_like(values)
-        colours = colour_map(warm_first=self.field in SMALL_MATTERS)(np.clip(among, 0.0, 1.0))
-        return np.where(np.isfinite(values)[:, None], colours[:, :3], _UNKNOWN)
+        shades = np.array(colour_map(warm_first=self.field in SMALL_MATTERS).colors)
+        at = np.linspace(0.0, 1.0, len(shades))
+        colours = np.column_stack([np.interp(among, at, shades[:, i]) for i in range(3)])
+        return np.where(np.isfinite(values)[:, None], colours, _UNKNOWN)
 
 
 def chosen(run: FinishedRun, frames: int | None) -> list[int]:
