@@ -35,7 +35,7 @@ def main(folder: Path, state: int, field: str, target: Path) -> None:
         target,
         places=(rest + values(grids[state], "displacement", folder))[nodes],
         colours=np.stack([np.interp(among, at, shades[:, i]) for i in range(3)], axis=1),
-        states=len(grids),
+        seconds=np.diff([float(grids[k].find("Time").get("Value")) for k in (0, state)]),
     )
 
 
