@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
@@ -427,12 +427,18 @@ class SpatialValue(ABC):
 
 @dataclass(frozen=True)
 class Quantity:
-    """Tells pydantic how a number in `unit` is read and written back."""
+    """Tells pydantic how a number in `unit` is read and written back.
+
+    Attributes:
+        unit: SI unit of the number.
+        table: Record that may stand in its place; None: there is none.
+    """
 
     unit: str
+    table: type | None = None
 
-    def read(self, value: object, bounded: Callable[[float], float]) -> float | SpatialValue:
-        """Reads a number in SI units; a `SpatialValue` is returned as it is.
+    def read(self, value: object, bounded: Callable[[float], float]) -> object:
+        """Reads a number in SI units, or a table; a `SpatialValue` is returned as it is.
 
         Args:
             value: As a user wrote it.
@@ -440,7 +446,10 @@ class Quantity:
         Raises:
             UnitError: See `to_si`.
         """
-        return value if isinstance(value, SpatialValue) else bounded(to_si(value, self.unit))
+        if self.table is not None and isinstance(value, Mapping):
+            return self.table(**value)
+        others = (SpatialValue, *([] if self.table is None else [self.table]))
+        return value if isinstance(value, others) else bounded(to_si(value, self.unit))
 
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler

@@ -20,8 +20,11 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.model import kinematics
+from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw, once
 from dolfin_elastic.model.materials.spatial import direction
+from dolfin_elastic.model.materials.spectral import polar
+from dolfin_elastic.model.strength import Strength
 from dolfin_elastic.results.derived import spectral
 from dolfin_elastic.results.field import Field, FieldTable, RecoveredField
 from dolfin_elastic.results.verdict import SAFEST
@@ -47,10 +50,14 @@ def _pressure(law: Law, F: Expr) -> Expr:
 
 
 def _safety_factor(law: Law, F: Expr) -> Expr | None:
-    if law.allowable is None:
+    allowable = law.allowable
+    if allowable is None:
         return None
-    stress = kinematics.von_mises(cauchy_stress(law, F))
-    return law.allowable / ufl.max_value(stress, law.allowable / SAFEST)
+    sigma = cauchy_stress(law, F)
+    if isinstance(allowable, Strength):
+        used = allowable.used(judged_tensor(law, F, sigma), axis_of(law))
+        return 1 / ufl.max_value(used, 1 / SAFEST)
+    return allowable / ufl.max_value(kinematics.von_mises(sigma), allowable / SAFEST)
 
 
 def _von_mises(law: Law, F: Expr) -> Expr:
@@ -71,7 +78,7 @@ FIBRE_FIELDS = {"fibre": 0, "fibre_strain": 0, "fibre_stretch": 0, "fibre2": 1, 
 """Fields of a material direction, and which one."""
 
 
-def _written_fibre(law: Law, number: int) -> Expr | Sequence[float] | None:
+def _written_fibre(law: Law | ModifiedLaw, number: int) -> Expr | Sequence[float] | None:
     """A material direction as it was given; None without one."""
     inner: Law | ModifiedLaw = law
     while isinstance(inner, ModifiedLaw):
@@ -89,7 +96,7 @@ def has_fibre(law: Law, number: int) -> bool:
     return _written_fibre(law, number) is not None
 
 
-def fibre_of(law: Law, number: int) -> Expr | None:
+def fibre_of(law: Law | ModifiedLaw, number: int) -> Expr | None:
     """Unit vector of a material direction in the reference configuration; None without one.
 
     Args:
@@ -97,6 +104,39 @@ def fibre_of(law: Law, number: int) -> Expr | None:
     """
     value = _written_fibre(law, number)
     return None if value is None else direction(value)
+
+
+def axis_of(law: Law | ModifiedLaw) -> Expr | None:
+    """Unit vector of a material's strengths, undeformed body; None where they have no direction."""
+    strength = law.allowable
+    if not isinstance(strength, Strength) or not strength.directed:
+        return None
+    return fibre_of(law, 0) if strength.axis is None else direction(strength.axis)
+
+
+def judged_tensor(law: Law | ModifiedLaw, F: Expr, sigma: Expr) -> Expr:
+    """The stress or strain that a material's `Strength` judges, 3x3, turned back with the body.
+
+    The Cauchy stress is turned back by R of F = R U, so that the axis stays that of the undeformed
+    body; without an axis it need not be.  A strain is the elastic one: of a linear law its own, of
+    others U - I, so that a strain of 1 % is an elongation of 1 %.
+
+    Args:
+        F: Deformation gradient, 3x3.
+        sigma: Cauchy stress [Pa], 3x3.
+    """
+    strength = law.allowable
+    assert isinstance(strength, Strength)
+    if law.linear:
+        return ufl.sym(law.strain(F) if strength.of_strain else sigma)
+    if strength.of_strain:
+        Fe = law.elastic(F) if isinstance(law, GrownLaw) else F
+        turned = polar(Fe)
+        return ufl.sym(turned.R.T * turned.stretching)
+    if not strength.directed:
+        return sigma
+    R = polar(F).R
+    return ufl.sym(R.T * sigma * R)
 
 
 def _total_strain(law: Law, F: Expr) -> Expr:
@@ -185,7 +225,7 @@ def _stretching(law: Law, F: Expr) -> Expr:
 
 
 def _of_stretches(
-    shape: Literal["vector", "tensor"],
+    shape: Literal["scalar", "vector", "tensor"],
     description: str,
     of_tensor: Callable[[AnyArray], AnyArray],
     current: int = 0,
@@ -322,6 +362,12 @@ _FIELDS: dict[str, Field] = {
         _almansi_strain,
         current=2,
     ),
+    "max_principal_strain": _of_stretches(
+        "scalar", "largest principal strain: elongation over length", spectral.principal_strain(0)
+    ),
+    "min_principal_strain": _of_stretches(
+        "scalar", "smallest principal strain: elongation over length", spectral.principal_strain(2)
+    ),
     "principal_stretches": _of_stretches(
         "vector", "principal stretches, largest first", spectral.principal_stretches
     ),
@@ -378,7 +424,9 @@ _FIELDS: dict[str, Field] = {
         lambda law, F: law.energy(F),
     ),
     "safety_factor": _recovered(
-        "safety_factor", "allowable stress of the material over the von Mises stress, 1000 at most"
+        "safety_factor",
+        "allowable stress of the material over the von Mises stress, or the factor on the stress "
+        "at which its strength is used up; 1000 at most",
     ),
     "error": Field(
         "scalar",

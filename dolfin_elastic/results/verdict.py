@@ -9,10 +9,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from dolfin_elastic.core.errors import InputError
+from dolfin_elastic.core.errors import ElasticError, InputError
 from dolfin_elastic.core.si_text import number, percent, quantity
 from dolfin_elastic.core.units import LengthUnit, to_si
 
@@ -242,7 +243,7 @@ def doubt(peak: Table) -> str:
 def _of_safety(safety: Table, summary: Table) -> Verdict:
     value, error = _number(safety.get("value")), _number(safety.get("error"))
     where, allowable = _where(safety, summary), _allowable(safety, summary)
-    limit = quantity(allowable, "Pa") if allowable else "the allowable stress"
+    limit = quantity(allowable, "Pa") if allowable else _criterion(safety, summary)
     if value < 1 and not safety.get("singular"):
         stress = f"von Mises stress {quantity(allowable / value, 'Pa')} is " if allowable else ""
         named = f"the allowable {limit}" if allowable else limit
@@ -301,6 +302,17 @@ def _allowable(peak: Table, summary: Table) -> float:
         return max(0.0, float(to_si(row["allowable"], "Pa")))
     except (InputError, KeyError, TypeError, ValueError):  # a field of the mesh, or a formula
         return 0.0
+
+
+def _criterion(peak: Table, summary: Table) -> str:
+    """What limits the stress of the material at a place, if it is no number."""
+    row = _table(_table(_table(summary, "case"), "materials"), str(peak.get("part")))
+    if isinstance(table := row.get("allowable"), Mapping) and "field" not in table:
+        from dolfin_elastic.model.strength import Strength  # reports need no UFL
+
+        with suppress(ElasticError, TypeError, ValueError):
+            return f"the {Strength(**table).sentence()} limit"
+    return "the allowable stress"
 
 
 def _where(peak: Table, summary: Table) -> str:

@@ -68,6 +68,7 @@ POINTS = {
     "model/test_amplitude.py",
     "model/test_discrete_gradient.py",
     "model/test_kinematics.py",
+    "model/test_strength.py",
     "native/test_sanitisers.py",
     "notebook/test_notebooks.py",
     "report/test_report.py",

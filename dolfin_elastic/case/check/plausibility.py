@@ -14,7 +14,7 @@ import numpy as np
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.toml import key_text
-from dolfin_elastic.core.errors import FormulaError
+from dolfin_elastic.core.errors import FormulaError, dotted
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.parallel import first_of, total
 from dolfin_elastic.core.shapes.box import Box
@@ -30,6 +30,7 @@ from dolfin_elastic.model.loads import Load
 from dolfin_elastic.model.loads.remote import RemoteForce
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.records import RATES, RecordFormula
+from dolfin_elastic.model.strength import Strength
 from dolfin_elastic.model.supports.displacement import (
     NORMAL,
     Normal,
@@ -356,17 +357,18 @@ def _material_notes(case: Case, body: Body) -> Iterator[str]:
 
 def _allowable_notes(where: str, law: Law) -> Iterator[str]:
     """A strength of less than a millionth of the stiffness, as of a bare number meant in MPa."""
-    allowable = law.allowable
-    if law.spatial_constants() or not isinstance(allowable, int | float):
+    if law.spatial_constants() or law.allowable is None:
         return
-    if allowable < _STRONG * (modulus := young(law)) and modulus > _SOFT:
-        meant = f'did you mean "{allowable:.4g} MPa"?'
-        if 1e6 * allowable > modulus:
-            meant = "is a unit missing or wrong?"
-        yield (
-            f"{where}.allowable: {allowable:.4g} Pa beside a Young's modulus of "
-            f"{quantity(modulus, 'Pa')}: {meant}"
-        )
+    given = law.allowable.stresses() if isinstance(law.allowable, Strength) else {"": law.allowable}
+    for key, allowable in given.items():
+        if allowable < _STRONG * (modulus := young(law)) and modulus > _SOFT:
+            meant = f'did you mean "{allowable:.4g} MPa"?'
+            if 1e6 * allowable > modulus:
+                meant = "is a unit missing or wrong?"
+            yield (
+                f"{dotted(f'{where}.allowable', key)}: {allowable:.4g} Pa beside a Young's modulus "
+                f"of {quantity(modulus, 'Pa')}: {meant}"
+            )
 
 
 def _thickness_notes(case: Case, body: Body) -> Iterator[str]:

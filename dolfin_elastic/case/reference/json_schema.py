@@ -178,10 +178,13 @@ class _Writer:
             if isinstance(one, type_)
             for limit in [type_.__name__.lower().replace("len", "_length")]
         }
-        unit = next((one.unit for one in metadata if isinstance(one, Quantity)), None)
-        if unit is not None:
-            number = {**NUMBER, **limits, "x-unit": unit}
-            return {"anyOf": [number, FIELD]} if varies else number
+        quantity = next((one for one in metadata if isinstance(one, Quantity)), None)
+        if quantity is not None:
+            number = {**NUMBER, **limits, "x-unit": quantity.unit}
+            others = [FIELD] if varies else []
+            if isinstance(quantity.table, type) and issubclass(quantity.table, Record):
+                others.append(self._reference(quantity.table))
+            return {"anyOf": [number, *others]} if others else number
         return {**self._bare(kind, varies=varies), **limits}
 
     def _bare(self, kind: object, *, varies: bool) -> Schema:

@@ -9,14 +9,14 @@ from functools import wraps
 from typing import Any, ClassVar, Self, TypeVar
 
 import ufl
-from pydantic import AliasChoices, Field
+from pydantic import AliasChoices, Field, model_validator
 from ufl.core.expr import Expr
 
+from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.units import (
     Density,
     Expansion,
     SpatialValue,
-    Stress,
     Viscosity,
 )
 from dolfin_elastic.model.kinematics import (
@@ -27,6 +27,7 @@ from dolfin_elastic.model.kinematics import (
     volume_change,
 )
 from dolfin_elastic.model.materials import spatial
+from dolfin_elastic.model.strength import Allowable, Strength
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -104,7 +105,8 @@ class Law(spatial.SpatialRecord):
         law: The law's name in a case file.
         density: Mass per reference volume [kg/m^3]; required for gravity, dynamics and modes.
         expansion: Coefficient of thermal expansion, strain per change of temperature [1/K].
-        allowable: Allowable von Mises stress [Pa]; required for safety factors.
+        allowable: Allowable von Mises stress [Pa], or a table of strengths in tension, compression
+            and shear, see `Strength`; required for safety factors.
         viscosity: eta of the viscous stress S = 2 eta dE/dt [Pa s], in implicit dynamics.
     """
 
@@ -113,7 +115,7 @@ class Law(spatial.SpatialRecord):
         default=None, gt=0, validation_alias=AliasChoices("density", "rho")
     )
     expansion: Expansion | None = None
-    allowable: Stress | None = Field(default=None, gt=0)
+    allowable: Allowable | None = Field(default=None, gt=0)
     viscosity: Viscosity | None = Field(default=None, gt=0)
 
     key_hints: ClassVar[Mapping[str, str]] = {
@@ -142,6 +144,19 @@ class Law(spatial.SpatialRecord):
     """A user has written it, so that it is checked before a run, see `model.point.checks`."""
     example: ClassVar[Mapping[str, object]] = {}
     """Constants as a case file gives them, for the law's page and for tests."""
+
+    @model_validator(mode="after")
+    def _strength_has_axis(self) -> Self:
+        strength, own = self.allowable, [getattr(self, name) for name in self.directions[:1]]
+        if not isinstance(strength, Strength) or not strength.directed:
+            return self
+        if strength.axis is None and own in ([], [None]):
+            raise InputError(
+                "strengths along and across a direction, but the law has none",
+                where="allowable.axis",
+                expected='the direction, for example axis = "z"',
+            )
+        return self
 
     @classmethod
     def name(cls) -> str:
@@ -382,8 +397,8 @@ class ModifiedLaw(ABC):
         return self.law.density
 
     @property
-    def allowable(self) -> float | None:
-        """Von Mises stress that the material may bear [Pa], or None."""
+    def allowable(self) -> float | Strength | None:
+        """Von Mises stress that the material may bear [Pa], its strengths, or None."""
         return self.law.allowable
 
     @property

@@ -200,11 +200,14 @@ def constants(kind: type[BaseModel], table: Mapping[str, object]) -> dict[str, o
     Raises:
         InputError: See `constant`; the key is named.
     """
-    units, read = units_of(kind), {}
+    units, tables, read = units_of(kind), _with_table(kind), {}
     with all_errors() as attempt:
         for key, value in table.items():
+            known = key in units
+            if key in tables and isinstance(value, Mapping) and "field" not in value:
+                known = False
             with attempt(), keyed(key):
-                read[key] = constant(value, units[key]) if key in units else value
+                read[key] = constant(value, units[key]) if known else value
     return read
 
 
@@ -229,11 +232,23 @@ def units_of(kind: type[BaseModel]) -> dict[str, str]:
     return units
 
 
+@lru_cache
+def _with_table(kind: type[BaseModel]) -> frozenset[str]:
+    """Names of the fields in whose place a table may stand that is no field of the mesh."""
+    rows = kind.model_fields.items()
+    return frozenset(n for n, info in rows if (q := _quantity(info)) and q.table is not None)
+
+
 def _unit(info: FieldInfo) -> str | None:
+    quantity = _quantity(info)
+    return None if quantity is None else quantity.unit
+
+
+def _quantity(info: FieldInfo) -> Quantity | None:
     metadata = [*info.metadata]
     for choice in get_args(info.annotation):  # of `Density | None`
         metadata += getattr(choice, "__metadata__", ())
-    return next((item.unit for item in metadata if isinstance(item, Quantity)), None)
+    return next((item for item in metadata if isinstance(item, Quantity)), None)
 
 
 # --- directions ---

@@ -19,6 +19,7 @@ from dolfin_elastic.results.derived.reduction import Reduction, Samples
 
 _HALVINGS = 64
 """Of the range of values, down to round-off."""
+_ANY = (-np.inf, np.inf)
 _NUMBER = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 """Behind a colon, in the SI unit that its reduction says: 95, -0.5 or 2.5e8."""
 
@@ -37,6 +38,17 @@ def _maximum(samples: Samples, sign: float) -> FloatArray:
 def _percentiles(samples: Samples, number: float) -> FloatArray:
     comm, weights = samples.comm, samples.weights
     return np.array([percentile(comm, c, weights, number / 100) for c in samples.values.T])
+
+
+def _above(samples: Samples, limit: float) -> FloatArray:
+    """Area [m^2] or volume [m^3] in which each column exceeds a limit; nan where a value is.
+
+    Each quadrature point counts with its whole weight.
+    """
+    values = samples.values
+    size = samples.integral(np.where(values > limit, 1.0, 0.0))
+    missing = samples.integral(np.where(np.isnan(values), 1.0, 0.0))
+    return np.where(missing > 0, np.nan, size)
 
 
 def percentile(comm: MPI.Comm, values: FloatArray, weights: FloatArray, share: float) -> float:
@@ -77,6 +89,10 @@ REDUCTIONS: dict[str, Reduction] = {
     "mean": Reduction(factor=lambda size: 1 / size),
     "integral": Reduction(factor=lambda _: 1.0, over=True),
     "percentile:95": Reduction(_percentiles, limits=(0, 100)),
+    "share_above:0.01": Reduction(
+        lambda samples, limit: _above(samples, limit) / samples.size, limits=_ANY, unit=""
+    ),
+    "size_above:0.01": Reduction(_above, limits=_ANY, over=True, unit=""),
 }
 """Name to reduction, of one with a number behind a colon an example."""
 
@@ -127,5 +143,5 @@ def reduced_unit(column: str, unit_of_field: Callable[[str], str | None]) -> str
         )
         if result is not None and unit is not None:
             measure = {"area": "m^2", "volume": "m^3"}.get(result[1], "")
-            return f"{unit} {measure}".strip() if row.unit is None else row.unit
+            return " ".join(filter(None, (unit if row.unit is None else row.unit, measure)))
     return None

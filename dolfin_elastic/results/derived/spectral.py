@@ -104,6 +104,20 @@ def principal_stretches(rows: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
 
+def principal_strain(number: int) -> Rows:
+    """The function of H = F - I that gives a principal strain lambda_i - 1; 0: the largest.
+
+    Biot's strain U - I, without the rounding of U; shape (n, 1).
+    """
+
+    def rows_of(rows: FloatArray) -> FloatArray:
+        excess = _decomposed(_strains(rows, spatial=False))[0][:, number : number + 1]
+        excess = np.maximum(excess, -1.0)
+        return np.asarray(excess / (1 + np.sqrt(1 + excess)))
+
+    return rows_of
+
+
 def stretch_direction(number: int) -> Rows:
     """The function of H = F - I that gives a principal direction N_i of C, undeformed body.
 

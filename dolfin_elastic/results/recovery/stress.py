@@ -13,7 +13,7 @@ of that region alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, cast
@@ -33,10 +33,12 @@ from dolfin_elastic.core.jit.cell_integrals import CellExpression
 from dolfin_elastic.core.parallel import total
 from dolfin_elastic.core.types import FloatArray, IndexArray, IntArray
 from dolfin_elastic.mesh.geometry.locate import LocatedPoint
+from dolfin_elastic.model.strength import Strength
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import unknowns_of_outputs
-from dolfin_elastic.results.fields import FIELDS, cauchy_stress
+from dolfin_elastic.results.fields import FIELDS, axis_of, cauchy_stress
 from dolfin_elastic.results.recovery.patches import Patches, RawValues, sampling_points
+from dolfin_elastic.results.recovery.strength import constant_axis, judged_apart, used_of
 from dolfin_elastic.results.verdict import SAFEST
 
 if TYPE_CHECKING:
@@ -95,13 +97,12 @@ class StressAtPoints:
         self._w.x.array[:] = (state.w or state.u).x.array
         result = {n: PointStress(np.zeros((1, 6)), np.zeros(1)) for n in self._places}
         for part, rows in self._parts:
-            stress, allowable = part(), part.allowable()
+            stress, used = part(), part.judge()
             for name, row in rows.items():
                 local = self._places[name].local
                 shape = self._element.tabulate(0, local[None])[0, :, :, 0]
                 sigma = shape @ stress[row]
-                factor = safety_factor(shape @ allowable[row], von_mises(sigma))
-                result[name] = PointStress(sigma, factor)
+                result[name] = PointStress(sigma, safety_factor(used(row, shape, sigma)))
         return result
 
 
@@ -126,6 +127,8 @@ def is_recovered(names: tuple[str, ...]) -> bool:
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Order of the six components of a symmetric tensor: xx, yy, zz, xy, xz, yz."""
 _WHOLE = (0, 3, 4, 3, 1, 5, 4, 5, 2)
+_SHEAR = 3
+"""Number of xy among the components."""
 
 
 def whole_tensor(components: FloatArray) -> FloatArray:
@@ -140,14 +143,9 @@ def von_mises(components: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(normal / 2 + 3 * (xy**2 + xz**2 + yz**2)))
 
 
-def safety_factor(allowable: FloatArray, stress: FloatArray) -> FloatArray:
-    """Allowable over von Mises stress, bounded; NaN without an allowable stress.
-
-    Args:
-        allowable: Stress that the material may bear [Pa].
-        stress: Von Mises stress [Pa].
-    """
-    return np.asarray(allowable / np.maximum(stress, allowable / SAFEST))
+def safety_factor(used: FloatArray) -> FloatArray:
+    """Inverse of the utilisation of the strength, bounded; NaN where it is."""
+    return np.asarray(1 / np.maximum(used, 1 / SAFEST))
 
 
 def field_rows(name: str, stress: FloatArray, safety: FloatArray) -> FloatArray:
@@ -176,9 +174,11 @@ class NodalStress:
     Attributes:
         stress: Cauchy stress [Pa], shape (nodes, 6).
         region: Number of the material region that it belongs to, shape (nodes,).
-        safety: Allowable over von Mises stress, shape (nodes,); NaN without an allowable stress.
+        safety: Allowable over von Mises stress, or the factor at which the strength is used up,
+            shape (nodes,); NaN without either.
         safety_region: Number of the region that the safety factor belongs to.
-        utilisation: Cauchy stress of that region over its allowable stress, shape (nodes, 6).
+        utilisation: A tensor whose von Mises stress is the inverse of the factor, shape (nodes, 6):
+            Cauchy stress of that region over its allowable stress, of a `Strength` a pure shear.
     """
 
     stress: FloatArray
@@ -206,15 +206,17 @@ class NodalStress:
             utilisation = utilisation.copy()
         for number, (part, values) in enumerate(parts):
             here, rows = values[:, -1] > 0, values[:, :6]
-            allowable, value = part.allowable_at_nodes(), von_mises(rows)
+            value = von_mises(rows)
             # A comparison with NaN is false: so NaN counts as the largest stress.
             more = here & ~(value <= highest)
             stress[more], region[more], highest[more] = rows[more], number, value[more]
-            factor = safety_factor(allowable, value)
-            less = here & ~(factor >= safety) & ~np.isnan(allowable)
+            if part.region.law.allowable is None:
+                continue
+            over = part.over_strength(rows)
+            factor = safety_factor(von_mises(over))
+            less = here & ~(factor >= safety)
             safety[less], safety_region[less] = factor[less], number
-            if limited:
-                utilisation[less] = rows[less] / allowable[less, None]
+            utilisation[less] = over[less]
         return cls(stress, region, safety, safety_region, utilisation)
 
     def rows(self, name: str) -> FloatArray:
@@ -240,6 +242,7 @@ class RegionStress:
     Args:
         w: All unknowns of the states that are looked at.
         cells: Owned cells of the region; by default all.
+        tensor: Another symmetric tensor, 3x3, in place of the Cauchy stress.
         more: Further quantities, scalars in UFL, that are recovered beside it.
         points: Further points of the reference cell, for `at_points`.
     """
@@ -251,13 +254,16 @@ class RegionStress:
         w: fem.Function,
         cells: IndexArray | None = None,
         *,
+        tensor: Expr | None = None,
         more: Sequence[Expr] = (),
         points: FloatArray | None = None,
     ) -> None:
         self.region, self.cells = region, region.cells if cells is None else cells
-        self._problem, self._mesh, self._w = problem, problem.body.mesh, w
-        law = cast("Law", problem.weak_form.response(region, w))
-        sigma = cauchy_stress(law, problem.weak_form.F(w))
+        self._problem, self._mesh, self._w, self._all = problem, problem.body.mesh, w, cells is None
+        sigma = tensor
+        if sigma is None:
+            law = cast("Law", problem.weak_form.response(region, w))
+            sigma = cauchy_stress(law, problem.weak_form.F(w))
         columns = [(sigma[i, j] + sigma[j, i]) / 2 for i, j in COMPONENTS] + list(more)
         samples = sampling_points(problem.body.dim, problem.degree)
         self._width, self._samples = len(columns), len(samples)
@@ -273,17 +279,6 @@ class RegionStress:
             _patches(problem, region) if cells is None else Patches(problem.V, cells, problem.jit)
         )
         self._nodes = np.asarray(problem.V.element.basix_element.points)
-        allowable = region.law.allowable
-        self._allowable: fem.Expression | float | None
-        if allowable is None:
-            self._allowable = None
-        elif isinstance(allowable, Constant | float | int):
-            self._allowable = float(getattr(allowable, "value", allowable))
-        else:
-            self._allowable = self._compiled(allowable, self._nodes)
-
-    def _compiled(self, expression: Expr, points: FloatArray) -> fem.Expression:
-        return compile_expression(self._problem.body.comm, expression, points, self._problem.jit)
 
     def __call__(self) -> FloatArray:
         """Recovered values at the nodes of the cells; the first six are the Cauchy stress [Pa].
@@ -355,23 +350,95 @@ class RegionStress:
         points = self._kernel.size // self._width
         return self._kernel.eval(cells).reshape(len(cells), points, self._width)
 
-    def allowable_at_nodes(self) -> FloatArray:
-        """Allowable stress [Pa] at the owned nodes, NaN without. Collective."""
-        V = self._problem.V
-        if isinstance(self._allowable, fem.Expression):
-            means = NodalMeans(V, 1)
-            everywhere = slice(0, len(self.cells))
-            means.add(self.patches, everywhere, np.ascontiguousarray(self.allowable()[..., None]))
-            return means.owned()[:, 0]
-        value = np.nan if self._allowable is None else self._allowable
-        return np.full(V.dofmap.index_map.size_local, value)
+    # --- strength ---
 
-    def allowable(self) -> FloatArray:
-        """Allowable stress [Pa] at the nodes of the cells, NaN without; shape (cells, nodes)."""
-        shape = (len(self.cells), len(self._nodes))
-        if isinstance(self._allowable, fem.Expression):
-            return np.asarray(self._allowable.eval(self._mesh, self.cells)).reshape(shape)
-        return np.full(shape, np.nan if self._allowable is None else self._allowable)
+    def over_strength(self, rows: FloatArray) -> FloatArray:
+        """A tensor at the owned nodes whose von Mises stress is the utilisation. Collective.
+
+        Args:
+            rows: Recovered Cauchy stress there [Pa], shape (nodes, 6).
+
+        Returns:
+            Shape (nodes, 6), see `NodalStress.utilisation`; the region has an allowable stress.
+        """
+        limit, constant = self._limit
+        strength = self.region.law.allowable
+        if constant is None:
+            constant = self._means(limit())
+        if not isinstance(strength, Strength):
+            return np.asarray(rows / constant.reshape(-1, 1))
+        judged = rows if self._judged is None else self._judged.at_owned_nodes()[:, :6]
+        result = np.zeros_like(rows)
+        result[:, _SHEAR] = used_of(strength, judged, constant) / np.sqrt(3)
+        return result
+
+    def judge(self) -> Callable[[int, FloatArray, FloatArray], FloatArray]:
+        """Utilisation of the strength at points in cells. Collective.
+
+        Returns:
+            Function, not collective, of the row of a cell, the shape functions at points in it,
+            shape (points, nodes), and the Cauchy stress there [Pa], shape (points, 6), to the
+            utilisation; NaN without an allowable stress.
+        """
+        if (strength := self.region.law.allowable) is None:
+            return lambda row, shape, stress: np.full(len(stress), np.nan)
+        (limit, constant), other = self._limit, self._judged
+        values, judged = limit() if constant is None else None, None if other is None else other()
+
+        def used(row: int, shape: FloatArray, stress: FloatArray) -> FloatArray:
+            here = constant if values is None else shape @ values[row]
+            assert here is not None
+            if not isinstance(strength, Strength):
+                return np.asarray(von_mises(stress) / here.ravel())
+            return used_of(strength, stress if judged is None else shape @ judged[row], here)
+
+        return used
+
+    @cached_property
+    def _judged(self) -> RegionStress | None:
+        """Recovery of the tensor that a `Strength` judges; None: it is the Cauchy stress."""
+        if not isinstance(self.region.law.allowable, Strength):
+            return None
+        tensor = judged_apart(self._problem, self.region, self._w)
+        cells = None if self._all else self.cells
+        if tensor is None:
+            return None
+        return RegionStress(self._problem, self.region, self._w, cells, tensor=tensor)
+
+    @cached_property
+    def _limit(self) -> tuple[Callable[[], FloatArray], FloatArray | None]:
+        """Allowable stress [Pa], or axis of the strength, of a region that has one.
+
+        Returns:
+            Function to its values at the nodes of the cells, shape (cells, nodes, 1 or 3), and
+            itself where it is constant.
+        """
+        allowable = self.region.law.allowable
+        if isinstance(allowable, Strength):
+            constant, width = constant_axis(self.region), 3
+            expression = axis_of(self.region.law) if constant is None else None
+        else:
+            number = isinstance(allowable, Constant | float | int)
+            constant = np.array([getattr(allowable, "value", allowable)]) if number else None
+            width, expression = 1, None if number else allowable
+        kernel = None
+        if expression is not None:
+            nodes = np.asarray(self._problem.V.element.basix_element.points)
+            comm, jit = self._problem.body.comm, self._problem.jit
+            kernel = compile_expression(comm, expression, nodes, jit)
+
+        def values() -> FloatArray:
+            assert kernel is not None
+            table = np.asarray(kernel.eval(self._mesh, self.cells))
+            return np.ascontiguousarray(table.reshape(len(self.cells), -1, width))
+
+        return values, constant
+
+    def _means(self, values: FloatArray) -> FloatArray:
+        """Means at the owned nodes of values at the nodes of the cells. Collective."""
+        means = NodalMeans(self._problem.V, values.shape[2])
+        means.add(self.patches, slice(0, len(self.cells)), values)
+        return means.owned()[:, :-1]
 
 
 STRESS = "recovered stress"

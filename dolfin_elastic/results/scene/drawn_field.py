@@ -81,7 +81,7 @@ class DrawnField:
         """
         if self._recovered:
             # Of the safety factor the components are the stress over the allowable one.
-            safety = safety_factor(np.ones(len(components)), von_mises(components))
+            safety = safety_factor(von_mises(components))
             components = field_rows(self.name, components, safety)
         if components.shape[1] > 1:
             components = np.linalg.norm(components, axis=1, keepdims=True)
