@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,11 +14,14 @@ from dolfin_elastic.core import __version__
 from dolfin_elastic.core.si_text import counted, given, number
 from dolfin_elastic.report.page import render
 from dolfin_elastic.report.report import LARGEST, memory_of, pictures_of, told_of, write_report
+from dolfin_elastic.report.safety import Excitation, safety_of
 from dolfin_elastic.results.files import replace_text
 from dolfin_elastic.results.finished import findings
 from dolfin_elastic.results.finished.findings import Value
 from dolfin_elastic.results.finished.run import FinishedRun
 from dolfin_elastic.results.verdict import Table, verdict_of
+
+log = logging.getLogger("dolfin_elastic")
 
 _TITLES = {
     "safety_factor": "smallest safety factor",
@@ -52,12 +56,17 @@ Rows = dict[str, list[Sequence[Line]]]
 """Title of a row of the table to its cells, one a run."""
 
 
-def write_pages(folders: Sequence[Path], output: Path) -> Path:
+def write_pages(
+    folders: Sequence[Path], output: Path, excitation: Excitation | None = None
+) -> Path:
     """Writes one page about finished runs: of a single one its report. Not collective.
+
+    Runs that are not of one part get a warning, and no verdict on all of them.
 
     Args:
         folders: Of their results; nothing in them is changed unless `output` lies there.
         output: The HTML file.
+        excitation: What shakes the part; with it a single run, too, gets the page of several.
 
     Returns:
         The file.
@@ -66,15 +75,20 @@ def write_pages(folders: Sequence[Path], output: Path) -> Path:
         InputError: One is no folder of results, or a file in it cannot be read.
         OutputError: The page cannot be written.
     """
-    if len(folders) == 1:
+    if len(folders) == 1 and excitation is None:
         return write_report(folders[0], output)
     runs = [FinishedRun(folder) for folder in folders]
     short = [folder.resolve().name for folder in folders]
     names = [str(f) if short.count(s) > 1 else s for f, s in zip(folders, short, strict=True)]
     titles = dict.fromkeys(str(run.case.get("title") or "") for run in runs)
+    safety = safety_of(runs, names, excitation)
+    for difference in safety.differences:
+        log.warning("not of one part: %s", difference)
     contents = {
         "title": ", ".join(filter(None, titles)) or "Several runs",
         "names": names,
+        "safety": safety,
+        "about": {key: _once(runs, key) for key in ("part", "author", "conclusion")},
         "found": rows_of_findings(runs),
         "cases": rows_of_cases([run.case for run in runs]),
         "sections": list(_sections(runs, names)),
@@ -82,6 +96,11 @@ def write_pages(folders: Sequence[Path], output: Path) -> Path:
     }
     replace_text(output, render(contents, "several.html"))
     return output
+
+
+def _once(runs: Sequence[FinishedRun], key: str) -> list[str]:
+    """What the cases say under a key, each text once."""
+    return list(dict.fromkeys(filter(None, (str(run.case.get(key) or "") for run in runs))))
 
 
 def _sections(runs: Sequence[FinishedRun], names: Sequence[str]) -> Iterator[Markup]:

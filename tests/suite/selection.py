@@ -72,6 +72,7 @@ POINTS = {
     "native/test_sanitisers.py",
     "notebook/test_notebooks.py",
     "report/test_report.py",
+    "report/test_safety.py",
     "results/finished/test_plot.py",
     "results/scene/test_series.py",
     "solvers/dynamics/implicit/test_schemes.py",
@@ -120,6 +121,7 @@ REFERENCES = {
     "verification/test_modes.py",
     "verification/test_motion.py",
     "verification/test_rubber.py",
+    "verification/test_tapered.py",
     "verification/test_thick_plate.py",
     "verification/test_three_point_bending.py",
 }

@@ -20,6 +20,14 @@ def report(
         typer.Option("--output", "-o", metavar="FILE", help="The page (DIR/report.html)."),
     ] = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Also print a PDF; needs Chromium.")] = False,
+    excitation: Annotated[
+        tuple[str, str] | None,
+        typer.Option(
+            "--excitation",
+            metavar="FROM TO",
+            help="Frequencies that shake the part: no mode may lie among them.",
+        ),
+    ] = None,
 ) -> None:
     """Make a page of finished runs that can be mailed.
 
@@ -27,15 +35,17 @@ def report(
       dolfin-elastic report bracket_results
       dolfin-elastic report bracket_results --output bracket.html --pdf
       dolfin-elastic report stress_results modes_results    both on one page
+      dolfin-elastic report mast_results --excitation "2 Hz" "5 Hz"
 
     One HTML file that every browser opens, without network: what was computed, pictures that can be
     turned, largest values, curves, audit, materials, and how to repeat it.  The page of several
-    runs stands beside the first folder: a table of them, and a section each.  Of several analyses
-    of one case, each gets a page in its folder, too.
+    runs stands beside the first folder: verdicts on strength, stability, frequencies and motion of
+    the part, a table of the runs, and a section each.  Of several analyses of one case, each gets a
+    page in its folder, too.
 
     \f
     Raises:
-        CaseError: The output is no HTML file.
+        CaseError: The output is no HTML file, or the excitation is no range of frequencies.
         InputError: It is no folder of results.
         OutputError: Something cannot be written, or there is no Chromium for the PDF.
     """
@@ -47,7 +57,7 @@ def report(
     from dolfin_elastic.report.several import write_pages
     from dolfin_elastic.results.finished.run import folders_of_analyses
 
-    comm = MPI.COMM_WORLD
+    comm, shaken = MPI.COMM_WORLD, _range(excitation)
     runs = on_root(comm, lambda: [r for one in folders for r in folders_of_analyses(one) or [one]])
     if len(runs) > len(folders) == 1 and output is None:
         for run in runs:
@@ -58,7 +68,25 @@ def report(
         raise CaseError(
             f"'{page}' is no page", where="--output", expected='for example "report.html"'
         )
-    on_root(comm, lambda: _write(write_pages(runs, page), pdf=pdf))
+    on_root(comm, lambda: _write(write_pages(runs, page, shaken), pdf=pdf))
+
+
+def _range(words: tuple[str, str] | None) -> tuple[float, float] | None:
+    """Two frequencies in ascending order [Hz]."""
+    from dolfin_elastic.core.errors import CaseError, InputError
+    from dolfin_elastic.core.units import to_si
+
+    if words is None:
+        return None
+    example = 'for example --excitation "2 Hz" "5 Hz"'
+    try:
+        low, high = (to_si(word, "Hz") for word in words)
+    except InputError as error:
+        raise CaseError(str(error), where="--excitation", expected=example) from None
+    if not 0 <= low < high:
+        text = f"'{words[0]}' to '{words[1]}' is no range of frequencies"
+        raise CaseError(text, where="--excitation", expected=example)
+    return low, high
 
 
 def _write(page: Path, *, pdf: bool) -> None:
