@@ -96,7 +96,7 @@ def _read(
     used = unit or stated or otherwise
     if is_surface(path):
         soup = read_soup(path)
-        return clean(soup.points * used.metres, soup.triangles, path.name, used)
+        return soup.points, soup.triangles, used
     permission = Permission()
 
     def cad() -> MeshFile:
