@@ -26,6 +26,8 @@ from dolfin_elastic.model.kinematics import Geometry
 from dolfin_elastic.problem.material_regions import Formulation
 
 Count = Annotated[int, Field(gt=0)]
+_OF_IMAGES = ("size", "curved")
+"""Keys of files that images have, too."""
 
 
 class Box(Record):
@@ -59,14 +61,18 @@ class Rectangle(Record):
 
 
 class Source(Record):
-    """Where a mesh comes from: exactly one of `file`, `box` and `rectangle`.
+    """Where a mesh comes from: exactly one of `file`, `image`, `box` and `rectangle`.
 
     Attributes:
         file: Mesh or CAD file, or a closed surface (.stl, .obj, .ply, .3mf), relative to the case
             file's folder.
+        image: Image of voxels (.nii, .mha, .vti, a DICOM folder) whose regions are filled, relative
+            to the case file's folder.
+        labels: Of an image, name of each region to its value, or several values.
+        threshold: Of a grey image: voxels from this value on are the region "body".
         box: A box made on the spot.
         rectangle: A rectangle made on the spot.
-        size: Size of the elements, for CAD files and surfaces only.
+        size: Size of the elements, for CAD files, surfaces and images only.
         deviation: Distance between elements and surface that does no harm, for surfaces only: where
             the surface is curved, elements are not smaller than that needs.
         repair: Whether a surface is mended; a note says what that has changed.
@@ -74,17 +80,20 @@ class Source(Record):
             by default 40.
         time_limit: Time that Gmsh may take for a file.
         join: Whether bodies of a STEP, IGES or BREP file that touch are joined; True by default.
-        curved: Whether the elements of a CAD file or a surface follow curved surfaces; by default
+        curved: Whether the elements of a CAD file, surface or image follow curved surfaces; by default
             where the displacement is quadratic.  Of a finished mesh, false: its elements are
             straight.
         unit: Unit of length of the mesh and of bare numbers about it; by default that of a STEP,
-            IGES or 3MF file, else "m"; required for .stl, .obj and .ply.
+            IGES or 3MF file or an image, else "m"; required for .stl, .obj and .ply.
     """
 
-    kinds: ClassVar[tuple[str, ...]] = ("file", "box", "rectangle")
+    kinds: ClassVar[tuple[str, ...]] = ("file", "image", "box", "rectangle")
     """Keys of which one is given."""
 
     file: str | None = None
+    image: str | None = None
+    labels: dict[str, int | Annotated[list[int], Field(min_length=1)]] | None = None
+    threshold: float | None = None
     box: WhenGiven[Box] | None = None
     rectangle: WhenGiven[Rectangle] | None = None
     size: MeshLength | None = None
@@ -128,9 +137,25 @@ class Source(Record):
                     where=name,
                     expected=f"write mesh.parts.NAME.{name}",
                 )
-            if value and key != "file":
+            if value and key != "file" and not (key == "image" and name in _OF_IMAGES):
                 raise InputError(what, where=name, expected=expected)
+        self._check_labels(key)
         return self
+
+    def _check_labels(self, key: str) -> None:
+        """Refuses labels of what is no image, and an image without them."""
+        given = [name for name in ("labels", "threshold") if getattr(self, name) is not None]
+        if key == "image" and len(given) != 1:
+            raise InputError(
+                "labels and threshold given together" if given else "labels are missing",
+                where="image",
+                expected="either labels = {bone = 1, marrow = [2, 3]}, or of a grey image "
+                "threshold = VALUE",
+            )
+        if key != "image" and given:
+            raise InputError(
+                f"a {key} has no voxels", where=given[0], expected="image in place of it"
+            )
 
     @property
     def kind(self) -> str:
@@ -196,6 +221,19 @@ class Source(Record):
                 repair=self.repair,
                 angle=self.angle,
             )
+        if self.image is not None:
+            from dolfin_elastic.mesh.images.labels.body import label_body
+
+            return label_body(
+                folder / self.image,
+                self.labels,
+                threshold=self.threshold,
+                comm=comm,
+                scale=self.metres,
+                size=self.size,
+                curved=curved,
+                time_limit=self.time_limit,
+            )
         made = self.box or self.rectangle
         assert made is not None
         make, scale = box_body if self.box else rectangle_body, self.metres or 1.0
@@ -230,7 +268,7 @@ class Part(Source):
 
 
 class MeshTable(Source):
-    """The table [mesh]: exactly one of `file`, `box`, `rectangle` and `parts`.
+    """The table [mesh]: exactly one of `file`, `image`, `box`, `rectangle` and `parts`.
 
     Attributes:
         parts: Name to one of several meshes, which share no nodes.

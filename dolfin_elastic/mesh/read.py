@@ -97,7 +97,7 @@ def read_body(
         body = read_xdmf(
             path, comm=comm, unit=unit, dim=dim, straight_cells=curved is False, time=time
         )
-        return check_cells(_with_unit(body, stated))
+        return check_cells(with_stated_unit(body, stated))
     if time is not None and suffix != ".msh":
         raise MeshError(
             f"a {suffix} file has one time step", where=path.name, expected="leave time out"
@@ -151,7 +151,7 @@ def read_body(
 
         scale = model_unit(stated, path) * unit.metres
         body = replace(body, cad=CadSource(path.absolute(), scale, permission))
-    return check_cells(_with_unit(body, stated))
+    return check_cells(with_stated_unit(body, stated))
 
 
 def _in_unit(length: float | str | None, unit: LengthUnit) -> float | None:
@@ -187,8 +187,12 @@ def stated_unit_of(path: Path) -> LengthUnit | None:
     return stated_unit(path)
 
 
-def _with_unit(body: Body, stated: LengthUnit | None) -> Body:
-    """The body with a note on its unit of length."""
+def with_stated_unit(body: Body, stated: LengthUnit | None) -> Body:
+    """The body with a note on its unit of length.
+
+    Args:
+        stated: The unit that its file states.
+    """
     if stated is None:
         return body
     if stated.metres == body.unit.metres:

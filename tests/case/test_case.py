@@ -277,12 +277,13 @@ MISTAKES = {
     "two meshes": (
         'unit = "mm"',
         'unit = "mm"\nfile = "a.msh"',
-        "mesh: file and box given together; expected exactly one of file, box, rectangle, parts",
+        "mesh: file and box given together; expected exactly one of file, image, box, rectangle, "
+        "parts",
     ),
     "no mesh": (
         "box = {size = [2, 1, 1], cells = [2, 1, 1]}\n",
         "",
-        "mesh: no mesh is given; expected exactly one of file, box, rectangle, parts",
+        "mesh: no mesh is given; expected exactly one of file, image, box, rectangle, parts",
     ),
     "mesh table missing": (
         '[mesh]\nbox = {size = [2, 1, 1], cells = [2, 1, 1]}\nunit = "mm"\ndegree = 1\n',

@@ -53,6 +53,7 @@ def fill(
     deviation: float | None,
     curved: bool | None,
     permission: Permission,
+    even: bool = False,
 ) -> MeshFile:
     """Fills the regions of a complex with tetrahedra. Local: one rank fills.
 
@@ -68,6 +69,7 @@ def fill(
             than it needs; None: 1/2000 of the diagonal.
         curved: False: straight cells.
         permission: Time that Gmsh may take.
+        even: Sizes do not follow the curvature, which surfaces between voxels only pretend.
 
     Raises:
         MeshError: Gmsh cannot fill it.
@@ -77,7 +79,7 @@ def fill(
     until = time.monotonic() + permission.seconds
     best: tuple[float, _Way, Mapping[str, AnyArray]] | None = None
     error: MeshError | None = None
-    for way in _ways(plc, size, deviation, straight=curved is False):
+    for way in _ways(plc, size, deviation, straight=curved is False, even=even):
         try:
             filled = _filled(plc, bodies, source, way, until - time.monotonic())
         except MeshError as caught:
@@ -104,7 +106,7 @@ def fill(
 
 
 def _ways(
-    plc: Plc, size: float | None, deviation: float | None, *, straight: bool
+    plc: Plc, size: float | None, deviation: float | None, *, straight: bool, even: bool
 ) -> Iterator[_Way]:
     """How it is tried, one way after the other."""
     diagonal = float(np.linalg.norm(np.ptp(plc.points, axis=0)))
@@ -112,9 +114,14 @@ def _ways(
     smallest = _SMALLEST * diagonal if size is None else size / _STEEPEST
     if deviation is not None:
         smallest = min(max(smallest, _CAP * deviation), largest)
-    words = "default size" if size is None else f"size {size:g}"
-    for count in _ROUNDS:
-        yield _Way(True, 1 if straight else 2, smallest, largest, count, words)
+    words = "default size" if size is None else f"size {size:.4g}"
+    order = 1 if straight else 2
+    if even:
+        yield _Way(True, order, 0.0, largest, 0.0, words)
+        yield _Way(True, order, 0.0, largest / 2, 0.0, f"{words}, halved for the volume's sake")
+    else:
+        for count in _ROUNDS:
+            yield _Way(True, order, smallest, largest, count, words)
     yield _Way(False, 1, 0.0, largest, 0.0, f"{words}, with the file's own triangles")
 
 

@@ -1,0 +1,1 @@
+"""Regions of a label image as bodies of tetrahedra."""
