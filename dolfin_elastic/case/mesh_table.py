@@ -80,9 +80,9 @@ class Source(Record):
             by default 40.
         time_limit: Time that Gmsh may take for a file.
         join: Whether bodies of a STEP, IGES or BREP file that touch are joined; True by default.
-        curved: Whether the elements of a CAD file, surface or image follow curved surfaces; by default
-            where the displacement is quadratic.  Of a finished mesh, false: its elements are
-            straight.
+        curved: Whether the elements of a CAD file, surface or image follow curved surfaces; by
+            default where the displacement is quadratic.  Of a finished mesh, false: its elements
+            are straight.
         unit: Unit of length of the mesh and of bare numbers about it; by default that of a STEP,
             IGES or 3MF file or an image, else "m"; required for .stl, .obj and .ply.
     """
