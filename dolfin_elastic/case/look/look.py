@@ -16,11 +16,14 @@ from dolfin_elastic.case.check.loads import load_sums
 from dolfin_elastic.case.check.sizes import references
 from dolfin_elastic.case.described import described
 from dolfin_elastic.case.glyphs import glyphs_of
+from dolfin_elastic.case.look.faulty import draw_faults
 from dolfin_elastic.case.look.listing import Look, listing
 from dolfin_elastic.core.errors import DrawingError, InputError, MeshError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.shapes.rigid_mesh import RigidMesh
 from dolfin_elastic.mesh import Body, read_body
+from dolfin_elastic.mesh.formats.surfaces.options import is_surface
+from dolfin_elastic.mesh.read import check_file, stated_unit_of
 from dolfin_elastic.model.loads.forces import Gravity
 from dolfin_elastic.results.scene import series
 from dolfin_elastic.results.scene.body import body_scene, patch_colour
@@ -49,7 +52,13 @@ def look_at(
         OutputError: The picture cannot be written.
     """
     case = read_case(path, comm=comm, trust=trust) if path.suffix.lower() == ".toml" else None
-    body, notes = _body(path, case, trust, comm)
+    try:
+        body, notes = _body(path, case, trust, comm)
+    except MeshError as error:
+        if picture is None:
+            raise
+        drawn = on_root(comm, lambda: draw_faults(path, case, picture))
+        raise drawn or error from None
 
     def use(name: str, kind: str) -> str:
         return "" if case is None else references(case, body, name, kind)
@@ -97,6 +106,9 @@ def _body(
 ) -> tuple[Body, tuple[str, ...]]:
     """The body with its names, or without those of a case in which one is wrong. Collective."""
     if case is None:
+        on_root(comm, lambda: check_file(path))
+        if is_surface(path) and on_root(comm, lambda: stated_unit_of(path)) is None:
+            return read_body(path, comm=comm, scale=1.0), (on_root(comm, lambda: _in_units(path)),)
         return read_body(path, comm=comm, trust=trust), ()
     try:
         return case.read_body(comm), ()
@@ -112,6 +124,15 @@ def _body(
         trust=trust,
     )
     return bare.read_body(comm), (f"without the names of the case: {named}",)
+
+
+def _in_units(path: Path) -> str:
+    from dolfin_elastic.mesh.formats.surfaces.body import sizes_in_units
+
+    return (
+        "lengths are shown as m, for the file states no unit; the body would have this size with "
+        f"unit = {sizes_in_units(path)}"
+    )
 
 
 def _obstacles(case: Case, body: Body, scene: Scene) -> tuple[Obstacle, ...]:

@@ -15,7 +15,12 @@ from dolfin_elastic.mesh.formats.surfaces.nesting import containing
 from dolfin_elastic.mesh.formats.surfaces.patches import ANGLE, MOST, patches
 from dolfin_elastic.mesh.formats.surfaces.plc import OUTSIDE, Plc
 from dolfin_elastic.mesh.formats.surfaces.reader import read_soup
-from dolfin_elastic.mesh.formats.surfaces.surface import Surface, find_faults, turned_outwards
+from dolfin_elastic.mesh.formats.surfaces.surface import (
+    Fault,
+    Surface,
+    find_faults,
+    turned_outwards,
+)
 from dolfin_elastic.mesh.formats.surfaces.topology import oriented
 
 
@@ -88,6 +93,16 @@ def _volume(surface: Surface, regions: IntArray) -> float:
     each = np.einsum("ni,ni->n", a, np.cross(b, c)) / 6
     filled = regions != OUTSIDE
     return float(np.sum(each * filled[:, 0]) - np.sum(each * filled[:, 1]))
+
+
+def faults_of(path: Path) -> tuple[Surface, list[Fault]]:
+    """The surface of a file, and all that is wrong with it. Local.
+
+    Raises:
+        MeshError: The file is damaged, or has no surface of a body.
+    """
+    surface, _ = Surface.of(read_soup(path), path.name)
+    return surface, find_faults(surface, all_of_them=True)
 
 
 def complex_of(surface: Surface, angle: float) -> Complex:
