@@ -60,6 +60,7 @@ POINTS = {
     "mesh/images/labels/test_nets.py",
     "mesh/images/test_images.py",
     "mesh/test_fill.py",
+    "mesh/test_surfaces.py",
     "mesh/test_losses.py",
     "model/materials/test_library.py",
     "model/materials/test_moduli.py",

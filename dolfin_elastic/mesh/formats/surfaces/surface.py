@@ -274,11 +274,13 @@ def _crossing(surface: Surface) -> list[Fault]:
     if not len(pairs):
         return []
     shell, _ = oriented(surface.edges)
-    places = surface.corners[pairs].mean(axis=(1, 2))
     s, t = shell[pairs].T
-    if (s != t).all():
+    own = s == t
+    if not own.any():
+        places = surface.corners[pairs.reshape(-1)].mean(axis=1)
         return [Fault("two bodies run into each other or touch", "unites them", places)]
-    return [Fault("the surface runs through itself or touches itself", "", places[s == t])]
+    places = surface.corners[pairs[own].reshape(-1)].mean(axis=1)
+    return [Fault("the surface runs through itself or touches itself", "", places)]
 
 
 def counted(count: int, one: str, many: str) -> str:

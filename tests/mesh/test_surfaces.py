@@ -1,0 +1,218 @@
+"""Surfaces of triangles: readers, faults, mending, patches and regions."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.units import LengthUnit
+from dolfin_elastic.mesh.formats.surfaces.complex import read_complex
+from dolfin_elastic.mesh.formats.surfaces.reader import read_soup
+from dolfin_elastic.mesh.read import read_body, stated_unit_of
+from tests.helpers.surfaces import cube, model_3mf, write_3mf, write_stl
+
+MM = LengthUnit.of(1e-3)
+UNIT = cube()
+
+
+def made(path, **options):
+    """The complex of a file, and the volume of each region."""
+    found = read_complex(path, unit=MM, **options)
+    plc = found.plc
+    parts = np.linalg.det(plc.points[plc.triangles]) / 6
+    numbers = np.arange(len(plc.region_names))
+    sides = (plc.regions[:, :, None] == numbers).astype(float)
+    return found, parts @ (sides[:, 0] - sides[:, 1])
+
+
+def tjoint():
+    a, b, c = UNIT[0]
+    m = (a + b) / 2
+    return np.concatenate([UNIT[1:], [(a, m, c), (m, b, c)]])
+
+
+@pytest.mark.parametrize(
+    ("corners", "volumes", "patches"),
+    [
+        (UNIT, [1.0], 6),
+        (UNIT[:, ::-1], [1.0], 6),
+        (np.concatenate([UNIT, cube(0.25, 0.75)[:, ::-1]]), [0.875], 12),
+        (np.concatenate([UNIT, cube(shift=(3, 0, 0))]), [1.0, 1.0], 12),
+    ],
+    ids=["cube", "inside out", "hollow", "two"],
+)
+def test_sound_surfaces(corners, volumes, patches, tmp_path):
+    found, result = made(write_stl(tmp_path / "a.stl", corners))
+    np.testing.assert_allclose(result, volumes, rtol=1e-12)
+    assert found.plc.patch_names == [f"patch {k + 1}" for k in range(patches)]
+    assert not found.notes
+
+
+FAULTS = {
+    "hole": (UNIT[1:], r"has a hole: 3 edges .* mm; repair = true closes small holes"),
+    "turned": (np.concatenate([UNIT[:2, ::-1], UNIT[2:]]), "2 triangles are turned round, first"),
+    "doubled": (np.concatenate([UNIT, UNIT[:1]]), "1 triangle is there twice, at"),
+    "tjoint": (tjoint(), r"1 edge is divided on one side only, at \(0, 0, 0.5\) mm"),
+    "overlap": (np.concatenate([UNIT, cube(shift=(0.5, 0.4, 0.3))]), "two bodies run into each"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_are_named_and_mended(fault, tmp_path):
+    corners, said = FAULTS[fault]
+    path = write_stl(tmp_path / "a.stl", corners)
+    with pytest.raises(MeshError, match=said):
+        made(path)
+    if fault == "overlap":
+        pytest.importorskip("manifold3d")
+    found, result = made(path, repair=True)
+    # Single precision in the file.
+    assert sum(result) == pytest.approx(2 - 0.5 * 0.6 * 0.7 if fault == "overlap" else 1, rel=1e-6)
+    assert "the surface has been mended: " in found.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("corners", "said"),
+    [
+        (UNIT * [1, 1, 0], "no thickness"),
+        (np.concatenate([UNIT, cube(shift=(1, 1, 0))]), "more than two triangles meet in 1 edge"),
+        (UNIT[2:], "the surface has a hole: 4 edges"),
+        (np.where(np.arange(36).reshape(12, 3, 1) == 4, np.nan, UNIT), "corner of triangle 2 has"),
+    ],
+    ids=["flat", "edge", "open", "nan"],
+)
+def test_what_is_refused(corners, said, tmp_path):
+    with pytest.raises(MeshError, match=said):
+        made(write_stl(tmp_path / "a.stl", corners))
+
+
+def test_unions_need_manifold3d(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "manifold3d", None)
+    path = write_stl(tmp_path / "a.stl", FAULTS["overlap"][0])
+    with pytest.raises(MeshError, match="pip install manifold3d"):
+        made(path, repair=True)
+
+
+def test_groups_of_obj_keep_their_names(tmp_path):
+    """A group of one patch names it; one with sharp edges is that of its patches."""
+    rows, number = [], 1
+    for name, faces in (("top", [5]), ("rest", [0, 1, 2, 3, 4])):
+        rows.append(f"g {name}")
+        for face in faces:
+            a, b, c = UNIT[2 * face]
+            for x in (a, b, c, UNIT[2 * face + 1][2]):
+                rows.append("v {} {} {}".format(*x))
+            rows.append(f"f {number} {number + 1} {number + 2} {number + 3}")
+            number += 4
+    (tmp_path / "a.obj").write_text("\n".join(rows))
+    found, result = made(tmp_path / "a.obj")
+    assert sorted(found.plc.patch_names) == [*(f"patch {k}" for k in range(1, 6)), "top"]
+    assert sorted(found.groups["rest"]) == [f"patch {k}" for k in range(1, 6)]
+    assert result == pytest.approx([1])
+
+
+def test_concave_polygons(tmp_path):
+    """An L of six corners, cut within its plane."""
+    outline = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
+    rows = [f"v {x} {y} {z}" for z in (0, 1) for x, y in outline]
+    rows += ["f 6 5 4 3 2 1", "f 7 8 9 10 11 12"]
+    rows += [f"f {k + 1} {(k + 1) % 6 + 1} {(k + 1) % 6 + 7} {k + 7}" for k in range(6)]
+    (tmp_path / "a.obj").write_text("\n".join(rows))
+    found, result = made(tmp_path / "a.obj")
+    assert result == pytest.approx([3])
+    assert len(found.plc.patch_names) == 8
+
+
+@pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_ply(order, tmp_path):
+    points, rows = np.unique(UNIT.reshape(-1, 3), axis=0, return_inverse=True)
+    rows = rows.reshape(-1, 3)
+    head = f"ply\nformat {order} 1.0\nelement vertex 8\nproperty float x\nproperty float y\n"
+    head += "property float z\nelement face 12\nproperty list uchar int vertex_indices\nend_header\n"
+    sign = ">" if "big" in order else "<"
+    if order == "ascii":
+        lines = ["{} {} {}".format(*x) for x in points] + ["3 {} {} {}".format(*r) for r in rows]
+        body = "\n".join(lines).encode()
+    else:
+        body = points.astype(f"{sign}f4").tobytes()
+        body += b"".join(b"\x03" + r.astype(f"{sign}i4").tobytes() for r in rows)
+    (tmp_path / "a.ply").write_bytes(head.encode() + body)
+    assert made(tmp_path / "a.ply")[1] == pytest.approx([1])
+    (tmp_path / "a.ply").write_bytes(head.encode() + body[:-7])
+    with pytest.raises(MeshError, match="it ends|is no face"):
+        read_soup(tmp_path / "a.ply")
+
+
+def test_3mf(tmp_path):
+    """Unit, name and place of an object; a mirror image stays outwards."""
+    item = '<item objectid="1" transform="-2 0 0 0 1 0 0 0 1 5 0 0"/>'
+    path = write_3mf(tmp_path / "a.3mf", model_3mf(UNIT, items=item))
+    found, result = made(path)
+    assert stated_unit_of(path).metres == 0.0254
+    assert (result, found.plc.region_names) == (pytest.approx([2]), ["block"])
+    np.testing.assert_allclose(found.plc.points.max(axis=0), [5, 1, 1])
+
+
+def bomb(path):
+    text = model_3mf(UNIT).replace("</resources>", f"</resources><!--{' ' * 60_000_000}-->")
+    return write_3mf(path, text)
+
+
+HOSTILE = {
+    "bomb": (bomb, "it is larger than"),
+    "entity": (
+        lambda path: write_3mf(path, model_3mf(UNIT, head='<!DOCTYPE a [<!ENTITY b "c">]>')),
+        "definitions of entities",
+    ),
+    "itself": (
+        lambda path: write_3mf(
+            path,
+            '<model><resources><object id="1"><components><component objectid="1"/></components>'
+            '</object></resources><build><item objectid="1"/></build></model>',
+        ),
+        "consists of itself",
+    ),
+    "no zip": (lambda path: path.write_bytes(b"PK\x03\x04" + b"\0" * 99), "it is no 3MF file"),
+    "pipe": (lambda path: os.mkfifo(path), "pipe"),
+}
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_hostile_3mf(kind, tmp_path):
+    make, said = HOSTILE[kind]
+    make(tmp_path / "a.3mf")
+    with pytest.raises(MeshError, match=said):
+        read_soup(tmp_path / "a.3mf")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.stl", b"\0" * 80 + b"\xff\xff\xff\xff", "states 4294967295 triangles"),
+        ("a.stl", b"solid a\nfacet\nouter loop\nvertex 0 0 0\n", "a.stl:4: it ends in the middle"),
+        (
+            "a.ply",
+            b"ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\n"
+            b"property float x\nend_header\n",
+            "need at least 3999999999996 bytes; 0 are left",
+        ),
+        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex x\nend_header\n", "a.ply:3: "),
+        ("a.obj", b"v 0 0 0\ncurv 0 1 1\n", "a.obj:2: 'curv' describes a curved surface"),
+    ],
+)
+def test_damaged_files(name, content, said, tmp_path):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(MeshError, match=said):
+        read_soup(tmp_path / name)
+
+
+def test_unit_is_asked_for(tmp_path):
+    path = write_stl(tmp_path / "a.stl", cube(0, 20))
+    with pytest.raises(MeshError, match="mm: 20 x 20 x 20 mm; inch: 508 x 508 x 508 mm; m: 20 x"):
+        read_body(path)
+    with pytest.raises(MeshError, match=r"mesh.repair is given, but this file is no surface"):
+        (tmp_path / "a.msh").write_text("x")
+        read_body(tmp_path / "a.msh", repair=True)
