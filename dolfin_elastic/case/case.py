@@ -26,7 +26,7 @@ from pydantic import PrivateAttr
 from dolfin_elastic.case.analysis import ANALYSES, AnalysisTables
 from dolfin_elastic.case.check.memory import check_elements
 from dolfin_elastic.case.curve_files import has_curve_files, with_curves
-from dolfin_elastic.case.field_files import add_fields
+from dolfin_elastic.case.field_files import with_fields
 from dolfin_elastic.case.mesh_table import Source
 from dolfin_elastic.case.model_tables import read_material_tables, with_library
 from dolfin_elastic.case.tables import Material, table_of
@@ -130,7 +130,7 @@ class Case(AnalysisTables):
         named = self.name_parts(self.read_mesh(comm))
         with locate_errors(self.file):
             finer = self.mesh.refined(named)
-            add_fields(finer, self.model_tables(), self.folder)
+            finer = with_fields(finer, self.fields, self.model_tables(), self.folder)
             if self.contact:
                 finer = with_obstacles(finer, self.contact, self.folder)
         with locate_errors(self.file, f"mesh.{self.mesh.kind}"):

@@ -2,12 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from dolfin_elastic.core.errors import CaseError, InputError
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.body import Body
+from dolfin_elastic.mesh.images.field import ImageField, add_images
 from dolfin_elastic.model.values import field_tables
+
+
+def with_fields(body: Body, images: Mapping[str, ImageField], tables: object, folder: Path) -> Body:
+    """A body with the fields of images and of other files. Collective.
+
+    Args:
+        images: Name to image.
+        tables: See `add_fields`.
+        folder: Folder that the paths are relative to.
+
+    Raises:
+        InputError: See `add_fields` and `add_images`.
+    """
+    if images:
+        body = add_images(body, images, folder)
+    add_fields(body, tables, folder)
+    return body
 
 
 def add_fields(body: Body, tables: object, folder: Path) -> None:

@@ -28,6 +28,7 @@ from dolfin_elastic.core.errors import InputError, all_errors, joined, keyed
 from dolfin_elastic.core.schema import AlreadyRead, Record, WhenGiven, quoted
 from dolfin_elastic.core.units import metres
 from dolfin_elastic.mesh import Body, EdgeSelector, PointSelector, Selector
+from dolfin_elastic.mesh.images.field import ImageField
 from dolfin_elastic.model.axes import AXES, LocalAxes, check_name
 from dolfin_elastic.model.contact import Contact
 from dolfin_elastic.model.loads import LOAD_WORDS, LOADS, Load
@@ -55,6 +56,7 @@ class ModelTables(Record):
         regions: The same for cells.
         edges: The same for edges of solids.
         points: The same for nodes.
+        fields: Name to image; formulas and `{field = "NAME"}` then take its values in elements.
         library: A TOML file of materials of the user's own, relative to the case file.
         materials: Name to law and place; together they fill the body exactly once.
         support: What holds surfaces; where displacements are prescribed twice the later one holds.
@@ -79,6 +81,7 @@ class ModelTables(Record):
     regions: dict[str, list[AlreadyRead[Selector]]] = Field(default={})
     edges: dict[str, list[AlreadyRead[EdgeSelector]]] = Field(default={})
     points: dict[str, list[AlreadyRead[PointSelector]]] = Field(default={})
+    fields: dict[str, ImageField] = Field(default={})
     library: str | None = None
     materials: dict[str, AlreadyRead[Material]]
     support: list[AlreadyRead[Restraint]] = Field(default=[])
@@ -136,6 +139,7 @@ class ModelTables(Record):
         for key in ("surfaces", "regions", "edges", "points"):
             named = {n: [table_of(s) for s in rows] for n, rows in getattr(self, key).items()}
             tables[key] = {n: rows[0] if len(rows) == 1 else rows for n, rows in named.items()}
+        tables["fields"] = {name: table_of(one) for name, one in self.fields.items()}
         tables["materials"] = {name: item.table() for name, item in self.materials.items()}
         tables["support"] = [_support_table(item) for item in self.support]
         tables["load"] = [{"kind": item.kind, **table_of(item)} for item in self.load]

@@ -13,7 +13,7 @@ from dolfin_elastic.case.analysis import ANALYSES
 from dolfin_elastic.case.case import Case, in_order, locate_errors
 from dolfin_elastic.case.case import read_case as read_alone
 from dolfin_elastic.case.check.consistency import faults
-from dolfin_elastic.case.field_files import add_fields
+from dolfin_elastic.case.field_files import with_fields
 from dolfin_elastic.case.model_tables import READERS
 from dolfin_elastic.case.toml import key_parts, read_toml
 from dolfin_elastic.core.errors import MOST_ERRORS, InputError, joined
@@ -61,7 +61,7 @@ def with_the_rest(
                 break
             body = case.read_mesh(comm) if body is None else body
             named = case.name_parts(body)
-            add_fields(named, case.model_tables(), case.folder)
+            named = with_fields(named, case.fields, case.model_tables(), case.folder)
             named = with_obstacles(named, case.contact, case.folder)
             more = faults(case, named, rest.wrong)
             found += [rest.as_written(one) for one in more]

@@ -125,7 +125,7 @@ def scaled(values: AnyArray, slope: float, intercept: float) -> AnyArray:
             expected="a number in each: export the image anew, with a value for its background",
         )
     if (slope, intercept) == (1.0, 0.0):
-        return np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("="))
+        return values.astype(values.dtype.newbyteorder("="), copy=False)
     ends = [slope * float(v) + intercept for v in (values.min(), values.max())]
     whole = values.dtype.kind in "iu" and float(slope).is_integer() and intercept.is_integer()
     if whole and max(map(abs, ends)) < 1 << 31:

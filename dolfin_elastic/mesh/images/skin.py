@@ -1,0 +1,66 @@
+"""The skin of a body in an image, where voxels are partly air: values carried outwards from inside.
+
+A scanner blurs, so the outer one or two layers of voxels of a bone are too low.  Leaving out voxels
+below a threshold does not help; voxels deeper than the skin have right values, and each voxel
+further out gets that of the nearest of these.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dolfin_elastic.core.errors import MeshError
+from dolfin_elastic.core.types import AnyArray, FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Skinned:
+    """Values carried outwards.
+
+    Attributes:
+        values: Of the image.
+        thin: Part of the voxels above the threshold that lie in walls without a core.
+    """
+
+    values: AnyArray
+    thin: float
+
+
+def carried_outwards(
+    values: AnyArray, threshold: float, depth: int, spacing: FloatArray
+) -> Skinned:
+    """Gives each voxel the value of the nearest one that lies deeper than the skin. Local.
+
+    Args:
+        values: Shape (ni, nj, nk).
+        threshold: Voxels at or above it are the body.
+        depth: Of the skin, in voxels.
+        spacing: Edges of a voxel, shape (3,).
+
+    Raises:
+        MeshError: No voxel lies so deep.
+    """
+    from scipy.ndimage import binary_erosion, distance_transform_edt
+
+    body = values >= threshold
+    flat = body.shape[2] == 1
+    within = body[:, :, 0] if flat else body
+    core = binary_erosion(within, iterations=depth).reshape(body.shape)
+    if not core.any():
+        raise MeshError(
+            f"no voxel lies {depth} voxels below the surface of what is at least {threshold:g}; "
+            f"the image has {values.min():g} to {values.max():g} here",
+            where="skin",
+            expected="another threshold, a thinner skin, or an image with smaller voxels",
+        )
+    nearest = distance_transform_edt(
+        ~core, sampling=spacing, return_distances=False, return_indices=True
+    )
+    found = values[tuple(nearest)]
+    far = np.zeros(int(np.count_nonzero(body)))
+    for axis, at in enumerate(np.nonzero(body)):
+        far += (nearest[axis][body] - at) ** 2.0
+    # The corner of a box of many voxels is 1.7 skins away from its core.
+    return Skinned(found, float(np.count_nonzero(far > (2 * depth) ** 2) / max(len(far), 1)))
