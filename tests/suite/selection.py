@@ -29,6 +29,8 @@ from mpi4py import MPI
 TESTS = Path(__file__).resolve().parent.parent
 
 POINTS = {
+    "case/decks/test_abaqus_decks.py",
+    "case/decks/test_compare.py",
     "case/reference/test_json_schema.py",
     "case/test_one_rank.py",
     "cli/test_cli.py",

@@ -98,8 +98,8 @@ def _frd(lines: Lines) -> Reference:
     result, table = Reference(), Table()
     inside = ""
     for number, line in lines:
-        key = line[:5].strip()
-        if key == "2C":
+        key = line[:3].strip()
+        if line[:6].strip() == "2C":
             inside = "nodes"
         elif key == "-4":
             name = line[5:13].strip().upper()
@@ -107,9 +107,9 @@ def _frd(lines: Lines) -> Reference:
             table = Table()
             if inside:
                 (result.displacements if inside == "disp" else result.forces).append(table)
-        elif key == "-3" or line[:3].strip() == "-3":
+        elif key == "-3":
             inside = ""
-        elif inside and line[:3].strip() == "-1":
+        elif inside and key == "-1":
             node, vector = _node(line, number)
             if inside == "nodes":
                 result.points[node] = vector

@@ -1,0 +1,383 @@
+"""Decks of Abaqus and CalculiX as cases: each word, what is left out, and closed forms."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.decks import box, inp_text, numbers, quadratic
+
+from dolfin_elastic.case.case import Case
+from dolfin_elastic.case.decks.deck import Deck
+from dolfin_elastic.case.decks.reading import read_deck
+from dolfin_elastic.case.decks.writer import case_texts
+from dolfin_elastic.core.errors import InputError, MeshError
+
+POINTS, CELLS = box((10, 10, 10), (1, 1, 1))
+STEEL = (
+    "*MATERIAL, NAME=steel\n*ELASTIC\n210000., 0.3\n*DENSITY\n7.85e-9\n"
+    "*SOLID SECTION, ELSET=ALL, MATERIAL=steel\n"
+)
+STATIC = "*STEP\n*STATIC\n{}*END STEP\n"
+SETS = "".join(
+    f"*NSET, NSET={name}\n{numbers(np.flatnonzero(POINTS[:, axis] == level))}\n"
+    for name, axis, level in (("left", 0, 0), ("back", 1, 0), ("bottom", 2, 0), ("top", 2, 10))
+)
+EVERY = "*NSET, NSET=every, GENERATE\n1, 8\n"
+
+
+def read(folder: Path, text: str) -> Deck:
+    """A deck of the cube with more lines."""
+    (folder / "deck.inp").write_text(text, encoding="latin-1")
+    return read_deck(folder / "deck.inp")
+
+
+def cube(more: str, sets: str = SETS + EVERY) -> str:
+    return inp_text(POINTS, CELLS, sets + more)
+
+
+def tables(folder: Path, text: str, count: int = 1) -> list[dict[str, Any]]:
+    """The cases of a deck, which can be read as such."""
+    texts = case_texts(read(folder, text), "deck", "mm-t-s")
+    assert len(texts) == count
+    result = [tomllib.loads(one) for one in texts.values()]
+    for one in result:
+        Case.from_dict(one, folder)
+    return result
+
+
+def one(folder: Path, text: str) -> dict[str, Any]:
+    return tables(folder, text)[0]
+
+
+def faults(folder: Path, text: str) -> list[str]:
+    return [str(fault) for fault in read(folder, text).faults]
+
+
+# --- materials ---
+
+LAWS = {
+    "iso": ("*ELASTIC\n210000., 0.3\n", {"law": "linear-elastic", "E": "210000 MPa", "nu": 0.3}),
+    "neo": (
+        "*HYPERELASTIC, NEO HOOKE\n0.5, 0.1\n",
+        {"law": "neo-hookean-split", "mu": "1 MPa", "K": "20 MPa", "volumetric": "quadratic"},
+    ),
+    "mooney": (
+        "*HYPERELASTIC, MOONEY-RIVLIN\n0.5, 0.2, 0.1\n",
+        {"law": "mooney-rivlin", "c10": "0.5 MPa", "c01": "0.2 MPa", "K": "20 MPa"},
+    ),
+    "polynomial": (
+        "*HYPERELASTIC, N=1\n0.5, 0.2, 0.1\n",
+        {"law": "mooney-rivlin", "c10": "0.5 MPa", "c01": "0.2 MPa", "K": "20 MPa"},
+    ),
+    "yeoh": (
+        "*HYPERELASTIC, YEOH\n0.5, -0.02, 0.01, 0.1\n",
+        {"law": "yeoh", "c10": "0.5 MPa", "c20": "-0.02 MPa", "c30": "0.01 MPa", "K": "20 MPa"},
+    ),
+    "reduced": (
+        "*HYPERELASTIC, REDUCED POLYNOMIAL, N=2\n0.5, 0.02, 0.1, 0.\n",
+        {"law": "yeoh", "c10": "0.5 MPa", "c20": "0.02 MPa", "c30": 0, "K": "20 MPa"},
+    ),
+    "ogden": (
+        "*HYPERELASTIC, OGDEN, N=2\n1., 2., 0.5, 4., 0.1, 0.\n",
+        {"law": "ogden", "mu": ["1 MPa", "0.25 MPa"], "alpha": [2.0, 4.0], "K": "20 MPa"},
+    ),
+    "arruda": (
+        "*HYPERELASTIC, ARRUDA-BOYCE\n0.35, 2.8, 0.1\n",
+        {"law": "arruda-boyce", "mu": "0.35 MPa", "limit": 2.8, "volumetric": "simo-taylor"},
+    ),
+    "no D1": ("*HYPERELASTIC, NEO HOOKE\n0.5\n", {"mu": "1 MPa", "K": "20 MPa"}),
+    "constants": (
+        "*ELASTIC, TYPE=ENGINEERING CONSTANTS\n3., 2., 1., .1, .2, .3, 4., 5.,\n6.\n",
+        {"law": "orthotropic", "E1": "3 MPa", "nu23": 0.3, "G13": "5 MPa", "G23": "6 MPa"},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_laws(tmp_path: Path, name: str) -> None:
+    """Constants as the manuals of Abaqus and CalculiX define them."""
+    text, keys = LAWS[name]
+    more = STEEL.replace("*ELASTIC\n210000., 0.3\n", text) + STATIC.format("")
+    material = one(tmp_path, cube(more))["materials"]["steel"]
+    assert keys.items() <= material.items()
+    assert material["on"] == "ALL"
+    assert material["density"] == "7.85e-09 t/mm^3"
+
+
+def test_stiffnesses_of_ortho(tmp_path: Path) -> None:
+    """D1111 ... of an isotropic body give back its E and nu."""
+    E, nu = 210000.0, 0.3
+    diagonal, other = (E * x / (1 + nu) / (1 - 2 * nu) for x in (1 - nu, nu))
+    D = [diagonal, other, diagonal, other, other, diagonal, *[E / 2 / (1 + nu)] * 3]
+    text = ", ".join(map(repr, D[:8])) + f",\n{D[8]!r}"
+    more = STEEL.replace("*ELASTIC\n210000., 0.3", f"*ELASTIC, TYPE=ORTHO\n{text}")
+    axes = "*ORIENTATION, NAME=turned\n0., 1., 0., -1., 0., 0.\n"
+    more = axes + more + STATIC.format("")
+    more = more.replace("MATERIAL=steel", "MATERIAL=steel, ORIENTATION=turned")
+    material = one(tmp_path, cube(more))["materials"]["steel"]
+    assert float(material["E2"].split()[0]) == pytest.approx(E, rel=1e-12)
+    assert material["nu13"] == pytest.approx(nu, rel=1e-12)
+    assert material["axis1"] == [0, 1, 0]
+    assert material["axis2"] == [-1, 0, 0]
+
+
+LACKING = {
+    "*PLASTIC\n200., 0.\n": "PLASTIC: plasticity is not there",
+    "*VISCOELASTIC, TIME=PRONY\n.1, 0., 1.\n": "VISCOELASTIC: state it as `prony`",
+    "*EXPANSION, TYPE=ORTHO\n1., 2., 3.\n": "EXPANSION: it is not the same everywhere",
+    "*USER MATERIAL, CONSTANTS=1\n1.\n": "its subroutine cannot be read",
+    "*GHOST\n1.\n": "GHOST: this keyword is not known",
+}
+
+
+@pytest.mark.parametrize("text", LACKING)
+def test_laws_that_are_lacking(tmp_path: Path, text: str) -> None:
+    """They change the answer, and are named with their line."""
+    more = STEEL.replace("*DENSITY", text + "*DENSITY") + STATIC.format("")
+    (fault,) = faults(tmp_path, cube(more))
+    assert LACKING[text] in fault
+    assert fault.startswith("deck.inp:")
+
+
+# --- supports and loads ---
+
+
+def test_supports(tmp_path: Path) -> None:
+    """By set and word, by directions and value, and by number of node."""
+    more = (
+        "*BOUNDARY\nleft, XSYMM\nback, 2\nbottom, ENCASTRE\ntop, 3, 3, 0.5\n7, 1, 2\n8, 3,, .25\n"
+    )
+    case = one(tmp_path, cube(more + STEEL + STATIC.format("")))
+    assert case["support"] == [
+        {"on": "left", "displacement": [0, "free", "free"]},
+        {"on": "back", "displacement": ["free", 0, "free"]},
+        {"on": "bottom", "kind": "fixed"},
+        {"on": "top", "displacement": ["free", "free", "0.5 mm"]},
+        {"on": "BOUNDARY line 27 xy", "displacement": [0, 0, "free"]},
+        {
+            "on": "BOUNDARY line 27 z",
+            "displacement": ["free", "free", {"field": "BOUNDARY line 27 z", "unit": "mm"}],
+        },
+    ]
+
+
+LOADS = {
+    "*CLOAD\ntop, 2, 5.\ntop, 2, 1.\ntop, 3, -2.\n": {
+        "kind": "point-force",
+        "on": "top",
+        "value": [0, "6 N", "-2 N"],
+    },
+    "*CLOAD\n8, 3, -2.\n7, 1, 1.\n": {
+        "kind": "point-force",
+        "on": "CLOAD line 37",
+        "value": {"field": "CLOAD line 37", "unit": "N"},
+    },
+    "*DLOAD\n1, P2, 3.\n": {"kind": "pressure", "on": "DLOAD line 37", "value": "3 MPa"},
+    "*DLOAD\nALL, GRAV, 9810., 0., 0., -2.\n": {
+        "kind": "gravity",
+        "value": [0, 0, "-9810 mm/s^2"],
+        "on": "ALL",
+    },
+    "*DLOAD\nALL, CENTRIF, 4., 1., 2., 3., 0., 0., 1.\n": {
+        "kind": "centrifugal",
+        "value": "2 rad/s",
+        "point": [1, 2, 3],
+        "axis": [0, 0, 1],
+        "on": "ALL",
+    },
+    "*DLOAD\nALL, BY, 4.\n": {"kind": "body-force", "value": [0, "4 N/mm^3", 0], "on": "ALL"},
+    "*DSLOAD\nskin, P, 4.\n": {"kind": "pressure", "on": "skin", "value": "4 MPa"},
+    "*DSLOAD\nskin, TRVEC, 4., 0., 3., 4.\n": {
+        "kind": "traction",
+        "on": "skin",
+        "value": [0, "2.4 MPa", "3.2 MPa"],
+    },
+}
+
+
+@pytest.mark.parametrize("text", LOADS)
+def test_loads(tmp_path: Path, text: str) -> None:
+    """Forces of a line add up within a step, as in both programs."""
+    skin = "*SURFACE, NAME=skin\nALL, S1\n"
+    case = one(tmp_path, cube(skin + STEEL + STATIC.format(text)))
+    assert case["load"] == [LOADS[text]]
+
+
+def test_temperatures(tmp_path: Path) -> None:
+    """A uniform one is a number; those of nodes are a field."""
+    hot = STEEL.replace("*DENSITY", "*EXPANSION\n1.2e-5\n*DENSITY")
+    start = "*INITIAL CONDITIONS, TYPE=TEMPERATURE\nevery, 20.\n"
+    more = start + hot + STATIC.format("*TEMPERATURE\nevery, 120.\n")
+    assert one(tmp_path, cube(more))["load"] == [{"kind": "thermal", "value": "100 K"}]
+    rows = "".join(f"{i}, {10 * i}\n" for i in range(1, 9))
+    more = start + hot + STATIC.format(f"*TEMPERATURE\n{rows}")
+    (load,) = one(tmp_path, cube(more))["load"]
+    assert load["value"] == {"field": "TEMPERATURE line 39", "unit": "K", "reference": 20}
+
+
+def test_amplitudes_are_curves(tmp_path: Path) -> None:
+    """Over the length of the step, which is the load parameter 1."""
+    amplitude = "*AMPLITUDE, NAME=A\n0., 0., 1., 1., 2., .5, 4., 0.\n"
+    step = STATIC.format("1., 4.\n*CLOAD, AMPLITUDE=A\ntop, 3, 1.\n")
+    (load,) = one(tmp_path, cube(amplitude + STEEL + step))["load"]
+    assert load["curve"] == [[0, 0], [0.25, 1], [0.5, 0.5], [1, 0]]
+
+
+# --- steps ---
+
+
+def test_steps_that_go_on_from_one_another(tmp_path: Path) -> None:
+    """Nonlinear ones are one case with curves; frequencies are about its end."""
+    held = "*BOUNDARY\nbottom, 1, 3\ntop, 3, 3, 0.\n"
+    first = "*STEP, NLGEOM\n*STATIC\n*CLOAD\n8, 1, 5.\n*BOUNDARY\ntop, 3, 3, 1.\n*END STEP\n"
+    second = "*STEP\n*STATIC\n*BOUNDARY\ntop, 3, 3, -1.\n*END STEP\n"
+    third = "*STEP, PERTURBATION\n*FREQUENCY\n5\n*END STEP\n"
+    case = one(tmp_path, cube(held + STEEL + first + second + third))
+    assert case["materials"]["steel"]["law"] == "st-venant-kirchhoff"
+    assert case["statics"] == {"end": 2, "times": [1, 2]}
+    assert case["modal"] == {"count": 5, "preload": True}
+    assert case["load"][0]["curve"] == [[0, 0], [1, 1], [2, 1]]
+    assert case["support"][1] == {
+        "on": "top",
+        "displacement": ["free", "free", "1 mm"],
+        "curve": [[0, 0], [1, 1], [2, -1]],
+    }
+
+
+def test_linear_steps_are_a_case_each(tmp_path: Path) -> None:
+    """Loads of the first hold in the second, unless it says OP=NEW."""
+    held = "*BOUNDARY\nbottom, 1, 3\n"
+    first, second = STATIC.format("*CLOAD\ntop, 1, 5.\n"), STATIC.format("*CLOAD\ntop, 2, 3.\n")
+    third = STATIC.format("*CLOAD, OP=NEW\ntop, 3, 1.\n")
+    cases = tables(tmp_path, cube(held + STEEL + first + second + third), 3)
+    values = [case["load"][0]["value"] for case in cases]
+    assert values == [["5 N", 0, 0], ["5 N", "3 N", 0], [0, 0, "1 N"]]
+
+
+ANALYSES = {
+    "*FREQUENCY\n4\n": ("modal", {"count": 4}),
+    "*FREQUENCY\n,, 500.\n": ("modal", {"below": "500 Hz"}),
+    "*BUCKLE\n3\n": ("buckling", {"count": 3}),
+    "*DYNAMIC, DIRECT\n0.001, 0.1\n": ("dynamics", {"end": "0.1 s", "dt": "0.001 s"}),
+    "*STATIC, DIRECT\n.25, 1.\n": ("statics", {"steps": 4}),
+}
+
+
+@pytest.mark.parametrize("text", ANALYSES)
+def test_analyses(tmp_path: Path, text: str) -> None:
+    """The table of each, and its settings."""
+    held = "*BOUNDARY\nbottom, 1, 3\n"
+    step = f"*STEP\n{text}*CLOAD\ntop, 3, -1.\n*END STEP\n"
+    case = one(tmp_path, cube(held + STEEL + step))
+    name, settings = ANALYSES[text]
+    assert case[name] == settings
+
+
+# --- what is left out ---
+
+OTHERS = {
+    "*CONTACT PAIR, INTERACTION=I\na, b\n": "CONTACT PAIR: state it as",
+    "*EQUATION\n2\n1, 1, 1., 2, 1, -1.\n": "EQUATION: equations between nodes",
+    "*TRANSFORM, NSET=top\n1., 0., 0., 0., 1., 0.\n": "TRANSFORM: supports and loads in other",
+    "*SHELL SECTION, ELSET=ALL\n1.\n": "SHELL SECTION: these elements",
+    "*WHATEVER\n": "WHATEVER: this keyword is not known",
+    "*INITIAL CONDITIONS, TYPE=STRESS\nALL, 1.\n": "TYPE=STRESS is not read",
+}
+
+
+@pytest.mark.parametrize("text", OTHERS)
+def test_words_that_change_the_answer(tmp_path: Path, text: str) -> None:
+    """Each is an error with its line."""
+    (fault,) = faults(tmp_path, cube(text + STEEL + STATIC.format("")))
+    assert OTHERS[text] in fault
+
+
+def test_analyses_that_are_not_there(tmp_path: Path) -> None:
+    """So are they."""
+    step = "*STEP\n*HEAT TRANSFER\n1., 1.\n*END STEP\n"
+    (fault,) = faults(tmp_path, cube(STEEL + step))
+    assert "HEAT TRANSFER: this analysis is not there" in fault
+
+
+def test_words_without_effect_are_notes(tmp_path: Path) -> None:
+    """They are in the head of the case file, results are nowhere."""
+    more = STEEL.replace("*DENSITY", "*CONDUCTIVITY\n1.\n*DENSITY") + STATIC.format(
+        "*NODE PRINT, NSET=top\nU\n*CONTROLS, PARAMETERS=FIELD\n"
+    )
+    (text,) = case_texts(read(tmp_path, cube(more)), "deck", "mm-t-s").values()
+    head = text.partition("[mesh]")[0]
+    assert "CONDUCTIVITY: no displacement depends on it" in head
+    assert "CONTROLS: settings of the solver" in head
+    assert "NODE PRINT" not in text
+
+
+WRONG = {
+    "*CLOAD\nghost, 1, 1.\n": "there is no set of nodes 'ghost'",
+    "*CLOAD\n99, 1, 1.\n": "does not exist",
+    "*CLOAD\ntop, one, 1.\n": "is no force",
+    "*CLOAD\ntop, 1, nan\n": "is no finite number",
+    "*CLOAD, AMPLITUDE=B\ntop, 1, 1.\n": "there is no *AMPLITUDE 'B'",
+    "*DLOAD\nALL, GRAV, 9.81\n": "the direction of gravity is missing",
+    "*BOUNDARY\ntop, up\n": "is no support",
+}
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_damaged_lines(tmp_path: Path, text: str) -> None:
+    """One message with the line."""
+    with pytest.raises(MeshError, match=r"deck\.inp:\d+: ") as info:
+        read(tmp_path, cube(STEEL + STATIC.format(text)))
+    assert WRONG[text] in str(info.value)
+
+
+def test_units_are_asked_for(tmp_path: Path) -> None:
+    """With what the modulus would be in each system."""
+    deck = read(tmp_path, cube(STEEL + STATIC.format("")))
+    with pytest.raises(InputError, match=r"mm-t-s \(210 GPa\) is the most plausible one"):
+        case_texts(deck, "deck")
+    with pytest.raises(InputError, match="mm-t-s"):
+        case_texts(deck, "deck", "mm-s-t")
+
+
+def test_names_of_strangers(tmp_path: Path) -> None:
+    """Quotes, brackets and control characters stay inside of strings and comments."""
+    name = "a\"] = '[[load]]\x07 # \\"
+    more = STEEL.replace("steel", name) + STATIC.format("")
+    text = f"*HEADING\n{name}\n*NODE" + cube(more).removeprefix("*NODE")
+    case = one(tmp_path, text)
+    assert "load" not in case
+    assert len(case["materials"]) == 1
+
+
+# --- closed forms ---
+
+
+def test_hybrid_and_modified_elements(tmp_path: Path) -> None:
+    """C3D10MH has a pressure; that it is taken as C3D10H is said."""
+    text = inp_text(*quadratic(POINTS, CELLS), STEEL + STATIC.format("")).replace(
+        "C3D10", "C3D10MH"
+    )
+    deck = read(tmp_path, text)
+    assert deck.mesh == {"degree": 2, "formulation": "mixed"}
+    assert "C3D10MH is taken as C3D10H" in str(deck.left_out[0])
+
+
+def test_tension_by_forces_of_nodes(tmp_path: Path) -> None:
+    """Forces by number of node that are those of a uniform stress, from deck to displacement."""
+    from dolfin_elastic import run
+
+    top = np.flatnonzero(POINTS[:, 2] == 10)
+    faces = [c for cell in CELLS for c in [[n for n in cell if n in top]] if len(c) == 3]
+    shares = {n: sum(n in face for face in faces) * 50 / 3 for n in top}  # areas of 50 mm^2
+    loads = "".join(f"{n + 1}, 3, {21 * share!r}\n" for n, share in shares.items())
+    held = "*BOUNDARY\nleft, 1\nback, 2\nbottom, 3\n"
+    text = cube(held + STEEL + STATIC.format(f"*CLOAD\n{loads}"))
+    case = Case.from_dict({**one(tmp_path, text), "output": {"formats": ["csv"]}}, tmp_path)
+    *_, state = run(case, output=tmp_path / "results")
+    # 21 MPa over 210 GPa along 10 mm, and 0.3 of it across: exact in linear elements.
+    expected = 1e-6 * np.sqrt(1 + 2 * 0.3**2)
+    assert state.max_displacement == pytest.approx(expected, rel=1e-10)
