@@ -363,7 +363,7 @@ def test_hybrid_and_modified_elements(tmp_path: Path) -> None:
     )
     deck = read(tmp_path, text)
     assert deck.mesh == {"degree": 2, "formulation": "mixed"}
-    assert "C3D10MH is taken as C3D10H" in str(deck.left_out[0])
+    assert "C3D10MH: C3D10H is used" in str(deck.left_out[0])
 
 
 def test_tension_by_forces_of_nodes(tmp_path: Path) -> None:

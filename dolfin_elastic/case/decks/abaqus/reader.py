@@ -259,7 +259,7 @@ def _mesh(state: Reading) -> bool:
     for name in solid:
         if "M" in name[3:]:
             text = (
-                f"{name} is taken as {name.replace('M', '')}: a quadratic element without lumping"
+                f"{name}: {name.replace('M', '')} is used, a quadratic element without lumping"
             )
             state.deck.leave_out(Place(state.file, 0), text)
         if name.endswith("H") and not quadratic:

@@ -111,7 +111,7 @@ class Reading:
         """The name in the mesh of a set or surface that a line names.
 
         Args:
-            kind: region, surface or point.
+            kind: "region", "surface" or "point".
 
         Raises:
             MeshError: There is none.

@@ -62,7 +62,7 @@ def _static(state: Reading, card: Card) -> None:
     state.period = period or 1.0
     if "RIKS" in card.options:
         state.step.settings["method"] = "arc-length"
-        state.note(card, "the arc length ends at the full load, not where RIKS is told to end")
+        state.note(card, "the path ends at the full load, not where RIKS says")
     elif "DIRECT" in card.options and 0 < first < state.period:
         state.step.settings["steps"] = min(round(state.period / first), _MOST)
     if "STABILIZE" in card.options:

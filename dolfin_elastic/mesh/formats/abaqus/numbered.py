@@ -37,7 +37,7 @@ def part_name(card: Card, file: str) -> str:
     """Name of what a keyword names by numbers.
 
     Args:
-        file: Name of the whole deck.
+        file: Name of the whole deck; only another one becomes a part of the name.
     """
     inside = f" of {card.file}" if card.file != file else ""
     return f"{card.word} line {card.line}{inside}"
