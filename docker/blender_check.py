@@ -3,8 +3,8 @@
 blender --background --factory-startup --python-exit-code 1 --python blender_check.py -- \
     FILE STATE EXPECTED.npz
 
-FILE is a .glb with all states, or the .ply file of STATE.  In Blender's coordinates, which are those
-of the run, places must agree to 1e-6 m, and colours to 1e-6.
+FILE is a .glb with all states, or the .ply file of STATE.  In Blender's coordinates, which are
+those of the run, places must agree to 1e-6 m, and colours to 1e-6.
 """
 
 from __future__ import annotations

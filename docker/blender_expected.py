@@ -1,4 +1,4 @@
-"""Say what Blender must find in exports of a run: read with h5py and PyVista, without the exporters.
+"""Say what Blender must find in exports of a run, read with h5py and PyVista alone.
 
 python3 blender_expected.py RESULTS STATE FIELD EXPECTED.npz
 

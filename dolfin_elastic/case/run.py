@@ -522,14 +522,13 @@ def outputs_of(case: Case, model: Mapping[str, object]) -> list[Output]:
         model: See `model_record`.
     """
     copies = {"case": written_tables(case), "model": model}
-    result: list[Output] = []
-    for file in case.files():
+
+    def complete(file: Output) -> Output:
         if isinstance(file, Summary):
-            file = file.model_copy(update=copies)
-        elif isinstance(file, Export) and file.of is not None:
-            file = file.model_copy(update={"of": str(case.folder / file.of)})
-        result.append(file)
-    return result
+            return file.model_copy(update=copies)
+        return file.in_folder(case.folder) if isinstance(file, Export) else file
+
+    return [complete(file) for file in case.files()]
 
 
 @contextmanager

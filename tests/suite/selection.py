@@ -178,6 +178,7 @@ SHARED = {
     "problem/test_positions.py",
     "problem/test_problem.py",
     "results/checkpoint/test_checkpoints.py",
+    "results/exports/test_exports.py",
     "results/finished/test_finished.py",
     "results/recovery/test_motion_peaks.py",
     "results/test_axes.py",

@@ -38,13 +38,17 @@ _UPRIGHT = {
 """Turns the axis that is up to y."""
 
 
+_Table = dict[str, Any]
+"""As JSON."""
+
+
 class _Buffer:
     """Numbers one behind the other in a file, and glTF's tables of them."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file, self.size = file, 0
         self.views: list[dict[str, int]] = []
-        self.accessors: list[dict[str, Any]] = []
+        self.accessors: list[_Table] = []
 
     def put(
         self, values: AnyArray, kind: str, target: int | None = None, *, ends: bool = False
@@ -54,11 +58,11 @@ class _Buffer:
         Args:
             kind: "SCALAR" or "VEC3".
             target: What it is for; None: neither vertices nor triangles.
-            ends: Smallest and largest values are noted.
+            ends: Smallest and largest values are noted, by column.
         """
         view = {"buffer": 0, "byteOffset": self.size, "byteLength": values.nbytes}
         self.views.append(view | ({} if target is None else {"target": target}))
-        accessor: dict[str, Any] = {
+        accessor: _Table = {
             "bufferView": len(self.views) - 1,
             "componentType": _FLOAT if values.dtype.kind == "f" else _INTEGER,
             "count": len(values),
@@ -110,19 +114,19 @@ def write_glb(moving: Moving, file: Path) -> list[Path]:
     return [file]
 
 
-def _document(moving: Moving, buffer: _Buffer) -> dict[str, Any]:
+def _document(moving: Moving, buffer: _Buffer) -> _Table:
     turn = np.array(_UPRIGHT[moving.up], dtype=np.float64).T
     base = moving.body.points @ turn
     attributes: dict[str, int] = {}
     targets: list[dict[str, int]] = []
     triangles = np.ascontiguousarray(moving.body.triangles.ravel(), dtype="<u4")
-    primitive: dict[str, Any] = {
+    primitive: _Table = {
         "attributes": attributes,
         "indices": buffer.put(triangles, "SCALAR", _TRIANGLES),
         "material": 0,
     }
-    mesh: dict[str, Any] = {"name": "body", "primitives": [primitive]}
-    document: dict[str, Any] = {
+    mesh: _Table = {"name": "body", "primitives": [primitive]}
+    document: _Table = {
         "asset": {"version": "2.0", "generator": "dolfin_elastic"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
@@ -161,7 +165,7 @@ def _document(moving: Moving, buffer: _Buffer) -> dict[str, Any]:
     return document
 
 
-def _animation(moving: Moving, buffer: _Buffer, count: int) -> dict[str, Any]:
+def _animation(moving: Moving, buffer: _Buffer, count: int) -> _Table:
     times = buffer.put(as_single(np.array(moving.times)), "SCALAR", ends=True)
     weights = buffer.put(as_single(np.eye(count).ravel()), "SCALAR")
     sampler = {"input": times, "output": weights, "interpolation": "LINEAR"}

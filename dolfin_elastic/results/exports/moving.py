@@ -193,7 +193,7 @@ def mesh_of(run: FinishedRun) -> tuple[FloatArray, IntArray]:
 
 
 def own_surface(run: FinishedRun) -> Binding:
-    """The outer faces of a body, of a plane one all cells; of quadratic ones four triangles each."""
+    """The outer faces of a body, of a plane one all cells; of quadratic cells four parts each."""
     points, cells = mesh_of(run)
     faces, _ = outer_faces(cells, points)
     if faces.shape[1] == 6:

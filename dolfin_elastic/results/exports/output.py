@@ -44,7 +44,7 @@ class Export(Output):
         frames: So many states evenly over the run; by default all that are written.
         scale: Magnification of the displacement.
         fps: States a second; by default motion is shown as it was, and statics with 24.
-        range: Ends of the colours in the field's SI unit; by default the smallest and largest value.
+        range: Ends of the colours in the field's SI unit; by default smallest and largest value.
     """
 
     file: str = "surface.glb"
@@ -64,7 +64,9 @@ class Export(Output):
     @classmethod
     def _check_range(cls, ends: list[float | str] | None) -> list[float | str] | None:
         if ends is not None and limits_of(ends).share:
-            raise InputError("percentiles are for pictures and films", expected="for example [0, 2e8]")
+            raise InputError(
+                "percentiles are for pictures and films", expected="for example [0, 2e8]"
+            )
         return ends
 
     @property
@@ -73,6 +75,10 @@ class Export(Output):
         limits = None if self.range is None else limits_of(self.range).ends
         skin = None if self.of is None else Path(self.of)
         return ExportSettings(self.field, self.frames, self.scale, self.fps, limits, skin)
+
+    def in_folder(self, folder: Path) -> Export:
+        """The same, with the path of `of` relative to a folder."""
+        return self if self.of is None else self.model_copy(update={"of": str(folder / self.of)})
 
     def check(self, folder: Path) -> None:
         """Checks that it can be made, and that its surface can be read. Not collective.

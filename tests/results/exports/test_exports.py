@@ -70,7 +70,7 @@ def written_as(beam: Path, file: Path, **settings: Any) -> Any:
 
 
 def colours_of(norms: list[Any]) -> list[Any]:
-    """The colours of values: 256 shades of matplotlib's viridis from a fifth on, and between them."""
+    """The colours of values: 256 shades of viridis from a fifth on, and what lies between them."""
     low, high = min(map(np.min, norms)), max(map(np.max, norms))
     shades = mpl.colormaps["viridis"](np.linspace(0.2, 1.0, 256))
     at = np.linspace(low, high, 256)
@@ -273,7 +273,9 @@ def read_frd(path: Path) -> tuple[Any, Any, list[tuple[float, str, Any]]]:
             head = next(lines)
             parts = [next(lines) for _ in range(int(head[13:18]))]
             width = sum(not part.endswith("ALL") for part in parts)
-            blocks.append((t, head[5:13].strip(), [columns(next(lines), width) for _ in range(count)]))
+            blocks.append(
+                (t, head[5:13].strip(), [columns(next(lines), width) for _ in range(count)])
+            )
             assert next(lines) == " -3"
     assert line == " 9999"
     return np.array(nodes), np.array(cells), [(t, n, np.array(rows)) for t, n, rows in blocks]
@@ -287,7 +289,7 @@ def columns(line: str, width: int) -> list[float]:
 
 @rooted
 def test_frd(beam: Path, folder: Path) -> None:
-    """In mm and MPa, with the six digits that the format has; quadratic cells the right way round."""
+    """In mm and MPa, with the six digits that the format has; nodes of cells as in the manual."""
     notes = written_as(beam, folder / "a.frd").notes
     assert notes == ("fields of elements are left out: material",)
     nodes, cells, blocks = read_frd(folder / "a.frd")
@@ -302,7 +304,9 @@ def test_frd(beam: Path, folder: Path) -> None:
     u = displacement(grid.points.T).T
     assert np.abs(blocks[-3][2][:, 1:] - 1e3 * u).max() < 5e-6 * 1e3
     stress = grid.point_data["cauchy_stress"].reshape(-1, 3, 3)
-    six = np.stack([stress[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))], 1)
+    six = np.stack(
+        [stress[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))], 1
+    )
     assert np.abs(blocks[-1][2][:, 1:] - 1e-6 * six).max() < 5e-6 * np.abs(1e-6 * six).max()
     assert np.abs(blocks[-2][2][:, 1] - 1e-6 * grid.point_data["von_mises"]).max() < 1e-6
 
@@ -333,7 +337,7 @@ def test_skin(beam: Path, folder: Path) -> None:
     points = rng.uniform([0.02, 0.02, 0.02], [1.98, 0.98, 0.98], (40, 3))
     points[-1] = [2.0, 0.5, 1.25]
     faces = "".join(f"f {k} {k + 1} {k + 2}\n" for k in range(1, 39))
-    text = "".join("v %.17g %.17g %.17g\n" % tuple(p) for p in points)
+    text = "".join(f"v {x:.17g} {y:.17g} {z:.17g}\n" for x, y, z in points)
     (folder / "skin.obj").write_text(text + faces)
     skin = folder / "skin.obj"
     done = written_as(beam, folder / "a.ply", field="displacement", skin=skin)

@@ -296,7 +296,7 @@ def test_wrong_formats_are_refused():
     assert "output.formats[0]" in str(caught.value)
     assert "unknown format 'vtk'" in str(caught.value)
     assert "vtu" in str(caught.value)
-    with pytest.raises((CaseError, InputError), match="no library"):
+    with pytest.raises((CaseError, InputError), match="at the end of a run"):
         Case.from_dict({**tables, "output": {"formats": ["xdmf", "frd"]}})
     with pytest.raises((CaseError, InputError), match="no format is given"):
         Case.from_dict({**tables, "output": {"formats": []}})
