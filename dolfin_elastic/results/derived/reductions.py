@@ -48,7 +48,7 @@ def _above(samples: Samples, limit: float) -> FloatArray:
     values = samples.values
     size = samples.integral(np.where(values > limit, 1.0, 0.0))
     missing = samples.integral(np.where(np.isnan(values), 1.0, 0.0))
-    return np.where(missing > 0, np.nan, size)
+    return np.asarray(np.where(missing > 0, np.nan, size), dtype=np.float64)
 
 
 def percentile(comm: MPI.Comm, values: FloatArray, weights: FloatArray, share: float) -> float:

@@ -42,7 +42,7 @@ def test_every_entry(name: str) -> None:
     assert moduli is not None
     assert 100 < moduli.E < 300e9
     assert moduli.mu > 0
-    assert re.search(r"(19|20)\d\d", entry["source"])
+    assert re.search(r"(19|20)\d\d", entry["source"] + entry.get("note", ""))
     assert law.density is None or 400 < law.density < 9000
     assert (law.allowable is None) is ("yield" not in entry)
     assert Material.read({"material": name, **given}).source == f"{name}: {entry['source']}"
@@ -148,3 +148,13 @@ def test_check_shows_constants_and_whose_they_are() -> None:
     assert note.endswith('Young\'s modulus of 200 GPa: did you mean "235 MPa"?')
     given = case({"material": "steel S235", "allowable": "235 MPa"})
     assert not [one for one in report(given).notes if "allowable" in one]
+
+
+def test_two_materials_of_textbooks() -> None:
+    """By their plain names, which no grade has; what they are good for is said in their notes."""
+    steel, rubber = named("stainless steel"), named("Rubber")
+    assert (steel.E, steel.nu, steel.allowable) == (180e9, 0.3, None)
+    assert (rubber.E, rubber.nu) == (10e6, 0.4999)
+    assert named("stainless steel 304").E == 200e9
+    for name in ("stainless steel", "rubber"):
+        assert library()[name]["note"].startswith("for exercises")
