@@ -16,8 +16,8 @@ Discretisation
 
 Result
     On its side it bears most, for no layer is pulled off another one.  The factor at the top of the
-    arm is the strength along x over the stress of beam theory, to 2 %; under the load times its
-    safety factor the factor is 1, to round-off.
+    arm is the strength along x over the stress of beam theory, to 3 %; at half the load the factor
+    is twice as large, to round-off.
 
         python3 demos/print_up/print_up.py
         mpirun -n 2 python3 demos/print_up/print_up.py
@@ -39,15 +39,12 @@ WAYS = {"z": "standing", "x": "on its back", "y": "on its side"}
 LOAD, LENGTH, AT, WIDTH, HEIGHT = 30.0, 60.0, 35.0, 20.0, 8.0
 BETWEEN, WITHIN = 26.0, 48.0
 """Tensile strength between and within layers [MPa]."""
-TOLERANCE = 0.02
+TOLERANCE = 0.03
 """Of beam theory, a width of 2.5 heights from the corner: cross sections warp a little."""
 
 
 def printed(axis: str, load: float = 1.0):
-    """Factors of the bracket with layers across an axis: the smallest, and at the top of the arm.
-
-    The last is the smallest one's surface or place, for the table.
-    """
+    """Of the bracket with layers across an axis: its smallest factor, that on the arm, and where."""
     tables = tomllib.loads((HERE / "case.toml").read_text())
     tables["mesh"]["file"] = str(HERE / "bracket.geo")
     tables["materials"]["PLA"]["allowable"]["axis"] = axis
@@ -77,9 +74,9 @@ def main():
             f"{name:<12} {axis:<15} {smallest[axis]:<17.2f} {at:<21} {arm:.2f} ({expected:.2f})"
         )
         worst = max(worst, abs(arm / expected - 1))
-    best = max(smallest, key=smallest.get)
-    factor, _, _ = printed(best, smallest[best])
-    print_here(f"strongest {WAYS[best]}; under {smallest[best]:.2f} times the load: {factor:.9f}")
+    best, weakest = (choose(smallest, key=smallest.get) for choose in (max, min))
+    factor = printed(weakest, 0.5)[0] / 2 / smallest[weakest]
+    print_here(f"strongest {WAYS[best]}; at half the load the factor is {factor:.9f} times twice")
     print_here(f"largest difference from beam theory: {worst:.1e} (allowed {TOLERANCE:.0e})")
     assert best == "y"
     assert smallest["z"] < smallest["x"] < smallest["y"]

@@ -59,6 +59,7 @@ CHECKED = {  # what a script says last about its number
     "own_energy": r"block against material point: \d\.\de-(0[89]|1\d)",
     "printed_part": r"difference from beam theory: \d\.\de-0[3-9]",
     "print_up": r"largest difference from beam theory: \d\.\de-0[2-9]",
+    "duck_plane": r"resultant \d\.\de-1\d, moment \d\.\de-1\d",
     "bounce": r"energy out of balance: \d\.\de-0[4-9]",
     "turek_hron": r"largest difference over the amplitude: \d\.\de-(0[3-9])",
     "tuning_fork": r"tone 440\.\d+ Hz, off by \d\.\de-0[4-9]",
