@@ -15,8 +15,8 @@ Discretisation
     None of the fields, which are formulas; integrals by quadrature of degree 10 on triangles.
 
 Result
-    `duck_plane.png`: principal strains and stresses as crosses, forces and tractions as arrows.  The
-    traction points outwards where the duck was pressed.  Resultant and moment vanish to
+    `duck_plane.png`: principal strains and stresses as crosses, forces and tractions as arrows.
+    The traction points outwards where the duck was pressed.  Resultant and moment vanish to
     round-off.
 
         python3 demos/duck_plane/duck_plane.py
@@ -30,7 +30,6 @@ from pathlib import Path
 import dolfinx
 import numpy as np
 import ufl
-from mpi4py import MPI
 
 from dolfin_elastic import read_case
 
@@ -114,8 +113,9 @@ def main():
     nodes = comm.gather([places[:own], shift[:own], *(v[:own] for v in values)])
     skin = comm.gather([(places + shift)[ends], normals, push, places[ends]])
     if comm.rank == 0:
-        at, moved, strains, stresses, forces = (np.concatenate(part) for part in zip(*nodes))
-        lines, normal, push, before = (np.concatenate(part) for part in zip(*skin))
+        every = [np.concatenate(part) for part in zip(*nodes, strict=True)]
+        at, moved, strains, stresses, forces = every
+        lines, normal, push, before = (np.concatenate(part) for part in zip(*skin, strict=True))
         draw(at + moved, strains, stresses, forces, lines, before, push)
         nearest = np.argmin(np.linalg.norm(before.mean(axis=1) - PRESSED, axis=1))
         outwards = push[nearest] @ normal[nearest]
@@ -144,7 +144,12 @@ def draw(places, strains, stresses, forces, lines, before, push):
     panels = figure.subplots(2, 2).ravel()
     few = chosen(places, 4.5e-3)
     outline, old = (1e3 * ordered(one) for one in (lines, before))
-    titles = ("strain E", "stress σ", "force per volume, div σ", "traction on the surroundings, −σ n")
+    titles = (
+        "strain E",
+        "stress σ",
+        "force per volume, div σ",
+        "traction on the surroundings, −σ n",
+    )
     for panel, title in zip(panels, titles, strict=True):
         panel.add_collection(
             PolyCollection([outline], facecolors=GREY, edgecolors="#6b5b2e", linewidths=1.2)

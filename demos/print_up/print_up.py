@@ -2,9 +2,9 @@
 
 Problem
     A bracket of PLA (`bracket.geo`: a leg and an arm of 8 mm x 20 mm, rounded inside) is screwed to
-    a wall with the upper part of its leg, and carries 30 N at the end of its arm.  It may be printed
-    standing, on its back or on its side: its layers lie across z, x or y.  Pulled apart, layers
-    bear 26 MPa, along them the material bears 48 MPa.
+    a wall with the upper part of its leg, and carries 30 N at the end of its arm.  It may be
+    printed standing, on its back or on its side: its layers lie across z, x or y.  Pulled apart,
+    layers bear 26 MPa, along them the material bears 48 MPa.
 
 Equations
     Hooke's law, whose stiffness is taken as equal in all directions, and the criterion of Tsai and
@@ -44,7 +44,7 @@ TOLERANCE = 0.03
 
 
 def printed(axis: str, load: float = 1.0):
-    """Of the bracket with layers across an axis: its smallest factor, that on the arm, and where."""
+    """With layers across an axis: the smallest factor, that on the arm, where the smallest is."""
     tables = tomllib.loads((HERE / "case.toml").read_text())
     tables["mesh"]["file"] = str(HERE / "bracket.geo")
     tables["materials"]["PLA"]["allowable"]["axis"] = axis
@@ -64,7 +64,9 @@ def printed(axis: str, load: float = 1.0):
 def main():
     print_here = print if MPI.COMM_WORLD.rank == 0 else lambda *_: None
     stress = LOAD * (LENGTH - AT) / (WIDTH * HEIGHT**2 / 6)
-    print_here(f"{'printed':<12} layers across   smallest factor   at (mm)               on the arm")
+    print_here(
+        f"{'printed':<12} layers across   smallest factor   at (mm)               on the arm"
+    )
     smallest, worst = {}, 0.0
     for axis, name in WAYS.items():
         smallest[axis], arm, place = printed(axis)
