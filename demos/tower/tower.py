@@ -77,6 +77,7 @@ def changed(name: str, law: str = "st-venant-kirchhoff", head: float = HEAVY) ->
     for material in tables["materials"].values():
         material["law"] = law
     tables["materials"]["head"]["density"] = head
+    tables["mesh"]["file"] = str(HERE / "tower.geo")
     return Case.from_dict(tables)
 
 

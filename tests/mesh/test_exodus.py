@@ -157,6 +157,11 @@ FAULTS = {
     "no node": ({"connect1": CELLS + 5}, "TET4", "4 points that do not exist, for example 13"),
     "zero": ({"connect1": CELLS}, "TET4", "1 points that do not exist, for example 0"),
     "no elements": ({"eb_prop1": np.array([1])}, "", "the Exodus file has no elements"),
+    "sides": (
+        {"connect1": CELLS + 1, "elem_ss1": np.array([1, 2]), "side_ss1": np.array([1, 1, 1])},
+        "TET4",
+        "the side set 'side_set_1' has 2 elements and 3 sides",
+    ),
     "one part": ({"connect1": CELLS + 1, "nem_ftype": np.array([0])}, "TET4", "joined by epu"),
 }
 

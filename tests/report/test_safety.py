@@ -116,7 +116,7 @@ def test_frequencies(
 def test_stability(
     tmp_path: Path, factor: float, stability: dict[str, Any], verdicts: list[str]
 ) -> None:
-    """The factor of buckling beside the equilibrium of statics, which small strains do not judge."""
+    """The factor of buckling beside the equilibrium of statics, which small strains leave open."""
     safety = judged(stressed(tmp_path, stability=stability), buckled(tmp_path, factor))
     assert [row.verdict for row in safety.rows if row.what == "stability"] == verdicts
 

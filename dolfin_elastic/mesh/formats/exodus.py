@@ -8,12 +8,14 @@ Source: L. A. Schoof, V. R. Yarberry, EXODUS II: A Finite Element Data Model, SA
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import takewhile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +24,9 @@ from dolfin_elastic.core.files import hdf5
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.mesh.fields import as_columns
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile, joined, missing
+
+if TYPE_CHECKING:
+    import h5py
 
 # Beginning of the type of a block's elements, and kinds by their number of nodes.
 _KINDS = {
@@ -35,6 +40,7 @@ _KINDS = {
     **{stem: {2: "line", 3: "line3"} for stem in ("BAR", "BEA", "TRU", "ROD", "EDG")},
     **{stem: {1: "vertex"} for stem in ("SPH", "CIR", "POI")},
 }
+_MOST_LETTERS = 1 << 26
 _TETRA = ((0, 1, 3), (1, 2, 3), (0, 3, 2), (0, 2, 1))
 _TRIANGLE = ((0, 1), (1, 2), (2, 0))
 _BOTH = ((0, 1, 2), (2, 1, 0))
@@ -231,11 +237,22 @@ def _of_hdf5(path: Path) -> Iterator[_File]:
                 frozenset(file),
                 lambda name: hdf5.rows_of(file, name),
                 last,
-                lambda name: np.asarray(file[name][()]).astype("S1"),
+                lambda name: _letters(file[name]),
                 kind,
             )
     except OSError as error:
         raise _damaged(path, error) from None
+
+
+def _letters(data: h5py.Dataset) -> AnyArray:
+    """Names of blocks, sets or fields; of a size that no names have, which would fill the memory.
+
+    Raises:
+        OSError: They are larger than that.
+    """
+    if math.prod(data.shape) > _MOST_LETTERS:
+        raise OSError(f"'{data.name}' states {math.prod(data.shape)} letters")
+    return np.asarray(data[()]).astype("S1")
 
 
 def _mesh(file: _File, source: str) -> MeshFile:
@@ -249,7 +266,7 @@ def _mesh(file: _File, source: str) -> MeshFile:
     columns = [file.get(axis) for axis in axes] if axes else list(file.get("coord"))
     points = np.stack([np.asarray(column, dtype=np.float64) for column in columns], axis=1)
     blocks = _blocks(file, len(points), source)
-    sides, lost = _side_sets(file, blocks, points.shape[1])
+    sides, lost = _side_sets(file, blocks, points.shape[1], source)
     lost |= _element_sets(file, blocks)
     sets = dict[str, IntArray]()
     for k, name in enumerate(file.titles("ns_names", "ns_prop1", "node_set", "node_ns"), start=1):
@@ -310,7 +327,9 @@ def _blocks(file: _File, points: int, source: str) -> _Blocks:
     return blocks
 
 
-def _side_sets(file: _File, blocks: _Blocks, dim: int) -> tuple[list[Block], dict[str, str]]:
+def _side_sets(
+    file: _File, blocks: _Blocks, dim: int, source: str
+) -> tuple[list[Block], dict[str, str]]:
     """Facets of the side sets, and names of those that are not whole."""
     found, lost = list[Block](), dict[str, str]()
     for k, name in enumerate(file.titles("ss_names", "ss_prop1", "side_set", "elem_ss"), start=1):
@@ -318,6 +337,12 @@ def _side_sets(file: _File, blocks: _Blocks, dim: int) -> tuple[list[Block], dic
         if not len(elements):
             blocks.empty.append(name)
             continue
+        if len(numbers) != len(elements):
+            raise MeshError(
+                f"the side set '{name}' has {len(elements)} elements and {len(numbers)} sides",
+                where=source,
+                expected="the file as it was written",
+            )
         known = 0
         for i, at, rows in blocks.split(elements):
             for number, corners in enumerate(_sides(blocks.kinds[i], dim)):

@@ -72,13 +72,27 @@ class Card:
         except (ValueError, OverflowError):
             row, word = next((row, word) for row, word in self.fields() if not _is_whole(word))
             raise self.error(f"'{word}' is no whole number", row=row) from None
-        if len(numbers) % width:
-            raise self.error(
-                f"{len(numbers)} numbers do not make rows of {width}; "
-                "the file is damaged or cut short",
-                row=len(self.lines) - 1,
-            )
+        self._check_rows(width)
         return numbers.reshape(-1, width)
+
+    def _check_rows(self, width: int) -> None:
+        """Refuses a line that ends one row of numbers and begins the next: its kind has others."""
+        counts = [line.count(",") + 1 for line in self.lines]
+        if all(count == width for count in counts) and not any(
+            line.rstrip().endswith(",") for line in self.lines
+        ):
+            return
+        before = 0
+        for row, line in enumerate(self.lines):
+            before += sum(bool(word.strip()) for word in line.split(","))
+            last = row + 1 == len(self.lines)
+            if before > width or (last and before != width):
+                raise self.error(
+                    f"{before} numbers do not make rows of {width}; "
+                    "the file is damaged or cut short, or the elements are of another type",
+                    row=row,
+                )
+            before = 0 if before == width else before
 
     def integer(self, row: int | None, word: str) -> int:
         """An entry of a data line, or without one of the keyword line, as an integer."""
@@ -164,8 +178,8 @@ def read_cards(path: Path, depth: int = 0, above: Card | None = None) -> Iterato
     continued = ""
     if fault := why_no_file(path, sys.maxsize):
         raise MeshError(fault, where=path.name)
-    for number, line in enumerate(path.read_text("latin-1").splitlines(), start=1):
-        if line.startswith("**") or not line.strip():
+    for number, line in enumerate(_text(path), start=1):
+        if _is_comment(line):
             continue
         if not continued and not line.lstrip().startswith("*"):
             card.lines.append(line)
@@ -186,6 +200,16 @@ def read_cards(path: Path, depth: int = 0, above: Card | None = None) -> Iterato
     yield from _complete(card, path)
 
 
+def _text(path: Path) -> list[str]:
+    """Lines of a file, without the mark of UTF-8 that editors of Windows put before the first."""
+    return path.read_bytes().removeprefix(b"\xef\xbb\xbf").decode("latin-1").splitlines()
+
+
+def _is_comment(line: str) -> bool:
+    """Whether a line is blank or a comment, which some programs indent."""
+    return not line.strip() or line.lstrip().startswith("**")
+
+
 def _goes_on(above: Card | None, path: Path, line: int) -> Card:
     """A card for data lines that belong to a keyword in another file; often there are none."""
     if above is None or above.word not in _WITH_INPUT:
@@ -202,11 +226,8 @@ def _complete(card: Card, path: Path) -> Iterator[Card]:
     inner = _input(card, path)
     options = {key: value for key, value in card.options.items() if key != "INPUT"}
     yield replace(card, options=options)
-    lines = inner.read_text("latin-1").splitlines()
     data = [
-        (number, line)
-        for number, line in enumerate(lines, start=1)
-        if line.strip() and not line.startswith("**")
+        (number, line) for number, line in enumerate(_text(inner), start=1) if not _is_comment(line)
     ]
     result = Card(card.word, options, inner.name, 1)
     result.lines, result.at = [line for _, line in data], [number for number, _ in data]
@@ -220,7 +241,7 @@ def _complete(card: Card, path: Path) -> Iterator[Card]:
 
 def _input(card: Card, path: Path) -> Path:
     """The file that a keyword reads."""
-    inner = path.parent / card.option("INPUT")
+    inner = path.parent / card.option("INPUT").replace("\\", "/")  # as Windows writes it
     if not inner.is_file():
         raise card.error(f"there is no file '{inner}'", expected=not_shown(inner))
     return inner

@@ -416,8 +416,12 @@ def _surfaces(deck: Deck, numbers: IntArray, pressed: Collection[str]) -> Iterat
     result: dict[str, list[tuple[str, IntArray]]] = {}
     titles = deck.titles()
     for key, (card, scope) in deck.surfaces.items():
-        if card.options.get("TYPE", "ELEMENT").upper() == "NODE":
+        kind = card.options.get("TYPE", "ELEMENT").upper()
+        if kind == "NODE":
             deck.nsets.setdefault(key, [_nodes_of_surface(deck, card, scope)])
+            continue
+        if kind != "ELEMENT":  # rigid ones by formulas, cuts
+            deck.lost[key], result[key] = f"TYPE={kind} is not read", []
             continue
         try:
             result[key] = list(_facets(deck, key, facets, result))

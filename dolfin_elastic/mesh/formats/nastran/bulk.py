@@ -11,6 +11,7 @@ import numpy as np
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.formats.nastran.elements import (
     KINDS,
+    USUAL,
     Kind,
     is_of_a_case,
     misunderstood,
@@ -48,6 +49,7 @@ class Bulk:
         elements: Kind to elements.
         grouped: Entries of `GROUPED`.
         others: Entries that are not read, and how many.
+        unread: Such that a case has no need of, or that are misspelt.
     """
 
     grids: dict[int, Entry] = field(default_factory=dict)
@@ -56,6 +58,7 @@ class Bulk:
     elements: dict[str, Elements] = field(default_factory=dict)
     grouped: list[Entry] = field(default_factory=list)
     others: Counter[str] = field(default_factory=Counter)
+    unread: Counter[str] = field(default_factory=Counter)
 
     def system_of(self, entry: Entry, index: int = 1) -> int:
         """Number of the coordinate system of a node.
@@ -106,6 +109,8 @@ def _take(bulk: Bulk, entry: Entry) -> None:
             bulk.grouped.append(entry)
     elif what := misunderstood(entry.name):
         raise entry.error(f"{what} is not understood", "GRID, CORD1 and CORD2, CTETRA, CTRIA3 ...")
+    elif not entry.name.startswith(USUAL):
+        bulk.unread[entry.name] += 1
 
 
 def _take_grid(bulk: Bulk, entry: Entry) -> None:

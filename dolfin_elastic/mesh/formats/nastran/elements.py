@@ -74,6 +74,9 @@ _OF_A_CASE = (
 )
 """How supports, loads, sets, contacts, and matrices and unknowns beside the mesh begin."""
 
+USUAL = ("MAT", "P", "EIG")
+"""How materials, properties, parameters and settings of modes begin, which each case has."""
+
 SOLIDS = ("tetra", "tetra10", "triangle", "triangle6")
 """Elements that a body may consist of."""
 

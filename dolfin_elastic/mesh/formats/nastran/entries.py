@@ -183,7 +183,7 @@ def _bulk(path: Path) -> Iterator[_Line]:
     """The lines of the bulk data."""
     lines, before = _lines(path), list[_Line]()
     for line in lines:
-        words = line.text.upper().split()
+        words = line.text.upper().replace("=", " ").split()
         if words[:2] == ["BEGIN", "BULK"] or words[:1] == ["BEGIN"]:
             if len(words) > 2 or words[1:] != ["BULK"]:
                 raise line.error(
@@ -210,12 +210,14 @@ def _lines(path: Path, depth: int = 0) -> Iterator[_Line]:
     if fault := why_no_file(path, sys.maxsize):
         raise MeshError(fault, where=path.name)
     quoted: tuple[_Line, str] | None = None
-    for number, text in enumerate(path.read_text("latin-1").splitlines(), start=1):
+    # Editors of Windows put a mark of UTF-8 before the first line.
+    content = path.read_bytes().removeprefix(b"\xef\xbb\xbf").decode("latin-1")
+    for number, text in enumerate(content.splitlines(), start=1):
         line = _Line(text.partition("$")[0].rstrip(), path.name, number)
         if quoted is not None:
             first, name = quoted[0], quoted[1] + line.text.strip()
-        elif line.text[:7].upper() == "INCLUDE":
-            first, name = line, line.text[7:].strip().lstrip("=").strip()
+        elif line.text.lstrip()[:7].upper() == "INCLUDE":
+            first, name = line, line.text.lstrip()[7:].strip().lstrip("=").strip()
         else:
             if line.text.strip():
                 yield line

@@ -100,6 +100,7 @@ def _information(bulk: Bulk) -> list[str]:
     texts = {
         "elements that name parts only and have no stiffness": low,
         "not read, because the case file states it": bulk.others,
+        "entries that are not read": bulk.unread,
     }
     result = [
         f"{text}: {', '.join(f'{count} {name}' for name, count in elements.items())}"

@@ -75,11 +75,11 @@ class Lines:
         return table
 
 
-def by_number(kind: str, nodes: IntArray, numbers: IntArray) -> Block:
-    """Elements with parts by numbers, of which 0 is no part.
+def by_number(kind: str, nodes: IntArray, numbers: IntArray | FloatArray) -> Block:
+    """Elements with parts by numbers, whole ones or others, of which 0 is no part.
 
     Args:
         numbers: One of each element, shape (n,).
     """
-    parts = {str(n): np.flatnonzero(numbers == n) for n in np.unique(numbers) if n}
+    parts = {f"{n:.15g}": np.flatnonzero(numbers == n) for n in np.unique(numbers) if n}
     return Block(kind, nodes, parts)

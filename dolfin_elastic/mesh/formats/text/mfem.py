@@ -65,6 +65,10 @@ def read_mfem(path: Path) -> MeshFile:
             )
     if not len(points) or not blocks:
         raise MeshError("there are no vertices or no elements", where=path.name)
+    if any(block.dim > points.shape[1] for block, _ in blocks):
+        raise MeshError(
+            f"elements in space, but vertices of {points.shape[1]} coordinates", where=path.name
+        )
     rows = np.arange(len(points))
     return MeshFile(
         points,

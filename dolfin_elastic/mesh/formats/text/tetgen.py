@@ -34,20 +34,42 @@ def read_tetgen(path: Path) -> MeshFile:
                 f"there is no '{path.with_suffix(suffix).name}' beside it", where=path.name
             )
     lines = Lines(path.with_suffix(".node"))
-    count, dim, attributes, *_ = _head(lines, 4)
+    count, dim, attributes, marked, *_ = _head(lines, 4)
     if dim != 3:
         raise lines.error(f"nodes in {dim} dimensions are not read", "meshes of tetrahedra")
     table = _table(lines, count, 4 + attributes)
     order = np.argsort(table[:, 0], kind="stable")
     table = table[order]
-    labels = table[:, 0].astype(np.int64)
+    labels = _whole(lines, table[:, 0])
     if len(np.unique(labels)) < len(labels):
         raise lines.error("a node stands twice")
     data = {f"tetgen:attr{k + 1}": table[:, 4 + k : 5 + k] for k in range(attributes)}
     blocks = [_cells(path.with_suffix(".ele"), labels, table[:, 1:4])]
     if path.with_suffix(".face").is_file():
         blocks.append(_faces(path.with_suffix(".face"), labels))
-    return MeshFile(table[:, 1:4], blocks, point_data=data)
+    notes = ["markers of nodes are not read: those of faces (.face) name surfaces"]
+    return MeshFile(
+        table[:, 1:4],
+        blocks,
+        information=notes if _marks(table, attributes, marked) else [],
+        point_data=data,
+    )
+
+
+def _marks(table: FloatArray, attributes: int, marked: int) -> bool:
+    """Whether nodes have markers other than 0, behind their attributes."""
+    return marked > 0 and bool(np.any(table[:, 4 + attributes :]))
+
+
+def _whole(lines: Lines, numbers: FloatArray) -> IntArray:
+    """Numbers of nodes.
+
+    Raises:
+        MeshError: One is no whole number.
+    """
+    if (wrong := numbers != np.trunc(numbers)).any():
+        raise lines.error(f"{numbers[wrong][0]:g} is no number of a node")
+    return numbers.astype(np.int64)
 
 
 def _cells(path: Path, labels: IntArray, points: FloatArray) -> Block:
@@ -55,15 +77,21 @@ def _cells(path: Path, labels: IntArray, points: FloatArray) -> Block:
     count, corners, attribute, *_ = _head(lines, 3)
     if corners not in (4, 10):
         raise lines.error(f"elements of {corners} nodes are not read", "4 or 10 nodes")
-    table = _table(lines, count, 1 + corners + (attribute > 0))
-    nodes = find_all(labels, table[:, 1 : corners + 1].astype(np.int64))
+    table = _table(lines, count, width := 1 + corners + attribute)
+    if table.shape[1] > width:
+        raise lines.error(
+            f"the lines have {table.shape[1]} numbers, {width} after the first line of the file"
+        )
+    nodes = find_all(
+        labels, _whole(lines, table[:, 1 : corners + 1].reshape(-1)).reshape(-1, corners)
+    )
     part = table[:, corners + 1] if attribute > 0 else np.zeros(count)
     if corners == 4:
-        return by_number("tetra", nodes, part.astype(np.int64))
+        return by_number("tetra", nodes, part)
     order = _order(nodes[:_LOOKED_AT], points)
     if len(np.unique(order)) < len(order):
         raise lines.error("the midside nodes lie on no edges", "straight elements of ten nodes")
-    return by_number("tetra10", nodes[:, order], part.astype(np.int64))
+    return by_number("tetra10", nodes[:, order], part)
 
 
 def _order(nodes: IntArray, points: FloatArray) -> IntArray:
@@ -83,8 +111,8 @@ def _faces(path: Path, labels: IntArray) -> Block:
         raise lines.error(f"faces of {table.shape[1]} numbers are not understood")
     corners = 3 if width < 6 else 6
     marker = table[:, 1 + corners] if marked > 0 else np.zeros(count)
-    nodes = find_all(labels, table[:, 1:4].astype(np.int64))
-    return by_number("triangle", nodes, marker.astype(np.int64))
+    nodes = find_all(labels, _whole(lines, table[:, 1:4].reshape(-1)).reshape(-1, 3))
+    return by_number("triangle", nodes, marker)
 
 
 def _head(lines: Lines, least: int) -> list[int]:
