@@ -131,7 +131,9 @@ def test_ply(order, tmp_path):
     points, rows = np.unique(UNIT.reshape(-1, 3), axis=0, return_inverse=True)
     rows = rows.reshape(-1, 3)
     head = f"ply\nformat {order} 1.0\nelement vertex 8\nproperty float x\nproperty float y\n"
-    head += "property float z\nelement face 12\nproperty list uchar int vertex_indices\nend_header\n"
+    head += (
+        "property float z\nelement face 12\nproperty list uchar int vertex_indices\nend_header\n"
+    )
     sign = ">" if "big" in order else "<"
     if order == "ascii":
         lines = ["{} {} {}".format(*x) for x in points] + ["3 {} {} {}".format(*r) for r in rows]
@@ -176,7 +178,7 @@ HOSTILE = {
         "consists of itself",
     ),
     "no zip": (lambda path: path.write_bytes(b"PK\x03\x04" + b"\0" * 99), "it is no 3MF file"),
-    "pipe": (lambda path: os.mkfifo(path), "pipe"),
+    "pipe": (os.mkfifo, "pipe"),
 }
 
 

@@ -82,8 +82,8 @@ def sizes_in_units(path: Path) -> str:
     texts = []
     for name in ASKED:
         mm = extent * _METRES[name] / 1e-3
-        factor, shown = (1.0, "mm") if mm.max() < 1e4 else (1e-3, "m")
-        texts.append(f"{name}: " + " x ".join(f"{x * factor:.3g}" for x in mm) + f" {shown}")
+        factor, shown = (1.0, "mm") if mm.max() < 1e3 else (1e-3, "m")
+        texts.append(f"{name}: " + " x ".join(f"{x * factor:.4g}" for x in mm) + f" {shown}")
     return "; ".join(texts)
 
 
