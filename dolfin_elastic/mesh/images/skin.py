@@ -2,17 +2,21 @@
 
 A scanner blurs, so the outer one or two layers of voxels of a bone are too low.  Leaving out voxels
 below a threshold does not help; voxels deeper than the skin have right values, and each voxel
-further out gets that of the nearest of these.
+further out gets that of the nearest of these.  What the body encloses, as marrow, belongs to it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import AnyArray, FloatArray
+
+Mask: TypeAlias = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +48,8 @@ def carried_outwards(
     """
     from scipy.ndimage import binary_erosion, distance_transform_edt
 
-    body = values >= threshold
-    flat = body.shape[2] == 1
-    within = body[:, :, 0] if flat else body
+    body = _filled(values >= threshold)
+    within = body[:, :, 0] if body.shape[2] == 1 else body
     core = binary_erosion(within, iterations=depth).reshape(body.shape)
     if not core.any():
         raise MeshError(
@@ -64,3 +67,15 @@ def carried_outwards(
         far += (nearest[axis][body] - at) ** 2.0
     # The corner of a box of many voxels is 1.7 skins away from its core.
     return Skinned(found, float(np.count_nonzero(far > (2 * depth) ** 2) / max(len(far), 1)))
+
+
+def _filled(body: Mask) -> Mask:
+    """The body with what it encloses in slices across any axis: the image may cut it open."""
+    from scipy.ndimage import binary_fill_holes
+
+    result = body.copy()
+    for axis in range(3):
+        slices = np.moveaxis(result, axis, 0)
+        for i, own in enumerate(np.moveaxis(body, axis, 0)):
+            slices[i] |= binary_fill_holes(own)
+    return result
