@@ -191,7 +191,8 @@ def test_pressures_along_a_direction_and_by_nodes(tmp_path: Path) -> None:
     a, b, c = (int(n) + 1 for n in cell if POINTS[n, 0] == LENGTH)
     x = POINTS[[a - 1, b - 1, c - 1]]
     outwards = np.cross(x[1] - x[0], x[2] - x[0])[0] > 0
-    bulk = f"{MATERIAL}\n{WALL}\n{pressed(2, 3.0, '\n,0,0.,2.,0.')}\nPLOAD,2,4.,{a},{b},{c}"
+    along = pressed(2, 3.0, "\n,0,0.,2.,0.")
+    bulk = f"{MATERIAL}\n{WALL}\n{along}\nPLOAD,2,4.,{a},{b},{c}"
     loads = {load["kind"]: load for load in one(tmp_path, bulk)["load"]}
     assert loads["traction"]["value"] == [0, "3 Pa", 0]
     assert loads["pressure"]["value"] == ("-4 Pa" if outwards else "4 Pa")

@@ -26,11 +26,7 @@ Keys = dict[str, object]
 
 
 class _Constants:
-    """Constants of a material, each of which is to be asked for.
-
-    Args:
-        tag: The material.
-    """
+    """Constants of a material, each of which is to be asked for."""
 
     def __init__(self, tag: Tag) -> None:
         self.tag = tag

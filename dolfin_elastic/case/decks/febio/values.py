@@ -151,7 +151,7 @@ class Clock:
         """The product of some tags, of which at most one has a load curve.
 
         Args:
-            owner: What they belong to.
+            owner: The load or support that they belong to, for the line of a message.
             tags: Each with the count of its numbers; those that are None count as 1.
         """
         values, ramp = [1.0], None

@@ -29,7 +29,6 @@ class Actions:
     """Of one subcase after the other.
 
     Args:
-        table: The bulk data.
         deck: Which learns what has no equal.
         references: Temperatures of reference of the materials.
     """
@@ -106,7 +105,6 @@ class Actions:
         """Adds the loads of a set.
 
         Args:
-            number: Of the set.
             dead: Pressures keep their direction, as buckling of a linear law needs it.
         """
         for one, factor in self._combined(number):

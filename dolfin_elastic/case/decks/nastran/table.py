@@ -21,8 +21,7 @@ class Table:
     """All entries.
 
     Args:
-        bulk: Those of the mesh.
-        entries: Those of names that the mesh does not need.
+        entries: Those whose names the mesh does not need.
     """
 
     def __init__(self, bulk: Bulk, entries: Iterable[Entry]) -> None:

@@ -80,6 +80,7 @@ def read_febio(path: Path) -> MeshFile:
         point_sets=mesh.sets,
         information=[f"elements that name parts only and have no stiffness: {low}"] if low else [],
         incomplete=mesh.lost,
+        numbers=numbers,
     )
 
 

@@ -164,7 +164,7 @@ class Groups:
         """Basic components of a vector.
 
         Args:
-            system: In which its components are.
+            system: Number of the system in which its components are; 0: the basic one.
             vector: Shape (3,).
             node: Where it acts, which matters to systems that are not rectangular.
 
@@ -234,7 +234,10 @@ class Groups:
 
     def outwards(self, group: Group) -> FloatArray | None:
         """The normal out of the body that all faces of a group have, shape (3,); None: several."""
-        of = {n: self.place(group.entry, n) for n in {*group.behind, *chain.from_iterable(group.facets)}}
+        of = {
+            n: self.place(group.entry, n)
+            for n in {*group.behind, *chain.from_iterable(group.facets)}
+        }
         x = np.array([[of[n] for n in face] for face in group.facets])
         normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
         normals /= np.linalg.norm(normals, axis=1)[:, None]

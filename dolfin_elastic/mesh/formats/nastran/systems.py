@@ -122,7 +122,6 @@ class Systems:
         """Directions of a system at a point, as rows in basic components, shape (3, 3).
 
         Args:
-            number: Of the system.
             x: Basic coordinates of the point, shape (3,).
 
         Raises:
