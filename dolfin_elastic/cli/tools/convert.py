@@ -62,6 +62,7 @@ def convert(
         _convert_results(source, target, field, frames, scale, fps, ends, skin, force=force)
         return
     given = {"field": field, "frames": frames, "fps": fps, "range": ends, "skin": skin}
+    given["scale"] = None if scale == 1.0 else scale
     if unused := [name for name, value in given.items() if value is not None]:
         raise InputError(
             f"{source} is no folder of results, of which --{unused[0]} is",
