@@ -26,6 +26,7 @@ from dolfin_elastic.mesh.local_size import NO_SIZES, CadSizes
 
 SHAPES = (".step", ".stp", ".brep", ".iges", ".igs")
 _IN_PARTS = (".pvtu", ".pvd", ".vtm", ".vtmb")
+_POINTER = b"version https://git-lfs"
 XDMF = (".xdmf", ".xmf")
 
 
@@ -231,6 +232,13 @@ def check_file(
             if known
             else f"nor any other {path.suffix} file in '{folder}'",
         )
+    with path.open("rb") as file:
+        if file.read(len(_POINTER)) == _POINTER:
+            raise MeshError(
+                "this is a pointer of Git LFS, not the mesh",
+                where=path.name,
+                expected="git lfs pull",
+            )
     if path.suffix.lower() in _IN_PARTS:
         from dolfin_elastic.mesh.formats.vtu import ONE_PIECE
 
@@ -323,7 +331,7 @@ def _other_reader(path: Path) -> Callable[[Path], MeshFile]:
 
 
 def _rarer_reader(path: Path, suffix: str) -> Callable[[Path], MeshFile]:
-    if suffix in (".e", ".exo", ".ex2", ".g"):
+    if suffix in (".e", ".exo", ".ex2", ".g", ".gen"):
         from dolfin_elastic.mesh.formats.exodus import read_exodus
 
         return read_exodus

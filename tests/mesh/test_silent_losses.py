@@ -13,6 +13,7 @@ from dolfin_elastic.mesh.formats.nastran import read_nastran
 from dolfin_elastic.mesh.formats.raw import MeshFile
 from dolfin_elastic.mesh.formats.text.mfem import read_mfem
 from dolfin_elastic.mesh.formats.text.tetgen import read_tetgen
+from dolfin_elastic.mesh.read import check_file
 
 POINTS = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1), (2, 0, 0)]
 NODES = "*NODE\n" + "".join(f"{i},{x},{y},{z}\n" for i, (x, y, z) in enumerate(POINTS, 1))
@@ -56,7 +57,11 @@ def test_rows_of_another_length(tmp_path: Path, rows: str, line: int) -> None:
 
 def test_rows_that_go_on(tmp_path: Path) -> None:
     """In further lines, with commas at their ends or without."""
-    for rows in ("1,1,2,\n3,4\n2,2,3,4,5\n", "1,1,2\n3,4\n2,2,3,4,5,\n", "1,1,2,3,4,\n2,2,3,4,5,\n"):
+    for rows in (
+        "1,1,2,\n3,4\n2,2,3,4,5\n",
+        "1,1,2\n3,4\n2,2,3,4,5,\n",
+        "1,1,2,3,4,\n2,2,3,4,5,\n",
+    ):
         mesh = read(read_abaqus, tmp_path / "a.inp", f"{NODES}*ELEMENT, TYPE=C3D4\n{rows}")
         assert count(mesh) == 2
 
@@ -90,6 +95,19 @@ def test_entries_of_nastran_that_are_not_known(tmp_path: Path) -> None:
     text = f"{GRIDS}CTETRA,1,1,1,2,3,4\nTETRA,2,1,2,3,4,5\nMAT1,1,2.+11,,.3\nPSOLID,1,1\nENDDATA\n"
     mesh = read(read_nastran, tmp_path / "a.bdf", text)
     assert mesh.information == ["entries that are not read: 1 TETRA"]
+
+
+def test_blank_fields_at_the_end_of_a_line(tmp_path: Path) -> None:
+    """More commas than fields, with nothing behind them."""
+    text = f"{GRIDS}CTETRA,1,1,1,2,3,4,,,,,\nENDDATA\n"
+    assert count(read(read_nastran, tmp_path / "a.bdf", text)) == 1
+
+
+def test_pointers_of_git(tmp_path: Path) -> None:
+    """A file of a repository that was cloned without its large files."""
+    (tmp_path / "a.inp").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:1\n")
+    with pytest.raises(MeshError, match="a pointer of Git LFS, not the mesh; git lfs pull"):
+        check_file(tmp_path / "a.inp")
 
 
 def tetgen(folder: Path, elements: str, nodes: str = "") -> MeshFile:

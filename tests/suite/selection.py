@@ -64,6 +64,7 @@ POINTS = {
     "mesh/test_fill.py",
     "mesh/test_surfaces.py",
     "mesh/test_losses.py",
+    "mesh/test_silent_losses.py",
     "model/materials/test_library.py",
     "model/materials/test_moduli.py",
     "model/materials/test_reference_energies.py",

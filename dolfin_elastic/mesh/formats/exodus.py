@@ -1,4 +1,4 @@
-"""Exodus files (.e, .exo, .ex2, .g), as Cubit, Coreform, MOOSE, Sierra and ParaView write them.
+"""Exodus files (.e, .exo, .ex2, .g, .gen), as Cubit, MOOSE, Sierra and ParaView write them.
 
 Read here rather than through meshio 5.3, which needs a library for netCDF, fails on blocks of TET4
 and leaves out side sets and names.  Classic netCDF files (CDF-1 and CDF-2) are read by scipy,

@@ -110,7 +110,7 @@ def _take(bulk: Bulk, entry: Entry) -> None:
     elif what := misunderstood(entry.name):
         raise entry.error(f"{what} is not understood", "GRID, CORD1 and CORD2, CTETRA, CTRIA3 ...")
     elif not entry.name.startswith(USUAL):
-        bulk.unread[entry.name] += 1
+        bulk.unread[entry.name.split()[0][:8]] += 1
 
 
 def _take_grid(bulk: Bulk, entry: Entry) -> None:

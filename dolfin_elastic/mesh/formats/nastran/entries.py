@@ -164,6 +164,8 @@ def _split(line: _Line) -> tuple[str, list[str], str]:
     if "," in text:
         words = [word.strip() for word in text.split(",")]
         count = 4 if words[0].endswith("*") or words[0].startswith("*") else 8
+        while len(words) > count + 2 and not words[-1]:
+            words.pop()
         if len(words) > count + 2:
             raise line.error(
                 f"the line has {len(words)} fields, more than {count + 2}",
