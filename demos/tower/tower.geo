@@ -4,7 +4,7 @@
 height = 40;  head = 1;
 foot = 0.5;  tip = 0.225;                      // outer radii
 wall = 0.1;
-n = 32;                                        // elements along the shaft; 8 around, one through the wall
+n = 30;                                        // elements along the shaft; 8 around, one through the wall
 
 For i In {0 : 2}                               // the foot, below the head, the tip
   z = (i == 0) ? 0 : (i == 1) ? height - head : height;

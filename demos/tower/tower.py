@@ -13,7 +13,7 @@ Equations
     (P-delta); in the gust linear elasticity, about the equilibrium at its start.
 
 Discretisation
-    `tower.geo`: quadratic tetrahedra, 32 along the shaft, 8 around, one through the wall.
+    `tower.geo`: quadratic tetrahedra, 30 along the shaft, 8 around, one through the wall.
 
 Result
     Deflection, lowest frequency (with the antennas and without) and buckling factor are those of a

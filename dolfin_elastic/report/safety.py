@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from dolfin_elastic.core.si_text import counted, listed, number, quantity
 from dolfin_elastic.model.materials.registry import MATERIALS
 from dolfin_elastic.report.words import analysis_of
@@ -159,12 +161,20 @@ def _of_stress(run: FinishedRun, count: int, what: str) -> Judged:
     text = _reason(text)
     if unstable:
         kind, text = "warn", f"of an unstable state: {text}"
-    factor, moved = figures.get("safety_factor"), figures.get("displacement")
-    if what == _TITLES["dynamics"] and moved is not None:
-        at = f" at {moved.remark}" if moved.remark else ""
-        text = f"{text}; {moved.name} {moved.value.text}{at}"
+    factor = figures.get("safety_factor")
+    if what == _TITLES["dynamics"]:
+        text += _farthest(run)
     shown = factor or figures.get("von_mises")
     return Judged(what, count, kind, text, shown.value if shown else None)
+
+
+def _farthest(run: FinishedRun) -> str:
+    """The largest displacement of a motion, with its time."""
+    t, size = (run.history.get(name) for name in ("t", "max_displacement"))
+    if t is None or size is None or not np.isfinite(size).any():
+        return ""
+    at = int(np.nanargmax(size))
+    return f"; largest displacement {quantity(size[at], 'm')} at t = {quantity(t[at], 's')}"
 
 
 def _of_equilibrium(summary: Table, count: int, *, buckling: bool) -> Iterator[Judged]:

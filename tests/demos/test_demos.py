@@ -30,6 +30,7 @@ LONG = {
     "print_up",
     "snap_fit",
     "tipping",
+    "tower",
     "turek_hron",
 }
 
@@ -61,6 +62,7 @@ CHECKED = {  # what a script says last about its number
     "print_up": r"largest difference from beam theory: \d\.\de-0[2-9]",
     "duck_plane": r"resultant \d\.\de-1\d, moment \d\.\de-1\d",
     "bounce": r"energy out of balance: \d\.\de-0[4-9]",
+    "tower": r"off the beam by (1\.\de-02|\d\.\de-03)",
     "turek_hron": r"largest difference over the amplitude: \d\.\de-(0[3-9])",
     "tuning_fork": r"tone 440\.\d+ Hz, off by \d\.\de-0[4-9]",
     "inverted": r"left of the displacement over the size: \d\.\de-(0[4-9]|1\d)",

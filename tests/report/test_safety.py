@@ -171,3 +171,15 @@ def test_range() -> None:
     for words in (("5 Hz", "2 Hz"), ("2 m", "5 m"), ("-1", "2"), ("x", "y")):
         with pytest.raises(CaseError, match="excitation"):
             _range(words)
+
+
+def test_motion(tmp_path: Path) -> None:
+    """The largest displacement of all times; its stress has no estimated error."""
+    row = {"value": 2.0, "place": [0.5, 0, 0], "part": "steel", "t": 0.2}
+    peaks = {"safety_factor": row, "von_mises": {**row, "value": 1e8}}
+    folder = finished(tmp_path, "gust", {"dynamics": {}}, extremes=peaks, motion=peaks).folder
+    text = "step,t,max_displacement,kinetic_energy\n1,0.1,0.5,1\n2,0.2,0.75,1\n3,0.3,0.25,1\n"
+    (folder / "history.csv").write_text(text)
+    (found,) = judged(FinishedRun(folder)).rows
+    assert (found.what, found.verdict) == ("motion", "cannot be judged")
+    assert found.text.endswith("; largest displacement 750 mm at t = 200 ms")
