@@ -44,11 +44,11 @@ def areas(file: MeshFile) -> dict[str, float]:
 
 
 def test_a_ball_becomes_curved_cells_of_its_volume() -> None:
-    plc = alone(ball(1, times=4))
+    plc = alone(ball(1, times=3))
     file = filled(plc, size=0.5)
     assert file.blocks[0].kind == "tetra10"
-    # Middle nodes lie on the facets given: 4e-5 was measured; straight cells miss 2 %.
-    assert volumes(file)["region0"] == pytest.approx(region_volumes(plc)[0], rel=3e-4)
+    # Where it is not 1e-3, finer cells are made: 4e-4 was measured; straight cells miss 2 %.
+    assert volumes(file)["region0"] == pytest.approx(region_volumes(plc)[0], rel=1e-3)
     assert not file.notes
 
 
@@ -60,7 +60,7 @@ def test_a_box_keeps_its_sides_and_straight_cells() -> None:
 
 
 def test_straight_cells_of_a_torus_keep_its_triangles() -> None:
-    plc = alone(torus(2, 0.6, n=12))
+    plc = alone(torus(2, 0.6, n=8))
     file = filled(plc, size=0.6, curved=False)
     assert "own triangles" in file.information[0]
     assert volumes(file)["region0"] == pytest.approx(region_volumes(plc)[0], rel=1e-12)
