@@ -60,7 +60,7 @@ def test_a_box_keeps_its_sides_and_straight_cells() -> None:
 
 
 def test_straight_cells_of_a_torus_keep_its_triangles() -> None:
-    plc = alone(torus(2, 0.6, n=8))
+    plc = alone(torus(2, 0.6, n=12))
     file = filled(plc, size=0.6, curved=False)
     assert "own triangles" in file.information[0]
     assert volumes(file)["region0"] == pytest.approx(region_volumes(plc)[0], rel=1e-12)
