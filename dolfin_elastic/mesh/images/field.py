@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 import numpy as np
-from mpi4py import MPI
 from pydantic import Field, model_validator
 
 from dolfin_elastic.core.errors import InputError, MeshError, keyed
@@ -162,8 +161,8 @@ class _Sampled:
         comm, d = self._body.comm, self._body.dim
         flat = self._corners.reshape(-1, d)
         low, high = np.zeros(3), np.ones(3)
-        low[:d] = comm.allreduce(flat.min(axis=0, initial=np.inf), op=MPI.MIN)
-        high[:d] = -comm.allreduce(-flat.max(axis=0, initial=-np.inf), op=MPI.MIN)
+        low[:d] = np.min(comm.allgather(flat.min(axis=0, initial=np.inf)), axis=0)
+        high[:d] = np.max(comm.allgather(flat.max(axis=0, initial=-np.inf)), axis=0)
         return low, high
 
     def _check_inside(self) -> None:
@@ -180,8 +179,8 @@ class _Sampled:
         places = index @ self._affine[:3, :3].T + self._affine[:3, 3]
         body = cell_corners(self._body.mesh).reshape(-1, 3)
         comm, d = self._body.comm, self._body.dim
-        low = comm.allreduce(body.min(axis=0, initial=np.inf), op=MPI.MIN)[:d]
-        high = -comm.allreduce(-body.max(axis=0, initial=-np.inf), op=MPI.MIN)[:d]
+        low = np.min(comm.allgather(body.min(axis=0, initial=np.inf)), axis=0)[:d]
+        high = np.max(comm.allgather(body.max(axis=0, initial=-np.inf)), axis=0)[:d]
         own = places[:, :d].min(axis=0), places[:, :d].max(axis=0)
         raise MeshError(
             f"the body, from {unit.point(low)} to {unit.point(high)}, lies "
