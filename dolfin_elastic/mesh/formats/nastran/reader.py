@@ -42,7 +42,9 @@ def read_nastran(path: Path) -> MeshFile:
         if group.facets:
             rows = find(numbers, np.array(group.facets))
             blocks.append(Block("triangle", rows, {group.name: np.arange(len(rows))}))
-    return MeshFile(points, blocks, information=_information(bulk), point_sets=sets, numbers=numbers)
+    return MeshFile(
+        points, blocks, information=_information(bulk), point_sets=sets, numbers=numbers
+    )
 
 
 def _points(bulk: Bulk) -> tuple[IntArray, FloatArray]:
