@@ -92,7 +92,8 @@ def _force(tag: Tag, clock: Clock) -> Entry | None:
         if axis not in tuple(_AXES):
             raise tag.error(f"'{axis[:40]}' is no direction", "x, y or z")
         values = [values[0] if axis == a else 0.0 for a in _AXES]
-    keys = {"kind": "point-force", "on": on, "value": _quantities(values, "force")}
+    keys: dict[str, object] = {"kind": "point-force", "on": on}
+    keys["value"] = _quantities(values, "force")
     return Entry(place(tag), keys, ramp=amount.ramp)
 
 
@@ -113,7 +114,8 @@ def _traction(tag: Tag, clock: Clock) -> Entry:
         _left_out(clock, tag, text + "is the same at small strains")
     amount = clock.amount(tag, [(tag.first("scale"), 1), (tag.first("traction"), 3)])
     values = _quantities(amount.values, "stress")
-    keys = {"kind": "traction", "on": named_part(tag, "surface"), "value": values}
+    keys: dict[str, object] = {"kind": "traction", "on": named_part(tag, "surface")}
+    keys["value"] = values
     return Entry(place(tag), keys, ramp=amount.ramp)
 
 
@@ -126,7 +128,8 @@ def _bearing(tag: Tag, clock: Clock) -> Entry:
         clock.deck.leave_out(place(tag), "linear = 0: it follows the bore; here it does not")
     amount = clock.amount(tag, [(tag.first("scale"), 1), (tag.first("force"), 3)])
     values = _quantities(amount.values, "force")
-    keys = {"kind": "bearing", "on": named_part(tag, "surface"), "value": values}
+    keys: dict[str, object] = {"kind": "bearing", "on": named_part(tag, "surface")}
+    keys["value"] = values
     return Entry(place(tag), keys, ramp=amount.ramp)
 
 

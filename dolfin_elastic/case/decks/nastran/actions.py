@@ -136,7 +136,7 @@ class Actions:
                 text = "a pressure on a curved surface in buckling"
                 self._deck.leave_out(where, text, "changes the answer")
             else:
-                direction = (-normal).tolist()
+                direction = [-float(x) for x in normal]
         if direction:
             value = [Quantity(factor * pressure * d, "stress") if d else 0 for d in direction]
             return Entry(where, {"kind": "traction", "on": group.name, "value": value})
