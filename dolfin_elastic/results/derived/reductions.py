@@ -51,6 +51,10 @@ def _above(samples: Samples, limit: float) -> FloatArray:
     return np.asarray(np.where(missing > 0, np.nan, size), dtype=np.float64)
 
 
+def _fraction_above(samples: Samples, limit: float) -> FloatArray:
+    return np.asarray(_above(samples, limit) / samples.size, dtype=np.float64)
+
+
 def percentile(comm: MPI.Comm, values: FloatArray, weights: FloatArray, share: float) -> float:
     """The value below which a share of the weights lies; nan where a value is. Collective.
 
@@ -89,9 +93,7 @@ REDUCTIONS: dict[str, Reduction] = {
     "mean": Reduction(factor=lambda size: 1 / size),
     "integral": Reduction(factor=lambda _: 1.0, over=True),
     "percentile:95": Reduction(_percentiles, limits=(0, 100)),
-    "share_above:0.01": Reduction(
-        lambda samples, limit: _above(samples, limit) / samples.size, limits=_ANY, unit=""
-    ),
+    "share_above:0.01": Reduction(_fraction_above, limits=_ANY, unit=""),
     "size_above:0.01": Reduction(_above, limits=_ANY, over=True, unit=""),
 }
 """Name to reduction, of one with a number behind a colon an example."""
