@@ -109,7 +109,11 @@ def test_kinds_of_files(suffix, kind, rows, count, tmp_path):
     [
         ("a.stl", b"x" * 80 + b"\xff" * 54, "it states 4294967295 triangles"),
         ("a.stl", b"solid\nouter loop\nvertex 0 0 z\n", r"a.stl:3: 'vertex 0 0 z' is no vertex"),
-        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99999999999999999999\n", "a.obj:4: a face refers"),
+        (
+            "a.obj",
+            b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99999999999999999999\n",
+            "a.obj:4: a face refers",
+        ),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 z\n", "a.obj:4: .f 1 2 z. is no face"),
     ],
     ids=["size", "vertex", "number", "face"],

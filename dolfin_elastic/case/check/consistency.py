@@ -13,7 +13,6 @@ from dolfin_elastic.case.case import Case, in_order, locate_errors
 from dolfin_elastic.case.check.initial_state import NOTHING_MOVES
 from dolfin_elastic.case.check.plausibility import plausibility_notes
 from dolfin_elastic.case.toml import key_parts, key_text
-from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.errors import (
     CaseError,
     InputError,
@@ -23,7 +22,7 @@ from dolfin_elastic.core.errors import (
     keyed,
     nearest,
 )
-from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.core.shapes.directions import check_components
 from dolfin_elastic.core.types import BoolArray, IndexArray
 from dolfin_elastic.mesh.body import Body

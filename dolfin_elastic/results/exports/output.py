@@ -64,7 +64,9 @@ class Export(Output):
     @classmethod
     def _check_range(cls, ends: list[float | str] | None) -> list[float | str] | None:
         if ends is not None and limits_of(ends).share:
-            raise InputError("percentiles are for pictures and films", expected="for example [0, 2e8]")
+            raise InputError(
+                "percentiles are for pictures and films", expected="for example [0, 2e8]"
+            )
         return ends
 
     @property

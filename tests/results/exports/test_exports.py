@@ -273,7 +273,9 @@ def read_frd(path: Path) -> tuple[Any, Any, list[tuple[float, str, Any]]]:
             head = next(lines)
             parts = [next(lines) for _ in range(int(head[13:18]))]
             width = sum(not part.endswith("ALL") for part in parts)
-            blocks.append((t, head[5:13].strip(), [columns(next(lines), width) for _ in range(count)]))
+            blocks.append(
+                (t, head[5:13].strip(), [columns(next(lines), width) for _ in range(count)])
+            )
             assert next(lines) == " -3"
     assert line == " 9999"
     return np.array(nodes), np.array(cells), [(t, n, np.array(rows)) for t, n, rows in blocks]
@@ -302,7 +304,9 @@ def test_frd(beam: Path, folder: Path) -> None:
     u = displacement(grid.points.T).T
     assert np.abs(blocks[-3][2][:, 1:] - 1e3 * u).max() < 5e-6 * 1e3
     stress = grid.point_data["cauchy_stress"].reshape(-1, 3, 3)
-    six = np.stack([stress[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))], 1)
+    six = np.stack(
+        [stress[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))], 1
+    )
     assert np.abs(blocks[-1][2][:, 1:] - 1e-6 * six).max() < 5e-6 * np.abs(1e-6 * six).max()
     assert np.abs(blocks[-2][2][:, 1] - 1e-6 * grid.point_data["von_mises"]).max() < 1e-6
 

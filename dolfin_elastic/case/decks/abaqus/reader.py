@@ -258,9 +258,7 @@ def _mesh(state: Reading) -> bool:
         state.deck.leave_out(Place(state.file, 0), text)
     for name in solid:
         if "M" in name[3:]:
-            text = (
-                f"{name}: {name.replace('M', '')} is used, a quadratic element without lumping"
-            )
+            text = f"{name}: {name.replace('M', '')} is used, a quadratic element without lumping"
             state.deck.leave_out(Place(state.file, 0), text)
         if name.endswith("H") and not quadratic:
             text = f"{name}: linear elements have no pressure of their own here"
