@@ -73,6 +73,7 @@ POINTS = {
     "model/test_amplitude.py",
     "model/test_discrete_gradient.py",
     "model/test_kinematics.py",
+    "problem/terms/test_barrier_package.py",
     "model/test_strength.py",
     "native/test_sanitisers.py",
     "notebook/test_notebooks.py",

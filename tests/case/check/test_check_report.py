@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dolfinx import fem
+from helpers.barriers import usable_ipctk
 from helpers.load_examples import example
 from mpi4py import MPI
 
@@ -849,7 +850,7 @@ def test_a_contact_that_can_never_touch(tables, said):
 
 def test_contacts_of_several_kinds():
     """Gaps are those of the rows that have some, whatever is before them."""
-    pytest.importorskip("ipctk")
+    usable_ipctk()
     floor = {"on": "top", "plane": {"axis": "z", "at": -1}}
     run = {"dynamics": {"end": 1, "dt": 0.1}}
     found = report(case(contact=[{"all": True}, floor], **run))

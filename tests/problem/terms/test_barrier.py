@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-import sys
 from typing import Any
 
 import numpy as np
 import pytest
 from dolfinx import fem
+from helpers.barriers import usable_ipctk
 from helpers.stacked import grid, stacked
 from helpers.tangents import against_differences
 from mpi4py import MPI
@@ -42,7 +42,7 @@ from dolfin_elastic.solvers.dynamics.implicit.gain import GainRemoval
 from dolfin_elastic.solvers.dynamics.residual import DynamicResidual
 from dolfin_elastic.solvers.dynamics.work import EnergyBalance
 
-ipctk = pytest.importorskip("ipctk")
+ipctk = usable_ipctk()
 
 MESHES: dict[int, dict[str, Any]] = {
     2: {"size": (1.0, 1.0), "lower": (3, 2), "upper": (4, 2)},
@@ -414,10 +414,3 @@ def test_it_is_refused_by_name():
         SelfContact(**{"self": True})
     with pytest.raises(InputError, match="on: no name is given.*`self` or `all`"):
         Contact(friction=0.3)
-
-
-def test_without_its_package(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ipctk", None)
-    with pytest.raises(InputError, match="needs the Python package ipctk") as error:
-        blocks(2, 1)
-    assert "python-packages.txt" in error.value.expected

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.barriers import usable_ipctk
 from helpers.checkpoints import through_json
 from helpers.scenes import Box, boxes
 from mpi4py import MPI
@@ -76,7 +77,7 @@ def tower(gap: float, contacts: list[Any]) -> Problem:
 @pytest.mark.parametrize("steps", [30, pytest.param(1000, marks=ALONE)])
 def test_a_tower_rests_on_its_barriers(steps):
     """Blocks sink to where barriers carry them, and stay: they move less than the distance d^."""
-    pytest.importorskip("ipctk")
+    usable_ipctk()
     problem = tower(0.045, [SelfContact(all=True, name="s", friction=0.3)])
     moves, stored = [], []
     for state in Dynamics(problem, end=5e-3 * steps, dt=5e-3).steps():

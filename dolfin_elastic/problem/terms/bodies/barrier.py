@@ -22,7 +22,11 @@ Contact, arXiv 2307.15908 (2023).
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
+from functools import cache
 from operator import attrgetter
 from types import ModuleType
 from typing import Any
@@ -76,11 +80,32 @@ _KINDS = {
 """Pairs that may meet, by the dimension: names of their numbers, and vertices of both partners."""
 
 
+_TRIAL = """
+import sys
+sys.path[:] = {path}
+import ipctk, numpy
+ipctk.CollisionMesh(numpy.eye(3), numpy.array([[0, 1], [1, 2], [2, 0]]), numpy.array([[0, 1, 2]]))
+"""
+
+
+@cache
+def runs_here() -> bool:
+    """Whether this processor has the instructions that ipctk was compiled for. Local.
+
+    Its package of PyPI has some of AVX-512, at which other processors end the whole process: it is
+    tried in another one.
+    """
+    # Of the current folder nothing is imported.
+    path = [folder for folder in sys.path if os.path.isabs(folder)]
+    trial = [sys.executable, "-I", "-c", _TRIAL.format(path=path)]
+    return subprocess.run(trial, capture_output=True, check=False).returncode >= 0
+
+
 def library() -> ModuleType:
-    """ipctk, with one thread a rank.
+    """ipctk, with one thread a rank. Local.
 
     Raises:
-        InputError: It is not there.
+        InputError: It is not there, or was compiled for another processor.
     """
     try:
         import ipctk
@@ -89,6 +114,12 @@ def library() -> ModuleType:
             f"contact of a surface with itself needs the Python package ipctk ({error})",
             expected="pip install --require-hashes -r docker/python-packages.txt",
         ) from None
+    if not runs_here():
+        raise InputError(
+            "contact of a surface with itself needs the Python package ipctk, which was compiled "
+            "for another processor: this one does not know all of its instructions",
+            expected="pip install --no-deps --no-binary ipctk ipctk==1.6.1, or another machine",
+        )
     ipctk.set_num_threads(1)
     return ipctk
 
