@@ -15,7 +15,7 @@ from dolfin_elastic.mesh.formats.cad.process import Permission
 from dolfin_elastic.mesh.formats.raw import MeshFile, find_all
 from dolfin_elastic.mesh.formats.surfaces.nesting import containing
 from dolfin_elastic.mesh.formats.surfaces.options import is_surface
-from dolfin_elastic.mesh.formats.surfaces.reader import read_soup
+from dolfin_elastic.mesh.formats.surfaces.readers.read import read_soup
 from dolfin_elastic.mesh.formats.surfaces.surface import DIGITS, crowded
 from dolfin_elastic.mesh.formats.surfaces.topology import (
     CrowdedError,

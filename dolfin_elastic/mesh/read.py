@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from dolfinx import cpp
@@ -85,13 +86,7 @@ def read_body(
     stated = on_root(comm, lambda: stated_unit_of(path))
     unit = stated or METRE if scale is None else LengthUnit.of(scale)
     options = SurfaceOptions(_in_unit(deviation, unit), repair, angle)
-    options.check(path)
-    if is_surface(path) and scale is None and stated is None:
-        on_root(comm, lambda: _ask_for_unit(path))
-    if is_surface(path) and dim == 2:
-        raise MeshError(
-            "a surface of triangles encloses a solid", where=path.name, expected="dim = 3"
-        )
+    on_root(comm, lambda: options.check(path, dim, known_unit=bool(scale or stated)))
     if suffix in XDMF:
         from dolfin_elastic.mesh.formats.xdmf import read_xdmf
 
@@ -103,50 +98,29 @@ def read_body(
         raise MeshError(
             f"a {suffix} file has one time step", where=path.name, expected="leave time out"
         )
-    edge = _in_unit(size, unit)
-    if edge is not None and not edge > 0:
+    if (edge := _in_unit(size, unit)) is not None and not edge > 0:
         raise MeshError(
             f"the size of the elements must be positive, not {size}",
             where="mesh.size",
             expected='for example "2 mm"',
         )
-
     permission = Permission(trust, time_limit)
+    if is_surface(path):
+        from dolfin_elastic.mesh.formats.surfaces.body import mesh_surface
 
-    def meshed() -> MeshFile:
-        if is_surface(path):
-            from dolfin_elastic.mesh.formats.surfaces.body import mesh_surface
-
-            return mesh_surface(
-                path, size=edge, curved=curved, options=options, unit=unit, permission=permission
-            )
+        mesh = partial(mesh_surface, path, options=options)
+    else:
         from dolfin_elastic.mesh.formats.cad.read import mesh_cad
 
-        return mesh_cad(
-            path,
-            size=edge,
-            curved=curved,
-            dim=dim,
-            join=join is not False,
-            stated=stated,
-            unit=unit,
-            local=local,
-            permission=permission,
-        )
-
+        mesh = partial(mesh_cad, path, dim=dim, join=join is not False, stated=stated, local=local)
+    meshed = partial(mesh, size=edge, curved=curved, unit=unit, permission=permission)
     read, permutation = reader(path, meshed, permission, time)
 
     def raw() -> RawMesh:
         result = assemble(read(), source=path.name, dim=dim)
         return straight(result) if curved is False and suffix not in (*CAD, *SURFACES) else result
 
-    body = build_body(
-        raw,
-        comm=comm,
-        unit=unit,
-        source=path.name,
-        permutation=permutation,
-    )
+    body = build_body(raw, comm=comm, unit=unit, source=path.name, permutation=permutation)
     if suffix in CAD:
         from dolfin_elastic.mesh.formats.cad.read import model_unit
 
@@ -158,12 +132,6 @@ def read_body(
 def _in_unit(length: float | str | None, unit: LengthUnit) -> float | None:
     """A length in the unit of a file."""
     return to_si(length, "m") / unit.metres if isinstance(length, str) else length
-
-
-def _ask_for_unit(path: Path) -> None:
-    from dolfin_elastic.mesh.formats.surfaces.body import unit_is_missing
-
-    raise unit_is_missing(path)
 
 
 def stated_unit_of(path: Path) -> LengthUnit | None:
@@ -178,7 +146,7 @@ def stated_unit_of(path: Path) -> LengthUnit | None:
 
         return unit_of_unv(path)
     if suffix == ".3mf":
-        from dolfin_elastic.mesh.formats.surfaces.threemf import unit_of_3mf
+        from dolfin_elastic.mesh.formats.surfaces.readers.threemf import unit_of_3mf
 
         return unit_of_3mf(path)
     if suffix not in CAD:

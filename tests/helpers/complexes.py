@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from dolfin_elastic.core.types import FloatArray, IntArray
-from dolfin_elastic.mesh.formats.surfaces.plc import OUTSIDE, Plc
+from dolfin_elastic.mesh.formats.surfaces.filling.plc import OUTSIDE, Plc
 
 Surface = tuple[FloatArray, IntArray, FloatArray]
 """Corners, triangles, and the middle of each triangle's own face of the body."""

@@ -12,10 +12,10 @@ from helpers.complexes import alone, ball, box, complex_of, torus
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.formats.cad.process import Permission
 from dolfin_elastic.mesh.formats.raw import MeshFile
-from dolfin_elastic.mesh.formats.surfaces import fill as module
-from dolfin_elastic.mesh.formats.surfaces.bodies import bodies_of, region_volumes
-from dolfin_elastic.mesh.formats.surfaces.fill import cell_volumes, fill
-from dolfin_elastic.mesh.formats.surfaces.plc import OUTSIDE, Plc
+from dolfin_elastic.mesh.formats.surfaces.filling import fill as module
+from dolfin_elastic.mesh.formats.surfaces.filling.bodies import bodies_of, region_volumes
+from dolfin_elastic.mesh.formats.surfaces.filling.fill import cell_volumes, fill
+from dolfin_elastic.mesh.formats.surfaces.filling.plc import OUTSIDE, Plc
 
 
 def filled(plc: Plc, **options: Any) -> MeshFile:

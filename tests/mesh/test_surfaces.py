@@ -10,7 +10,7 @@ import pytest
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.formats.surfaces.complex import read_complex
-from dolfin_elastic.mesh.formats.surfaces.reader import read_soup
+from dolfin_elastic.mesh.formats.surfaces.readers.read import read_soup
 from dolfin_elastic.mesh.read import read_body, stated_unit_of
 from tests.helpers.surfaces import cube, model_3mf, write_3mf, write_stl
 

@@ -127,7 +127,7 @@ def _body(
 
 
 def _in_units(path: Path) -> str:
-    from dolfin_elastic.mesh.formats.surfaces.body import sizes_in_units
+    from dolfin_elastic.mesh.formats.surfaces.sizes import sizes_in_units
 
     return (
         "lengths are shown as m, for the file states no unit; the body would have this size with "

@@ -33,7 +33,7 @@ from dolfin_elastic.mesh.formats.cad.meshing import (
 )
 from dolfin_elastic.mesh.formats.cad.shapes import Lengths
 from dolfin_elastic.mesh.formats.cad.sizes import LocalField
-from dolfin_elastic.mesh.formats.surfaces.in_gmsh import GIVEN, fill_in_gmsh
+from dolfin_elastic.mesh.formats.surfaces.filling.in_gmsh import GIVEN, fill_in_gmsh
 
 ASKED_OF_MODEL = ("getEntities", "getBoundingBox", "getClosestPoint", "getType", "getAdjacencies")
 """Functions of Gmsh's model that tell something of it and change nothing."""

@@ -8,18 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.formats.cad.process import Permission
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile, joined
 from dolfin_elastic.mesh.formats.surfaces.complex import read_complex
 from dolfin_elastic.mesh.formats.surfaces.options import SurfaceOptions
-from dolfin_elastic.mesh.formats.surfaces.reader import read_soup
-
-ASKED = ("mm", "inch", "m")
-"""Units in which the size of a body is said where its file has none."""
-
-_METRES = {"mm": 1e-3, "inch": 0.0254, "m": 1.0}
 
 
 def mesh_surface(
@@ -41,7 +34,7 @@ def mesh_surface(
     Raises:
         MeshError: The file is damaged, the surface has a fault, or Gmsh cannot fill it.
     """
-    from dolfin_elastic.mesh.formats.surfaces.fill import fill
+    from dolfin_elastic.mesh.formats.surfaces.filling.fill import fill
 
     made = read_complex(path, unit=unit, repair=bool(options.repair), angle=options.angle)
     filled = fill(
@@ -69,29 +62,3 @@ def _with_groups(block: Block, groups: Mapping[str, Sequence[str]]) -> Block:
         for name, patches in groups.items()
     }
     return replace(block, parts={**block.parts, **more})
-
-
-def sizes_in_units(path: Path) -> str:
-    """The size that the body of a file would have in each of some units. Local.
-
-    Raises:
-        MeshError: The file is damaged.
-    """
-    soup = read_soup(path)
-    extent = np.ptp(soup.points[np.unique(soup.triangles)], axis=0)
-    texts = []
-    for name in ASKED:
-        mm = extent * _METRES[name] / 1e-3
-        factor, shown = (1.0, "mm") if mm.max() < 1e3 else (1e-3, "m")
-        texts.append(f"{name}: " + " x ".join(f"{x * factor:.4g}" for x in mm) + f" {shown}")
-    return "; ".join(texts)
-
-
-def unit_is_missing(path: Path) -> MeshError:
-    """The error of a file whose lengths have no unit. Local."""
-    return MeshError(
-        f"the lengths of a {path.suffix.lower()} file have no unit, and the body would have this "
-        f"size with unit = {sizes_in_units(path)}",
-        where=path.name,
-        expected='write which, for example unit = "mm"',
-    )

@@ -10,11 +10,11 @@ import numpy as np
 
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
+from dolfin_elastic.mesh.formats.surfaces.filling.plc import OUTSIDE, Plc
 from dolfin_elastic.mesh.formats.surfaces.mend import mend, volume_as_it_stood
 from dolfin_elastic.mesh.formats.surfaces.nesting import containing
 from dolfin_elastic.mesh.formats.surfaces.patches import ANGLE, MOST, patches
-from dolfin_elastic.mesh.formats.surfaces.plc import OUTSIDE, Plc
-from dolfin_elastic.mesh.formats.surfaces.reader import read_soup
+from dolfin_elastic.mesh.formats.surfaces.readers.read import read_soup
 from dolfin_elastic.mesh.formats.surfaces.surface import (
     Fault,
     Surface,

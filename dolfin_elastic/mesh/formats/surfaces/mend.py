@@ -11,7 +11,7 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.formats.surfaces.crossings import crossings
-from dolfin_elastic.mesh.formats.surfaces.polygons import cut
+from dolfin_elastic.mesh.formats.surfaces.readers.polygons import cut
 from dolfin_elastic.mesh.formats.surfaces.surface import (
     ON_EDGE,
     Surface,

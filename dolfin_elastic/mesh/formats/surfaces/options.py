@@ -32,12 +32,24 @@ class SurfaceOptions:
     repair: bool | None = None
     angle: float | None = None
 
-    def check(self, path: Path) -> None:
+    def check(self, path: Path, dim: int | None, *, known_unit: bool) -> None:
         """Refuses what makes no sense, or no sense for a file. Local.
+
+        Args:
+            dim: Of the elements; None: that of the file.
+            known_unit: The unit of its lengths is stated, in the file or by the user.
 
         Raises:
             MeshError: With what would be right.
         """
+        if is_surface(path) and dim == 2:
+            raise MeshError(
+                "a surface of triangles encloses a solid", where=path.name, expected="dim = 3"
+            )
+        if is_surface(path) and not known_unit:
+            from dolfin_elastic.mesh.formats.surfaces.sizes import unit_is_missing
+
+            raise unit_is_missing(path)
         given = [key for key, value in vars(self).items() if value is not None]
         if given and not is_surface(path):
             raise MeshError(

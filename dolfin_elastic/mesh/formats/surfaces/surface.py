@@ -12,7 +12,7 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.formats.surfaces.crossings import crossings
-from dolfin_elastic.mesh.formats.surfaces.soup import Soup
+from dolfin_elastic.mesh.formats.surfaces.readers.soup import Soup
 from dolfin_elastic.mesh.formats.surfaces.topology import (
     CrowdedError,
     Edges,

@@ -128,7 +128,7 @@ def mesh_regions(
     Raises:
         MeshError: Gmsh cannot fill them.
     """
-    from dolfin_elastic.mesh.formats.surfaces.fill import fill
+    from dolfin_elastic.mesh.formats.surfaces.filling.fill import fill
 
     until, first = time.monotonic() + seconds, None
     for smoothing, how in _SMOOTHINGS.items():

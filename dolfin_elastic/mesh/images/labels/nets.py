@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IntArray
-from dolfin_elastic.mesh.formats.surfaces.bodies import region_volumes
-from dolfin_elastic.mesh.formats.surfaces.plc import OUTSIDE, Plc
+from dolfin_elastic.mesh.formats.surfaces.filling.bodies import region_volumes
+from dolfin_elastic.mesh.formats.surfaces.filling.plc import OUTSIDE, Plc
 
 OUTER = "outer"
 """Name of the surface of all regions; of each of several ones it is `NAME-outer`."""

@@ -12,8 +12,8 @@ from helpers.phantoms import affine, cut_ball, nested_balls, shaft
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.core.units import LengthUnit
-from dolfin_elastic.mesh.formats.surfaces.bodies import bodies_of, region_volumes
-from dolfin_elastic.mesh.formats.surfaces.plc import Plc
+from dolfin_elastic.mesh.formats.surfaces.filling.bodies import bodies_of, region_volumes
+from dolfin_elastic.mesh.formats.surfaces.filling.plc import Plc
 from dolfin_elastic.mesh.images.image import Image
 from dolfin_elastic.mesh.images.labels.nets import Smoothing, surfaces_between
 from dolfin_elastic.mesh.images.labels.regions import Labels, regions_of

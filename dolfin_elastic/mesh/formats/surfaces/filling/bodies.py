@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
-from dolfin_elastic.mesh.formats.surfaces.plc import Plc
+from dolfin_elastic.mesh.formats.surfaces.filling.plc import Plc
 
 
 def signed_volumes(points: FloatArray, triangles: IntArray) -> FloatArray:

@@ -10,8 +10,8 @@ import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import IntArray
-from dolfin_elastic.mesh.formats.surfaces.polygons import cut
-from dolfin_elastic.mesh.formats.surfaces.soup import Soup, check_count, content
+from dolfin_elastic.mesh.formats.surfaces.readers.polygons import cut
+from dolfin_elastic.mesh.formats.surfaces.readers.soup import Soup, check_count, content
 
 _CURVED = ("curv", "curv2", "surf", "bmat", "cstype")
 _LOOKS = {"vt", "vn", "vp", "s", "mg", "usemtl", "mtllib", "usemap", "maplib", "lod", "bevel"}

@@ -10,8 +10,8 @@ import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
-from dolfin_elastic.mesh.formats.surfaces.polygons import cut
-from dolfin_elastic.mesh.formats.surfaces.soup import Soup, check_count, content
+from dolfin_elastic.mesh.formats.surfaces.readers.polygons import cut
+from dolfin_elastic.mesh.formats.surfaces.readers.soup import Soup, check_count, content
 
 _TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},

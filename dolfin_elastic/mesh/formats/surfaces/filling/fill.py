@@ -15,10 +15,10 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.mesh.formats.cad.process import Permission, gmsh_process, notes_of
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile
-from dolfin_elastic.mesh.formats.surfaces.bodies import bodies_of, region_volumes
-from dolfin_elastic.mesh.formats.surfaces.in_gmsh import FILLED, GIVEN
-from dolfin_elastic.mesh.formats.surfaces.nearest import nearest_triangles
-from dolfin_elastic.mesh.formats.surfaces.plc import Plc
+from dolfin_elastic.mesh.formats.surfaces.filling.bodies import bodies_of, region_volumes
+from dolfin_elastic.mesh.formats.surfaces.filling.in_gmsh import FILLED, GIVEN
+from dolfin_elastic.mesh.formats.surfaces.filling.nearest import nearest_triangles
+from dolfin_elastic.mesh.formats.surfaces.filling.plc import Plc
 
 _LARGEST, _SMALLEST = 1 / 10, 1 / 200
 """Default sizes over the diagonal of the body, as for CAD files."""

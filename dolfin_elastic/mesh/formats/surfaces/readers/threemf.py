@@ -19,7 +19,7 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.files.xml import walk
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
-from dolfin_elastic.mesh.formats.surfaces.soup import Soup, check_count, content
+from dolfin_elastic.mesh.formats.surfaces.readers.soup import Soup, check_count, content
 
 _UNITS = {
     "micron": 1e-6,

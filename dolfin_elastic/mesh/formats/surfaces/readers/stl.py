@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
-from dolfin_elastic.mesh.formats.surfaces.soup import Soup, check_count, content
+from dolfin_elastic.mesh.formats.surfaces.readers.soup import Soup, check_count, content
 
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
 _HEAD = 84

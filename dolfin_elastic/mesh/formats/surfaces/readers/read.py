@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
-from dolfin_elastic.mesh.formats.surfaces.soup import Soup
+from dolfin_elastic.mesh.formats.surfaces.readers.soup import Soup
 
 
 def read_soup(path: Path) -> Soup:
@@ -18,13 +18,13 @@ def read_soup(path: Path) -> Soup:
     """
     suffix = path.suffix.lower()
     if suffix == ".stl":
-        from dolfin_elastic.mesh.formats.surfaces.stl import read_stl as read
+        from dolfin_elastic.mesh.formats.surfaces.readers.stl import read_stl as read
     elif suffix == ".obj":
-        from dolfin_elastic.mesh.formats.surfaces.obj import read_obj as read
+        from dolfin_elastic.mesh.formats.surfaces.readers.obj import read_obj as read
     elif suffix == ".ply":
-        from dolfin_elastic.mesh.formats.surfaces.ply import read_ply as read
+        from dolfin_elastic.mesh.formats.surfaces.readers.ply import read_ply as read
     else:
-        from dolfin_elastic.mesh.formats.surfaces.threemf import read_3mf as read
+        from dolfin_elastic.mesh.formats.surfaces.readers.threemf import read_3mf as read
     soup = read(path)
     finite = np.asarray(np.isfinite(soup.points).all(axis=1))
     bad = np.flatnonzero(~np.all(finite[soup.triangles], axis=1))

@@ -1,0 +1,1 @@
+"""Closed surfaces and the cells within."""

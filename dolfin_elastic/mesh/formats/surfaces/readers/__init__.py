@@ -1,0 +1,1 @@
+"""Triangles of files, as they are there."""
