@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias
 
 import numpy as np
 import ufl
@@ -38,6 +38,8 @@ NAMES: Mapping[str, str] = {
 }
 """Of criteria, for people."""
 _LIMITS = ("tension", "compression", "shear")
+Scalar: TypeAlias = "Expr | FloatArray"
+"""A UFL scalar, or numbers of shape (n,)."""
 
 
 class Limits(Record):
@@ -243,12 +245,12 @@ class Strength(Record):
             measures = _about_many(some, np.broadcast_to(axis, (len(some), 3)))
         return np.where(known, self._used(measures, _NUMPY), np.nan)
 
-    def _used(self, m: Measures, to: _Functions) -> Any:
+    def _used(self, m: Measures, to: _Functions) -> Scalar:
         if self.kind == "tsai-hill":
             return self._tsai_hill(m, to)
         return self._hoffman(m, to) if self.kind == "hoffman" else self._largest(m, to)
 
-    def _tsai_hill(self, m: Measures, to: _Functions) -> Any:
+    def _tsai_hill(self, m: Measures, to: _Functions) -> Scalar:
         (xt, xc), (yt, yc) = self._pair(self.along), self._pair(self.across)
         assert self.shear is not None
         x = to.by_sign(m.along, xt**-2, xc**-2)
@@ -258,7 +260,7 @@ class Strength(Record):
         index += (1 / (xt * xc) - p - q) * m.high * m.low + (m.shear / self.shear) ** 2
         return to.sqrt(to.larger(index, 0.0))
 
-    def _hoffman(self, m: Measures, to: _Functions) -> Any:
+    def _hoffman(self, m: Measures, to: _Functions) -> Scalar:
         (xt, xc), (yt, yc) = self._pair(self.along), self._pair(self.across)
         cx = 1 / (2 * xt * xc)
         cy = 1 / (yt * yc) - cx
@@ -270,11 +272,11 @@ class Strength(Record):
         # square s^2 + linear s = 1 at the factor s; u = 1/s is a root of u^2 - linear u - square.
         return to.larger((linear + to.sqrt(linear**2 + 4 * to.larger(square, 0.0))) / 2, 0.0)
 
-    def _largest(self, m: Measures, to: _Functions) -> Any:
+    def _largest(self, m: Measures, to: _Functions) -> Scalar:
         (xt, xc), (yt, yc) = self._pair(self.along), self._pair(self.across)
         shear = (self.shear or np.inf) / (2 if self.of_strain else 1)
         each = [(m.along, xt), (-m.along, xc), (m.high, yt), (-m.low, yc), (m.shear, shear)]
-        result: Any = 0.0 * m.shear
+        result: Scalar = 0.0 * m.shear
         for value, limit in each:
             if np.isfinite(limit):
                 result = to.larger(result, value / limit)
@@ -304,10 +306,10 @@ class Measures:
             difference of the largest and the smallest principal value.
     """
 
-    along: Any
-    high: Any
-    low: Any
-    shear: Any
+    along: Scalar
+    high: Scalar
+    low: Scalar
+    shear: Scalar
 
 
 @dataclass(frozen=True)
@@ -320,9 +322,9 @@ class _Functions:
         by_sign: Of a number the first constant where it is not negative, else the second.
     """
 
-    sqrt: Callable[[Any], Any]
-    larger: Callable[[Any, Any], Any]
-    by_sign: Callable[[Any, float, float], Any]
+    sqrt: Callable[[Scalar], Scalar]
+    larger: Callable[[Scalar, Scalar | float], Scalar]
+    by_sign: Callable[[Scalar, float, float], Scalar]
 
 
 _UFL = _Functions(

@@ -253,7 +253,7 @@ def test_files_that_include_themselves(tmp_path: Path) -> None:
         ("CTETRA,99,1,1,2,3", "a.bdf:4: CTETRA: 1 of its 4 nodes are missing"),
         ("CTETRA,99,1,1,2,3,4,5,6\n+,7", "a.bdf:4: CTETRA: 3 of its 10 nodes are missing"),
         ("CTETRA,99,1,1,2,3,4,5,6,+A\n+B,7", "a.bdf:5: the continuation '\\+B' does not follow"),
-        ("CTETRA,99,1,1,2,3,4,,,,,,", "a.bdf:4: the line has 13 fields, more than 10"),
+        ("CTETRA,99,1,1,2,3,4,,,,,,7", "a.bdf:4: the line has 13 fields, more than 10"),
         ("INCLUDE 'nowhere.bdf'", "a.bdf:4: INCLUDE: there is no file 'nowhere.bdf'"),
         ("INCLUDE 'nowhere", "a.bdf:4: the name of the included file has no end"),
         ("BEGIN SUPER=1", "a.bdf:4: a second section of bulk data is not understood"),

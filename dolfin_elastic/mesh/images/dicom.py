@@ -13,7 +13,8 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -63,7 +64,7 @@ def read_dicom(folder: Path, series: str = "") -> Image:
         return _Stack(slices).image()
 
 
-def _library() -> Any:
+def _library() -> ModuleType:
     try:
         import pydicom
     except ImportError:
@@ -84,7 +85,7 @@ def _files(folder: Path) -> list[Path]:
     return [folder / name for name in sorted(names)]
 
 
-def _header(pydicom: Any, path: Path) -> tuple[Path, FileDataset] | None:
+def _header(pydicom: ModuleType, path: Path) -> tuple[Path, FileDataset] | None:
     """A file with what stands in front of its pixels; None if it is no image."""
     with path.open("rb") as file:
         if file.read(_PREAMBLE + len(_MARK))[_PREAMBLE:] != _MARK:

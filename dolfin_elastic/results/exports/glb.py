@@ -14,7 +14,7 @@ import shutil
 import struct
 import tempfile
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 
@@ -38,7 +38,7 @@ _UPRIGHT = {
 """Turns the axis that is up to y."""
 
 
-_Table = dict[str, Any]
+_Table = dict[str, object]
 """As JSON."""
 
 

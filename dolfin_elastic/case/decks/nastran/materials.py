@@ -71,7 +71,7 @@ def _given(density: float, expansion: float) -> Mapping[str, object]:
 
 
 def _isotropic(card: Card) -> Keys:
-    """Any two of E, G and NU; the third is E = 2 G (1 + NU)."""
+    """Two of E, G and NU; the third is E = 2 G (1 + NU)."""
     E, G, nu = (card.real(i) if card.text(i) else None for i in (1, 2, 3))
     if E is not None and nu is None:
         nu = E / (2 * G) - 1 if G else 0.0

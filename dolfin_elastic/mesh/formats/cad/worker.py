@@ -190,7 +190,7 @@ class _Worker:
         """Loads a CAD file, of which the next questions are."""
         load(self._gmsh, self._path)
 
-    def _fill(self, way: dict[str, Any]) -> None:
+    def _fill(self, way: dict[str, float]) -> None:
         """Fills the complex in the file's folder with tetrahedra."""
         fill_in_gmsh(self._gmsh, self._path.parent / GIVEN, self._folder, way)
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import io
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -141,7 +140,7 @@ def _filled(
     within = Permission(seconds=max(seconds, 1.0))
     files = {Path(GIVEN): content.getvalue()}
     with gmsh_process(Path(source), files, within) as (gmsh, folder):
-        arguments: dict[str, Any] = vars(way)
+        arguments: dict[str, object] = vars(way)
         gmsh.ask("fill", way=arguments)
         with np.load(folder / FILLED, allow_pickle=False) as data:
             return {name: data[name] for name in data.files}
@@ -170,7 +169,7 @@ def _file(plc: Plc, filled: Mapping[str, AnyArray], regions: IntArray) -> MeshFi
     )
 
 
-def _named(names: Any, numbers: IntArray) -> dict[str, IntArray]:
+def _named(names: Sequence[str], numbers: IntArray) -> dict[str, IntArray]:
     """Name to the rows that carry it."""
     rows = {name: [k for k, other in enumerate(names) if other == name] for name in names if name}
     return {name: np.flatnonzero(np.isin(numbers, of)) for name, of in rows.items()}

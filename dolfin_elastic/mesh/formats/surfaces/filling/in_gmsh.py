@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
-from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
+from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IntArray
 from dolfin_elastic.mesh.formats.cad.meshing import logged_errors
 
 GIVEN = "complex.npz"
@@ -29,7 +28,7 @@ _SIDES = ((0, 1, 4), (1, 2, 5), (2, 0, 6), (3, 0, 7), (3, 2, 8), (3, 1, 9))
 """Ends and middle of the edges of Gmsh's quadratic tetrahedron."""
 
 
-def fill_in_gmsh(gmsh: ModuleType, given: Path, folder: Path, way: Mapping[str, Any]) -> None:
+def fill_in_gmsh(gmsh: ModuleType, given: Path, folder: Path, way: Mapping[str, float]) -> None:
     """Fills bodies with cells; writes them as `FILLED`, quadratic ones in VTK's order.
 
     Args:
@@ -45,7 +44,7 @@ def fill_in_gmsh(gmsh: ModuleType, given: Path, folder: Path, way: Mapping[str, 
     """
     data = np.load(given, allow_pickle=False)
     points, triangles, bodies = data["points"], data["triangles"], data["bodies"]
-    _surfaces(gmsh, points, triangles, data["groups"], remesh=way["remesh"])
+    _surfaces(gmsh, points, triangles, data["groups"], remesh=bool(way["remesh"]))
     owners = _owners(gmsh, points[triangles].mean(axis=1), bodies)
     volumes = _volumes(gmsh, owners)
     options = {
@@ -172,7 +171,7 @@ def _save(gmsh: ModuleType, path: Path, volumes: Mapping[int, int], *, order: in
             blocks[nodes].append(np.asarray(rows, dtype=np.int64).reshape(len(numbers), -1))
             number = volumes[int(tag)] if dim == 3 else int(tag)
             blocks[owner].append(np.full(len(numbers), number))
-    arrays: dict[str, Any] = {name: np.concatenate(parts) for name, parts in blocks.items()}
+    arrays: dict[str, AnyArray] = {name: np.concatenate(parts) for name, parts in blocks.items()}
     tags, coordinates, _ = gmsh.model.mesh.getNodes()
     used = np.unique(arrays["cells"])
     rows = np.argsort(tags)[np.searchsorted(np.sort(tags), used)]
