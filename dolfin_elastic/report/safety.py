@@ -81,7 +81,7 @@ def safety_of(
     """Judges the runs one by one, and together if they are of one part.
 
     Args:
-        names: Of the runs, for people.
+        names: Of each run, for people.
         excitation: None: frequencies are not judged.
     """
     second_order = any(_stable_with_large_strains(run) for run in runs)
