@@ -30,6 +30,7 @@ TESTS = Path(__file__).resolve().parent.parent
 
 POINTS = {
     "case/decks/test_abaqus_decks.py",
+    "case/decks/test_beside_calculix.py",
     "case/decks/test_compare.py",
     "case/reference/test_json_schema.py",
     "case/test_one_rank.py",

@@ -139,12 +139,12 @@ def _reactions(folder: Path, table: Table, held: set[int], newton: float) -> Ite
 def _modes(folder: Path, theirs: list[float], hertz: float) -> Iterator[Row]:
     with (folder / "modes.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    column = "frequency" if rows and "frequency" in rows[0] else "factor"
+    column = "frequency" if rows and "frequency" in rows[0] else "load_factor"
     scale = hertz if column == "frequency" else 1.0
     ours = [float(row[column]) / scale for row in rows]
     for i, (mine, other) in enumerate(zip(ours, theirs, strict=False), start=1):
         largest = max(abs(other), 1e-6 * max(map(abs, theirs)), 1e-300)
-        yield Row(f"{column} {i}", mine, other, abs(mine - other) / largest)
+        yield Row(f"{column.replace('_', ' ')} {i}", mine, other, abs(mine - other) / largest)
 
 
 def reasons(deck: Deck, rows: list[Row]) -> list[str]:
@@ -169,6 +169,12 @@ def reasons(deck: Deck, rows: list[Row]) -> list[str]:
             "programs stop their iterations at 0.5 % of the forces"
         )
     loads = [entry for step in deck.steps for entry in step.loads]
+    spins = any(entry.keys.get("kind") == "centrifugal" for entry in loads)
+    if deck.mesh.get("degree") == 2 and (spins or any(s.kind == "modal" for s in deck.steps)):
+        result.append(
+            "CalculiX integrates the mass of C3D10 and its forces of rotation by four points, "
+            "which is not exact"
+        )
     if any(entry.keys.get("kind") in ("pressure", "traction") for entry in loads):
         result.append(
             "pressures on curved faces: programs integrate them with points of their own, or on "
