@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -59,9 +60,27 @@ def test_a_box_keeps_its_sides_and_straight_cells() -> None:
     assert sorted(areas(file).values()) == pytest.approx([2, 2, 3, 3, 6, 6], rel=1e-9)
 
 
+def test_coarse_facets_of_a_thin_shell_are_on_their_own_side(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Straight facets of the outer side come nearer to the inner one than to their own."""
+    plc = complex_of((ball(1, times=2), (0, OUTSIDE)), (ball(0.94, times=2), (OUTSIDE, 0)))
+    plc = replace(plc, groups={"both": [0, 1]})
+    ways = list(module._ways(plc, 2.0, 1.0, straight=True, even=True))
+    monkeypatch.setattr(module, "_ways", lambda *a, **k: ways[:1])
+    file = filled(plc)
+    radius = np.linalg.norm(file.points[file.blocks[1].nodes], axis=2)
+    middle = np.linalg.norm(file.points[file.blocks[1].nodes].mean(axis=1), axis=1)
+    parts = file.blocks[1].parts
+    assert middle[parts["patch0"]].min() < 0.94
+    # The corners lie on the triangles given, which are up to 6 % within the ball.
+    assert radius[parts["patch0"]].min() > 0.9401 > radius[parts["patch1"]].max()
+    assert len(parts["both"]) == len(radius)
+
+
 def test_straight_cells_of_a_torus_keep_its_triangles() -> None:
-    plc = alone(torus(2, 0.6, n=12))
-    file = filled(plc, size=0.6, curved=False)
+    plc = alone(torus(1, 0.6, n=10))
+    file = filled(plc, size=1.5, curved=False)
     assert "own triangles" in file.information[0]
     assert volumes(file)["region0"] == pytest.approx(region_volumes(plc)[0], rel=1e-12)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zipfile
 
 import numpy as np
 import pytest
@@ -110,7 +111,8 @@ def test_groups_of_obj_keep_their_names(tmp_path):
     (tmp_path / "a.obj").write_text("\n".join(rows))
     found, result = made(tmp_path / "a.obj")
     assert sorted(found.plc.patch_names) == [*(f"patch {k}" for k in range(1, 6)), "top"]
-    assert sorted(found.groups["rest"]) == [f"patch {k}" for k in range(1, 6)]
+    rest = [found.plc.patch_names[k] for k in found.plc.groups["rest"]]
+    assert sorted(rest) == [f"patch {k}" for k in range(1, 6)]
     assert result == pytest.approx([1])
 
 
@@ -158,6 +160,58 @@ def test_3mf(tmp_path):
     np.testing.assert_allclose(found.plc.points.max(axis=0), [5, 1, 1])
 
 
+SLICERS = {
+    "prusa": (
+        "Metadata/Slic3r_PE_model.config",
+        '<config><object id="1"><volume firstid="0" lastid="11"><metadata type="volume" '
+        'key="volume_type" value="ModelPart"/></volume><volume firstid="12" lastid="23"><metadata '
+        'type="volume" key="volume_type" value="{}"/></volume></object></config>',
+        ("ParameterModifier", "NegativeVolume"),
+    ),
+    "bambu": (
+        "Metadata/model_settings.config",
+        '<config><object id="3"><part id="1" subtype="normal_part"/><part id="2" subtype="{}"/>'
+        "</object></config>",
+        ("modifier_part", "negative_part"),
+    ),
+    "item": ("Metadata/other.xml", "{}", ("<a/>", "")),
+}
+
+
+@pytest.mark.parametrize("slicer", SLICERS)
+def test_parts_of_3mf_that_are_no_material_are_said(slicer, tmp_path):
+    """Modifiers of slicers, support and what is not printed are left out; holes are refused."""
+    part, content, (other, negative) = SLICERS[slicer]
+    both = np.concatenate([UNIT, cube(2, 3)])
+    if slicer == "prusa":
+        model = model_3mf(both, items='<item objectid="1"/>')
+    else:
+        second = model_3mf(cube(2, 3)).partition("<resources>")[2].partition("</resources>")[0]
+        second = second.replace('id="1"', 'id="2"')
+        third = (
+            '<object id="3"><components><component objectid="1"/><component objectid="2"/>'
+            "</components></object>"
+        )
+        items = '<item objectid="3"/>'
+        if slicer == "item":
+            second = second.replace('id="2"', 'id="2" type="support"')
+            items += '<item objectid="1" printable="0"/>'
+        model = model_3mf(UNIT, items=items)
+        model = model.replace("</resources>", second + third + "</resources>")
+    for role in (other, negative):
+        path = write_3mf(tmp_path / "a.3mf", model)
+        with zipfile.ZipFile(path, "a") as file:
+            file.writestr(part, content.format(role))
+        if role == negative and slicer != "item":
+            with pytest.raises(MeshError, match="volume to subtract"):
+                read_soup(path)
+            continue
+        found, result = made(path)
+        assert result == pytest.approx([1])
+        expected = "1 'modifier'" if slicer != "item" else "1 'not to be printed', 1 'object of the"
+        assert f"left out of the 3MF file: {expected}" in found.information[0]
+
+
 def bomb(path):
     text = model_3mf(UNIT).replace("</resources>", f"</resources><!--{' ' * 60_000_000}-->")
     return write_3mf(path, text)
@@ -202,6 +256,29 @@ def test_hostile_3mf(kind, tmp_path):
             "need at least 3999999999996 bytes; 0 are left",
         ),
         ("a.ply", b"ply\nformat ascii 1.0\nelement vertex x\nend_header\n", "a.ply:3: "),
+        (
+            "a.ply",
+            b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nelement face 1\n"
+            b"end_header\n" + bytes(80),
+            "no x, y and z",
+        ),
+        (
+            "a.ply",
+            b"ply\nformat binary_little_endian 1.0\nelement face 1\nproperty int a\n"
+            b"property int a\nend_header\n" + bytes(80),
+            "cannot be read",
+        ),
+        (
+            "a.ply",
+            b"ply\nformat binary_little_endian 1.0\nelement face 1\n"
+            b"property list float int vertex_indices\nend_header\n" + b"\xff" * 80,
+            "cannot be read",
+        ),
+        (
+            "a.obj",
+            b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + b" 1 2 3" * 5000 + b"\n",
+            "a polygon of 15000 corners",
+        ),
         ("a.obj", b"v 0 0 0\ncurv 0 1 1\n", "a.obj:2: 'curv' describes a curved surface"),
     ],
 )

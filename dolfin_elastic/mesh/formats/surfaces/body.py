@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.formats.cad.process import Permission
-from dolfin_elastic.mesh.formats.raw import Block, MeshFile, joined
+from dolfin_elastic.mesh.formats.raw import MeshFile
 from dolfin_elastic.mesh.formats.surfaces.complex import read_complex
 from dolfin_elastic.mesh.formats.surfaces.options import SurfaceOptions
 
@@ -47,18 +44,6 @@ def mesh_surface(
     )
     return replace(
         filled,
-        blocks=[_with_groups(block, made.groups) for block in filled.blocks],
         notes=[*made.notes, *filled.notes],
         information=[*made.information, *filled.information],
     )
-
-
-def _with_groups(block: Block, groups: Mapping[str, Sequence[str]]) -> Block:
-    """Facets with the names of groups that have several patches."""
-    if block.dim != 2:
-        return block
-    more = {
-        name: np.unique(joined([block.parts[one] for one in patches if one in block.parts]))
-        for name, patches in groups.items()
-    }
-    return replace(block, parts={**block.parts, **more})

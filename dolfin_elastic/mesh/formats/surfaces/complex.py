@@ -30,12 +30,10 @@ class Complex:
 
     Attributes:
         plc: The surface.
-        groups: Name of a group of the file to the names of the patches in it, where they differ.
         notes, information: For the user.
     """
 
     plc: Plc
-    groups: dict[str, list[str]]
     notes: Sequence[str]
     information: Sequence[str]
 
@@ -119,7 +117,7 @@ def complex_of(surface: Surface, angle: float) -> Complex:
     names, groups = _patch_names(patch, surface.groups, surface.names)
     information = [_count(len(triangles), region_names, names)]
     return Complex(
-        Plc(points, triangles, regions, patch, region_names, names), groups, [], information
+        Plc(points, triangles, regions, patch, region_names, names, groups), [], information
     )
 
 
@@ -135,7 +133,7 @@ def _count(triangles: int, regions: Sequence[str], names: Sequence[str]) -> str:
 
 def _patch_names(
     patch: IntArray, groups: IntArray, names: Sequence[str]
-) -> tuple[list[str], dict[str, list[str]]]:
+) -> tuple[list[str], dict[str, list[int]]]:
     """Names of patches, and patches of each group that has several."""
     count = int(patch.max()) + 1
     group = np.zeros(count, dtype=np.int64)
@@ -153,7 +151,7 @@ def _patch_names(
         else:
             result.append(next(text for n in numbers if (text := f"patch {n}") not in taken))
     several = {
-        names[g]: [result[k] for k in np.flatnonzero(group == g)]
+        names[g]: np.flatnonzero(group == g).tolist()
         for g in np.flatnonzero(number > 1)
         if names[g]
     }

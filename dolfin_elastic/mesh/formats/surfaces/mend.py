@@ -11,7 +11,7 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
 from dolfin_elastic.mesh.formats.surfaces.crossings import crossings
-from dolfin_elastic.mesh.formats.surfaces.readers.polygons import cut
+from dolfin_elastic.mesh.formats.surfaces.readers.polygons import MOST_CORNERS, cut
 from dolfin_elastic.mesh.formats.surfaces.surface import (
     ON_EDGE,
     Surface,
@@ -146,9 +146,9 @@ def _closed(surface: Surface, size: float) -> tuple[Surface, int, float]:
     for sides in _loops(surface):
         rim = surface.edges.ends[sides][::-1]
         extent = float(np.ptp(surface.points[rim], axis=0).max())
-        if len(rim) > _FEW and extent > _SMALL * size:
+        if len(rim) > _FEW and (extent > _SMALL * size or len(rim) > MOST_CORNERS):
             continue
-        rows, _ = cut(surface.points, np.array([len(rim)]), rim)
+        rows, _ = cut(surface.points, np.array([len(rim)]), rim, "")
         added.append(rows)
         of += [int(sides[0]) // 3] * len(rows)
         deep = max(deep, extent / 2)

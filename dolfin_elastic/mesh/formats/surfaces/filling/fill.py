@@ -16,7 +16,6 @@ from dolfin_elastic.mesh.formats.cad.process import Permission, gmsh_process, no
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile
 from dolfin_elastic.mesh.formats.surfaces.filling.bodies import bodies_of, region_volumes
 from dolfin_elastic.mesh.formats.surfaces.filling.in_gmsh import FILLED, GIVEN
-from dolfin_elastic.mesh.formats.surfaces.filling.nearest import nearest_triangles
 from dolfin_elastic.mesh.formats.surfaces.filling.plc import Plc
 
 _LARGEST, _SMALLEST = 1 / 10, 1 / 200
@@ -128,13 +127,12 @@ def _filled(
     plc: Plc, bodies: IntArray, source: str, way: _Way, seconds: float
 ) -> Mapping[str, AnyArray]:
     """The arrays that `in_gmsh.fill_in_gmsh` writes."""
-    _, groups = np.unique(np.column_stack([plc.patches, plc.regions]), axis=0, return_inverse=True)
     content = io.BytesIO()
     np.savez(
         content,
         points=plc.points,
         triangles=plc.triangles,
-        groups=groups.reshape(-1),
+        groups=_groups(plc)[1],
         bodies=bodies,
     )
     within = Permission(seconds=max(seconds, 1.0))
@@ -146,11 +144,18 @@ def _filled(
             return {name: data[name] for name in data.files}
 
 
+def _groups(plc: Plc) -> tuple[IntArray, IntArray]:
+    """The patch of each group of triangles that stay apart, and the group of each triangle."""
+    keys = np.column_stack([plc.patches, plc.regions])
+    found, groups = np.unique(keys, axis=0, return_inverse=True)
+    return found[:, 0], groups.reshape(-1)
+
+
 def _file(plc: Plc, filled: Mapping[str, AnyArray], regions: IntArray) -> MeshFile:
     """Cells and facets with their names."""
     points, cells, facets = filled["points"], filled["cells"], filled["facets"]
-    middles = points[facets[:, :3]].mean(axis=1)
-    patches = plc.patches[nearest_triangles(plc.points, plc.triangles, middles)]
+    patches = _groups(plc)[0][filled["groups"]]
+    groups = {name: np.flatnonzero(np.isin(patches, of)) for name, of in plc.groups.items()}
     order = 1 if cells.shape[1] == 4 else 2
     return MeshFile(
         points,
@@ -163,7 +168,7 @@ def _file(plc: Plc, filled: Mapping[str, AnyArray], regions: IntArray) -> MeshFi
             Block(
                 "triangle" if order == 1 else "triangle6",
                 facets,
-                _named(plc.patch_names, patches),
+                {**_named(plc.patch_names, patches), **groups},
             ),
         ],
     )

@@ -15,7 +15,7 @@ from dolfin_elastic.mesh.formats.cad.meshing import logged_errors
 GIVEN = "complex.npz"
 """The file with points, triangles, groups and bodies; see `fill_in_gmsh`."""
 FILLED = "filled.npz"
-"""The file with points, cells, bodies, facets and entities."""
+"""The file with points, cells and their bodies, facets and their groups."""
 _SHARP = 40.0
 """Angle between triangles from which on their common edge stays an edge [degrees]."""
 _TRIANGLE, _TETRAHEDRON = 2, 4
@@ -44,8 +44,10 @@ def fill_in_gmsh(gmsh: ModuleType, given: Path, folder: Path, way: Mapping[str, 
     """
     data = np.load(given, allow_pickle=False)
     points, triangles, bodies = data["points"], data["triangles"], data["bodies"]
-    _surfaces(gmsh, points, triangles, data["groups"], remesh=bool(way["remesh"]))
-    owners = _owners(gmsh, points[triangles].mean(axis=1), bodies)
+    groups = data["groups"]
+    _surfaces(gmsh, points, triangles, groups, remesh=bool(way["remesh"]))
+    # A facet between coarse nodes may be nearer to another group than to its own.
+    owners = _owners(gmsh, points[triangles].mean(axis=1), np.column_stack([groups, bodies]))
     volumes = _volumes(gmsh, owners)
     options = {
         "MeshSizeMax": way["largest"],
@@ -57,7 +59,8 @@ def fill_in_gmsh(gmsh: ModuleType, given: Path, folder: Path, way: Mapping[str, 
         gmsh.option.setNumber(f"Mesh.{name}", value)
     _generate(gmsh)
     curved = way["order"] == 2 and _curve(gmsh)
-    _save(gmsh, folder / FILLED, volumes, order=2 if curved else 1)
+    own = {tag: int(owner[0]) for tag, owner in owners.items()}
+    _save(gmsh, folder / FILLED, volumes, own, order=2 if curved else 1)
 
 
 def _surfaces(
@@ -80,32 +83,33 @@ def _surfaces(
         mesh.createTopology()
 
 
-def _owners(gmsh: ModuleType, middles: FloatArray, bodies: IntArray) -> dict[int, IntArray]:
-    """Number of each surface to the bodies behind and in front of it.
+def _owners(gmsh: ModuleType, middles: FloatArray, owners: IntArray) -> dict[int, IntArray]:
+    """Number of each surface to the group that it is in, and the bodies on both of its sides.
 
     Args:
         middles: Of the triangles given, of which Gmsh's surfaces still consist, shape (m, 3).
+        owners: Group and bodies of each of these, shape (m, 3).
     """
     from scipy.spatial import cKDTree
 
     tree = cKDTree(middles)
     tags, coordinates, _ = gmsh.model.mesh.getNodes()
-    place = np.zeros((int(tags.max()) + 1, 3))
-    place[tags] = coordinates.reshape(-1, 3)
+    at = np.zeros((int(tags.max()) + 1, 3))
+    at[tags] = coordinates.reshape(-1, 3)
     result = {}
     for _, tag in gmsh.model.getEntities(2):
         nodes = gmsh.model.mesh.getElementsByType(_TRIANGLE, tag)[1].reshape(-1, 3)
-        rows = tree.query(place[nodes.astype(np.int64)].mean(axis=1))[1]
-        pairs, count = np.unique(np.sort(bodies[rows], axis=1), axis=0, return_counts=True)
-        result[int(tag)] = pairs[np.argmax(count)]
+        rows = tree.query(at[nodes.astype(np.int64)].mean(axis=1))[1]
+        every, count = np.unique(owners[rows], axis=0, return_counts=True)
+        result[int(tag)] = every[np.argmax(count)]
     return result
 
 
 def _volumes(gmsh: ModuleType, owners: Mapping[int, IntArray]) -> dict[int, int]:
     """Number of each volume to its body."""
     result = {}
-    for body in sorted({int(b) for pair in owners.values() for b in pair if b >= 0}):
-        around = [tag for tag, pair in owners.items() if body in pair]
+    for body in sorted({int(b) for owner in owners.values() for b in owner[1:] if b >= 0}):
+        around = [tag for tag, owner in owners.items() if body in owner[1:]]
         loop = gmsh.model.geo.addSurfaceLoop(around)
         result[int(gmsh.model.geo.addVolume([loop]))] = body
     gmsh.model.geo.synchronize()
@@ -162,14 +166,21 @@ def _cells(gmsh: ModuleType, kind: int, tag: int = -1) -> tuple[IntArray, FloatA
     return nodes, np.asarray(coordinates).reshape(-1, 3)[at]
 
 
-def _save(gmsh: ModuleType, path: Path, volumes: Mapping[int, int], *, order: int) -> None:
+def _save(
+    gmsh: ModuleType,
+    path: Path,
+    volumes: Mapping[int, int],
+    groups: Mapping[int, int],
+    *,
+    order: int,
+) -> None:
     cell, facet = (_TETRAHEDRON, _TRIANGLE) if order == 1 else (_CURVED[3], _CURVED[2])
-    blocks: dict[str, list[IntArray]] = {"cells": [], "bodies": [], "facets": [], "entities": []}
-    for dim, kind, nodes, owner in ((3, cell, "cells", "bodies"), (2, facet, "facets", "entities")):
+    blocks: dict[str, list[IntArray]] = {"cells": [], "bodies": [], "facets": [], "groups": []}
+    for dim, kind, nodes, owner in ((3, cell, "cells", "bodies"), (2, facet, "facets", "groups")):
         for _, tag in gmsh.model.getEntities(dim):
             numbers, rows = gmsh.model.mesh.getElementsByType(kind, tag)
             blocks[nodes].append(np.asarray(rows, dtype=np.int64).reshape(len(numbers), -1))
-            number = volumes[int(tag)] if dim == 3 else int(tag)
+            number = (volumes if dim == 3 else groups)[int(tag)]
             blocks[owner].append(np.full(len(numbers), number))
     arrays: dict[str, AnyArray] = {name: np.concatenate(parts) for name, parts in blocks.items()}
     tags, coordinates, _ = gmsh.model.mesh.getNodes()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from dolfin_elastic.core.types import FloatArray, IntArray
 
@@ -23,6 +23,7 @@ class Plc:
         patches: Rows of `patch_names`; a patch lies between the same two regions, shape (m,).
         region_names: Of each region; may be empty texts.
         patch_names: Of each patch; may be empty texts.
+        groups: Further names, each of several patches.
     """
 
     points: FloatArray
@@ -31,3 +32,4 @@ class Plc:
     patches: IntArray
     region_names: Sequence[str]
     patch_names: Sequence[str]
+    groups: Mapping[str, Sequence[int]] = field(default_factory=dict)

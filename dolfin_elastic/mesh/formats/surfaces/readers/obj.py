@@ -121,7 +121,7 @@ class _Reading:
         if len(lost := np.flatnonzero(corners >= len(points))):
             face = np.searchsorted(np.cumsum(counts), lost[0], side="right")
             raise self._lost(int(lines[face]))
-        triangles, owner = cut(points, counts, corners)
+        triangles, owner = cut(points, counts, corners, self._name)
         notes = _left_out(self._other)
         return Soup.of(points, triangles, *_in_use(groups[owner], self._names), notes)
 

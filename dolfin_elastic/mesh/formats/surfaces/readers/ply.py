@@ -56,7 +56,12 @@ def read_ply(path: Path) -> Soup:
     read = _Text(data[start:], name, line) if order == "" else _Binary(data, start, order, name)
     found: dict[str, _Columns] = {}
     for element in elements:
-        found[element.name] = read.element(element)
+        try:
+            found[element.name] = read.element(element)
+        except (ValueError, OverflowError) as error:  # of names, types and counts of its header
+            raise MeshError(
+                f"its elements of the kind {element.name[:40]} cannot be read: {error}", where=name
+            ) from None
         if {"vertex", "face"} <= set(found):
             break
     if "tristrips" in (names := [element.name for element in elements]) and "face" not in names:
@@ -77,7 +82,7 @@ def read_ply(path: Path) -> Soup:
             f"{len(points)}",
             where=name,
         )
-    return Soup.of(points, cut(points, counts, corners)[0])
+    return Soup.of(points, cut(points, counts, corners, name)[0])
 
 
 def _header(data: bytes, name: str) -> tuple[str, list[_Element], int, int]:

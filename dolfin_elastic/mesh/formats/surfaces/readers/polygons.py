@@ -4,21 +4,37 @@ from __future__ import annotations
 
 import numpy as np
 
+from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 
+MOST_CORNERS = 5000
+"""Of a polygon: the time to cut it grows with the square of their number."""
 
-def cut(points: FloatArray, counts: IntArray, corners: IntArray) -> tuple[IntArray, IntArray]:
+
+def cut(
+    points: FloatArray, counts: IntArray, corners: IntArray, name: str
+) -> tuple[IntArray, IntArray]:
     """Cuts polygons to triangles within their plane. Local.
 
     Args:
         points: Shape (n, 3).
         counts: Corners of each polygon.
         corners: Rows of `points`, of one polygon after the other.
+        name: Of the file, for messages.
 
     Returns:
         Rows of `points`, shape (m, 3), and the polygon of each triangle, shape (m,); polygons of
         fewer than three corners have none.
+
+    Raises:
+        MeshError: A polygon has too many corners.
     """
+    if (most := int(counts.max(initial=0))) > MOST_CORNERS:
+        raise MeshError(
+            f"it has a polygon of {most} corners, more than {MOST_CORNERS}",
+            where=name,
+            expected="triangles, as most programs can export them",
+        )
     starts = np.cumsum(counts) - counts
     triangles: list[IntArray] = [np.empty((0, 3), dtype=np.int64)]
     owners: list[IntArray] = [np.empty(0, dtype=np.int64)]

@@ -8,8 +8,9 @@ import posixpath
 import zipfile
 import zlib
 from array import array
+from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree.ElementTree import ParseError
 
@@ -19,6 +20,7 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.files.xml import walk
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
+from dolfin_elastic.mesh.formats.surfaces.readers.slicer import FILES, NEGATIVE, Roles
 from dolfin_elastic.mesh.formats.surfaces.readers.soup import Soup, check_count, content
 
 _UNITS = {
@@ -29,6 +31,7 @@ _UNITS = {
     "foot": 0.3048,
     "meter": 1.0,
 }
+_NO_TRIANGLES = ("beamlattice", "booleanshape", "displacementmesh", "levelset", "volumetricstack")
 _MOST_OF_A_PART = 2 << 30
 _MOST_RATIO = 400
 """Of the size of a part and of what it takes in the file: numbers compress to a tenth or so, and
@@ -50,6 +53,7 @@ class _Item:
     part: str
     number: str
     placed: FloatArray
+    printed: bool = True
 
 
 def _key(part: str) -> str:
@@ -95,11 +99,16 @@ def read_3mf(path: Path) -> Soup:
     package = _Package(path)
     model = _Model(package)
     model.load(package.root)
-    items = model.items or [
-        _Item(package.root, number, np.eye(4))
-        for (part, number), one in model.objects.items()
-        if part == _key(package.root) and one.kind == "model"
-    ]
+    items = [item for item in model.items if item.printed or model.leave_out("not to be printed")]
+    items = (
+        items
+        if model.items
+        else [
+            _Item(package.root, number, np.eye(4))
+            for (part, number), one in model.objects.items()
+            if part == _key(package.root) and one.kind == "model"
+        ]
+    )
     placed = [leaf for item in items for leaf in model.leaves(item.part, item.number, item.placed)]
     total = sum(len(one.rows) // 3 for one, _, _ in placed)
     check_count(total, path.name)
@@ -160,6 +169,13 @@ class _Package:
             )
         return data
 
+    def roles(self) -> Roles:
+        """What slicers say of its parts."""
+        try:
+            return Roles([self.read(part) for part in FILES if _key(part) in self._names])
+        except ParseError as error:
+            raise self.damaged(str(error), "Metadata") from None
+
     def damaged(self, what: str, part: str) -> MeshError:
         """An error of a part."""
         return MeshError(
@@ -176,9 +192,31 @@ class _Model:
         self._package = package
         self.objects: dict[tuple[str, str], _Object] = {}
         self.items: list[_Item] = []
-        self.notes: list[str] = []
+        self._left_out: Counter[str] = Counter()
+        self._roles = package.roles()
         self._loaded: set[str] = set()
         self._copies = 0
+
+    @property
+    def notes(self) -> list[str]:
+        """What is no material of the body."""
+        parts = ", ".join(f"{count} '{what}'" for what, count in self._left_out.items())
+        return [f"left out of the 3MF file: {parts}"] if parts else []
+
+    def leave_out(self, what: str) -> bool:
+        """Counts a part that is no material; False.
+
+        Raises:
+            MeshError: It is to be subtracted, so the body without it would be another one.
+        """
+        if what == NEGATIVE:
+            raise MeshError(
+                "a part of it is a volume to subtract from others, which is not done",
+                where=self._package.name,
+                expected="the body after the subtraction, as the slicer exports it to .stl",
+            )
+        self._left_out[what] += 1
+        return False
 
     def load(self, part: str) -> None:
         """Reads a part, and those that it refers to."""
@@ -209,12 +247,24 @@ class _Model:
                 else f"object {number} consists of itself, or of too many others",
                 part,
             )
+        if one.kind not in ("model", ""):
+            self.leave_out(f"object of the type {one.kind[:40]}")
+            return
         if len(one.rows):
-            yield one, placed, one.name or name
+            yield self._material(number, one), placed, one.name or name
         for other, inner, matrix in one.components:
+            if role := self._roles.of_part(number, inner):
+                self.leave_out(role)
+                continue
             yield from self.leaves(
                 other or part, inner, matrix @ placed, depth + 1, one.name or name
             )
+
+    def _material(self, number: str, one: _Object) -> _Object:
+        """The object without triangles that are no material."""
+        rows: IntArray = np.frombuffer(one.rows, dtype=np.int64).reshape(-1, 3)
+        of = self._roles.material(number, len(rows), self.leave_out)
+        return one if of.all() else replace(one, rows=array("q", rows[of].ravel().tobytes()))
 
 
 class _Reading:
@@ -244,8 +294,9 @@ class _Reading:
         elif name == "item":
             placed = _matrix(attributes.get("transform"))
             part = self._path(attributes) or self._part
-            self._model.items.append(_Item(part, attributes["objectid"], placed))
-        elif name in ("beamlattice", "levelset", "displacementmesh"):
+            printed = attributes.get("printable", "1") != "0"
+            self._model.items.append(_Item(part, attributes["objectid"], placed, printed))
+        elif name in _NO_TRIANGLES:
             raise ValueError(f"'{name}' is not read; only surfaces of triangles are")
 
     def _path(self, attributes: Mapping[str, str]) -> str:
@@ -276,6 +327,8 @@ def _joined(placed: list[tuple[_Object, FloatArray, str]], name: str, notes: lis
     for one, matrix, label in placed:
         own = np.frombuffer(one.points, dtype=np.float64).reshape(-1, 3)
         rows: IntArray = np.frombuffer(one.rows, dtype=np.int64).reshape(-1, 3)
+        if not len(rows):
+            continue
         if rows.min() < 0 or rows.max() >= len(own):
             raise MeshError(
                 f"a triangle of '{label}' refers to a vertex that does not exist; there are "
