@@ -16,7 +16,7 @@ def with_fields(body: Body, images: Mapping[str, ImageField], tables: object, fo
     """A body with the fields of images and of other files. Collective.
 
     Args:
-        images: Name to image.
+        images: Name of the field to its image; may be empty.
         tables: See `add_fields`.
         folder: Folder that the paths are relative to.
 

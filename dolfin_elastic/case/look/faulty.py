@@ -61,7 +61,7 @@ def draw_faults(path: Path, case: Case | None, picture: Path) -> InputError | No
     errors[0] = MeshError(
         errors[0].what,
         where=errors[0].where,
-        expected=f"{errors[0].expected}; the places are drawn in {picture}",
+        expected=f"{errors[0].expected}; the picture with their places is {picture}",
     )
     return joined(errors)
 

@@ -74,8 +74,8 @@ class VtkXml:
         """As many numbers of an array as it must have, flat. Local.
 
         Args:
-            array: A DataArray.
-            rows: Numbers of points or cells.
+            array: A DataArray element of the same file.
+            rows: Number of its points or cells, not larger than the file can have.
             columns: Numbers of each, where the array does not state them.
 
         Raises:

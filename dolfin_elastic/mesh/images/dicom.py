@@ -112,9 +112,10 @@ def _chosen(
     if len(found) == 1:
         return found[0]
     names = [f"{name}, {len(files)} slices" for name, files in named.values()]
-    what = f"'{wanted}' means {len(found)}" if wanted else "the folder has"
     raise MeshError(
-        f"{what} of its {len(names)} series" if wanted else f"{what} {len(names)} series",
+        f"'{wanted}' means {len(found)} of its {len(names)} series"
+        if wanted
+        else f"the folder has {len(names)} series",
         where="series",
         expected=f"one of: {'; '.join(sorted(names)[:20])}",
     )

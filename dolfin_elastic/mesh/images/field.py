@@ -46,9 +46,9 @@ class ImageField(Record):
         outside: What becomes of elements outside of the image: an error, the value of the nearest
             voxel, or a value of the image, such as -1000.
         map: Steps from the values of voxels to those of the field: each a formula in v, or a table
-            of pairs, linear between them.  They are applied before means are taken.
+            of pairs, linear between them.  They are applied before the means.
         skin: Depth in voxels below the surface of what is at least `threshold` in which values are
-            taken from the nearest voxel deeper inside; 0: they are as they are.
+            those of the nearest voxel deeper inside; 0: they stay.
         threshold: Value of the image from which on a voxel belongs to the body.
     """
 
@@ -318,7 +318,7 @@ def add_images(
         body: Its `fields` get them, too.
         fields: Name to where they come from.
         folder: Folder that the paths are relative to.
-        names: Key of the tables, for messages.
+        names: Key of the tables in the case file.
 
     Raises:
         InputError: An image that cannot be read, or that is not around the body; or a name that a

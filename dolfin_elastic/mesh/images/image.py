@@ -82,7 +82,7 @@ def check_shape(shape: Sequence[int], dtype: np.dtype[np.generic], most: float) 
     """Refuses an image before it is read.
 
     Args:
-        shape: Numbers of voxels.
+        shape: Numbers of voxels along each axis.
         dtype: Of each.
         most: Bytes that the file can have of them, however well they are compressed.
 

@@ -89,7 +89,7 @@ class _Header:
     """The numbers in front of an image.
 
     Args:
-        data: The bytes of the header.
+        data: The bytes of the header, all of them.
         layout: Where they stand.
         order: "<" or ">".
     """
@@ -129,8 +129,8 @@ class _Header:
         """The image behind the header.
 
         Args:
-            stream: Stands behind the header.
-            most: Bytes that it can have.
+            stream: Its next byte is the first one after the header.
+            most: Bytes that it can have from its beginning on.
         """
         shape = self._shape()
         code = int(self._numbers("i2", self._at.datatype, 1)[0])

@@ -40,7 +40,7 @@ def carried_outwards(
     Args:
         values: Shape (ni, nj, nk).
         threshold: Voxels at or above it are the body.
-        depth: Of the skin, in voxels.
+        depth: Of the skin, in voxels along each axis.
         spacing: Edges of a voxel, shape (3,).
 
     Raises:

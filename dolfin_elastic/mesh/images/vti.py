@@ -27,8 +27,8 @@ def read_vti(path: Path) -> Image:
     pieces = [] if grid is None else grid.findall("Piece")
     if grid is None or len(pieces) != 1:
         raise MeshError(f"the image is in {len(pieces)} pieces", expected="one piece")
-    extent = [int(n) for n in _numbers(grid, "WholeExtent", 6, "")]
-    if [int(n) for n in _numbers(pieces[0], "Extent", 6, "")] != extent:
+    extent = _extent(grid, "WholeExtent")
+    if _extent(pieces[0], "Extent") != extent:
         raise MeshError("its piece is not the whole image", expected="one piece")
     origin, spacing = (_numbers(grid, key, 3, other) for key, other in _PLACES)
     direction = _numbers(grid, "Direction", 9, "1 0 0 0 1 0 0 0 1").reshape(3, 3)
@@ -59,6 +59,15 @@ def _numbers(element: ElementTree.Element, key: str, count: int, other: str) -> 
     return np.array(words, dtype=np.float64)
 
 
+def _extent(element: ElementTree.Element, key: str) -> list[int]:
+    numbers = _numbers(element, key, 6, "")
+    if not all(abs(n) < 1 << 40 and float(n).is_integer() for n in numbers):
+        raise MeshError(
+            f"{element.tag} has {key} = '{element.get(key, '')[:80]}'", expected="whole numbers"
+        )
+    return [int(n) for n in numbers]
+
+
 def _scalars(piece: ElementTree.Element) -> tuple[ElementTree.Element, bool]:
     """The array that is marked as scalars, or the only one; whether it is at points."""
     found = []
@@ -73,7 +82,7 @@ def _scalars(piece: ElementTree.Element) -> tuple[ElementTree.Element, bool]:
     if len(found) != 1:
         names = ", ".join(f"'{array.get('Name', '')}'" for array, _ in found[:8])
         raise MeshError(
-            f"it has {len(found)} arrays of one number a voxel" + (f": {names}" if names else ""),
-            expected="one, or one that is marked as Scalars",
+            f"it has {len(found)} arrays of one number a voxel",
+            expected="one, or one that is marked as Scalars" + (f", of {names}" if names else ""),
         )
     return found[0]

@@ -45,7 +45,7 @@ def read_complex(
 
     Args:
         unit: Unit of its lengths, for messages.
-        repair: Mends what is wrong.
+        repair: Mends what is wrong, and notes that.
         angle: Between the normals of triangles, from which on an edge divides patches [degrees].
 
     Raises:

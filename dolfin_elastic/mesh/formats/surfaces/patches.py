@@ -23,7 +23,7 @@ def patches(
         points: Shape (n, 3).
         triangles: Shape (m, 3).
         labels: A patch has triangles of one label only.
-        angle: In degrees.
+        angle: Between normals, from which on an edge is sharp [degrees].
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

@@ -68,8 +68,8 @@ def surfaces_between(
         regions: Number of the region of each voxel, 1 for the first name; 0 is not meshed; shape
             (ni, nj, nk).
         affine: From indices to places; see `Image`.
-        names: Of the regions.
-        smoothing: Of the surfaces.
+        names: Of the regions, that of number 1 first.
+        smoothing: Degree 0 leaves the steps of the voxels.
     """
     faces = _faces(regions)
     keys = np.column_stack([faces.regions, faces.sides])
@@ -214,9 +214,9 @@ def _corrected(plc: Plc, wanted: FloatArray, fixed: BoolArray, most: float) -> P
     """The complex after shifts of its patches that give regions their volumes.
 
     Args:
-        wanted: Volumes of the regions.
-        fixed: Patches that stay.
-        most: Largest shift.
+        wanted: Volumes of the regions, shape (regions,).
+        fixed: Whether a patch stays, shape (patches,).
+        most: Largest shift, in the unit of the points.
     """
     x = plc.points[plc.triangles]
     normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2

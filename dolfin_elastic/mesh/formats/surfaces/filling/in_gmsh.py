@@ -35,7 +35,7 @@ def fill_in_gmsh(gmsh: ModuleType, given: Path, folder: Path, way: Mapping[str, 
         gmsh: Gmsh with an empty model.
         given: File with `points`, shape (n, 3), `triangles` (m, 3), their `groups` (m,), which stay
             apart, and the `bodies` behind and in front of them (m, 2), -1 for none.
-        folder: To write into.
+        folder: Where `FILLED` is written, and nothing else.
         way: `remesh`: new triangles on the surface; `order` of the cells; sizes `smallest` and
             `largest`; elements `round` a circle, 0 for those sizes alone.
 
