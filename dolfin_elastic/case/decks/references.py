@@ -69,8 +69,12 @@ def read_reference(path: Path) -> Reference:
     lines = enumerate(path.read_text("latin-1").splitlines(), start=1)
     try:
         result = _READERS[suffix](lines)
+    except csv.Error as error:
+        raise MeshError(f"this is no table: {error}", where=str(path)) from None
     except _WrongLineError as error:
         raise MeshError("this line is damaged", where=f"{path}:{error.args[0]}") from None
+    for tables in (result.displacements, result.forces):
+        tables[:] = [table for table in tables if table.nodes]
     if not (result.displacements or result.forces or result.modes):
         raise MeshError("it has no displacements, forces or modes", where=str(path))
     return result
@@ -137,16 +141,16 @@ def _dat(lines: Lines) -> Reference:
         if title in _MODES:
             column, table = _MODES[title], Table()
             result.modes.append([])
-        elif words and words[0].isdigit() and column >= 0 and len(words) > column:
+        elif words and words[0].isdecimal() and column >= 0 and len(words) > column:
             result.modes[-1].append(_numbers([words[column]], number)[0])
             begun = True
-        elif words and words[0].isdigit() and len(words) >= 4 and column < 0:
+        elif words and words[0].isdecimal() and len(words) >= 4 and column < 0:
             table.nodes.append(int(words[0]))
             table.vectors.append(_numbers(words[1:4], number))
         elif words and begun:
             column, begun = -2, False  # the table of participation below that of frequencies
             table = Table()
-        elif words and column < 0 and not words[0].isdigit():
+        elif words and column < 0 and not words[0].isdecimal():
             table = Table()
     result.modes = [modes for modes in result.modes if modes]
     return result

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import cast
 
@@ -11,6 +11,7 @@ from dolfin_elastic.case.decks.units import System, system
 from dolfin_elastic.case.toml import key_text, value_text
 
 Selectors = Sequence[Mapping[str, object]]
+Ramp = tuple[tuple[float, float], ...]
 
 
 @dataclass
@@ -119,11 +120,26 @@ def _loads(chain: list[Step], *, motion: bool) -> list[Entry]:
             there = any(_same(entry, other) for other in step.loads)
             first = there and rows[-1][1] == 0.0 and entry.ramp is not None
             if first and entry.ramp is not None:
-                rows += [(number - 1 + t, factor) for t, factor in entry.ramp if t > 0.0]
+                rows += [(number - 1 + t, factor) for t, factor in _within(entry.ramp)]
             else:
                 rows.append((float(number), rows[-1][1] if there and rows[-1][1] else float(there)))
         result.append(_with_curve(entry, rows))
     return result
+
+
+def _within(ramp: Ramp) -> Iterator[tuple[float, float]]:
+    """The rows of a curve behind the beginning of a step and up to its end."""
+    last = ramp[0]
+    for t, factor in ramp:
+        if t > 1.0:
+            part = (1.0 - last[0]) / (t - last[0])
+            yield 1.0, last[1] + part * (factor - last[1])
+            return
+        if t > 0.0:
+            yield t, factor
+        if t == 1.0:
+            return
+        last = t, factor
 
 
 def _own_curve(entry: Entry, *, motion: bool) -> Entry:

@@ -213,6 +213,10 @@ def test_temperatures(tmp_path: Path) -> None:
     start = "*INITIAL CONDITIONS, TYPE=TEMPERATURE\nevery, 20.\n"
     more = start + hot + STATIC.format("*TEMPERATURE\nevery, 120.\n")
     assert one(tmp_path, cube(more))["load"] == [{"kind": "thermal", "value": "100 K"}]
+    ramped = more.replace(
+        "*TEMPERATURE", "*AMPLITUDE, NAME=A\n0., 0., 1., 1.\n*TEMPERATURE, AMPLITUDE=A"
+    )
+    assert "an amplitude beside an initial temperature" in faults(tmp_path, cube(ramped))[0]
     rows = "".join(f"{i}, {10 * i}\n" for i in range(1, 9))
     more = start + hot + STATIC.format(f"*TEMPERATURE\n{rows}")
     (load,) = one(tmp_path, cube(more))["load"]
@@ -258,6 +262,29 @@ def test_linear_steps_are_a_case_each(tmp_path: Path) -> None:
     assert values == [["5 N", 0, 0], ["5 N", "3 N", 0], [0, 0, "1 N"]]
 
 
+def test_pressures_by_number_replace_those_of_earlier_steps(tmp_path: Path) -> None:
+    """As OP=MOD has it: they end on the same faces; on some of them it is named, as of forces."""
+    step = "*STEP\n*STATIC\n*DLOAD\n{}*END STEP\n"
+    both, other = step.format("ALL, P1, 5.\n"), step.format("ALL, P1, 7.\n")
+    first, second = tables(tmp_path, cube(STEEL + both + other), 2)
+    assert [load["value"] for load in first["load"]] == ["5 MPa"]
+    assert [load["value"] for load in second["load"]] == ["7 MPa"]
+    (fault,) = faults(tmp_path, cube(STEEL + both + step.format("1, P1, 7.\n")))
+    assert "DLOAD: it replaces the pressure of deck.inp:" in fault
+    forces = STATIC.format("*CLOAD\ntop, 1, 5.\n") + STATIC.format("*CLOAD\nevery, 1, 3.\n")
+    (fault,) = faults(tmp_path, cube(STEEL + forces))
+    assert "CLOAD: it replaces forces of an earlier step at some nodes of 'top'" in fault
+
+
+def test_amplitudes_longer_than_their_step(tmp_path: Path) -> None:
+    """The step ends on the line between two rows; the next one begins there."""
+    amplitude = "*AMPLITUDE, NAME=A\n0., 0., 0.5, 2., 2.5, 0.\n"
+    step = "*STEP, NLGEOM\n*STATIC\n{}*END STEP\n"
+    steps = step.format("*CLOAD, AMPLITUDE=A\ntop, 1, 5.\n") + step.format("")
+    case = one(tmp_path, cube("*BOUNDARY\nbottom, 1, 3\n" + STEEL + amplitude + steps))
+    assert case["load"][0]["curve"] == [[0, 0], [0.5, 2], [1, 1.5], [2, 1.5]]
+
+
 ANALYSES = {
     "*FREQUENCY\n4\n": ("modal", {"count": 4}),
     "*FREQUENCY\n,, 500.\n": ("modal", {"below": "500 Hz"}),
@@ -286,13 +313,18 @@ OTHERS = {
     "*SHELL SECTION, ELSET=ALL\n1.\n": "SHELL SECTION: these elements",
     "*WHATEVER\n": "WHATEVER: this keyword is not known",
     "*INITIAL CONDITIONS, TYPE=STRESS\nALL, 1.\n": "TYPE=STRESS is not read",
+    "*MATERIAL, NAME=m\n*DAMPING, STRUCTURAL=0.1\n": "STRUCTURAL is not understood",
+    "*STEP, AMPLITUDE=RAMP\n*DYNAMIC\n.1, 1.\n*END STEP\n": "STEP: AMPLITUDE=RAMP",
+    "*STEP, NLGEOM\n*STATIC\n*END STEP\n*STEP, PERTURBATION\n*STATIC\n*END STEP\n": "STEP: PERT",
 }
 
 
 @pytest.mark.parametrize("text", OTHERS)
 def test_words_that_change_the_answer(tmp_path: Path, text: str) -> None:
     """Each is an error with its line."""
-    (fault,) = faults(tmp_path, cube(text + STEEL + STATIC.format("")))
+    before = text if "*STEP" not in text else ""
+    step = text if "*STEP" in text else STATIC.format("")
+    (fault,) = faults(tmp_path, cube(before + STEEL + step))
     assert OTHERS[text] in fault
 
 
@@ -323,6 +355,9 @@ WRONG = {
     "*CLOAD, AMPLITUDE=B\ntop, 1, 1.\n": "there is no *AMPLITUDE 'B'",
     "*DLOAD\nALL, GRAV, 9.81\n": "the direction of gravity is missing",
     "*BOUNDARY\ntop, up\n": "is no support",
+    "*CLOAD\ntop, \xb2, 1.\n": "is no force",
+    f"*BOUNDARY\n{'9' * 5000}, 1\n": "cannot be read",
+    "*HYPERELASTIC, OGDEN, N=1000000000\n1., 2., 0.\n": "is no whole number below 100",
 }
 
 
@@ -330,7 +365,9 @@ WRONG = {
 def test_damaged_lines(tmp_path: Path, text: str) -> None:
     """One message with the line."""
     with pytest.raises(MeshError, match=r"deck\.inp:\d+: ") as info:
-        read(tmp_path, cube(STEEL + STATIC.format(text)))
+        law = text if text.startswith("*HYPER") else ""
+        material = STEEL.replace("*DENSITY", law + "*DENSITY")
+        read(tmp_path, cube(material + STATIC.format("" if law else text)))
     assert WRONG[text] in str(info.value)
 
 

@@ -97,6 +97,11 @@ WRONG = {
     "b.dat": ("nothing\n", "it has no displacements, forces or modes"),
     "c.csv": ("node,ux\n1\n", r"c\.csv:2: this line is damaged"),
     "d.odb": ("", "results of this suffix are not read"),
+    "f.csv": (f"node,ux\n1,{'1' * 200000}\n", r"f\.csv: this is no table"),
+    "g.dat": (
+        "displacements (vx,vy,vz) for set A and time 1.\n \xb2 1. 2. 3.\n",
+        "it has no displ",
+    ),
     "e.csv": ("node,ux\n1,nan\n", r"e\.csv:2: this line is damaged"),
 }
 
@@ -105,7 +110,7 @@ WRONG = {
 def test_damaged_results(tmp_path: Path, name: str) -> None:
     """One message with the line."""
     text, message = WRONG[name]
-    (tmp_path / name).write_text(text)
+    (tmp_path / name).write_text(text, encoding="latin-1")
     with pytest.raises(MeshError, match=message):
         read_reference(tmp_path / name)
 

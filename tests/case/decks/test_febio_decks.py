@@ -324,6 +324,7 @@ LISTED = {
     '<Constraints><constraint type="volume"/></Constraints>': "the constraint 'volume'",
     '<Loads><surface_load type="traction" surface="end"><traction>0,1,0</traction></surface_load>'
     "</Loads>": "per undeformed area, which is the same at small strains",
+    '<Step><step><Loads><body_load type="const"/></Loads></step></Step>': "a step without <Contr",
     '<LoadData><load_controller id="1" type="math"/></LoadData>': "is no curve of points",
 }
 

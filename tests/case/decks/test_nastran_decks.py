@@ -127,6 +127,19 @@ def test_buckling_of_a_column(tmp_path: Path) -> None:
     assert first.load_factor == pytest.approx(euler / (1 + 1.2 * euler / (E / 2)), rel=0.02)
 
 
+def test_two_bucklings_of_one_state(tmp_path: Path) -> None:
+    """Both have its loads, where the second one had none; a state that none needs stays."""
+    control = HEAD.format(105) + (
+        "SPC = 1\nSUBCASE 1\nLOAD = 2\nSUBCASE 2\nLOAD = 3\nSUBCASE 3\nMETHOD = 9\nSTATSUB = 1\n"
+        "SUBCASE 4\nMETHOD = 8\nSTATSUB = 1\nSUBCASE 5\nMETHOD = 8\nSTATSUB = 7\n"
+    )
+    loads = f"{pressed(2, 1.0)}\nFORCE,3,3,,1.,1."
+    deck = read(tmp_path, control, f"{LOADED}{loads}\nEIGRL,9,,,1\nEIGRL,8,,,2")
+    assert [step.kind for step in deck.steps] == ["statics", *["buckling"] * 3]
+    assert [len(step.loads) for step in deck.steps] == [1, 1, 1, 0]
+    assert ["there is no subcase 7 before it" in str(one) for one in deck.faults] == [True]
+
+
 # --- texts ---
 
 
@@ -223,6 +236,9 @@ LISTED = {
     "bar": ("", "CBAR,99,1,1,2", "CBAR: 1 elements that have no stiffness here"),
     "stiffness": ("", "MAT9,5", "MAT9: no law here has this stiffness"),
     "relief": ("", "PARAM,INREL,-1", "PARAM: inertia relief"),
+    "preload": (HEAD.format(103) + "STATSUB=1\nMETHOD=9\n", "EIGRL,9,,,1", "(STATSUB), about"),
+    "initial": (HEAD.format(101) + "TEMP(INIT) = 4\n", "", "temperatures of INIT: those of"),
+    "word": (HEAD.format(101) + "MPC = ALL\n", "", "MPC = ALL, no number"),
     "empty": ("", "", "the set LOAD 2 has no loads that are known here"),
 }
 
@@ -244,6 +260,7 @@ BROKEN = {
     "PLOAD4,2,1,1.,2.,,,1,2": "the pressure varies over the face",
     "FORCE,2,999,,1.,1.": "there is no GRID 999",
     "SPC1,1,7,1": "'7' are no directions",
+    "FORCE,2,3,,1.,1.E999": "field 6 is '1.E999', no finite number",
     "SPC1,1,1,1,THRU,99999999": "more nodes than a file has",
 }
 

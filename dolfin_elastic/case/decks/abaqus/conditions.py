@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 
 import numpy as np
 
 from dolfin_elastic.case.decks.abaqus.materials import floats, place
 from dolfin_elastic.case.decks.abaqus.state import Part, Ramp, Reading
 from dolfin_elastic.case.decks.deck import Entry, FieldValue, Quantity
+from dolfin_elastic.core.types import IntArray
 from dolfin_elastic.mesh.formats.abaqus.cards import Card
 from dolfin_elastic.mesh.formats.abaqus.numbered import (
     AXES,
@@ -119,10 +120,10 @@ def _boundary(state: Reading, card: Card) -> None:
             raise card.error(f"'{card.lines[row].strip()[:60]}' is no support", row=row) from None
         if not all(np.isfinite(value) for value in values.values()):
             raise card.error("a value is no finite number", row=row)
-        beyond = words[1].isdigit() and int(words[2] if len(words) > 2 and words[2] else words[1])
+        beyond = words[1].isdecimal() and int(words[2] if len(words) > 2 and words[2] else words[1])
         if beyond and beyond > 3:
             state.note(card, _ROTATION.format("4 to 6" if beyond <= 6 else beyond), row)
-        if words[0].isdigit():
+        if words[0].isdecimal():
             by_number[int(words[0])] = row
             held.setdefault(words[0], {}).update(values)
             continue
@@ -162,19 +163,21 @@ def _cload(state: Reading, card: Card) -> None:
     ramp, numbered = _ramp(state, card), -1
     for row, words in _words(card):
         value = _number(card, row, words, 2)
-        if len(words) < 3 or not words[1].isdigit():
+        if len(words) < 3 or not words[1].isdecimal():
             raise card.error(f"'{card.lines[row].strip()[:60]}' is no force", row=row)
         axis = int(words[1])
         if axis > state.dim:
             if value:
                 state.fault(card, _ROTATION.format(axis), row)
             continue
-        if words[0].isdigit():
+        if words[0].isdecimal():
             numbered = row
             continue
         name = state.name(card, "point", words[0], row)
         key = name, axis - 1
         before = state.forces.get(key)
+        others = {other for other in state.forces if other[0] != name and other not in state.fresh}
+        _replaced_forces(state, card, state.mesh.point_sets[name], others)
         if before and key in state.fresh and isinstance(before.value, Quantity):
             value += before.value.value
         state.fresh.add(key)
@@ -185,13 +188,45 @@ def _cload(state: Reading, card: Card) -> None:
 
 def _cload_by_number(state: Reading, card: Card, ramp: Ramp, row: int) -> None:
     name = _own_set(state, card, part_name(card, state.file), row)
-    nodes = state.mesh.point_sets[name]
-    for other, axis in list(state.forces):
-        if (other, axis) in state.fresh or not np.isin(nodes, state.mesh.point_sets[other]).any():
-            continue
-        state.fault(card, f"it replaces forces of an earlier step at some nodes of '{other}'")
+    others = {other for other in state.forces if other not in state.fresh}
+    _replaced_forces(state, card, state.mesh.point_sets[name], others)
     state.fresh.add((name, 0))
     state.forces[name, 0] = Part(FieldValue(name, "force"), place(card), ramp)
+
+
+def _replaced_forces(
+    state: Reading, card: Card, nodes: IntArray, others: set[tuple[str, int]]
+) -> None:
+    """Names forces of earlier steps that a keyword replaces at some of their nodes.
+
+    Args:
+        nodes: Rows of the nodes of the keyword.
+        others: Names and components of forces of earlier steps.
+    """
+    for other in sorted({name for name, _ in others}):
+        if np.isin(nodes, state.mesh.point_sets[other]).any():
+            state.fault(card, f"it replaces forces of an earlier step at some nodes of '{other}'")
+
+
+def _facets(state: Reading, name: str) -> set[tuple[int, ...]]:
+    """The facets of a surface, by the rows of their nodes in ascending order."""
+    blocks = [block for block in state.mesh.blocks if name in block.parts]
+    tables = [np.sort(block.nodes[block.parts[name]], axis=1) for block in blocks]
+    return {tuple(map(int, facet)) for table in tables for facet in table}
+
+
+def _replace_pressures(state: Reading, card: Card, names: Collection[str]) -> None:
+    """Pressures on faces by number end pressures of earlier steps on the same faces."""
+    new = set[tuple[int, ...]]().union(*(_facets(state, name) for name in names))
+    for key, entry in list(state.loads.items()):
+        if key in state.fresh or key[0] != "DLOAD" or entry.keys.get("kind") != "pressure":
+            continue
+        old = _facets(state, str(entry.keys["on"]))
+        if old <= new:
+            del state.loads[key]
+        elif old & new:
+            text = f"it replaces the pressure of {entry.place.file}:{entry.place.line} on some"
+            state.fault(card, f"{text} faces of it")
 
 
 def _add(state: Reading, card: Card, row: int, key: tuple[str, ...], entry: Entry) -> None:
@@ -206,13 +241,13 @@ def _dload(state: Reading, card: Card) -> None:
     ramp = _ramp(state, card)
     for row, words in _words(card):
         kind = words[1].upper() if len(words) > 1 else ""
-        if kind[:1] == "P" and kind[1:].isdigit():
+        if kind[:1] == "P" and kind[1:].isdecimal():
             _number(card, row, words, 2)
             continue
         if kind not in _BODY:
             state.fault(card, f"a load {kind[:20]} is not there", row)
             continue
-        if words[0].isdigit():
+        if words[0].isdecimal():
             state.fault(card, f"{kind} on one element by its number", row)
             continue
         keys = _BODY[kind](state, card, row, words)
@@ -220,7 +255,9 @@ def _dload(state: Reading, card: Card) -> None:
             keys["on"] = state.name(card, "region", words[0], row)
         key = (card.word, kind, words[0].upper(), *(words[3:6] if kind == "CENTRIF" else ()))
         _add(state, card, row, key, Entry(place(card, row), keys, ramp=ramp))
-    for value, name in pressure_names(card, state.file).items():
+    pressed = pressure_names(card, state.file)
+    _replace_pressures(state, card, pressed.values())
+    for value, name in pressed.items():
         if name.casefold() not in state.names["surface"]:
             raise card.error("an element of these lines does not exist, or has no such face")
         keys = {"kind": "pressure", "on": name, "value": Quantity(value, "stress")}
@@ -305,6 +342,8 @@ def _temperature(state: Reading, card: Card) -> None:
     first = _initial(state, card)
     if first is None:
         return
+    if ramp is not None and first:
+        state.fault(card, "an amplitude beside an initial temperature that is not 0")
     keys: dict[str, object] = {"kind": "thermal"}
     if everywhere and np.ptp(values) == 0:
         keys["value"] = Quantity(float(values[0]) - first, "temperature")
@@ -337,7 +376,7 @@ def take_initial(state: Reading, card: Card) -> None:
     if kind == "VELOCITY":
         velocity = [0.0] * state.dim
         for row, words in _words(card):
-            name = "" if words[0].isdigit() else state.name(card, "point", words[0], row)
+            name = "" if words[0].isdecimal() else state.name(card, "point", words[0], row)
             axis = int(_number(card, row, words, 1))
             whole = len(state.mesh.point_sets.get(name, ())) == len(state.mesh.points)
             if not whole or not 1 <= axis <= state.dim:

@@ -133,10 +133,22 @@ def _one(deck: Deck, card: Card) -> list[float]:
     """
     if not card.lines:
         raise card.error("there are no constants")
-    if len(card.lines) > 1 or int(card.options.get("DEPENDENCIES", "0") or "0"):
+    if len(card.lines) > 1 or _whole(card, "DEPENDENCIES", 0):
         text = "constants that depend on the temperature; those of the first line hold"
         deck.leave_out(place(card, min(1, len(card.lines) - 1)), text, "changes the answer")
     return floats(card, 0)
+
+
+def _whole(card: Card, key: str, default: int) -> int:
+    """A parameter that is a small whole number.
+
+    Raises:
+        MeshError: It is none.
+    """
+    word = card.options.get(key) or str(default)
+    if not word.isdecimal() or len(word) > 2:
+        raise card.error(f"{key}={word[:40]} is no whole number below 100")
+    return int(word)
 
 
 def _elastic(deck: Deck, card: Card, use: Use, remarks: list[str]) -> dict[str, object]:
@@ -193,7 +205,7 @@ def _hyperelastic(deck: Deck, card: Card, use: Use, remarks: list[str]) -> dict[
         text = f"{', '.join(sorted(others)) or 'this kind'} is not there"
         deck.leave_out(place(card), text, "changes the answer")
         return {}
-    order = int(card.options.get("N", "1") or "1")
+    order = _whole(card, "N", 1)
     c = floats(card)
     if kind == "OGDEN":
         keys, D, shear = _ogden(c, order)

@@ -105,7 +105,12 @@ def read(path: Path) -> Deck:
             parts.instances[state.instance.upper()] = Scope(state.instance)
         elif card.word in ("END INSTANCE", "END ASSEMBLY"):
             state.instance = ""
-        _take(state, card)
+        try:
+            _take(state, card)
+        except MeshError:
+            raise
+        except (ValueError, IndexError, OverflowError):
+            raise card.error("one of its lines cannot be read") from None
     state.finish_step()
     _finish(state)
     return state.deck
@@ -141,6 +146,8 @@ def _damping(state: Reading, card: Card) -> None:
         if not all(map(math.isfinite, factors)):
             raise card.error("ALPHA or BETA is no finite number")
         state.damping[state.material.name] = factors[0], factors[1]
+        if others := sorted(card.options.keys() - {"ALPHA", "BETA"}):
+            state.fault(card, f"{', '.join(others)} is not understood")
 
 
 # --- words of the model ---

@@ -59,6 +59,10 @@ def _static(state: Reading, card: Card) -> None:
     assert state.step is not None
     numbers = [*floats(card, 0), 0.0, 0.0][:4] if card.lines else [0.0, 0.0]
     first, period = numbers[0], numbers[1]
+    before = state.large or state.loads or state.forces
+    if before and state.card is not None and "PERTURBATION" in state.card.options:
+        text = "PERTURBATION: a small change of the state before it, under its own loads alone"
+        state.fault(state.card, text)
     state.period = period or 1.0
     if "RIKS" in card.options:
         state.step.settings["method"] = "arc-length"
@@ -99,6 +103,8 @@ def _dynamic(state: Reading, card: Card) -> None:
     numbers = [*floats(card, 0), 0.0, 0.0][:2] if card.lines else [0.0, 1.0]
     dt, end = numbers[0], numbers[1] or 1.0
     state.period, state.step.kind = end, "dynamics"
+    if state.card is not None and state.card.options.get("AMPLITUDE", "").upper() == "RAMP":
+        state.fault(state.card, "AMPLITUDE=RAMP: give the loads an *AMPLITUDE of their own")
     settings: dict[str, object] = {"end": Quantity(end, "time")}
     if any(key.startswith("EXPLICIT") for key in card.options):
         settings["scheme"] = "central-differences"

@@ -112,6 +112,11 @@ def _pairs(root: Tag) -> dict[str, tuple[str, str]]:
 def _steps(root: Tag, deck: Deck) -> None:
     """One analysis from all steps, whose supports and loads must act in each of them."""
     stages = [s for section in root.all("Step") for s in (*section.all("step"), section)]
+    idle = [s for s in stages if s.first("Control") is None and s.first("step") is None]
+    for stage in idle:
+        if any(section.children for section in stage.all(*_ACTIONS)):
+            text = "a step without <Control>, and what it states"
+            deck.leave_out(place(stage), text, "changes the answer")
     stages = [s for s in stages if s.first("Control") is not None]
     controls = [c for owner in (root, *stages) for c in owner.all("Control")]
     if not controls:

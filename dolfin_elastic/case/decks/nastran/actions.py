@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from dolfin_elastic.case.decks.deck import Deck, Entry, Quantity, Step
+from dolfin_elastic.case.decks.deck import Deck, Entry, Place, Quantity, Step
 from dolfin_elastic.case.decks.nastran.materials import rotation_speed
 from dolfin_elastic.case.decks.nastran.table import Table, place
 from dolfin_elastic.core.errors import MeshError
@@ -35,6 +35,10 @@ class Actions:
 
     def __init__(self, table: Table, deck: Deck, references: Mapping[str, float]) -> None:
         self._table, self._deck, self._references = table, deck, references
+
+    def leave_out(self, place: Place, text: str) -> None:
+        """Records what changes the answer."""
+        self._deck.leave_out(place, text, "changes the answer")
 
     # --- supports ---
 

@@ -90,8 +90,14 @@ def control_of(commands: Iterable[Command], deck: Deck) -> Control:
         elif words[0] in ("SUBCOM", "REPCASE", "SYM", "SYMCOM"):
             deck.leave_out(place, f"the combination {words[0]}", "changes the answer")
             every.append(Subcase(place))
+        elif words[0][:4] == "TEMP" and words[1:2] and words[1][:4] in ("INIT", "MATE", "BOTH"):
+            text = f"temperatures of {words[1].strip(')')}: those of reference are TREF's alone"
+            deck.leave_out(place, text, "changes the answer")
         elif (word := _SELECTS.get(words[0][:4])) and "=" in command.text:
-            current.selections[word] = command.text.upper().rpartition("=")[2].strip()
+            value = command.text.upper().rpartition("=")[2].strip()
+            if not value.isdecimal() and word != "ANALYSIS":
+                deck.leave_out(place, f"{word} = {value[:40]}, no number", "changes the answer")
+            current.selections[word] = value
             if common.place.line == 0 and not every:
                 common.place = place
         elif words[0][:4] == "TITL":

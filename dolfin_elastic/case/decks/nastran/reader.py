@@ -60,10 +60,10 @@ def read(path: Path) -> Deck:
     references = take_materials(table, deck)
     _others(table, deck)
     actions = Actions(table, deck, references)
-    statics = dict[int, Step]()
+    steps, buckled = dict[int, Step](), set[int]()
     for subcase in control.subcases if control.kind else ():
-        _subcase(subcase, control, actions, table, statics)
-    deck.steps = list(statics.values())
+        _subcase(subcase, control, actions, table, steps, buckled)
+    deck.steps = [step for number, step in steps.items() if number not in buckled]
     return deck
 
 
@@ -97,12 +97,18 @@ def _others(table: Table, deck: Deck) -> None:
 
 
 def _subcase(
-    subcase: Subcase, control: Control, actions: Actions, table: Table, done: dict[int, Step]
+    subcase: Subcase,
+    control: Control,
+    actions: Actions,
+    table: Table,
+    done: dict[int, Step],
+    buckled: set[int],
 ) -> None:
     """Adds the analysis of a subcase.
 
     Args:
         done: Number of a subcase to its step.
+        buckled: Numbers of those of which a later one is the buckling; grows.
     """
     assert control.kind is not None
     chosen = {k: int(v) for k, v in subcase.selections.items() if v.isdecimal()}
@@ -112,9 +118,17 @@ def _subcase(
     kind = "statics" if control.kind == "buckling" and not buckles else control.kind
     step = Step(kind, where)
     if buckles:
-        before = done.pop(chosen.get("STATSUB", min(done, default=0)), None)
+        statics = [number for number, one in done.items() if one.kind == "statics"]
+        preload = chosen.get("STATSUB", min(statics or done, default=0))
+        before = done.get(preload)
         if before is not None:
+            buckled.add(preload)
             step.supports, step.loads = before.supports, before.loads
+        elif "STATSUB" in chosen:
+            text = f"there is no subcase {chosen['STATSUB']} before it (STATSUB)"
+            actions.leave_out(where, text)
+    elif "STATSUB" in chosen:
+        actions.leave_out(where, "the equilibrium of another subcase (STATSUB), about which it is")
     if method is not None and kind != "statics":
         step.settings |= method_of(table, method, buckling=buckles)
     if not (buckles and step.loads):

@@ -104,7 +104,7 @@ def numbered_rows(card: Card) -> Iterator[tuple[int, list[str]]]:
     """Lines whose first entry is a number, with their entries, after the index of the line."""
     for row, line in enumerate(card.lines):
         words = [word.strip() for word in line.split(",")]
-        if words[0].isdigit():
+        if words[0].isdecimal():
             yield row, words
 
 
@@ -119,7 +119,7 @@ def components(words: list[str]) -> Mapping[int, float]:
     first = int(words[0])
     last = int(words[1]) if len(words) > 1 and words[1] else first
     value = float(words[2].upper().replace("D", "E")) if len(words) > 2 and words[2] else 0.0
-    return {i: value for i in range(first, last + 1) if i <= 3}
+    return dict.fromkeys(range(first, min(last, 3) + 1), value)
 
 
 def _boundary(numbered: Numbered, deck: Deck, card: Card) -> None:
@@ -171,7 +171,7 @@ def pressures(card: Card) -> dict[float, list[tuple[int, str, str]]]:
     result: dict[float, list[tuple[int, str, str]]] = {}
     for row, line in enumerate(card.lines):
         words = [word.strip() for word in line.split(",")]
-        if len(words) > 2 and words[1][:1].upper() == "P" and words[1][1:].isdigit():
+        if len(words) > 2 and words[1][:1].upper() == "P" and words[1][1:].isdecimal():
             value = float(words[2].upper().replace("D", "E"))
             result.setdefault(value, []).append((row, words[0], words[1][1:]))
     return result

@@ -24,6 +24,8 @@ _LINES = {"truss2": ("line", 2), "line2": ("line", 2), "line3": ("line3", 3)}
 _EDGES = {"line2": ("line", 2), "line3": ("line3", 3), "edge2": ("line", 2), "edge3": ("line3", 3)}
 _NOT_READ = ("Part", "Instance")
 _SETS = ("NodeSet", "Surface", "Edge", "ElementSet")
+_MOST = 2 * 10**7
+"""Nodes or elements of one set that ranges may name."""
 
 
 @dataclass
@@ -192,17 +194,19 @@ def members(tag: Tag) -> IntArray:
     Raises:
         MeshError: They are no numbers, or far more than a file can define.
     """
-    ids = [number for rows in tag.rows.values() for number in rows.ids]
+    parts_of = [np.array(rows.ids, dtype=np.int64) for rows in tag.rows.values()]
+    total = 0
     for word in tag.text.replace(",", " ").split():
         parts = word.split(":")
         if len(parts) > 3 or not all(p.isdecimal() and len(p) < 16 for p in parts):
             raise tag.error(f"'{word[:40]}' is no number of a node or element")
         first, last, *step = (int(p) for p in (parts if len(parts) > 1 else parts * 2))
         steps = range(first, last + 1, max(step[0], 1) if step else 1)
-        if len(steps) > 10**8:
+        total += len(steps)
+        if total > _MOST:
             raise tag.error(f"'{word[:40]}' are more nodes or elements than a file has")
-        ids.extend(steps)
-    return np.array(ids, dtype=np.int64)
+        parts_of.append(np.arange(steps.start, steps.stop, steps.step, dtype=np.int64))
+    return joined(parts_of)
 
 
 def _name_elements(mesh: _Mesh, name: str, wanted: IntArray) -> None:

@@ -5,6 +5,7 @@ Source: MSC Nastran 2021, Quick Reference Guide, section 5, "Format of Bulk Data
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from collections.abc import Iterator
@@ -81,7 +82,10 @@ class Entry:
                 f"field {index + 2} is '{word}', no number",
                 expected="for example 1.5, -2.E3 or 1.5-3",
             )
-        return float(f"{match[1]}e{match[2] or match[3] or 0}") if match else 0.0
+        value = float(f"{match[1]}e{match[2] or match[3] or 0}") if match else 0.0
+        if not math.isfinite(value):
+            raise self.error(f"field {index + 2} is '{word}', no finite number")
+        return value
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ PLOAD4.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from itertools import chain
 
@@ -118,7 +118,7 @@ class Groups:
                 self._hold(kind, entry, entry.integer(at), word, entry.real(at + 2))
 
     def _spc1(self, entry: Entry) -> None:
-        for node in _listed(entry, 2):
+        for node in _listed(entry, 2, self._bulk.grids):
             if node in self._bulk.grids or entry.text(3).upper() != "THRU":
                 self._hold("spc", entry, node, entry.text(1), 0.0)
 
@@ -145,7 +145,7 @@ class Groups:
         self.place(entry, node)
         size = float(np.abs(vector).max())
         # Rounding of the directions must not make a group of each node.
-        digits = 12 - int(np.floor(np.log10(size))) if size else 0
+        digits = min(12 - int(np.floor(np.log10(size))), 300) if size else 0
         value = tuple(float(x) + 0.0 for x in np.round(vector, digits))
         group = self._group("force", entry.integer(0), entry, value)
         group.value = value
@@ -267,8 +267,12 @@ _TAKE: dict[str, Callable[[Groups, Entry], None]] = {
 }
 
 
-def _listed(entry: Entry, first: int) -> Iterator[int]:
-    """Numbers in the fields from one on, in which a THRU b are ranges."""
+def _listed(entry: Entry, first: int, known: Collection[int]) -> Iterator[int]:
+    """Numbers in the fields from one on, in which a THRU b are ranges.
+
+    Args:
+        known: Numbers of which alone ranges consist that are longer than these are.
+    """
     words = [entry.text(i).upper() for i in range(first, len(entry.fields))]
     i = 0
     while i < len(words):
@@ -278,7 +282,8 @@ def _listed(entry: Entry, first: int) -> Iterator[int]:
             start, end = entry.integer(first + i), entry.integer(first + i + 2)
             if end - start > _MOST:
                 raise entry.error(f"{start} THRU {end} are more nodes than a file has")
-            yield from range(start, end + 1)
+            long = end - start > len(known)
+            yield from (n for n in known if start <= n <= end) if long else range(start, end + 1)
             i += 3
         else:
             yield entry.integer(first + i)
