@@ -308,6 +308,7 @@ def test_analyses(tmp_path: Path, text: str) -> None:
 
 OTHERS = {
     "*CONTACT PAIR, INTERACTION=I\na, b\n": "CONTACT PAIR: state it as",
+    "*RIGID BODY, NSET=top, REF NODE=1\n": "RIGID BODY: state it as a support",
     "*EQUATION\n2\n1, 1, 1., 2, 1, -1.\n": "EQUATION: equations between nodes",
     "*TRANSFORM, NSET=top\n1., 0., 0., 0., 1., 0.\n": "TRANSFORM: supports and loads in other",
     "*SHELL SECTION, ELSET=ALL\n1.\n": "SHELL SECTION: these elements",
@@ -418,3 +419,74 @@ def test_tension_by_forces_of_nodes(tmp_path: Path) -> None:
     # 21 MPa over 210 GPa along 10 mm, and 0.3 of it across: exact in linear elements.
     expected = 1e-6 * np.sqrt(1 + 2 * 0.3**2)
     assert state.max_displacement == pytest.approx(expected, rel=1e-10)
+
+
+COUPLED = (
+    "*COUPLING, CONSTRAINT NAME=c, REF NODE=9, SURFACE=lid\n*{}\n"
+    "*BOUNDARY\nbottom, 1, 3\n{}" + STEEL + STATIC.format("*CLOAD\n{}")
+)
+
+
+def lidded(kind: str, boundary: str, forces: str) -> str:
+    """The cube with a node above it, which its top follows."""
+    top = [
+        f"{i + 1}, S{side + 1}\n"
+        for i, cell in enumerate(CELLS)
+        for side, face in enumerate(((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)))
+        if (POINTS[cell[list(face)], 2] == 10).all()
+    ]
+    sets = SETS + "*SURFACE, NAME=lid\n" + "".join(top)
+    text = cube(COUPLED.format(kind, boundary, forces), sets)
+    return text.replace("*ELEMENT", "9, 5., 5., 25.\n*ELEMENT", 1)
+
+
+def test_couplings(tmp_path: Path) -> None:
+    """A rigid surface, one that is fixed, and an average."""
+    case = one(tmp_path, lidded("KINEMATIC\n1, 6", "9, 1\n9, 5, 5, 0.01\n", "9, 3, 2.\n9, 6, 4.\n"))
+    assert "load" not in case
+    assert case["support"][1] == {
+        "kind": "rigid",
+        "on": "lid",
+        "point": [5, 5, 25],
+        "force": [0, 0, "2 N"],
+        "moment": [0, 0, "4 N*mm"],
+        "displacement": [0, "free", "free"],
+        "rotation": ["free", 0.01, "free"],
+    }
+    case = one(tmp_path, lidded("KINEMATIC", "9, ENCASTRE\n", "top, 3, 1.\n"))
+    assert case["support"][1] == {"on": "lid", "kind": "fixed"}
+    case = one(tmp_path, lidded("DISTRIBUTING", "", "9, 1, 2.\n9, 5, 4.\n"))
+    (load,) = case["load"]
+    assert load == {
+        "kind": "remote-force",
+        "on": "lid",
+        "point": [5, 5, 25],
+        "force": ["2 N", 0, 0],
+        "moment": [0, "4 N*mm", 0],
+    }
+
+
+OTHER_COUPLINGS = {
+    ("KINEMATIC\n1, 2", "", "9, 1, 1.\n"): "only all directions",
+    ("DISTRIBUTING\n1, 3", "", "9, 1, 1.\n9, 4, 1.\n"): "a moment, but *DISTRIBUTING lists",
+    ("DISTRIBUTING", "9, 1\n", "9, 2, 1.\n"): "a prescribed motion of an average",
+    ("KINEMATIC", "", "9, 1, 1.\n8, 1, 1.\n"): "beside other nodes",
+}
+
+
+@pytest.mark.parametrize("words", OTHER_COUPLINGS)
+def test_couplings_that_are_not_there(tmp_path: Path, words: tuple[str, str, str]) -> None:
+    """Each is an error with its line."""
+    (fault,) = faults(tmp_path, lidded(*words))
+    assert OTHER_COUPLINGS[words] in fault
+
+
+def test_tension_by_a_coupling(tmp_path: Path) -> None:
+    """A force above the middle of a lid that has no Poisson's ratio: F L / (E A)."""
+    from dolfin_elastic import run
+
+    text = lidded("KINEMATIC", "", "9, 3, 2100.\n").replace("210000., 0.3", "210000., 0.")
+    case = Case.from_dict({**one(tmp_path, text), "output": {"formats": ["csv"]}}, tmp_path)
+    *_, state = run(case, output=tmp_path / "results")
+    # 21 MPa over 210 GPa along 10 mm: exact in linear elements.
+    assert state.max_displacement == pytest.approx(1e-6, rel=1e-9)

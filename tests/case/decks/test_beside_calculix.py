@@ -57,6 +57,20 @@ def bar(degree: int, more: str, law: str = ELASTIC) -> str:
     return inp_text(points, cells, sets + material + more)
 
 
+COUPLED = "*COUPLING, CONSTRAINT NAME=c, REF NODE=9999, SURFACE=end\n*{}\n"
+
+
+def coupled(kind: str) -> str:
+    """Its deck with a force and a moment at a node beyond the end."""
+    text = bar(
+        2,
+        COUPLED.format(kind)
+        + CLAMPED
+        + LINEAR.format("*CLOAD\n9999, 2, 1.e-3\n9999, 3, -1.e-3\n9999, 4, 2.e-3\n"),
+    )
+    return text.replace("*ELEMENT", "9999, 12., 1., 1.5\n*ELEMENT", 1)
+
+
 RUBBER = "*HYPERELASTIC, NEO HOOKE\n0.5, 0.4\n"
 DECKS = {
     "cantilever": bar(
@@ -77,6 +91,8 @@ DECKS = {
     "rotor": bar(
         2, CLAMPED + LINEAR.format("*DLOAD\nALL, CENTRIF, 1.e6, 0., 0., 0., 0., 0., 1.\n")
     ),
+    "rigid end": coupled("KINEMATIC\n1, 3"),
+    "averaged end": coupled("DISTRIBUTING\n1, 6"),
     "rubber": bar(
         2,
         CLAMPED + f"*STEP, NLGEOM\n*STATIC\n0.25, 1.\n*CLOAD\ntip, 3, 0.002\n{PRINT}*END STEP\n",
@@ -106,7 +122,7 @@ class Theirs:
 # Seven digits are printed, so that linear bodies agree to half of the last one. Other differences:
 # the mass of C3D10 and forces of rotation have four points of integration there, which do not
 # integrate them exactly (`test_frequencies_by_their_mass` shows this of the mass), and so has the
-# energy of rubber.
+# energy of rubber. An average there has forces at nodes, here a traction, which differs near by.
 THEIRS = {
     "cantilever": Theirs(
         {
@@ -145,6 +161,23 @@ THEIRS = {
             30: [-3.012114e-06, 5.821474e-05, -3.739956e-07],
         },
         digits=1e-4,
+    ),
+    "rigid end": Theirs(
+        {
+            5: [-4.317371e-07, 2.217324e-06, -8.329086e-06],
+            15: [-1.324019e-06, 2.217324e-06, -7.962264e-06],
+            20: [1.323531e-06, 2.033913e-06, -8.329086e-06],
+            30: [4.312491e-07, 2.033913e-06, -7.962264e-06],
+        },
+    ),
+    "averaged end": Theirs(
+        {
+            5: [-4.362009e-07, 2.203621e-06, -8.340102e-06],
+            15: [-1.32681e-06, 2.244101e-06, -7.964758e-06],
+            20: [1.342101e-06, 2.053855e-06, -8.353017e-06],
+            30: [4.283879e-07, 2.01457e-06, -7.957251e-06],
+        },
+        digits=1e-3,
     ),
     "rubber": Theirs(
         {

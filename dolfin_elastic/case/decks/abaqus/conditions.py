@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Iterator
 
 import numpy as np
 
+from dolfin_elastic.case.decks.abaqus.couplings import take_at_nodes
 from dolfin_elastic.case.decks.abaqus.materials import floats, place
 from dolfin_elastic.case.decks.abaqus.state import Part, Ramp, Reading
 from dolfin_elastic.case.decks.deck import Entry, FieldValue, Quantity
@@ -40,6 +41,8 @@ def take_condition(state: Reading, card: Card) -> None:
     if state.step is None and card.word not in ("BOUNDARY",) and card.lines:
         state.fault(card, "it stands before the first *STEP")
         return
+    if state.couplings and card.word in ("BOUNDARY", "CLOAD"):
+        card = take_at_nodes(state, card)
     _TAKE[card.word](state, card)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from difflib import get_close_matches
 from pathlib import Path
 
-from dolfin_elastic.case.decks.abaqus import conditions, steps
+from dolfin_elastic.case.decks.abaqus import conditions, couplings, steps
 from dolfin_elastic.case.decks.abaqus.materials import (
     OTHER_LAWS,
     WITHOUT_EFFECT,
@@ -57,9 +57,6 @@ _FAULTS = {
     "CONTACT": "state it as [[contact]]",
     "EQUATION": "equations between nodes are not there; where parts are joined, [[tie]]",
     "MPC": "equations between nodes are not there; where parts are joined, [[tie]]",
-    "COUPLING": 'state it as a load of kind "remote-force" or a support of kind "rigid"',
-    "KINEMATIC": "it is of *COUPLING",
-    "DISTRIBUTING": "it is of *COUPLING",
     "DISTRIBUTING COUPLING": 'state it as a load of kind "remote-force"',
     "RIGID BODY": 'state it as a support of kind "rigid"',
     "SPRING": 'state it as a support of kind "spring"',
@@ -198,6 +195,9 @@ _TAKE: dict[str, Callable[[Reading, Card], None]] = {
     "ORIENTATION": _orientation,
     "AMPLITUDE": _amplitude,
     "TIE": conditions.take_tie,
+    "COUPLING": couplings.take_coupling,
+    "KINEMATIC": couplings.take_kind,
+    "DISTRIBUTING": couplings.take_kind,
     "INITIAL CONDITIONS": conditions.take_initial,
     "STEP": steps.begin_step,
     "END STEP": steps.end_step,

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from dolfin_elastic.case.decks.abaqus.coupling import Coupling
 from dolfin_elastic.case.decks.abaqus.materials import Material, place
 from dolfin_elastic.case.decks.deck import Deck, Entry, FieldValue, Place, Quantity, Step
 from dolfin_elastic.core.errors import nearest
@@ -64,6 +65,8 @@ class Reading:
         instance: The present one.
         sections: Each *SOLID SECTION and its region.
         fresh: Keys of forces that the present step has stated: further ones there add up.
+        couplings: Number of a reference node to its coupling.
+        coupling: The one whose keywords are being read.
     """
 
     deck: Deck
@@ -89,6 +92,8 @@ class Reading:
     instance: str = ""
     sections: list[tuple[Card, str]] = field(default_factory=list)
     fresh: set[object] = field(default_factory=set)
+    couplings: dict[int, Coupling] = field(default_factory=dict)
+    coupling: Coupling | None = None
 
     def __post_init__(self) -> None:
         self.dim = dim = max(block.dim for block in self.mesh.blocks)
@@ -133,9 +138,23 @@ class Reading:
         if self.step is not None:
             self.step.supports = [*_supports(self.supports, self.dim)]
             self.step.loads = [*_forces(self.forces, self.dim), *self.loads.values()]
+            for one in self.couplings.values():
+                self._couple(one, self.step)
             self.step.nonlinear = self.large and self.step.kind != "buckling"
             self.deck.steps.append(self.step)
         self.step = self.card = None
+
+    def _couple(self, one: Coupling, step: Step) -> None:
+        """Adds a surface that follows a node to the present step."""
+        text = one.fault
+        if (support := one.support()) is not None:
+            step.supports.append(support)
+            if not one.still and (step.kind != "statics" or (self.large and self.deck.steps)):
+                text = "a rigid surface that moves exists in statics of one step only"
+        elif (load := one.load()) is not None:
+            step.loads.append(load)
+        if text:
+            self.fault(one.card, text)
 
 
 _KINDS = {"region": "set of elements", "surface": "surface", "point": "set of nodes"}

@@ -1,0 +1,82 @@
+"""`Coupling`: a surface that follows a reference node, as a support or a load."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from dolfin_elastic.case.decks.abaqus.materials import place
+from dolfin_elastic.case.decks.deck import Entry, Quantity
+from dolfin_elastic.mesh.formats.abaqus.cards import Card
+
+ALL = 6
+"""Directions of a reference node: three displacements, three rotations."""
+
+
+@dataclass
+class Coupling:
+    """One surface and its reference node.
+
+    Attributes:
+        card: Its *COUPLING.
+        surface: Its name in the mesh.
+        point: Coordinates of the node, in the deck's unit.
+        kind: "" until *KINEMATIC or *DISTRIBUTING says it.
+        turns: Directions 4 to 6 are among those listed below that keyword.
+        moved: Direction, 1 to 6, to its displacement or rotation.
+        forces: Direction to its force or moment.
+    """
+
+    card: Card
+    surface: str
+    point: list[float]
+    kind: str = ""
+    turns: bool = True
+    moved: dict[int, float] = field(default_factory=dict)
+    forces: dict[int, float] = field(default_factory=dict)
+
+    @property
+    def fault(self) -> str:
+        """Why a case does not have it; empty: it has."""
+        if self.kind != "DISTRIBUTING":
+            return ""
+        if not self.turns and any(self.forces.get(i) for i in (4, 5, 6)):
+            return "a moment, but *DISTRIBUTING lists directions 1 to 3 only"
+        return "a prescribed motion of an average (*DISTRIBUTING)" if self.moved else ""
+
+    @property
+    def still(self) -> bool:
+        """Whether the surface is fixed."""
+        held = self.kind == "KINEMATIC" and len(self.moved) == ALL
+        return held and not any(self.moved.values())
+
+    def load(self) -> Entry | None:
+        """The force and the moment of an average."""
+        if self.kind != "DISTRIBUTING" or not any(self.forces.values()):
+            return None
+        return Entry(place(self.card), {"kind": "remote-force", **self._keys(self.forces)})
+
+    def support(self) -> Entry | None:
+        """The rigid surface, with its forces where it is free."""
+        if self.kind != "KINEMATIC":
+            return None
+        if self.still:
+            return Entry(place(self.card), {"on": self.surface, "kind": "fixed"})
+        free = {i: x for i, x in self.forces.items() if i not in self.moved}
+        keys: dict[str, object] = {"kind": "rigid", **self._keys(free)}
+        for name, first in (("displacement", 1), ("rotation", 4)):
+            keys[name] = [self._moved(i) for i in range(first, first + 3)]
+        return Entry(place(self.card), keys)
+
+    def _moved(self, i: int) -> object:
+        value = self.moved.get(i)
+        if value is None:
+            return "free"
+        return Quantity(value, "length") if value and i <= 3 else value
+
+    def _keys(self, forces: dict[int, float]) -> dict[str, object]:
+        keys: dict[str, object] = {"on": self.surface, "point": self.point}
+        if any(forces.get(i) for i in (1, 2, 3)):
+            keys["force"] = [Quantity(forces.get(i, 0.0), "force") for i in (1, 2, 3)]
+        if any(forces.get(i) for i in (4, 5, 6)):
+            keys["moment"] = [Quantity(forces.get(i, 0.0), "moment") for i in (4, 5, 6)]
+        return keys
