@@ -308,7 +308,8 @@ def test_analyses(tmp_path: Path, text: str) -> None:
 
 OTHERS = {
     "*CONTACT PAIR, INTERACTION=I\na, b\n": "CONTACT PAIR: state it as",
-    "*RIGID BODY, NSET=top, REF NODE=1\n": "RIGID BODY: state it as a support",
+    "*NSET, NSET=line\n1, 2\n*RIGID BODY, NSET=line, REF NODE=1\n": "no corners of faces",
+    "*RIGID BODY, ELSET=ALL, NSET=top, REF NODE=1\n": "RIGID BODY: ELSET is not read",
     "*EQUATION\n2\n1, 1, 1., 2, 1, -1.\n": "EQUATION: equations between nodes",
     "*TRANSFORM, NSET=top\n1., 0., 0., 0., 1., 0.\n": "TRANSFORM: supports and loads in other",
     "*SHELL SECTION, ELSET=ALL\n1.\n": "SHELL SECTION: these elements",
@@ -463,6 +464,24 @@ def test_couplings(tmp_path: Path) -> None:
         "point": [5, 5, 25],
         "force": ["2 N", 0, 0],
         "moment": [0, "4 N*mm", 0],
+    }
+
+
+def test_rigid_bodies(tmp_path: Path) -> None:
+    """Directions 1 to 3 of the node of rotations are rotations and moments."""
+    body = "*RIGID BODY, NSET=top, REF NODE=9, ROT NODE=10\n*BOUNDARY\nbottom, 1, 3\n10, 3\n"
+    step = STATIC.format("*CLOAD\n9, 3, 2.\n10, 1, 4.\n")
+    text = cube(body + STEEL + step).replace(
+        "*ELEMENT", "9, 5., 5., 25.\n10, 0., 0., 0.\n*ELEMENT", 1
+    )
+    assert one(tmp_path, text)["support"][1] == {
+        "kind": "rigid",
+        "on": "top",
+        "point": [5, 5, 25],
+        "force": [0, 0, "2 N"],
+        "moment": ["4 N*mm", 0, 0],
+        "displacement": ["free", "free", "free"],
+        "rotation": ["free", "free", 0],
     }
 
 

@@ -50,6 +50,7 @@ def bar(degree: int, more: str, law: str = ELASTIC) -> str:
     sets = (
         f"*NSET, NSET=root\n{numbers(np.flatnonzero(points[:, 0] == 0.0))}\n"
         f"*NSET, NSET=all\n{numbers(np.arange(len(points)))}\n"
+        f"*NSET, NSET=face\n{numbers(np.flatnonzero(points[:, 0] == 8.0))}\n"
         f"*NSET, NSET=tip\n{numbers(corners[np.isin(points[corners, 2], (0.0, 1.0))])}\n"
         f"*SURFACE, NAME=end, TYPE=ELEMENT\n{faces}"
     )
@@ -69,6 +70,14 @@ def coupled(kind: str) -> str:
         + LINEAR.format("*CLOAD\n9999, 2, 1.e-3\n9999, 3, -1.e-3\n9999, 4, 2.e-3\n"),
     )
     return text.replace("*ELEMENT", "9999, 12., 1., 1.5\n*ELEMENT", 1)
+
+
+def rigid_body() -> str:
+    """The same force and moment at nodes of a rigid body."""
+    text = coupled("KINEMATIC").replace("9999, 4,", "9998, 1,")
+    old = "*COUPLING, CONSTRAINT NAME=c, REF NODE=9999, SURFACE=end\n*KINEMATIC\n"
+    text = text.replace(old, "*RIGID BODY, NSET=face, REF NODE=9999, ROT NODE=9998\n")
+    return text.replace("*ELEMENT", "9998, 12., 1., 1.5\n*ELEMENT", 1)
 
 
 RUBBER = "*HYPERELASTIC, NEO HOOKE\n0.5, 0.4\n"
@@ -92,6 +101,7 @@ DECKS = {
         2, CLAMPED + LINEAR.format("*DLOAD\nALL, CENTRIF, 1.e6, 0., 0., 0., 0., 0., 1.\n")
     ),
     "rigid end": coupled("KINEMATIC\n1, 3"),
+    "rigid body": rigid_body(),
     "averaged end": coupled("DISTRIBUTING\n1, 6"),
     "rubber": bar(
         2,
@@ -163,6 +173,14 @@ THEIRS = {
         digits=1e-4,
     ),
     "rigid end": Theirs(
+        {
+            5: [-4.317371e-07, 2.217324e-06, -8.329086e-06],
+            15: [-1.324019e-06, 2.217324e-06, -7.962264e-06],
+            20: [1.323531e-06, 2.033913e-06, -8.329086e-06],
+            30: [4.312491e-07, 2.033913e-06, -7.962264e-06],
+        },
+    ),
+    "rigid body": Theirs(
         {
             5: [-4.317371e-07, 2.217324e-06, -8.329086e-06],
             15: [-1.324019e-06, 2.217324e-06, -7.962264e-06],

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from dolfin_elastic.case.decks.abaqus.coupling import ALL, Coupling
 from dolfin_elastic.case.decks.abaqus.state import Reading
 from dolfin_elastic.mesh.formats.abaqus.cards import Card
 from dolfin_elastic.mesh.formats.abaqus.numbered import FIXED
+from dolfin_elastic.mesh.formats.raw import boundary
 
 _ROTATIONS = {"ENCASTRE": (4, 5, 6), "XSYMM": (5, 6), "YSYMM": (4, 6), "ZSYMM": (4, 5)}
 """Words of *BOUNDARY to the rotations that they fix."""
@@ -28,10 +31,40 @@ def take_coupling(state: Reading, card: Card) -> None:
     nodes = _nodes(state, word)
     if len(nodes) != 1:
         raise card.error(f"'{word[:60]}' is not one node")
-    row = [*state.mesh.numbers].index(nodes[0])
-    point = [float(x) for x in state.mesh.points[row]]
+    point = [float(x) for x in state.mesh.points[nodes[0]]]
     state.coupling = Coupling(card, state.name(card, "surface", surface), point)
     state.couplings[nodes[0]] = state.coupling
+
+
+def take_rigid_body(state: Reading, card: Card) -> None:
+    """*RIGID BODY of the nodes of a surface; ROT NODE has its rotations as directions 1 to 3."""
+    others = sorted(card.options.keys() - {"NSET", "REF NODE", "ROT NODE"})
+    if others or state.dim == 2:
+        state.fault(card, f"{', '.join(others)} is not read" if others else "it is read in 3D only")
+        return
+    name = state.name(card, "point", card.option("NSET"))
+    if not _covers_faces(state, name):
+        state.fault(card, f"nodes of '{name[:60]}' that are no corners of faces within it")
+        return
+    nodes = [_nodes(state, card.option("REF NODE"))]
+    if "ROT NODE" in card.options:
+        nodes.append(_nodes(state, card.option("ROT NODE")))
+    if any(len(one) != 1 for one in nodes):
+        raise card.error("REF NODE or ROT NODE is not one node")
+    point = [float(x) for x in state.mesh.points[nodes[0][0]]]
+    one = Coupling(card, name, point, kind="KINEMATIC")
+    state.couplings[nodes[0][0]] = one
+    if len(nodes) > 1:
+        state.turning[nodes[1][0]] = one
+
+
+def _covers_faces(state: Reading, name: str) -> bool:
+    """Whether faces of the body have all corners in a set of nodes, and these are all of them."""
+    solid = [b.nodes[:, :4] for b in state.mesh.blocks if b.dim == 3]
+    facets, corners = boundary(solid), np.unique(np.concatenate([b.ravel() for b in solid]))
+    nodes = state.mesh.point_sets[name]
+    within = facets[np.isin(facets, nodes).all(axis=1)]
+    return len(within) > 0 and not len(np.setdiff1d(nodes[np.isin(nodes, corners)], within))
 
 
 def take_kind(state: Reading, card: Card) -> None:
@@ -55,33 +88,35 @@ def take_at_nodes(state: Reading, card: Card) -> Card:
     if card.options.get("OP", "MOD").upper() == "NEW":
         for one in state.couplings.values():
             (one.moved if card.word == "BOUNDARY" else one.forces).clear()
-    rest = list[int]()
+    rest, known = list[int](), state.couplings.keys() | state.turning.keys()
     for row, line in enumerate(card.lines):
         words = [word.strip() for word in line.split(",")]
         nodes = _nodes(state, words[0])
-        if not nodes or not set(nodes) <= state.couplings.keys():
-            if state.couplings.keys() & set(nodes):
-                state.fault(card, "reference nodes of *COUPLING beside other nodes", row)
+        if not nodes or not set(nodes) <= known:
+            if known & set(nodes):
+                state.fault(card, "reference nodes beside other nodes", row)
             rest.append(row)
             continue
         if "AMPLITUDE" in card.options:
-            state.fault(card, "AMPLITUDE at a reference node of *COUPLING", row)
+            state.fault(card, "AMPLITUDE at a reference node", row)
         for node in nodes:
-            _prescribe(state.couplings[node], card, row, words)
+            turns = node in state.turning
+            one = state.turning[node] if turns else state.couplings[node]
+            _prescribe(one, card, row, words, 3 if turns else 0)
     numbered = any(card.lines[row].strip()[:1].isdigit() for row in rest)
     if numbered and len(rest) < len(card.lines):
-        state.fault(card, "reference nodes of *COUPLING beside other nodes")
+        state.fault(card, "reference nodes beside other nodes")
     lines, at = [card.lines[row] for row in rest], [card.at[row] for row in rest]
     return replace(card, lines=lines, at=at)
 
 
 def _nodes(state: Reading, word: str) -> list[int]:
-    """Numbers of a node or of a set of nodes."""
-    numbers = state.mesh.numbers
-    if word.isdigit() or numbers is None:
-        return [int(word)] if word.isdigit() and numbers is not None else []
+    """Rows of a node or of a set of nodes; none of a number that several instances have."""
+    if word.isdigit():
+        rows = np.flatnonzero(state.mesh.numbers == int(word)).tolist()
+        return rows if len(rows) == 1 else []
     name = state.names["point"].get(word.strip('"').rpartition(".")[2].casefold())
-    return [int(numbers[row]) for row in state.mesh.point_sets[name]] if name else []
+    return [*map(int, state.mesh.point_sets[name])] if name else []
 
 
 def _range(card: Card, words: list[str]) -> range:
@@ -93,12 +128,17 @@ def _range(card: Card, words: list[str]) -> range:
     return range(first, min(last, ALL) + 1)
 
 
-def _prescribe(one: Coupling, card: Card, row: int, words: list[str]) -> None:
-    word = words[1].upper() if len(words) > 1 else ""
-    if card.word == "BOUNDARY" and word in FIXED:
-        one.moved |= dict.fromkeys((*FIXED[word], *_ROTATIONS.get(word, ())), 0.0)
+def _prescribe(one: Coupling, card: Card, row: int, words: list[str], shift: int) -> None:
+    """One line.
+
+    Args:
+        shift: 3 at a node whose directions 1 to 3 are rotations.
+    """
+    boundary, word = card.word == "BOUNDARY", words[1].upper() if len(words) > 1 else ""
+    if boundary and word in FIXED:
+        held = FIXED[word] if shift else (*FIXED[word], *_ROTATIONS.get(word, ()))
+        one.moved |= {i + shift: 0.0 for i in held}
         return
-    boundary = card.word == "BOUNDARY"
     at = 3 if boundary else 2
     try:
         value = float((words[at] if len(words) > at else "").upper().replace("D", "E") or "0")
@@ -106,5 +146,7 @@ def _prescribe(one: Coupling, card: Card, row: int, words: list[str]) -> None:
         raise card.error(f"'{words[at][:40]}' is no number", row=row) from None
     if not abs(value) < float("inf"):
         raise card.error(f"'{words[at][:40]}' is no finite number", row=row)
-    target = one.moved if boundary else one.forces
-    target |= dict.fromkeys(_range(card, words[1:3] if boundary else words[1:2]), value)
+    held = (*_range(card, words[1:3] if boundary else words[1:2]),)
+    (one.moved if boundary else one.forces).update(
+        {i + shift: value for i in held if i + shift <= ALL}
+    )

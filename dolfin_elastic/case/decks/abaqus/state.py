@@ -65,7 +65,8 @@ class Reading:
         instance: The present one.
         sections: Each *SOLID SECTION and its region.
         fresh: Keys of forces that the present step has stated: further ones there add up.
-        couplings: Number of a reference node to its coupling.
+        couplings: Row of a reference node to its coupling.
+        turning: Row of a node to the coupling whose rotations are its displacements.
         coupling: The one whose keywords are being read.
     """
 
@@ -93,6 +94,7 @@ class Reading:
     sections: list[tuple[Card, str]] = field(default_factory=list)
     fresh: set[object] = field(default_factory=set)
     couplings: dict[int, Coupling] = field(default_factory=dict)
+    turning: dict[int, Coupling] = field(default_factory=dict)
     coupling: Coupling | None = None
 
     def __post_init__(self) -> None:
