@@ -311,7 +311,9 @@ OTHERS = {
     "*NSET, NSET=line\n1, 2\n*RIGID BODY, NSET=line, REF NODE=1\n": "no corners of faces",
     "*RIGID BODY, ELSET=ALL, NSET=top, REF NODE=1\n": "RIGID BODY: ELSET is not read",
     "*EQUATION\n2\n1, 1, 1., 2, 1, -1.\n": "EQUATION: equations between nodes",
-    "*TRANSFORM, NSET=top\n1., 0., 0., 0., 1., 0.\n": "TRANSFORM: supports and loads in other",
+    "*TRANSFORM, NSET=top, TYPE=C\n0., 0., 0., 0., 0., 1.\n*BOUNDARY\ntop, 1\n": "no table has",
+    "*TRANSFORM, NSET=top\n1., 1., 0., -1., 1., 0.\n*BOUNDARY\ntop, 1\n": "no table has",
+    "*TRANSFORM, NSET=top\n1., 1., 0., -1., 1., 0.\n*BOUNDARY\nleft, 1\n": "no table has",
     "*SHELL SECTION, ELSET=ALL\n1.\n": "SHELL SECTION: these elements",
     "*WHATEVER\n": "WHATEVER: this keyword is not known",
     "*INITIAL CONDITIONS, TYPE=STRESS\nALL, 1.\n": "TYPE=STRESS is not read",
@@ -465,6 +467,23 @@ def test_couplings(tmp_path: Path) -> None:
         "force": ["2 N", 0, 0],
         "moment": [0, "4 N*mm", 0],
     }
+
+
+def test_local_directions(tmp_path: Path) -> None:
+    """Supports along turned axes, all three along any, and forces by their components."""
+    more = (
+        "*TRANSFORM, NSET=top\n0., 2., 0., -1., 0., 0.\n*TRANSFORM, NSET=bottom, TYPE=C\n"
+        "0., 0., 0., 0., 0., 1.\n*BOUNDARY\ntop, 1, 1, 0.5\ntop, 2\nbottom, 1\nbottom, 2, 3\n"
+    )
+    case = one(tmp_path, cube(more + STEEL + STATIC.format("")))
+    assert case["support"] == [
+        {"on": "top", "displacement": [0, "0.5 mm", "free"]},
+        {"on": "bottom", "kind": "fixed"},
+    ]
+    more = "*TRANSFORM, NSET=top\n3., 4., 0., -4., 3., 0.\n"
+    case = one(tmp_path, cube(more + STEEL + STATIC.format("*CLOAD\ntop, 1, 10.\ntop, 2, 5.\n")))
+    # 10 (0.6, 0.8) + 5 (-0.8, 0.6)
+    assert case["load"][0]["value"] == ["2 N", "11 N", 0]
 
 
 def test_rigid_bodies(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from dolfin_elastic.case.decks.abaqus.couplings import take_at_nodes
 from dolfin_elastic.case.decks.abaqus.materials import floats, place
 from dolfin_elastic.case.decks.abaqus.state import Part, Ramp, Reading
+from dolfin_elastic.case.decks.abaqus.transforms import in_directions_of_the_body
 from dolfin_elastic.case.decks.deck import Entry, FieldValue, Quantity
 from dolfin_elastic.core.types import IntArray
 from dolfin_elastic.mesh.formats.abaqus.cards import Card
@@ -43,6 +44,8 @@ def take_condition(state: Reading, card: Card) -> None:
         return
     if state.couplings and card.word in ("BOUNDARY", "CLOAD"):
         card = take_at_nodes(state, card)
+    if state.transforms and card.word in ("BOUNDARY", "CLOAD"):
+        card = in_directions_of_the_body(state, card)
     _TAKE[card.word](state, card)
 
 

@@ -113,7 +113,7 @@ def take_at_nodes(state: Reading, card: Card) -> Card:
 def _nodes(state: Reading, word: str) -> list[int]:
     """Rows of a node or of a set of nodes; none of a number that several instances have."""
     if word.isdigit():
-        rows = np.flatnonzero(state.mesh.numbers == int(word)).tolist()
+        rows = [int(row) for row in np.flatnonzero(state.mesh.numbers == int(word))]
         return rows if len(rows) == 1 else []
     name = state.names["point"].get(word.strip('"').rpartition(".")[2].casefold())
     return [*map(int, state.mesh.point_sets[name])] if name else []

@@ -20,6 +20,7 @@ from dolfin_elastic.case.decks.abaqus.materials import (
     material_entry,
 )
 from dolfin_elastic.case.decks.abaqus.state import Reading
+from dolfin_elastic.case.decks.abaqus.transforms import take_transform
 from dolfin_elastic.case.decks.deck import Deck, Entry, Place
 from dolfin_elastic.core.errors import MeshError, nearest
 from dolfin_elastic.mesh.formats.abaqus.cards import Card, read_cards
@@ -62,7 +63,6 @@ _FAULTS = {
     "DASHPOT": 'state it as a support of kind "dashpot"',
     "MASS": "state it as [[mass]]",
     "GAP": "state it as [[contact]]",
-    "TRANSFORM": "supports and loads in other axes; a support across a surface is of kind normal",
     "PRE-TENSION SECTION": 'state it as a load of kind "bolt"',
     "CYCLIC SYMMETRY MODEL": "cyclic symmetry is not there",
     "REFINE MESH": "CalculiX computes again on a finer mesh; here `converge` does so",
@@ -195,6 +195,7 @@ _TAKE: dict[str, Callable[[Reading, Card], None]] = {
     "AMPLITUDE": _amplitude,
     "TIE": conditions.take_tie,
     "COUPLING": couplings.take_coupling,
+    "TRANSFORM": take_transform,
     "RIGID BODY": couplings.take_rigid_body,
     "KINEMATIC": couplings.take_kind,
     "DISTRIBUTING": couplings.take_kind,

@@ -10,6 +10,7 @@ from dolfin_elastic.case.decks.abaqus.coupling import Coupling
 from dolfin_elastic.case.decks.abaqus.materials import Material, place
 from dolfin_elastic.case.decks.deck import Deck, Entry, FieldValue, Place, Quantity, Step
 from dolfin_elastic.core.errors import nearest
+from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.mesh.formats.abaqus.cards import Card
 from dolfin_elastic.mesh.formats.raw import MeshFile
 
@@ -35,6 +36,19 @@ class Part:
 
 Parts = dict[tuple[str, int], Part]
 """Name of a set of nodes and component, 0 to 2, to what is prescribed there."""
+
+
+@dataclass(frozen=True)
+class Transform:
+    """Local directions of some nodes.
+
+    Attributes:
+        nodes: Rows of the nodes.
+        axes: The directions 1 to 3, shape (3, 3); None: they differ from node to node.
+    """
+
+    nodes: IntArray
+    axes: FloatArray | None
 
 
 @dataclass
@@ -68,6 +82,7 @@ class Reading:
         couplings: Row of a reference node to its coupling.
         turning: Row of a node to the coupling whose rotations are its displacements.
         coupling: The one whose keywords are being read.
+        transforms: Local directions of nodes.
     """
 
     deck: Deck
@@ -96,6 +111,7 @@ class Reading:
     couplings: dict[int, Coupling] = field(default_factory=dict)
     turning: dict[int, Coupling] = field(default_factory=dict)
     coupling: Coupling | None = None
+    transforms: list[Transform] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.dim = dim = max(block.dim for block in self.mesh.blocks)
