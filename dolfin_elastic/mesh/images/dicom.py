@@ -113,7 +113,7 @@ def _chosen(
         return found[0]
     names = [f"{name}, {len(files)} slices" for name, files in named.values()]
     raise MeshError(
-        f"'{wanted}' means {len(found)} of its {len(names)} series"
+        f"'{wanted}' means {len(found)} of the {len(names)} series"
         if wanted
         else f"the folder has {len(names)} series",
         where="series",

@@ -47,8 +47,8 @@ class ImageField(Record):
             voxel, or a value of the image, such as -1000.
         map: Steps from the values of voxels to those of the field: each a formula in v, or a table
             of pairs, linear between them.  They are applied before the means.
-        skin: Depth in voxels below the surface of what is at least `threshold` in which values are
-            those of the nearest voxel deeper inside; 0: they stay.
+        skin: Depth in voxels below the surface of what is at least `threshold` in which each voxel
+            gets the value of the nearest one deeper inside; 0: it has its own.
         threshold: Value of the image from which on a voxel belongs to the body.
     """
 

@@ -158,11 +158,17 @@ class _Header:
             raise MeshError(f"HeaderSize = {skipped}", expected="a number of bytes, or -1")
         return skipped
 
+    def _spacing(self, dim: int) -> FloatArray:
+        """Edges of a voxel; programs write three for plane images, too."""
+        key = next((key for key in _SPACING if key in self._lines), "")
+        three = dim == 2 and len(self._lines.get(key, "").split()) == 3
+        return self.numbers(_SPACING, 3 if three else dim, np.ones(dim))[:dim]
+
     def image(self, values: np.ndarray[tuple[int, ...], np.dtype[np.generic]]) -> Image:
         """The voxels with their places, in NIfTI's frame."""
         dim = 2 if values.shape[2] == 1 and self.text("NDims").strip() == "2" else 3
         affine = np.eye(4)
-        spacing = self.numbers(("ElementSpacing", "ElementSize"), dim, np.ones(dim))
+        spacing = self._spacing(dim)
         axes = self.numbers(_AXES, dim * dim, np.eye(dim).ravel()).reshape(dim, dim)
         affine[:dim, :dim] = axes.T * spacing  # a row of the file is the direction of an axis
         affine[:dim, 3] = self.numbers(_ORIGIN, dim, np.zeros(dim))
@@ -172,4 +178,5 @@ class _Header:
 
 
 _AXES = "TransformMatrix", "Rotation", "Orientation"
+_SPACING = "ElementSpacing", "ElementSize"
 _ORIGIN = "Offset", "Origin", "Position"

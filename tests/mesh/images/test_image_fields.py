@@ -17,6 +17,7 @@ from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.mesh import Body, box_body
 from dolfin_elastic.mesh.geometry.simplices import cell_corners, signed_volumes
 from dolfin_elastic.mesh.images import field as field_module
+from dolfin_elastic.mesh.images import means as means_module
 from dolfin_elastic.mesh.images.field import ImageField, add_images
 
 COMM = MPI.COMM_WORLD
@@ -206,24 +207,22 @@ def test_skin(folder: Path) -> None:
         means(body, folder, image=name, skin=9, threshold=0.0)
 
 
-def test_memory(folder: Path) -> None:
-    """Beside the image itself a few layers, whatever its size: half of the image here."""
+def test_memory(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside the image itself a few layers and lines, whatever its size."""
     import tracemalloc
 
-    values = np.ones((160, 160, 400), np.int16)  # 20 MB; as numbers of 8 bytes 82 MB
-    body = box(2, 8e-2)
-    affine = np.diag([0.5, 0.5, 0.2, 1.0])
-    name = image(folder, values, affine)
-    table = ImageField(image=name)
-    held = field_module._SENT
-    field_module._SENT = 1 << 18
+    values = np.ones((100, 100, 200), np.int16)  # 4 MB; as numbers of 8 bytes 16 MB
+    body = box(4, 5e-2)
+    affine = np.diag([0.5, 0.5, 0.25, 1.0])
+    table = ImageField(image=image(folder, values, affine))
+    monkeypatch.setattr(field_module, "_SENT", 1 << 15)
+    monkeypatch.setattr(means_module, "_LINES", 1 << 11)
     try:
         tracemalloc.start()
         add_images(body, {"g": table}, folder)
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-        field_module._SENT = held
         body.fields.pop("g", None)
     assert peak < (2.6 if COMM.rank == 0 else 1.6) * values.nbytes
 

@@ -117,7 +117,7 @@ def test_series(tmp_path: Path) -> None:
     with pytest.raises(MeshError, match=r"2 series.*7 bone, 6 slices; 7 soft, 6 slices"):
         read_image(tmp_path)
     np.testing.assert_array_equal(read_image(tmp_path, series="bone").values, VALUES + 7)
-    with pytest.raises(MeshError, match="'air' means 0 of its 2 series"):
+    with pytest.raises(MeshError, match="'air' means 0 of the 2 series"):
         read_image(tmp_path, series="air")
 
 
@@ -187,6 +187,15 @@ def cut(kind: str) -> Write:
         return path
 
     return write
+
+
+def test_plane_images_may_state_three_spacings(folder: Path) -> None:
+    """As some programs write them."""
+    header = "NDims = 2\nDimSize = 3 2\nElementType = MET_UCHAR\nElementSpacing = 0.5 2 1\n"
+    (folder / "a.mha").write_bytes(f"{header}ElementDataFile = LOCAL\n".encode() + bytes(range(6)))
+    found = read_image(folder / "a.mha")
+    np.testing.assert_allclose(found.spacing, [0.5, 2.0, 1.0])
+    assert found.values[2, 1, 0] == 5
 
 
 NAN = np.where(VALUES.max() == VALUES, np.nan, VALUES).astype(np.float32)
