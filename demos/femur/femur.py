@@ -125,9 +125,7 @@ def main() -> None:
     factor = float(row["neck_safety_factor_percentile_5"])
     least = json.loads((folder / "summary.json").read_text())["extremes"]["safety_factor"]
     place = 1e3 * np.array(least["place"])
-    print(
-        f"strain in the neck: tension {100 * tension:.3f} %, compression {100 * compression:.3f} %"
-    )
+    print(f"strain of the neck: {tension:.2f} % in tension, {compression:.2f} % in compression")
     print(f"lowest factor at ({', '.join(f'{x:.0f}' for x in place)}) mm")
     ground, hinge = float(row["reaction_trochanter_x"]), float(row["reaction_zmin_x"])
     assert abs(ground + hinge - LOAD) < 1e-6 * LOAD
