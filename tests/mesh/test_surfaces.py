@@ -248,7 +248,11 @@ def test_hostile_3mf(kind, tmp_path):
     ("name", "content", "said"),
     [
         ("a.stl", b"\0" * 80 + b"\xff\xff\xff\xff", "states 4294967295 triangles"),
-        ("a.stl", b"solid a\nfacet\nouter loop\nvertex 0 0 0\n", "a.stl:4: it ends before its solid does"),
+        (
+            "a.stl",
+            b"solid a\nfacet\nouter loop\nvertex 0 0 0\n",
+            "a.stl:4: it ends before its solid does",
+        ),
         (
             "a.ply",
             b"ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\n"

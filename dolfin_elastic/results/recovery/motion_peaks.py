@@ -11,7 +11,13 @@ import numpy as np
 from dolfin_elastic.core.parallel import largest
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.problem.state import State, plain
-from dolfin_elastic.results.recovery.peaks import Peak, PeakFinder, utilisation
+from dolfin_elastic.results.recovery.peaks import (
+    LOWER,
+    Peak,
+    PeakFinder,
+    least_ratio,
+    utilisation,
+)
 from dolfin_elastic.results.recovery.singular import singular_places
 from dolfin_elastic.results.recovery.stress import StressRecovery, von_mises
 from dolfin_elastic.results.verdict import ELSEWHERE, Table
@@ -69,20 +75,30 @@ class MotionPeaks:
         stress = self._stress(state)
         self._add(state, "von_mises", von_mises(stress.stress), stress.region)
         if self._limited:
-            self._add(state, "safety_factor", utilisation(stress), stress.safety_region)
+            lower = least_ratio(self._problem)
+            self._add(state, "safety_factor", utilisation(stress), stress.safety_region, lower)
 
-    def _add(self, state: State, name: str, values: FloatArray, regions: IntArray) -> None:
+    def _add(
+        self,
+        state: State,
+        name: str,
+        values: FloatArray,
+        regions: IntArray,
+        lower: float = LOWER,
+    ) -> None:
         """Takes the values of a state.
 
         Args:
             values: In proportion to the von Mises stress, at the owned nodes.
             regions: Number of the material region that each belongs to.
+            lower: See `PeakFinder.pair`.
         """
         finite = values[np.isfinite(values)]
         top = largest(self._problem.body.comm, float(finite.max(initial=0.0)))
         if top <= self._least(name):
             return  # as of most states of a vibration
-        for key, peak in _pairs(name, *self._finder_at(state).pair(values, regions)[:2]):
+        found = self._finder_at(state).pair(values, regions, lower=lower)[:2]
+        for key, peak in _pairs(name, *found):
             if peak.value > self._known(key):
                 row = {k: value for k, value in peak.as_json().items() if k not in _JUDGED}
                 if name == "safety_factor":

@@ -15,6 +15,7 @@ from dolfin_elastic.core.parallel import largest_row, total
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.core.units import METRE, LengthUnit, stress_unit
 from dolfin_elastic.mesh.body import cell_size
+from dolfin_elastic.model.strength import Strength
 from dolfin_elastic.results.recovery.error import ErrorEstimate
 from dolfin_elastic.results.recovery.locking import unseen_locking
 from dolfin_elastic.results.recovery.resolution import RESOLVED, largest_at_nodes, resolution
@@ -36,9 +37,19 @@ _MORE, _MORE_OF_ERROR = 0.01, 0.25
 error at its own place."""
 _SAME_PLACE = 2.0
 """Distance over the size of cells up to which two nodes are at the same peak."""
-_LOWER = 0.5
+LOWER = 0.5
 """Least ratio of a local maximum that is reported to the largest stress two cells away from all
 singular places."""
+
+
+def least_ratio(problem: Problem) -> float:
+    """The least ratio, see `LOWER`, for safety factors.
+
+    1 where strengths depend on direction or sign: a local maximum may then be of another kind than
+    the stress that rises towards a singular place, such as compression opposite to weak tension.
+    """
+    apart = any(isinstance(region.law.allowable, Strength) for region in problem.regions)
+    return 1.0 if apart else LOWER
 
 
 @dataclass(frozen=True)
@@ -236,7 +247,8 @@ def find_peaks(problem: Problem, estimate: ErrorEstimate) -> Peaks:
     The largest regular stress is sought among local maxima at nodes of cells that have no singular
     node: in the next cells the stress still rises towards the singular place, but has no maximum.
     If the largest of them is less than half of the largest stress at least two cells away, as in a
-    beam whose bending moment is largest at its clamped end, the latter is taken.
+    beam whose bending moment is largest at its clamped end, the latter is taken; of safety factors
+    by strengths that depend on direction or sign it is taken wherever it is the larger one.
 
     Its error is that of the largest stress at any regular place: the largest sum of a stress and
     its own error, less the largest stress.  It is not known where the mesh does not resolve the
@@ -253,7 +265,9 @@ def find_peaks(problem: Problem, estimate: ErrorEstimate) -> Peaks:
         return Peaks(highest, elsewhere, rival=rival, cut_off=estimate.cut_off)
     least, other = (
         None if peak is None or peak.value <= 0 else replace(peak, value=1 / peak.value)
-        for peak in finder.pair(utilisation(stress), stress.safety_region)[:2]
+        for peak in finder.pair(
+            utilisation(stress), stress.safety_region, lower=least_ratio(problem)
+        )[:2]
     )
     return Peaks(highest, elsewhere, least, other, rival=rival, cut_off=estimate.cut_off)
 
@@ -292,12 +306,16 @@ class PeakFinder:
     def __init__(self, problem: Problem, places: SingularPlaces) -> None:
         self._problem, self._places = problem, places
 
-    def pair(self, values: FloatArray, regions: IntArray) -> tuple[Peak, Peak | None, Peak | None]:
+    def pair(
+        self, values: FloatArray, regions: IntArray, *, lower: float = LOWER
+    ) -> tuple[Peak, Peak | None, Peak | None]:
         """The largest value, where it is singular the largest elsewhere, and what may be larger.
 
         Args:
             values: In proportion to the von Mises stress, at the owned nodes.
             regions: Number of the material region that each belongs to.
+            lower: Least ratio of a local maximum to the largest value two cells away from all
+                singular places, at which the maximum is taken.
         """
         values = np.where(np.isfinite(values), values, -np.inf)
         first = self.at_largest(values, regions, singular=True)
@@ -309,7 +327,7 @@ class PeakFinder:
         maximum, beyond = (
             self.at_largest(np.where(where, values, -np.inf), regions) for where in others
         )
-        other = beyond if maximum.value < _LOWER * beyond.value else maximum
+        other = beyond if maximum.value < lower * beyond.value else maximum
         if not other.place:
             return first, None, None
         # The flank of a singular place is higher than a maximum elsewhere, and none itself.

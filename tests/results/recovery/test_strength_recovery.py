@@ -10,14 +10,23 @@ from dolfinx import fem
 from helpers.bodies import soft_and_hard
 from mpi4py import MPI
 
-from dolfin_elastic import LinearElastic, NeoHookean, Orthotropic, Probe, Problem, box_body
+from dolfin_elastic import (
+    LinearElastic,
+    NeoHookean,
+    Orthotropic,
+    Probe,
+    Problem,
+    Support,
+    box_body,
+)
 from dolfin_elastic.core.parallel import largest, smallest
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.derived.part_numbers import PartNumbers
 from dolfin_elastic.results.evaluate import Evaluator
 from dolfin_elastic.results.quantity import Quantity
 from dolfin_elastic.results.recovery.error import ErrorEstimator
-from dolfin_elastic.results.recovery.peaks import find_peaks
+from dolfin_elastic.results.recovery.peaks import LOWER, PeakFinder, find_peaks, least_ratio
+from dolfin_elastic.results.recovery.singular import singular_places
 from dolfin_elastic.results.scene.drawn_field import DrawnField
 
 COMM = MPI.COMM_WORLD
@@ -168,3 +177,34 @@ def test_largest_strain_of_a_turned_bar_and_percentiles_of_its_bending() -> None
     assert found["max_principal_strain_share_above_-1"] == pytest.approx(1.0, rel=1e-12)
     top = PartNumbers(problem, "surface", "top", ["max_principal_strain"], ["share_above:0.009"])
     assert top(state)["max_principal_strain_share_above_0.009"] == pytest.approx(1, rel=1e-12)
+
+
+def test_weak_tension_at_a_clamp_counts() -> None:
+    """Beside a clamp the stress rises to the singular edge: there is no local maximum of tension.
+
+    Compression at the far end is one, at less than its strength by a larger factor, as on the other
+    side of a bent bracket: by the von Mises stress it would be the largest one elsewhere.
+    """
+    law = LinearElastic(
+        E=4e3,
+        nu=0.3,
+        allowable={"criterion": "largest-stress", "tension": 10.0, "compression": 40.0},
+    )
+    body = box_body(size=(8.0, 1.0, 1.0), cells=(16, 2, 2))
+    problem = Problem(body, law, supports=[Support(on="left")], degree=1)
+    values = np.where(
+        problem.places[:, 2] > 0.5,
+        1 - 0.1 * problem.places[:, 0],
+        0.6 * np.exp(-((problem.places[:, 0] - 6) ** 2)),
+    )
+    places = singular_places(problem)
+    zero = np.zeros(len(values), dtype=np.int64)
+    by_stress, by_strength = (
+        PeakFinder(problem, places).pair(values, zero, lower=lower)[1]
+        for lower in (LOWER, least_ratio(problem))
+    )
+    assert by_stress is not None
+    assert by_strength is not None
+    assert by_stress.value == pytest.approx(0.6, rel=ROUND_OFF)
+    # Two cells of 0.5 away from the clamp, or one more where a cell's edge is longer.
+    assert 0.8 < by_strength.value < 0.95
