@@ -142,7 +142,8 @@ class Output(Record):
     Attributes:
         folder: Folder of the results, relative to the case file's; by default the case file's
             name with "_results", in the folder where the run is started.
-        fields: Fields for ParaView; by default displacement and stresses.
+        fields: Fields for ParaView; by default displacement and stresses, with a table of strengths
+            also the safety factor.
         formats: Formats of the fields, names from `FORMATS`.
         every: Fields are written every so many steps, and at the end; by default every step, with
             an explicit scheme about 200 states.

@@ -532,6 +532,15 @@ DEFAULT = ("displacement", "von_mises", "cauchy_stress")
 IN_MOTION = ("velocity",)
 
 
+def default_fields(laws: Iterable[Law]) -> tuple[str, ...]:
+    """Fields that are written where none are named.
+
+    With a table of strengths the safety factor is among them: it does not follow from the others.
+    """
+    by_direction = any(isinstance(law.allowable, Strength) for law in laws)
+    return (*DEFAULT, "safety_factor") if by_direction else DEFAULT
+
+
 # --- fields of a body ---
 
 _SHAPES: dict[int, Literal["scalar", "vector", "tensor"]] = {

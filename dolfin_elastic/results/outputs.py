@@ -131,8 +131,8 @@ class FieldFile(Output):
 
     Attributes:
         file: The file to open; the numbers go to a folder beside it, where it has one.
-        fields: Names of `field_table`; by default displacement, von Mises and Cauchy stress, and in
-            motion velocity.
+        fields: Names of `field_table`; by default displacement, von Mises and Cauchy stress, with
+            a table of strengths the safety factor, and in motion velocity.
         every: The first state at or after each n-th step is written, and the last one.
         frames: If given, so many states evenly over the run are written instead.
     """

@@ -25,7 +25,7 @@ from dolfin_elastic.core.timing import stage
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.evaluate import Evaluator
-from dolfin_elastic.results.fields import DEFAULT, IN_MOTION, name_in_results
+from dolfin_elastic.results.fields import IN_MOTION, default_fields, name_in_results
 from dolfin_elastic.results.files import (
     make_folder,
     missing_results,
@@ -149,7 +149,7 @@ class SeriesWriter(ABC):
 
     Args:
         path: The file that users open.
-        fields: Names of `field_table`; None: displacement and stresses, in motion also velocity.
+        fields: Names of `field_table`; None: those of `default_fields`, in motion also velocity.
         every: Steps between written states, see `StepInterval`; the last state is always written.
         frames: If given, so many states evenly over the run are written instead, and the last.
         saved: Its restart state: later steps are cut off.
@@ -186,7 +186,8 @@ class SeriesWriter(ABC):
         self._last_state = LastState()
         self._pending = False
         with stage("output"):
-            self._evaluate = Evaluator(problem, fields or DEFAULT)
+            usual = default_fields(region.law for region in problem.regions)
+            self._evaluate = Evaluator(problem, fields or usual)
             if saved is None:
                 body = problem.body
                 for name in fields or ():

@@ -23,6 +23,7 @@ from dolfin_elastic.core.parallel import largest, smallest
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.derived.part_numbers import PartNumbers
 from dolfin_elastic.results.evaluate import Evaluator
+from dolfin_elastic.results.fields import default_fields
 from dolfin_elastic.results.quantity import Quantity
 from dolfin_elastic.results.recovery.error import ErrorEstimator
 from dolfin_elastic.results.recovery.peaks import LOWER, PeakFinder, find_peaks, least_ratio
@@ -82,6 +83,8 @@ def test_same_factor_everywhere(criterion: str) -> None:
     assert not isinstance(law.allowable, float)
     factor = 1 / law.allowable.used_at(judged[None], axis)[0]
     assert of_all(problem, state) == pytest.approx((factor, factor), rel=ROUND_OFF)
+    assert "safety_factor" in default_fields([law])
+    assert "safety_factor" not in default_fields([LinearElastic(E=4e3, nu=0.3, allowable=30.0)])
     probe = Probe(problem, {"p": (0.7, 0.3, 0.6)}, ["safety_factor"])(state)
     assert probe["p_safety_factor"] == pytest.approx(factor, rel=ROUND_OFF)
     numbers = PartNumbers(problem, "region", None, ["safety_factor"], ["mean"])(state)
