@@ -37,7 +37,7 @@ from dolfin_elastic.model.strength import Strength
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import unknowns_of_outputs
 from dolfin_elastic.results.fields import FIELDS, axis_of, cauchy_stress
-from dolfin_elastic.results.recovery.patches import Patches, RawValues, sampling_points
+from dolfin_elastic.results.recovery.patches import ROUNDS, Patches, RawValues, sampling_points
 from dolfin_elastic.results.recovery.strength import constant_axis, judged_apart, used_of
 from dolfin_elastic.results.verdict import SAFEST
 
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from dolfin_elastic.problem.problem import Problem
 
 
-_RINGS = 4
+_RINGS = 1 + ROUNDS
 """Layers of cells around the cell of a point: those of the patches of its nodes, and those of the
 patches from which a patch with too few sampling points takes its polynomial."""
 

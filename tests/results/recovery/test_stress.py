@@ -85,6 +85,51 @@ def test_polynomials_are_recovered_everywhere(dim: int, n: int, degree: int) -> 
     assert body.comm.allreduce(np.abs(recovered - right).max(initial=0), op=MPI.MAX) < 1e-10
 
 
+def slender(degree: int) -> Problem:
+    """A bar one cell thick, of which only the short cells at one end have patches that serve.
+
+    With quadratic cells: those of long cells are nearly singular.  Linear ones all serve.
+    """
+    body = box_body(size=(12.0, 1.0, 1.0), cells=(12, 1, 1))
+    x = body.mesh.geometry.x[:, 0]
+    x[:] = np.where(x > 3, 3 + 6 * (x - 3), x)
+    return Problem(body, LinearElastic(E=1.0, nu=0.3), degree=degree)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_errors_are_not_multiplied_along_a_slender_part(degree: int) -> None:
+    """Sum of the absolute weights of the points in the value at each vertex: an error of the points
+    grows by as much at most.
+
+    A patch that serves has 10 at most, and a value that is taken from patches beside twice that.
+    """
+    problem = slender(degree)
+    cells, points = problem.body.owned_cells(), len(sampling_points(3, degree))
+    columns = problem.body.num_cells * points
+    values = np.zeros((len(cells), points, columns))
+    own = problem.body.mesh.topology.original_cell_index[: len(cells)]
+    for point in range(points):
+        values[np.arange(len(cells)), point, own * points + point] = 1
+    found = Patches(problem.V, cells)(values)[:, :4]
+    np.testing.assert_allclose(found.sum(axis=2), 1, rtol=1e-9)
+    gains = np.abs(found).sum(axis=2)
+    largest = problem.body.comm.allreduce(gains.max(initial=0), op=MPI.MAX)
+    print(degree, largest)
+    assert 1 < largest < 20
+
+
+def test_a_probe_of_a_slender_part_reads_the_field() -> None:
+    """It recovers from the cells around alone: no polynomial may come from farther away."""
+    problem = slender(2)
+    problem.u.interpolate(lambda x: (0.01 * np.sin(x[0]), 0 * x[0], 0.01 * np.cos(x[1] - x[0])))
+    state, place = State(1, 1.0, problem.u), [57.0, 0.0, 1.0]
+    values = Evaluator(problem, ["cauchy_stress"])(state)["cauchy_stress"]
+    x = problem.V.tabulate_dof_coordinates()[: len(values)]
+    found = Probe(problem, {"a": place}, ["cauchy_stress"])(state)["a_cauchy_stress"]
+    for row in values[np.linalg.norm(x - place, axis=1) < 1e-9]:
+        np.testing.assert_allclose(row, found, rtol=1e-9, atol=1e-12)
+
+
 def stress_errors(dim: int, degree: int, n: int) -> Any:
     """Raw and recovered stress against a manufactured one, L2 norm in the inner half; and of the
     difference of both, in the whole body, over that of the raw one."""
