@@ -151,7 +151,7 @@ def _patch_names(
         else:
             result.append(next(text for n in numbers if (text := f"patch {n}") not in taken))
     several = {
-        names[g]: np.flatnonzero(group == g).tolist()
+        names[g]: [int(k) for k in np.flatnonzero(group == g)]
         for g in np.flatnonzero(number > 1)
         if names[g]
     }

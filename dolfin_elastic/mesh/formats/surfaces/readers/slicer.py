@@ -69,13 +69,13 @@ class Roles:
         """What a component of an object is; empty: material."""
         return self._parts.get((parent, number), "")
 
-    def material(self, number: str, count: int, say: Callable[[str], None]) -> BoolArray:
+    def material(self, number: str, count: int, say: Callable[[str], object]) -> BoolArray:
         """Which triangles of an object are material, shape (count,).
 
         Args:
             number: Of the object, as the file has it.
-            count: Its triangles.
-            say: Called with what others are.
+            count: Number of its triangles, in the order of the file.
+            say: Called with the role of each range that is not.
         """
         result = np.ones(count, dtype=bool)
         for first, last, role in self._ranges.get(number, ()):
