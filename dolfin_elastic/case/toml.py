@@ -119,9 +119,9 @@ def read_toml(file: str) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         raise CaseError(_syntax(str(error), text), where=file) from None
     except UnicodeDecodeError:
-        raise CaseError(
-            "this is no text file in UTF-8", where=file, expected="save it in UTF-8"
-        ) from None
+        mesh = f"a case file, which names a mesh or surface by [mesh] file = {value_text(file)}"
+        hint = "save it in UTF-8" if file.lower().endswith(".toml") else mesh
+        raise CaseError("this is no text file in UTF-8", where=file, expected=hint) from None
     except FileNotFoundError:
         others = sorted(str(p) for p in Path(file).parent.glob("*.toml"))
         near = nearest_file(file, others) if others else "dolfin-elastic new writes a first one"

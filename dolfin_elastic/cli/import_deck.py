@@ -59,6 +59,8 @@ def import_deck(
             the answer.
         MeshError: The deck is damaged, or no deck.
     """
+    if deck.is_dir():
+        raise CaseError("this is a folder", where=str(deck), expected="the deck inside it")
     target = output or deck.with_suffix(".toml")
     if not (run or compare):
         if launched_rank() == 0:

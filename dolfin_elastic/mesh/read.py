@@ -23,6 +23,7 @@ from dolfin_elastic.mesh.formats.midsides import in_order
 from dolfin_elastic.mesh.formats.raw import MeshFile, RawMesh, assemble
 from dolfin_elastic.mesh.formats.surfaces.options import SURFACES, SurfaceOptions, is_surface
 from dolfin_elastic.mesh.geometry.checks import check_cells
+from dolfin_elastic.mesh.images.read import is_image
 from dolfin_elastic.mesh.local_size import NO_SIZES, CadSizes
 
 SHAPES = (".step", ".stp", ".brep", ".iges", ".igs")
@@ -217,6 +218,12 @@ def check_file(
         )
     if path.stat().st_size == 0:
         raise MeshError("the file is empty", where=path.name, expected="save the mesh anew")
+    if is_image(path):
+        raise MeshError(
+            "this is an image of voxels, not a mesh",
+            where=path.name,
+            expected=f'[mesh] image = "{path.name}", with labels = {{NAME = 1}} or a threshold',
+        )
     cad = is_cad(path)
     meshed = cad or is_surface(path)
     if size is not None and not meshed:

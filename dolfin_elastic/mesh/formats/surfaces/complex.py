@@ -23,6 +23,9 @@ from dolfin_elastic.mesh.formats.surfaces.surface import (
 )
 from dolfin_elastic.mesh.formats.surfaces.topology import oriented
 
+_SAME = 1e-9
+"""Change of a volume, relative, that is round-off."""
+
 
 @dataclass(frozen=True)
 class Complex:
@@ -79,10 +82,11 @@ def _mended(
     regions, _ = _regions(surface)
     after = _volume(surface, regions)
     change = (after - before) / after
-    moved = unit.length(distance * unit.metres) if distance else "0"
+    moved = f"moved it by up to {unit.length(distance * unit.metres)}" if distance else "not moved it"
+    volume = f"changed the volume by {100 * change:+.2g} %" if abs(change) > _SAME else ""
     return (
-        f"the surface has been mended: {', '.join(steps)}; that has changed the volume by "
-        f"{change:+.2g} of it, and moved the surface by up to {moved}"
+        f"the surface has been mended: {', '.join(steps)}; that has {volume and volume + ' and '}"
+        f"{moved}"
     )
 
 
