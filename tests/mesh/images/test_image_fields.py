@@ -11,7 +11,7 @@ import pytest
 from helpers.images import write_dicom, write_nifti
 from mpi4py import MPI
 
-from dolfin_elastic import Case
+from dolfin_elastic import Case, run
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.parallel import on_root, total
 from dolfin_elastic.mesh import Body, box_body
@@ -269,3 +269,22 @@ def test_keys(folder: Path) -> None:
     }.values():
         with pytest.raises(InputError, match=message):
             ImageField(image="a.nii", **table)
+
+
+def test_temperatures_of_an_image(folder: Path) -> None:
+    """A free body becomes longer by alpha T, T uniform in the image: exact for linear elements."""
+    name = image(folder, np.full((N,) * 3, 50, np.int16))
+    case = Case.from_dict(
+        {
+            "mesh": {"box": {"size": [N, N, N], "cells": [1, 1, 1]}, "unit": "mm"},
+            "fields": {"T": {"image": name}},
+            "materials": {
+                "m": {"law": "linear-elastic", "E": "1 GPa", "nu": 0.3, "expansion": 1e-5}
+            },
+            "support": [{"kind": "symmetry", "on": side} for side in ("left", "bottom", "back")],
+            "load": [{"kind": "thermal", "value": {"field": "T"}}],
+        },
+        folder,
+    )
+    *_, last = run(case, output=str(folder / "hot"))
+    assert last.max_displacement == pytest.approx(3**0.5 * 5e-4 * 1e-3 * N, rel=1e-6)
