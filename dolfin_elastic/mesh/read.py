@@ -186,6 +186,36 @@ def check_file(
     Raises:
         MeshError: With what would be right.
     """
+    _check_kind(path)
+    cad = is_cad(path)
+    meshed = cad or is_surface(path)
+    if size is not None and not meshed:
+        raise MeshError(
+            "mesh.size is given, but this file is a finished mesh",
+            where=path.name,
+            expected=f"size is for {', '.join((*CAD, *SURFACES))}",
+        )
+    if curved and not meshed:
+        raise MeshError(
+            "mesh.curved is given, but this file is a finished mesh",
+            where=path.name,
+            expected=f"curved is for {', '.join((*CAD, *SURFACES))}; a mesh of quadratic elements "
+            "is curved already",
+        )
+    if join is not None and path.suffix.lower() not in SHAPES:
+        raise MeshError(
+            "a .geo file joins its bodies itself"
+            if cad
+            else "bodies are to be joined or not, but this file is "
+            + ("a surface" if meshed else "a finished mesh"),
+            where=path.name,
+            expected=f"join is for {', '.join(SHAPES)}"
+            + ("; in a .geo file write Coherence; or BooleanFragments" if cad else ""),
+        )
+
+
+def _check_kind(path: Path) -> None:
+    """Refuses what is not there, or cannot be a mesh."""
     if os.path.isdir(path):  # of a name that is too long Path raises
         raise MeshError(f"'{path}' is a folder, not a mesh file", expected="the file inside it")
     if fault := why_no_file(path, sys.maxsize):
@@ -223,31 +253,6 @@ def check_file(
             "this is an image of voxels, not a mesh",
             where=path.name,
             expected=f'[mesh] image = "{path.name}", with labels = {{NAME = 1}} or a threshold',
-        )
-    cad = is_cad(path)
-    meshed = cad or is_surface(path)
-    if size is not None and not meshed:
-        raise MeshError(
-            "mesh.size is given, but this file is a finished mesh",
-            where=path.name,
-            expected=f"size is for {', '.join((*CAD, *SURFACES))}",
-        )
-    if curved and not meshed:
-        raise MeshError(
-            "mesh.curved is given, but this file is a finished mesh",
-            where=path.name,
-            expected=f"curved is for {', '.join((*CAD, *SURFACES))}; a mesh of quadratic elements "
-            "is curved already",
-        )
-    if join is not None and path.suffix.lower() not in SHAPES:
-        raise MeshError(
-            "a .geo file joins its bodies itself"
-            if cad
-            else "bodies are to be joined or not, but this file is "
-            + ("a surface" if meshed else "a finished mesh"),
-            where=path.name,
-            expected=f"join is for {', '.join(SHAPES)}"
-            + ("; in a .geo file write Coherence; or BooleanFragments" if cad else ""),
         )
 
 

@@ -329,7 +329,7 @@ class Patches:
 
         Args:
             weights: Sum of those of the points of each patch.
-            serves: Vertices whose own patches serve.
+            serves: Vertices whose own patches serve, of all local ones.
         """
         rounds: list[_Extrapolation] = []
         known, comm = serves.copy(), self._mesh.comm

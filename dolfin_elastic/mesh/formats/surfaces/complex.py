@@ -82,7 +82,9 @@ def _mended(
     regions, _ = _regions(surface)
     after = _volume(surface, regions)
     change = (after - before) / after
-    moved = f"moved it by up to {unit.length(distance * unit.metres)}" if distance else "not moved it"
+    moved = (
+        f"moved it by up to {unit.length(distance * unit.metres)}" if distance else "not moved it"
+    )
     volume = f"changed the volume by {100 * change:+.2g} %" if abs(change) > _SAME else ""
     return (
         f"the surface has been mended: {', '.join(steps)}; that has {volume and volume + ' and '}"
