@@ -26,7 +26,7 @@ from ufl.core.expr import Expr
 from dolfin_elastic.core.errors import InputError, all_errors, keyed
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.core.units import Quantity, SpatialValue, to_si
+from dolfin_elastic.core.units import Quantity, SpatialValue, Stress, to_si
 from dolfin_elastic.model.materials.spatial import Direction
 
 Criterion = Literal["tsai-hill", "hoffman", "largest-stress", "largest-strain"]
@@ -50,8 +50,8 @@ class Limits(Record):
         compression: Largest compressive stress [Pa], or strain, as a positive number.
     """
 
-    tension: float | None = Field(default=None, gt=0)
-    compression: float | None = Field(default=None, gt=0)
+    tension: Stress | None = Field(default=None, gt=0)
+    compression: Stress | None = Field(default=None, gt=0)
 
 
 class Strength(Record):
@@ -88,11 +88,11 @@ class Strength(Record):
     """
 
     criterion: Criterion | None = None
-    tension: float | None = Field(default=None, gt=0)
-    compression: float | None = Field(default=None, gt=0)
+    tension: Stress | None = Field(default=None, gt=0)
+    compression: Stress | None = Field(default=None, gt=0)
     along: Limits | None = None
     across: Limits | None = None
-    shear: float | None = Field(default=None, gt=0)
+    shear: Stress | None = Field(default=None, gt=0)
     axis: Direction | None = None
 
     key_hints: ClassVar[Mapping[str, str]] = {
