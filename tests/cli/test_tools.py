@@ -150,7 +150,7 @@ def test_report_of_several_lies_beside_the_first(
         (tmp_path / name).mkdir(parents=True)
     monkeypatch.chdir(tmp_path / "a")
     monkeypatch.setattr(
-        "dolfin_elastic.report.several.write_pages", lambda _runs, page: page.touch() or page
+        "dolfin_elastic.report.several.write_pages", lambda _runs, page, *_: page.touch() or page
     )
     report([Path(first), Path("../b")])
     assert [path.relative_to(tmp_path) for path in tmp_path.rglob("*.html")] == [
