@@ -92,6 +92,12 @@ def _read(
 ) -> tuple[FloatArray, IntArray, LengthUnit]:
     """See `read_facets`; points in the unit that comes with them."""
     check_file(path, size)
+    if size is not None and is_surface(path):
+        raise MeshError(
+            "size is given, but the facets of this file are as they are",
+            where=path.name,
+            expected="size is for .step, .stp, .brep, .iges and .igs",
+        )
     stated = stated_unit_of(path)
     used = unit or stated or otherwise
     if is_surface(path):

@@ -428,7 +428,7 @@ def test_a_run_goes_on(folder, comm):
         ({"turn": {"axis": [1, 0], "angle": 9}}, r"mesh.turn.axis: 2 components given"),
         ({"turn": {"axis": "x", "angle": "1 mm"}}, r"mesh.turn.angle: .*expected a number in deg"),
         ({"move": [1, 2]}, r"contact\[0\].mesh.move: .*3"),
-        ({"size": 1}, r"contact\[0\].mesh.file: .*size is given, but this file is a finished mesh"),
+        ({"size": 1}, r"contact\[0\].mesh.file: .*size is given, but the facets of this file are"),
     ],
 )
 def test_what_is_refused(change, said, folder, comm):
