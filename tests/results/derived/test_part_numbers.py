@@ -81,7 +81,7 @@ def test_no_mean_is_beyond_the_extremes():
     values = ("mean", "max", "min")
     numbers = PartNumbers(problem, "surface", "right", ("max_principal_stress",), values)
     mean, high, low = numbers(State(1, 1.0, u)).values()
-    assert low < mean <= high
+    assert low < mean <= high * (1 + 1e-14)  # the sum of the integral is rounded
     assert mean == pytest.approx(8.915585347225768, rel=1e-9)
 
 
