@@ -126,6 +126,13 @@ def test_faces_and_smaller_elements() -> None:
     assert isinstance(mesh.refine, list) and len(mesh.refine) == 2
 
 
+@pytest.mark.parametrize("kind", ["toml-surface", "toml-image"])
+def test_surfaces_and_images(kind: str) -> None:
+    """And those of meshes that are made of surfaces and images."""
+    (text,) = blocks(kind)
+    assert mesh_table.MeshTable(**tomllib.loads(text)["mesh"]).size is not None
+
+
 def test_separate_parts() -> None:
     """The example of parts is solved, and its legs bear the load of the plate."""
     (text,) = blocks("toml-parts")

@@ -64,7 +64,8 @@ def converge(
 
     QUANTITY is a field, whose largest value is meant, `FIELD on SURFACE` or `on REGION`,
     `displacement of PROBE`, `FIELD of PROBE`, `reaction of SUPPORT`, or a column of history.csv.
-    Before FIELD may stand which number of it: max, min, mean, integral or percentile:95 (0 to 100).
+    Before FIELD may stand which number of it: max, min, mean, integral, percentile:95 (0 to 100),
+    share_above:0.01 or size_above:0.01 (SI units).
     The mesh is refined where the estimated error is.  The table of all meshes, a plot and the
     results of the last one go to CASE_converged.  Exit code 6: not known as well as wanted.
     What stops `run` stops it, too, with the results of the last complete mesh and exit code 130.
