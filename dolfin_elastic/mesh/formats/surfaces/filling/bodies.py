@@ -6,6 +6,7 @@ import numpy as np
 
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.mesh.formats.surfaces.filling.plc import Plc
+from dolfin_elastic.mesh.formats.surfaces.nesting import winding
 
 
 def signed_volumes(points: FloatArray, triangles: IntArray) -> FloatArray:
@@ -106,23 +107,7 @@ def _nested(
     for shell in np.flatnonzero(volume <= 0):
         inside = points[triangles[np.argmax(shells == shell)]].mean(axis=0)
         for around in outer[np.argsort(volume[outer])]:
-            if winding_number(inside, points[triangles[shells == around]]) > 0.5:
+            if winding(points[triangles[shells == around]], inside[None])[0] > 0.5:
                 result[shell] = result[around]
                 break
     return result
-
-
-def winding_number(x: FloatArray, corners: FloatArray) -> float:
-    """How often triangles go round a point: 1 within a closed surface whose normals point out.
-
-    Source: A. Van Oosterom and J. Strackee, IEEE Trans. Biomed. Eng. 30 (1983) 125.
-
-    Args:
-        corners: Shape (n, 3, 3).
-    """
-    a, b, c = np.moveaxis(corners - x, 1, 0)
-    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
-    dots = [np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a))]
-    high = np.einsum("ij,ij->i", a, np.cross(b, c))
-    low = la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb
-    return float(np.arctan2(high, low).sum() / (2 * np.pi))
