@@ -207,6 +207,7 @@ def test_skin(folder: Path) -> None:
         means(body, folder, image=name, skin=9, threshold=0.0)
 
 
+@pytest.mark.long
 def test_memory(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside the image itself a few layers and lines, whatever its size."""
     import tracemalloc
