@@ -171,6 +171,9 @@ def _write(files: dict[Path, str], *, force: bool) -> None:
             where=str(error.filename or next(iter(files))),
             expected="a folder you may write to",
         ) from None
+    finally:
+        for draft in drafts.values():
+            draft.unlink(missing_ok=True)
 
 
 def _say(deck: Deck, files: list[Path]) -> None:

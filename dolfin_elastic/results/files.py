@@ -119,6 +119,25 @@ def why_not_made(folder: Path) -> str:
     return ""
 
 
+@contextmanager
+def drafted(path: Path) -> Iterator[Path]:
+    """An empty file that takes the name once it is whole, and is gone else. Not collective.
+
+    Yields:
+        The file to write.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    draft = path.with_name(f".{path.name}.part")
+    with writing(path):
+        try:
+            yield fresh(draft)
+            draft.replace(path)
+        finally:
+            draft.unlink(missing_ok=True)
+
+
 def replace_text(path: Path, text: str, *, durable: bool = False) -> None:
     """Writes a whole file under another name and renames it. Not collective.
 

@@ -19,10 +19,9 @@ from typing import IO
 import numpy as np
 
 from dolfin_elastic.core.errors import InputError
-from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.results.exports.moving import Moving, as_single, linear_light
-from dolfin_elastic.results.files import need_space, writing
+from dolfin_elastic.results.files import drafted, need_space
 
 _FLOAT, _INTEGER = 5126, 5125
 _VERTICES, _TRIANGLES = 34962, 34963
@@ -96,21 +95,16 @@ def write_glb(moving: Moving, file: Path) -> list[Path]:
             expected="--frames with fewer states, or a series of .ply files",
         )
     need_space(file.parent, 2 * size)
-    with writing(file), tempfile.TemporaryFile(dir=file.parent) as numbers:
+    with drafted(file) as draft, tempfile.TemporaryFile(dir=file.parent) as numbers:
         buffer = _Buffer(numbers)
         text = json.dumps(_document(moving, buffer)).encode()
         text += b" " * (-len(text) % 4)
         numbers.seek(0)
-        draft = file.with_name(f".{file.name}.part")
-        try:
-            with fresh(draft).open("wb") as out:
-                out.write(struct.pack("<4sII", b"glTF", 2, 28 + len(text) + buffer.size))
-                out.write(struct.pack("<I4s", len(text), b"JSON") + text)
-                out.write(struct.pack("<I4s", buffer.size, b"BIN\0"))
-                shutil.copyfileobj(numbers, out, 1 << 20)
-            draft.replace(file)
-        finally:
-            draft.unlink(missing_ok=True)
+        with draft.open("wb") as out:
+            out.write(struct.pack("<4sII", b"glTF", 2, 28 + len(text) + buffer.size))
+            out.write(struct.pack("<I4s", len(text), b"JSON") + text)
+            out.write(struct.pack("<I4s", buffer.size, b"BIN\0"))
+            shutil.copyfileobj(numbers, out, 1 << 20)
     return [file]
 
 

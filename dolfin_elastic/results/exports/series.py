@@ -13,10 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.types import AnyArray
 from dolfin_elastic.results.exports.moving import Moving, Shown, as_single, numbered
-from dolfin_elastic.results.files import writing
+from dolfin_elastic.results.files import drafted
 
 
 def write_ply(moving: Moving, file: Path) -> list[Path]:
@@ -74,8 +73,6 @@ def _lines(form: str, rows: AnyArray) -> str:
 def _written(moving: Moving, file: Path, content: Callable[[Shown], bytes]) -> list[Path]:
     files = [*numbered(file, len(moving))]
     for path, state in zip(files, moving.states(), strict=True):
-        draft = path.with_name(f".{path.name}.part")
-        with writing(path):
-            fresh(draft).write_bytes(content(state))
-            draft.replace(path)
+        with drafted(path) as draft:
+            draft.write_bytes(content(state))
     return files

@@ -11,12 +11,11 @@ from typing import IO
 
 import numpy as np
 
-from dolfin_elastic.core.files.regular import fresh
 from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.results.exports.moving import chosen, mesh_of, nodal
 from dolfin_elastic.results.exports.settings import ExportSettings
 from dolfin_elastic.results.fields import component_names, field_in_file
-from dolfin_elastic.results.files import writing
+from dolfin_elastic.results.files import drafted
 from dolfin_elastic.results.finished.run import FinishedRun
 
 _BLOCK = 1 << 14
@@ -62,19 +61,16 @@ def write_csv(run: FinishedRun, settings: ExportSettings, file: Path) -> list[Pa
         OutputError: It cannot be written.
     """
     points, _ = mesh_of(run)
-    draft = file.with_name(f".{file.name}.part")
-    with writing(file):
-        with fresh(draft).open("w", encoding="utf-8", newline="\n") as out:
-            for k, step in enumerate(chosen(run, settings.frames)):
-                fields = _at_nodes(run, step)
-                if not k:
-                    names = [n for f, v in fields.items() for n in component_names(f, v.shape[1])]
-                    out.write(",".join(["node", "t", "x", "y", "z", *names]) + "\n")
-                t = np.full(len(points), run.frame(step).t)
-                rows = np.column_stack([t, points, *fields.values()])
-                form = ",".join(["%d", *["%.17g"] * rows.shape[1]]) + "\n"
-                out.writelines(_lines(form, rows, 0))
-        draft.replace(file)
+    with drafted(file) as draft, draft.open("w", encoding="utf-8", newline="\n") as out:
+        for k, step in enumerate(chosen(run, settings.frames)):
+            fields = _at_nodes(run, step)
+            if not k:
+                names = [n for f, v in fields.items() for n in component_names(f, v.shape[1])]
+                out.write(",".join(["node", "t", "x", "y", "z", *names]) + "\n")
+            t = np.full(len(points), run.frame(step).t)
+            rows = np.column_stack([t, points, *fields.values()])
+            form = ",".join(["%d", *["%.17g"] * rows.shape[1]]) + "\n"
+            out.writelines(_lines(form, rows, 0))
     return [file]
 
 
@@ -107,14 +103,14 @@ def write_frd(run: FinishedRun, settings: ExportSettings, file: Path) -> list[Pa
         OutputError: It cannot be written.
     """
     points, cells = mesh_of(run)
-    draft = file.with_name(f".{file.name}.part")
-    with writing(file):
-        with fresh(draft).open("w", encoding="ascii", errors="replace", newline="\n") as out:
-            _write_mesh(out, points * _SCALES["m"], cells)
-            for k, step in enumerate(chosen(run, settings.frames)):
-                _write_step(out, k + 1, run.frame(step).t, _at_nodes(run, step), settings.scale)
-            out.write(" 9999\n")
-        draft.replace(file)
+    with (
+        drafted(file) as draft,
+        draft.open("w", encoding="ascii", errors="replace", newline="\n") as out,
+    ):
+        _write_mesh(out, points * _SCALES["m"], cells)
+        for k, step in enumerate(chosen(run, settings.frames)):
+            _write_step(out, k + 1, run.frame(step).t, _at_nodes(run, step), settings.scale)
+        out.write(" 9999\n")
     return [file]
 
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from dolfin_elastic.core.types import FloatArray, IntArray
 from dolfin_elastic.core.units import LengthUnit
+from dolfin_elastic.mesh.formats.surfaces.filling.bodies import region_volumes
 from dolfin_elastic.mesh.formats.surfaces.filling.plc import OUTSIDE, Plc
-from dolfin_elastic.mesh.formats.surfaces.mend import mend, volume_as_it_stood
+from dolfin_elastic.mesh.formats.surfaces.mend import Mended, mend, volume_as_it_stood
 from dolfin_elastic.mesh.formats.surfaces.nesting import containing
 from dolfin_elastic.mesh.formats.surfaces.patches import ANGLE, MOST, patches
 from dolfin_elastic.mesh.formats.surfaces.readers.read import read_soup
@@ -55,19 +56,18 @@ def read_complex(
         MeshError: It is damaged, or the first fault of the surface, with its place.
     """
     surface, information = Surface.of(read_soup(path), path.name)
+    angle = ANGLE if angle is None else angle
     notes: list[str] = []
     if repair:
         mended = mend(surface, path.name, unit)
+        made = complex_of(mended.surface, angle)
         if mended.steps:
             before = volume_as_it_stood(surface)
-            surface = mended.surface
-            notes.append(_mended(mended.steps, mended.distance, before, surface, unit))
-        surface = mended.surface
+            notes.append(_mended(mended, before, float(region_volumes(made.plc).sum()), unit))
     else:
         if faults := find_faults(surface):
             raise faults[0].error(path.name, unit)
-        surface = turned_outwards(surface)
-    made = complex_of(surface, ANGLE if angle is None else angle)
+        made = complex_of(turned_outwards(surface), angle)
     return replace(
         made,
         notes=[*notes, *made.notes],
@@ -75,28 +75,17 @@ def read_complex(
     )
 
 
-def _mended(
-    steps: Sequence[str], distance: float, before: float, surface: Surface, unit: LengthUnit
-) -> str:
-    """What mending has done to the body."""
-    regions, _ = _regions(surface)
-    after = _volume(surface, regions)
+def _mended(mended: Mended, before: float, after: float, unit: LengthUnit) -> str:
+    """What mending has done to the body, whose volume it has changed."""
     change = (after - before) / after
     moved = (
-        f"moved it by up to {unit.length(distance * unit.metres)}" if distance else "not moved it"
+        f"moved it by up to {unit.length(mended.distance * unit.metres)}"
+        if mended.distance
+        else "not moved it"
     )
     volume = f"changed the volume by {100 * change:+.2g} %" if abs(change) > _SAME else ""
-    return (
-        f"the surface has been mended: {', '.join(steps)}; that has {volume and volume + ' and '}"
-        f"{moved}"
-    )
-
-
-def _volume(surface: Surface, regions: IntArray) -> float:
-    a, b, c = np.moveaxis(surface.corners - surface.points.mean(axis=0), 1, 0)
-    each = np.einsum("ni,ni->n", a, np.cross(b, c)) / 6
-    filled = regions != OUTSIDE
-    return float(np.sum(each * filled[:, 0]) - np.sum(each * filled[:, 1]))
+    done = " and ".join(filter(None, (volume, moved)))
+    return f"the surface has been mended: {', '.join(mended.steps)}; that has {done}"
 
 
 def faults_of(path: Path) -> tuple[Surface, list[Fault]]:

@@ -156,6 +156,16 @@ def oriented(edges: Edges) -> tuple[IntArray, BoolArray]:
     return shell.astype(np.int64), np.asarray(pair[0] > pair[1])
 
 
+def signed_volumes(corners: FloatArray) -> FloatArray:
+    """Volumes between triangles and the middle of their corners, shape (m,).
+
+    Args:
+        corners: Shape (m, 3, 3).
+    """
+    a, b, c = np.moveaxis(corners - corners.reshape(-1, 3).mean(axis=0), 1, 0)
+    return np.asarray(np.einsum("ni,ni->n", a, np.cross(b, c)) / 6)
+
+
 def volumes(corners: FloatArray, shell: IntArray, count: int) -> FloatArray:
     """Volume that each shell encloses, negative where its triangles face inwards, shape (count,).
 
@@ -163,9 +173,8 @@ def volumes(corners: FloatArray, shell: IntArray, count: int) -> FloatArray:
         corners: Shape (m, 3, 3).
         shell: Of each triangle.
     """
-    a, b, c = np.moveaxis(corners - corners.reshape(-1, 3).mean(axis=0), 1, 0)
-    each = np.einsum("ni,ni->n", a, np.cross(b, c)) / 6
-    return np.asarray(np.bincount(shell, each, minlength=count), dtype=np.float64)
+    each = np.bincount(shell, signed_volumes(corners), minlength=count)
+    return np.asarray(each, dtype=np.float64)
 
 
 def heights(corners: FloatArray) -> FloatArray:

@@ -7,17 +7,12 @@ import numpy as np
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.mesh.formats.surfaces.filling.plc import Plc
 from dolfin_elastic.mesh.formats.surfaces.nesting import winding
-
-
-def signed_volumes(points: FloatArray, triangles: IntArray) -> FloatArray:
-    """Volumes between the triangles and the middle of the points, shape (m,)."""
-    x = points[triangles] - points.mean(axis=0)
-    return np.asarray(np.einsum("ti,ti->t", x[:, 0], np.cross(x[:, 1], x[:, 2])) / 6)
+from dolfin_elastic.mesh.formats.surfaces.topology import signed_volumes
 
 
 def region_volumes(plc: Plc) -> FloatArray:
     """Volumes of the regions, shape (regions,)."""
-    parts, count = signed_volumes(plc.points, plc.triangles), len(plc.region_names)
+    parts, count = signed_volumes(plc.points[plc.triangles]), len(plc.region_names)
     behind, in_front = (np.bincount(side + 1, parts, count + 1)[1:] for side in plc.regions.T)
     return np.asarray(behind - in_front)
 
@@ -33,7 +28,7 @@ def bodies_of(plc: Plc) -> tuple[IntArray, IntArray]:
     """
     result = np.full((len(plc.triangles), 2), -1)
     regions: list[int] = []
-    parts = signed_volumes(plc.points, plc.triangles)
+    parts = signed_volumes(plc.points[plc.triangles])
     for region in range(len(plc.region_names)):
         sides = [np.flatnonzero(plc.regions[:, side] == region) for side in (0, 1)]
         rows = np.concatenate(sides)

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from dolfinx import cpp
+from dolfinx.mesh import CellType
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
@@ -17,6 +19,8 @@ from dolfin_elastic.mesh.formats.raw import Block, MeshFile
 from dolfin_elastic.mesh.formats.surfaces.filling.bodies import bodies_of, region_volumes
 from dolfin_elastic.mesh.formats.surfaces.filling.in_gmsh import FILLED, GIVEN
 from dolfin_elastic.mesh.formats.surfaces.filling.plc import Plc
+from dolfin_elastic.mesh.geometry.curved import cell_gradients, quadrature_rule
+from dolfin_elastic.mesh.geometry.simplices import determinants
 
 _LARGEST, _SMALLEST = 1 / 10, 1 / 200
 """Default sizes over the diagonal of the body, as for CAD files."""
@@ -181,26 +185,9 @@ def _named(names: Sequence[str], numbers: IntArray) -> dict[str, IntArray]:
 
 
 def cell_volumes(points: FloatArray, cells: IntArray) -> FloatArray:
-    """Volumes of tetrahedra, of quadratic ones in VTK's order by quadrature, shape (n,)."""
-    x = points[cells]
-    if cells.shape[1] == 4:
-        return np.asarray(np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / 6)
-    result = np.zeros(len(cells))
-    # Degree 3, as the determinant has: P. Keast, Comput. Methods Appl. Mech. Eng. 55 (1986) 339.
-    places = [np.full(4, 0.25), *(np.where(np.eye(4), 1 / 2, 1 / 6))]
-    for weight, at in zip((-4 / 5, *[9 / 20] * 4), places, strict=True):
-        result += weight / 6 * np.linalg.det(np.einsum("tnc,nk->tkc", x, _slopes(at)))
-    return result
-
-
-def _slopes(at: FloatArray) -> FloatArray:
-    """Derivatives of the ten shape functions in VTK's order, shape (10, 3).
-
-    Args:
-        at: Barycentric coordinates, shape (4,).
-    """
-    slope = np.array([[-1, -1, -1], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
-    edges = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]
-    corners = (4 * at[:, None] - 1) * slope
-    middles = [4 * (at[a] * slope[b] + at[b] * slope[a]) for a, b in edges]
-    return np.concatenate([corners, middles])
+    """Volumes of tetrahedra, quadratic ones in VTK's order, shape (n,)."""
+    degree = 1 if cells.shape[1] == 4 else 2
+    inside, weights = quadrature_rule(3, 3 * (degree - 1))
+    order = cpp.io.perm_vtk(CellType.tetrahedron, cells.shape[1])
+    result = determinants(cell_gradients(points[cells[:, order]], degree, inside)) @ weights
+    return np.asarray(np.abs(result) if degree == 1 else result)
