@@ -7,6 +7,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
+from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -29,27 +30,32 @@ def name_of(path: Path) -> str:
     return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 
-TREES = {name_of(path): ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
+@cache
+def trees() -> dict[str, ast.Module]:
+    """Every module as it is parsed, once and by the first test that asks."""
+    return {name_of(path): ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
 
 
 def imported(module: str) -> Iterator[str]:
     """Modules of the package that a module imports, those for types and inside functions, too."""
-    for node in ast.walk(TREES[module]):
+    for node in ast.walk(trees()[module]):
         names = []
         if isinstance(node, ast.ImportFrom) and node.module:
             names = [
-                submodule if (submodule := f"{node.module}.{alias.name}") in TREES else node.module
+                submodule
+                if (submodule := f"{node.module}.{alias.name}") in trees()
+                else node.module
                 for alias in node.names
             ]
         elif isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
-        yield from (name for name in names if name in TREES and name != module)
+        yield from (name for name in names if name in trees() and name != module)
 
 
 def test_no_circles():
     """A module that imports another one, directly or not, is not imported by that one."""
     # The package itself hands its public names out lazily: nobody inside may import them.
-    left = {module: set(imported(module)) for module in TREES if module != "dolfin_elastic"}
+    left = {module: set(imported(module)) for module in trees() if module != "dolfin_elastic"}
     while free := [module for module, needs in left.items() if not needs & left.keys()]:
         for module in free:
             del left[module]
@@ -80,19 +86,19 @@ def test_nothing_starts_in_the_current_folder():
     traces them.
     """
     starting = {
-        module for module in TREES if f"{STARTS}.started" in set(imported(module)) - {module}
+        module for module in trees() if f"{STARTS}.started" in set(imported(module)) - {module}
     }
-    above = {module: {module.rsplit(".", n)[0] for n in range(5)} for module in TREES}
+    above = {module: {module.rsplit(".", n)[0] for n in range(5)} for module in trees()}
     unsafe = [
         module
-        for module, tree in TREES.items()
+        for module, tree in trees().items()
         if STARTED & set(starters(tree)) and not above[module] & starting and module not in ALONE
     ]
     assert len(starting) >= 10
     assert unsafe == []
     functions = [
         node
-        for tree in TREES.values()
+        for tree in trees().values()
         for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef)
     ]
@@ -138,7 +144,7 @@ def test_entries_tell_more_than_name_and_type():
     """Arguments are explained where there is something to say, and only there."""
     told = [
         (module, name, text)
-        for module, tree in TREES.items()
+        for module, tree in trees().items()
         for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef | ast.ClassDef)
         for name, text in entries(ast.get_docstring(node) or "")
@@ -226,4 +232,4 @@ def test_types_are_known(word: str, most: int):
 def test_folders_say_what_they_are(folder: str):
     """Each package has a line that says what it is."""
     for path in (PACKAGE / folder).rglob("__init__.py"):
-        assert ast.get_docstring(TREES[name_of(path)]), path
+        assert ast.get_docstring(trees()[name_of(path)]), path

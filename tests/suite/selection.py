@@ -3,14 +3,12 @@
 Where the command line names files, all of their tests run, whatever set they belong to.  Else:
 
                    one rank                        n ranks
-    quick set      what is not `long`, and of      one parameter of every third test of the files
-                   a `sample(k)` k parameters      that run on n ranks, if it is neither `long` nor
-                                                   SLOW; where a file runs on 2 and 3, every fourth
-                                                   one of the others runs on 3
-    rest (--rest)  all but the quick set           the same, of these files: where they run on 2 and
-                                                   on 3, each parameter on one of both, `long` ones
-                                                   on 2; where they run on 2 alone, so many
-                                                   parameters as MOST says
+    quick set      what is not `long`, and of      one parameter of every third test of those that
+                   each test QUICK parameters,     the rest runs on so many ranks, if it is neither
+                   of a `sample(k)` k              `long` nor SLOW; on 3 of every sixth
+    rest (--rest)  all but the quick set           MOST parameters of each test of the files that
+                                                   run on n ranks; where they run on 2 and on 3,
+                                                   one test there, the next here, `long` ones on 2
     all (--all)    every test                      every test and parameter of these files that is
                                                    not ENDURING, on each number of ranks that they
                                                    run on
@@ -223,9 +221,11 @@ long where ranks wait for each other, and belong to the rest there."""
 ENDURING = ("fifty_periods", "test_second_order", "to_second_order")
 """In names of tests of orders and periods in time, thousands of small steps, in which ranks
 that wait for each other take minutes each: on one rank only; the steps are the same on several."""
-MOST, MOST_OF_LAWS = 8, 2
-"""Parameters of each test of a file that runs on two ranks, not on three, and of one of LAWS:
-longer lists are of laws, bodies and words, in which ranks take no part; all run on one rank."""
+QUICK = 4
+"""Parameters of each test in the quick set, unless it says so itself; all run in the rest."""
+MOST, MOST_OF_LAWS = 4, 1
+"""Parameters of each test on several ranks, and of one of LAWS: longer lists are of laws, bodies
+and words, in which ranks take no part; all run on one rank, and on several by --all."""
 
 
 def runs_on(file: str, ranks: int) -> bool:
@@ -299,8 +299,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if ranks > 1:
             mine = [item for item in mine if not any(word in item.name for word in ENDURING)]
             if not config.getoption("all"):
-                some = {id(item) for group in _alike(mine) for item in _on_ranks(group, ranks)}
-                mine = [item for item in mine if id(item) in some]
+                mine = _on_ranks(mine, ranks)
         if not config.getoption("all"):
             quick = set(map(id, _quick(mine, ranks)))
             rest = config.getoption("rest")
@@ -322,29 +321,33 @@ def _quick(items: Iterable[pytest.Item], ranks: int) -> list[pytest.Item]:
     for group in _alike(short):
         file = _file(group[0])
         seen[file] += 1
-        # Of what ranks share each file runs on two ranks and on three, but no test on both; three
-        # ranks on two cores take as long for every sixth test as two for every third one.
+        # Three ranks on two cores take as long for every sixth test as two for every third one.
         if (ranks == 2 and seen[file] % 3) or (ranks == 3 and seen[file] % 6 != 1):
             continue
         sample = group[0].get_closest_marker("sample")
-        most = 1 if ranks > 1 else sample.args[0] if sample else len(group)
+        most = 1 if ranks > 1 else sample.args[0] if sample else QUICK
         found += _spread(group, most)
     return found
 
 
-def _on_ranks(group: list[pytest.Item], ranks: int) -> list[pytest.Item]:
-    """Parameters of one test for so many of several ranks; the first on any number of them.
+def _on_ranks(items: list[pytest.Item], ranks: int) -> list[pytest.Item]:
+    """The tests for so many of several ranks: those of a file on two and on three take turns.
 
     Long ones run on two alone, which three ranks on two cores would take twice as long for.
     """
-    file = _file(group[0])
-    if file not in SHARED:
-        return _spread(group, MOST_OF_LAWS if file in LAWS else MOST)
-    short = [item for item in group if item.get_closest_marker("long") is None]
-    on_three = _spread(short, (len(short) + 1) // 2)
-    if ranks > 2:
-        return on_three
-    return [item for item in group if item not in on_three or item is short[0]]
+    found: set[int] = set()
+    seen: Counter[str] = Counter()
+    for group in _alike(items):
+        file = _file(group[0])
+        seen[file] += 1
+        on_three = file in SHARED and seen[file] % 2
+        mine = [
+            item
+            for item in group
+            if (on_three and item.get_closest_marker("long") is None) == (ranks > 2)
+        ]
+        found |= set(map(id, _spread(mine, MOST_OF_LAWS if file in LAWS else MOST)))
+    return [item for item in items if id(item) in found]
 
 
 def _alike(items: Iterable[pytest.Item]) -> Iterable[list[pytest.Item]]:
