@@ -5,11 +5,13 @@ Shape, unit and configuration stand in the docstrings of functions that take or 
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from ufl.core.expr import Expr
+
+if TYPE_CHECKING:  # the process of Gmsh needs no UFL, which takes longer than all else it imports
+    from ufl.core.expr import Expr
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 """Coordinates, displacements, forces, values of fields."""
@@ -23,7 +25,7 @@ ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 """Exponents and amplitudes of complex solutions."""
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 """Masks."""
-Scalar: TypeAlias = float | FloatArray | Expr
+Scalar: TypeAlias = "float | FloatArray | Expr"
 """A number, its values at several points, or a scalar UFL expression."""
 AnyArray: TypeAlias = npt.NDArray[Any]
 """Arrays whose entries are of several types, or of one that only the caller knows."""

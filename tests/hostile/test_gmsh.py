@@ -291,6 +291,26 @@ def test_the_start_is_quick() -> None:
     assert min(times) < 0.6
 
 
+def test_the_process_imports_nothing_large() -> None:
+    """Of these, UFL alone took as long to import as all that the process needs beside Gmsh."""
+    code = """
+import sys
+from dolfin_elastic.core.startup.libraries import stay_without
+stay_without()
+import dolfin_elastic.mesh.formats.cad.worker
+print({"dolfinx", "mpi4py", "petsc4py", "scipy", "ufl"} & set(sys.modules))
+"""
+    folder = str(Path(process.__file__).parents[4])
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": folder},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout == "set()\n", done.stdout + done.stderr
+
+
 # --- limits ---
 
 
