@@ -44,13 +44,13 @@ def follow_curves(
     ):
         return "", []
     gmsh.model.mesh.setOrder(2)
-    if curved is None and not _is_curved(gmsh, dim):
+    if curved is None and not is_curved(gmsh, dim):
         gmsh.model.mesh.setOrder(1)
         return "", []
     notes = _coarse(gmsh, dim, lengths, sized=sized)
     if not _lost(gmsh, dim, _folded(gmsh, dim)).all():
         gmsh.model.mesh.optimize("HighOrderElastic")
-    straight = _straighten_folded(gmsh, dim)
+    straight = straighten_folded(gmsh, dim)
     if not straight:
         return ", elements curved", notes
     return (
@@ -123,7 +123,7 @@ def _nodes(gmsh: ModuleType, dim: int) -> tuple[IntArray, IntArray, FloatArray]:
     return np.asarray(cells), nodes, np.asarray(coordinates).reshape(-1, 3)[at]
 
 
-def _is_curved(gmsh: ModuleType, dim: int) -> bool:
+def is_curved(gmsh: ModuleType, dim: int) -> bool:
     """Whether a quadratic facet of the boundary has a middle node off its straight edge."""
     rise, chord, _ = _arcs(gmsh, dim)
     return bool(np.any(rise > 1e-6 * chord))
@@ -199,15 +199,23 @@ def _lost(gmsh: ModuleType, dim: int, folded: IntArray) -> BoolArray:
     return np.asarray((singular & on_surface).any(axis=1))
 
 
-def _straighten_folded(gmsh: ModuleType, dim: int) -> list[list[float]]:
-    """Makes the edges of folded cells straight, and of those that then fold; their middles."""
-    straight: set[int] = set()
-    while new := {int(cell) for cell in _folded(gmsh, dim)} - straight:
-        straight |= new
+def straighten_folded(gmsh: ModuleType, dim: int, halvings: int = 0) -> list[list[float]]:
+    """Makes the edges of folded cells straighter, and of those that then fold; their middles.
+
+    Args:
+        dim: 2 or 3, of quadratic cells.
+        halvings: Of the rise of the edges of a cell, before they become straight.
+    """
+    times = np.zeros(len(_nodes(gmsh, dim)[0]), dtype=np.int64)
+    while len(at := np.setdiff1d(_folded(gmsh, dim), np.flatnonzero(times > halvings))):
+        times[at] += 1
         _, nodes, x = _nodes(gmsh, dim)
-        at = sorted(new)
+        share = np.where(times[at] <= halvings, 0.5, 0.0)[:, None]
         for a, b, c in _EDGES[dim]:
-            for tag, place in zip(nodes[at, c], (x[at, a] + x[at, b]) / 2, strict=True):
+            straight = (x[at, a] + x[at, b]) / 2
+            places = straight + share * (x[at, c] - straight)
+            for tag, place in zip(nodes[at, c], places, strict=True):
                 gmsh.model.mesh.setNode(int(tag), place.tolist(), [])
     _, _, x = _nodes(gmsh, dim)
-    return [[float(part) for part in x[cell, : dim + 1].mean(axis=0)] for cell in sorted(straight)]
+    middles = x[times > 0, : dim + 1].mean(axis=1)
+    return [[float(part) for part in middle] for middle in middles]

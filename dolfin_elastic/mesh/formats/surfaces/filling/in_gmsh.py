@@ -9,7 +9,8 @@ from types import ModuleType
 import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
-from dolfin_elastic.core.types import AnyArray, BoolArray, FloatArray, IntArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
+from dolfin_elastic.mesh.formats.cad.curved import is_curved, straighten_folded
 from dolfin_elastic.mesh.formats.cad.meshing import logged_errors
 
 GIVEN = "complex.npz"
@@ -22,10 +23,8 @@ _TRIANGLE, _TETRAHEDRON = 2, 4
 _CURVED = {2: 9, 3: 11}
 """Gmsh's types of elements."""
 _GMSH_TO_VTK = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]
-_LEAST = 0.1
-"""Smallest over largest determinant of a curved cell; see `cad/curved.py`."""
-_SIDES = ((0, 1, 4), (1, 2, 5), (2, 0, 6), (3, 0, 7), (3, 2, 8), (3, 1, 9))
-"""Ends and middle of the edges of Gmsh's quadratic tetrahedron."""
+_HALVINGS = 5
+"""Of the rise of the edges of a folded cell, before these become straight."""
 
 
 def fill_in_gmsh(gmsh: ModuleType, given: Path, folder: Path, way: Mapping[str, float]) -> None:
@@ -125,45 +124,18 @@ def _generate(gmsh: ModuleType) -> None:
 
 
 def _curve(gmsh: ModuleType) -> bool:
-    """Makes cells quadratic whose surface is curved; folded ones get straight edges."""
+    """Makes cells quadratic whose surface is curved; folded ones follow it less.
+
+    Gmsh's own optimisations are not asked: "HighOrder" may take half a minute for a thousand cells
+    and end the process, and the results of both depend on addresses in memory, so on the run.
+    """
     mesh = gmsh.model.mesh
     mesh.setOrder(2)
-    nodes, x = _cells(gmsh, _CURVED[3])
-    rise = [np.linalg.norm(x[:, c] - (x[:, a] + x[:, b]) / 2, axis=1) for a, b, c in _SIDES]
-    chord = np.linalg.norm(x[:, 0] - x[:, 1], axis=1).max()
-    if np.max(rise) < 1e-9 * chord:
+    if not is_curved(gmsh, 3):
         mesh.setOrder(1)
         return False
-    if _folded(gmsh).any():
-        mesh.optimize("HighOrder")
-    straight = np.zeros(len(nodes), dtype=bool)
-    while (new := _folded(gmsh) & ~straight).any():
-        straight |= new
-        nodes, x = _cells(gmsh, _CURVED[3])
-        for a, b, c in _SIDES:
-            for tag, place in zip(nodes[new, c], (x[new, a] + x[new, b]) / 2, strict=True):
-                mesh.setNode(int(tag), place.tolist(), [])
+    straighten_folded(gmsh, 3, _HALVINGS)
     return True
-
-
-def _folded(gmsh: ModuleType) -> BoolArray:
-    """Whether the map of a quadratic cell is singular, or almost, somewhere in it."""
-    tags = gmsh.model.mesh.getElementsByType(_CURVED[3])[0].tolist()
-    low, high = (
-        np.asarray(gmsh.model.mesh.getElementQualities(tags, name))
-        for name in ("minDetJac", "maxDetJac")
-    )
-    return np.asarray(low < _LEAST * np.maximum(np.abs(low), np.abs(high)))
-
-
-def _cells(gmsh: ModuleType, kind: int, tag: int = -1) -> tuple[IntArray, FloatArray]:
-    """Nodes of the elements of a kind, shape (n, k), and their coordinates (n, k, 3)."""
-    numbers, nodes = gmsh.model.mesh.getElementsByType(kind, tag)
-    tags, coordinates, _ = gmsh.model.mesh.getNodes()
-    order = np.argsort(tags)
-    nodes = np.asarray(nodes, dtype=np.int64).reshape(len(numbers), -1)
-    at = order[np.searchsorted(tags, nodes, sorter=order)]
-    return nodes, np.asarray(coordinates).reshape(-1, 3)[at]
 
 
 def _save(
