@@ -30,6 +30,7 @@ POINTS = {
     "case/decks/test_abaqus_decks.py",
     "case/decks/test_beside_calculix.py",
     "case/decks/test_compare.py",
+    "case/decks/test_equations.py",
     "case/decks/test_febio_decks.py",
     "case/decks/test_nastran_decks.py",
     "case/reference/test_json_schema.py",

@@ -105,6 +105,7 @@ class Step:
         supports: All that hold at its end, also those of earlier steps.
         loads: All that act at its end, also those of earlier steps.
         preloaded: It is about the equilibrium of the static step before it.
+        periodic: Table [periodic].
     """
 
     kind: Kind
@@ -114,6 +115,7 @@ class Step:
     supports: list[Entry] = field(default_factory=list)
     loads: list[Entry] = field(default_factory=list)
     preloaded: bool = False
+    periodic: Entry | None = None
 
 
 @dataclass(frozen=True)

@@ -224,6 +224,8 @@ def _text(deck: Deck, plan: Plan, known: System) -> str:
     blocks += [_entry("[[load]]", entry, known) for entry in plan.loads]
     blocks += [_entry("[[tie]]", entry, known) for entry in deck.ties]
     blocks += [_entry("[[mass]]", entry, known) for entry in deck.masses]
+    cells = [step.periodic for step in plan.steps if step.periodic is not None]
+    blocks += [_entry("[periodic]", entry, known) for entry in cells]
     return "\n\n".join([*blocks, *_analyses(plan, known)]) + "\n"
 
 

@@ -165,6 +165,26 @@ def test_supports(tmp_path: Path) -> None:
     ]
 
 
+def test_supports_that_are_fixed(tmp_path: Path) -> None:
+    """Where the body has not moved they are supports at 0; later they keep those before them, and
+    stop nothing that was free."""
+    held = "*BOUNDARY, FIXED\nbottom, 1, 3, 7.\n"
+    step = "*STEP, NLGEOM\n*STATIC\n{}*END STEP\n"
+    first, second = step.format("*BOUNDARY\ntop, 3, 3, 0.5\n"), step.format("{}")
+    again = "*BOUNDARY, FIXED\nbottom, 1, 3\ntop, 3\n8, 3\n"
+    case = one(tmp_path, cube(held + STEEL + first + second.format(again)))
+    assert case["support"] == [
+        {"on": "bottom", "kind": "fixed"},
+        {
+            "on": "top",
+            "displacement": ["free", "free", "0.5 mm"],
+            "curve": [[0.0, 0.0], [1.0, 1.0], [2.0, 1.0]],
+        },
+    ]
+    (fault,) = faults(tmp_path, cube(held + STEEL + first + second.format(again + "8, 2\n")))
+    assert fault.startswith("deck.inp:46 *BOUNDARY: FIXED: it stops nodes")
+
+
 LOADS = {
     "*CLOAD\ntop, 2, 5.\ntop, 2, 1.\ntop, 3, -2.\n": {
         "kind": "point-force",

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterator
 
 import numpy as np
 
-from dolfin_elastic.case.decks.abaqus.couplings import take_at_nodes
+from dolfin_elastic.case.decks.abaqus.couplings import rows_of, take_at_nodes
 from dolfin_elastic.case.decks.abaqus.materials import floats, place
 from dolfin_elastic.case.decks.abaqus.state import Part, Ramp, Reading
 from dolfin_elastic.case.decks.abaqus.transforms import in_directions_of_the_body
@@ -18,10 +18,11 @@ from dolfin_elastic.mesh.formats.abaqus.numbered import (
     components,
     part_name,
     pressure_names,
+    support_words,
 )
 
 _KNOWN = {
-    "BOUNDARY": {"OP", "AMPLITUDE", "TYPE"},
+    "BOUNDARY": {"OP", "AMPLITUDE", "TYPE", "FIXED"},
     "CLOAD": {"OP", "AMPLITUDE"},
     "DLOAD": {"OP", "AMPLITUDE"},
     "DSLOAD": {"OP", "AMPLITUDE", "FOLLOWER"},
@@ -41,6 +42,9 @@ def take_condition(state: Reading, card: Card) -> None:
         _forget(state, card.word)
     if state.step is None and card.word not in ("BOUNDARY",) and card.lines:
         state.fault(card, "it stands before the first *STEP")
+        return
+    if "FIXED" in card.options and state.deck.steps:
+        _keep(state, card)
         return
     if state.couplings and card.word in ("BOUNDARY", "CLOAD"):
         card = take_at_nodes(state, card)
@@ -121,7 +125,7 @@ def _boundary(state: Reading, card: Card) -> None:
     held: dict[str, dict[int, float]] = {}
     for row, words in _words(card):
         try:
-            values = components(words[1:])
+            values = components(support_words(card, words))
         except (ValueError, IndexError):
             raise card.error(f"'{card.lines[row].strip()[:60]}' is no support", row=row) from None
         if not all(np.isfinite(value) for value in values.values()):
@@ -141,6 +145,20 @@ def _boundary(state: Reading, card: Card) -> None:
                 state.supports[name, i - 1] = part
     if by_number:
         _boundary_by_number(state, card, held, ramp, next(iter(by_number.values())))
+
+
+def _keep(state: Reading, card: Card) -> None:
+    """*BOUNDARY, FIXED in a later step: nodes stay where supports before it have them."""
+    held, _ = state.held()
+    for row, words in _words(card):
+        try:
+            axes = [i - 1 for i in components(support_words(card, words)) if i <= state.dim]
+        except (ValueError, IndexError):
+            raise card.error(f"'{card.lines[row].strip()[:60]}' is no support", row=row) from None
+        rows = rows_of(state, words[0])
+        if not rows or not held[np.ix_(rows, axes)].all():
+            text = "FIXED: it stops nodes that moved freely in the step before it"
+            state.fault(card, text, row)
 
 
 def _boundary_by_number(

@@ -20,7 +20,7 @@ class Coupling:
         card: Its *COUPLING.
         surface: Its name in the mesh.
         point: Coordinates of the node, in the deck's unit.
-        kind: "" until *KINEMATIC or *DISTRIBUTING says it.
+        kind: "" until *KINEMATIC or *DISTRIBUTING says it; "PERIODIC" of a node in equations.
         turns: Directions 4 to 6 are among those listed below that keyword.
         moved: Direction, 1 to 6, to its displacement or rotation.
         forces: Direction to its force or moment.

@@ -28,7 +28,7 @@ def take_coupling(state: Reading, card: Card) -> None:
     if surface.casefold() not in state.names["surface"]:
         state.fault(card, f"'{surface[:60]}' is a set of nodes, which covers no faces")
         return
-    nodes = _nodes(state, word)
+    nodes = rows_of(state, word)
     if len(nodes) != 1:
         raise card.error(f"'{word[:60]}' is not one node")
     point = [float(x) for x in state.mesh.points[nodes[0]]]
@@ -43,12 +43,12 @@ def take_rigid_body(state: Reading, card: Card) -> None:
         state.fault(card, f"{', '.join(others)} is not read" if others else "it is read in 3D only")
         return
     name = state.name(card, "point", card.option("NSET"))
-    if not _covers_faces(state, name):
+    if not covers_faces(state, name):
         state.fault(card, f"nodes of '{name[:60]}' that are no corners of faces within it")
         return
-    nodes = [_nodes(state, card.option("REF NODE"))]
+    nodes = [rows_of(state, card.option("REF NODE"))]
     if "ROT NODE" in card.options:
-        nodes.append(_nodes(state, card.option("ROT NODE")))
+        nodes.append(rows_of(state, card.option("ROT NODE")))
     if any(len(one) != 1 for one in nodes):
         raise card.error("REF NODE or ROT NODE is not one node")
     point = [float(x) for x in state.mesh.points[nodes[0][0]]]
@@ -58,9 +58,9 @@ def take_rigid_body(state: Reading, card: Card) -> None:
         state.turning[nodes[1][0]] = one
 
 
-def _covers_faces(state: Reading, name: str) -> bool:
+def covers_faces(state: Reading, name: str) -> bool:
     """Whether faces of the body have all corners in a set of nodes, and these are all of them."""
-    solid = [b.nodes[:, :4] for b in state.mesh.blocks if b.dim == 3]
+    solid = [b.nodes[:, : state.dim + 1] for b in state.mesh.blocks if b.dim == state.dim]
     facets, corners = boundary(solid), np.unique(np.concatenate([b.ravel() for b in solid]))
     nodes = state.mesh.point_sets[name]
     within = facets[np.isin(facets, nodes).all(axis=1)]
@@ -91,7 +91,7 @@ def take_at_nodes(state: Reading, card: Card) -> Card:
     rest, known = list[int](), state.couplings.keys() | state.turning.keys()
     for row, line in enumerate(card.lines):
         words = [word.strip() for word in line.split(",")]
-        nodes = _nodes(state, words[0])
+        nodes = rows_of(state, words[0])
         if not nodes or not set(nodes) <= known:
             if known & set(nodes):
                 state.fault(card, "reference nodes beside other nodes", row)
@@ -104,13 +104,14 @@ def take_at_nodes(state: Reading, card: Card) -> Card:
             one = state.turning[node] if turns else state.couplings[node]
             _prescribe(one, card, row, words, 3 if turns else 0)
     numbered = any(card.lines[row].strip()[:1].isdigit() for row in rest)
-    if numbered and len(rest) < len(card.lines):
+    cell = all(one.kind == "PERIODIC" for one in state.couplings.values())
+    if numbered and len(rest) < len(card.lines) and not cell:
         state.fault(card, "reference nodes beside other nodes")
     lines, at = [card.lines[row] for row in rest], [card.at[row] for row in rest]
     return replace(card, lines=lines, at=at)
 
 
-def _nodes(state: Reading, word: str) -> list[int]:
+def rows_of(state: Reading, word: str) -> list[int]:
     """Rows of a node or of a set of nodes; none of a number that several instances have."""
     if word.isdigit():
         rows = [int(row) for row in np.flatnonzero(state.mesh.numbers == int(word))]

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from difflib import get_close_matches
 from pathlib import Path
 
-from dolfin_elastic.case.decks.abaqus import conditions, couplings, steps
+from dolfin_elastic.case.decks.abaqus import conditions, couplings, equations, steps
 from dolfin_elastic.case.decks.abaqus.materials import (
     OTHER_LAWS,
     WITHOUT_EFFECT,
@@ -56,7 +56,6 @@ _NOTES = {
 _FAULTS = {
     "CONTACT PAIR": "state it as [[contact]] with `between`",
     "CONTACT": "state it as [[contact]]",
-    "EQUATION": "equations between nodes are not there; where parts are joined, [[tie]]",
     "MPC": "equations between nodes are not there; where parts are joined, [[tie]]",
     "DISTRIBUTING COUPLING": 'state it as a load of kind "remote-force"',
     "SPRING": 'state it as a support of kind "spring"',
@@ -108,6 +107,7 @@ def read(path: Path) -> Deck:
         except (ValueError, IndexError, OverflowError):
             raise card.error("one of its lines cannot be read") from None
     state.finish_step()
+    equations.tie(state)
     _finish(state)
     return state.deck
 
@@ -196,6 +196,7 @@ _TAKE: dict[str, Callable[[Reading, Card], None]] = {
     "TIE": conditions.take_tie,
     "COUPLING": couplings.take_coupling,
     "TRANSFORM": take_transform,
+    "EQUATION": equations.take_equation,
     "RIGID BODY": couplings.take_rigid_body,
     "KINEMATIC": couplings.take_kind,
     "DISTRIBUTING": couplings.take_kind,

@@ -5,12 +5,24 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
 
 from dolfin_elastic.case.decks.abaqus.coupling import Coupling
+from dolfin_elastic.case.decks.abaqus.equation import Equation, Nodes, OtherEquationError, cell_of
 from dolfin_elastic.case.decks.abaqus.materials import Material, place
-from dolfin_elastic.case.decks.deck import Deck, Entry, FieldValue, Place, Quantity, Step
+from dolfin_elastic.case.decks.deck import (
+    Deck,
+    Entry,
+    FieldValue,
+    Place,
+    Quantity,
+    Severity,
+    Step,
+)
 from dolfin_elastic.core.errors import nearest
-from dolfin_elastic.core.types import FloatArray, IntArray
+from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.mesh.formats.abaqus.cards import Card
 from dolfin_elastic.mesh.formats.raw import MeshFile
 
@@ -83,6 +95,8 @@ class Reading:
         turning: Row of a node to the coupling whose rotations are its displacements.
         coupling: The one whose keywords are being read.
         transforms: Local directions of nodes.
+        equations: Those between opposite nodes of a periodic cell.
+        equal: Those of coincident nodes.
     """
 
     deck: Deck
@@ -112,6 +126,8 @@ class Reading:
     turning: dict[int, Coupling] = field(default_factory=dict)
     coupling: Coupling | None = None
     transforms: list[Transform] = field(default_factory=list)
+    equations: list[Equation] = field(default_factory=list)
+    equal: list[Equation] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.dim = dim = max(block.dim for block in self.mesh.blocks)
@@ -151,6 +167,15 @@ class Reading:
             expected=nearest(word, known.values()),
         )
 
+    @cached_property
+    def body(self) -> BoolArray:
+        """Whether a row is a node of the body, and not beside it."""
+        result = np.zeros(len(self.mesh.points), dtype=bool)
+        for block in self.mesh.blocks:
+            if block.dim == self.dim:
+                result[block.nodes] = True
+        return result
+
     def finish_step(self) -> None:
         """Ends the present step with all that holds and acts at its end."""
         if self.step is not None:
@@ -158,6 +183,8 @@ class Reading:
             self.step.loads = [*_forces(self.forces, self.dim), *self.loads.values()]
             for one in self.couplings.values():
                 self._couple(one, self.step)
+            if self.equations:
+                self._repeat(self.step)
             self.step.nonlinear = self.large and self.step.kind != "buckling"
             self.deck.steps.append(self.step)
         self.step = self.card = None
@@ -173,6 +200,52 @@ class Reading:
             step.loads.append(load)
         if text:
             self.fault(one.card, text)
+
+    def _repeat(self, step: Step) -> None:
+        """Makes a step one of a periodic cell, in which one node is at rest."""
+        points, thickness = self.mesh.points[:, : self.dim], self.deck.mesh.get("thickness", 1.0)
+        assert isinstance(thickness, float)
+        held, still = self.held()
+        first = self.equations[0].card
+        try:
+            cell = cell_of(
+                Nodes(points, self.body, still), thickness, self.equations, self.couplings
+            )
+        except OtherEquationError as error:
+            self.fault(error.equation.card, error.text, error.equation.row)
+            return
+        self.deck.surfaces |= {
+            name: Entry(place(first), {"any": [{"plane": name[0], "at": name[2:]}]})
+            for pair in cell.pairs
+            for name in pair
+        }
+        step.periodic = Entry(place(first), cell.keys)
+        whole = (held & self.body[:, None]).sum(axis=0).max() <= 1
+        severity: Severity = "note" if whole else "changes the answer"
+        text = "a support in a periodic cell, of which one corner is at rest"
+        for entry in step.supports:
+            self.deck.leave_out(entry.place, text, severity)
+        for entry in step.loads:
+            self.deck.leave_out(entry.place, "a load in a periodic cell", "changes the answer")
+        step.supports, step.loads = [], []
+        if step.kind != "statics" or (self.large and self.deck.steps):
+            self.fault(first, "a periodic cell exists in statics of one step only")
+
+    def held(self) -> tuple[BoolArray, BoolArray]:
+        """Which components of nodes are prescribed, and which of them are 0; shape (n, dim)."""
+        held = np.zeros((len(self.mesh.points), self.dim), dtype=bool)
+        still = held.copy()
+        for (name, i), part in self.supports.items():
+            rows, value = self.mesh.point_sets[name], part.value
+            held[rows, i] = True
+            if isinstance(value, FieldValue):
+                still[rows, i] = self.mesh.point_data[value.field][rows, 0] == 0.0
+            else:
+                still[rows, i] = value.value == 0.0
+        for node, one in self.couplings.items():
+            for i in range(self.dim):
+                still[node, i] |= one.moved.get(i + 1) == 0.0
+        return held, still
 
 
 _KINDS = {"region": "set of elements", "surface": "surface", "point": "set of nodes"}

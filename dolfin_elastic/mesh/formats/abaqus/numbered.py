@@ -7,6 +7,7 @@ a face of an element.  A case needs a name for them: it is that of the keyword w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -53,6 +54,7 @@ class Numbered:
         values: Name to a number of each node of a field, by the node's number.
         columns: Name to the columns of this field.
         pressed: Names of surfaces.
+        equal: Name of the first *EQUATION of two terms.
     """
 
     file: str
@@ -60,6 +62,7 @@ class Numbered:
     values: dict[str, dict[int, FloatArray]] = field(default_factory=dict)
     columns: dict[str, int] = field(default_factory=dict)
     pressed: list[str] = field(default_factory=list)
+    equal: str = ""
 
     def take(self, deck: Deck, card: Card) -> None:
         """Takes a keyword of supports or loads; what it does not understand it leaves."""
@@ -122,11 +125,16 @@ def components(words: list[str]) -> Mapping[int, float]:
     return dict.fromkeys(range(first, min(last, 3) + 1), value)
 
 
+def support_words(card: Card, words: list[str]) -> list[str]:
+    """What a line of *BOUNDARY says behind its node: no value where it is FIXED."""
+    return words[1:3] if "FIXED" in card.options else words[1:]
+
+
 def _boundary(numbered: Numbered, deck: Deck, card: Card) -> None:
     held: dict[int, dict[int, float]] = {}
     for row, words in numbered_rows(card):
         node = int(deck.members(card, deck.scope_of(card), "NSET", words[0], row)[0])
-        held.setdefault(node, {}).update(components(words[1:]))
+        held.setdefault(node, {}).update(components(support_words(card, words)))
     name = part_name(card, numbered.file)
     for node, values in held.items():
         if values:
@@ -195,7 +203,43 @@ def _dload(numbered: Numbered, deck: Deck, card: Card) -> None:
         numbered.pressed.append(key)
 
 
+def equations(card: Card) -> Iterator[tuple[int, list[tuple[str, int, float]]]]:
+    """Each equation below an *EQUATION, after the index of its first line.
+
+    Returns:
+        Node or set of nodes, direction from 1, and coefficient of each term.
+
+    Raises:
+        ValueError: A line is no part of an equation.
+        IndexError: The last one is cut short.
+    """
+    row = 0
+    while row < len(card.lines):
+        first, count = row, int(card.lines[row].split(",")[0])
+        words = list[str]()
+        while len(words) < 3 * count:
+            row += 1
+            words += [word.strip() for word in card.lines[row].rstrip(", \t").split(",")]
+        row += 1
+        numbers = [float(word.upper().replace("D", "E")) for word in words[2::3]]
+        if count < 2 or len(words) != 3 * count or not all(map(math.isfinite, numbers)):
+            raise ValueError(card.lines[first])
+        yield first, [*zip(words[::3], map(int, words[1::3]), numbers, strict=True)]
+
+
+def _equation(numbered: Numbered, deck: Deck, card: Card) -> None:
+    for row, terms in equations(card):
+        if len(terms) == 2:
+            numbered.equal = numbered.equal or part_name(card, numbered.file)
+            for name, (word, *_) in zip(
+                (numbered.equal, f"{numbered.equal} to"), terms, strict=True
+            ):
+                members = deck.members(card, deck.scope_of(card), "NSET", word, row)
+                numbered.sets.setdefault(name, []).extend(map(int, members))
+
+
 _TAKE = {
+    "EQUATION": _equation,
     "BOUNDARY": _boundary,
     "CLOAD": _cload,
     "TEMPERATURE": _temperature,
