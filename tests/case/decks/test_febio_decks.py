@@ -317,9 +317,11 @@ def test_motion(tmp_path: Path) -> None:
 
 
 LISTED = {
-    "<Rigid><rigid_bc/></Rigid>": "the section <Rigid>",
+    "<Rigid><rigid_bc/></Rigid>": "'' of rigid bodies is not known here",
+    '<Rigid><rigid_bc type="rigid_fixed"><rb>a</rb></rigid_bc></Rigid>': "no material 'a' of type",
     '<Loads><surface_load type="fluid"/></Loads>': "the load 'fluid' is not known here",
-    '<Boundary><bc type="rigid" node_set="wall"/></Boundary>': "the boundary condition 'rigid'",
+    '<Boundary><bc type="rigid" node_set="wall"/></Boundary>': "there is no material ''",
+    '<Boundary><bc type="normal" node_set="wall"/></Boundary>': "the boundary condition 'normal'",
     '<Contact><contact type="sliding-elastic"/></Contact>': "the contact 'sliding-elastic'",
     '<Constraints><constraint type="volume"/></Constraints>': "the constraint 'volume'",
     '<Loads><surface_load type="traction" surface="end"><traction>0,1,0</traction></surface_load>'

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from dolfin_elastic.case.decks.deck import Dimension, Entry, Quantity, Step
+from dolfin_elastic.case.decks.febio.rigid import Bodies
 from dolfin_elastic.case.decks.febio.values import Clock, flag, named_part, numbers, place
 from dolfin_elastic.mesh.formats.febio.tags import Tag
 
@@ -26,14 +27,16 @@ def _quantities(values: list[float], dimension: Dimension) -> list[object]:
 # --- supports ---
 
 
-def take_boundary(section: Tag, clock: Clock, step: Step) -> None:
-    """Adds the supports of a section <Boundary>."""
+def take_boundary(section: Tag, clock: Clock, step: Step, bodies: Bodies) -> None:
+    """Adds the supports of a section <Boundary>, and nodes to rigid bodies."""
     for tag in section.children:
         kind = tag.attributes.get("type", tag.name if tag.name != "bc" else "")
         if kind in ("fix", "zero displacement"):
             _fix(tag, step)
         elif kind in ("prescribe", "prescribed displacement"):
             _prescribe(tag, clock, step)
+        elif kind == "rigid":
+            bodies.attach(tag)
         else:
             _left_out(clock, tag, f"the boundary condition '{kind[:40]}' is not known here")
 

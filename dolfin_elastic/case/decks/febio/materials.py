@@ -23,6 +23,8 @@ _VOLUMETRIC = {
     **dict.fromkeys(("abaqus", "2"), "quadratic"),
 }
 Keys = dict[str, object]
+RIGID = "rigid body"
+"""Type of the material of rigid bodies."""
 
 
 class _Constants:
@@ -154,7 +156,7 @@ LAWS: Mapping[str, Callable[[_Constants], Keys]] = {
 
 
 def take_materials(root: Tag, deck: Deck, parts: Mapping[str, list[str]]) -> None:
-    """Writes all materials that parts of the mesh have.
+    """Writes all materials that parts of the mesh have, but for rigid ones.
 
     Args:
         parts: Name or number of a material to the names of its parts.
@@ -163,7 +165,7 @@ def take_materials(root: Tag, deck: Deck, parts: Mapping[str, list[str]]) -> Non
         for tag in section.all("material"):
             keys = (tag.attributes.get("name", ""), tag.attributes.get("id", ""))
             on = [part for key in dict.fromkeys(keys) for part in parts.get(key, ())]
-            if on:
+            if on and tag.attributes.get("type") != RIGID:
                 _take(tag, deck, keys[0] or f"material {keys[1]}", on)
 
 

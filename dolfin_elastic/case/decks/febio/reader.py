@@ -13,6 +13,7 @@ from dolfin_elastic.case.decks.febio.actions import (
     take_loads,
 )
 from dolfin_elastic.case.decks.febio.materials import take_materials
+from dolfin_elastic.case.decks.febio.rigid import Bodies
 from dolfin_elastic.case.decks.febio.values import Clock, curves, numbers, place
 from dolfin_elastic.mesh.formats.febio.reader import elements_of, name_of
 from dolfin_elastic.mesh.formats.febio.tags import Tag, read_tags
@@ -20,7 +21,7 @@ from dolfin_elastic.mesh.formats.febio.tags import Tag, read_tags
 _OF_THE_MESH = ("Mesh", "Geometry", "MeshDomains")
 _NOTHING = ("Module", "Globals", "LoadData", "Output", "Material", "Control", "Step", *_OF_THE_MESH)
 _UNITS = {"SI": "m-kg-s", "mm-N-s": "mm-t-s"}
-_ACTIONS = ("Boundary", "Loads", "Contact", "Constraints")
+_ACTIONS = ("Boundary", "Loads", "Contact", "Constraints", "Rigid")
 
 
 def read(path: Path) -> Deck:
@@ -32,8 +33,9 @@ def read(path: Path) -> Deck:
     root = read_tags(path)
     deck = Deck("FEBio", path.name)
     _module(root, deck)
-    take_materials(root, deck, _parts(root, deck))
-    _steps(root, deck)
+    parts = _parts(root, deck)
+    take_materials(root, deck, parts)
+    _steps(root, deck, Bodies(root, path, deck, parts))
     return deck
 
 
@@ -109,7 +111,7 @@ def _pairs(root: Tag) -> dict[str, tuple[str, str]]:
     return result
 
 
-def _steps(root: Tag, deck: Deck) -> None:
+def _steps(root: Tag, deck: Deck, bodies: Bodies) -> None:
     """One analysis from all steps, whose supports and loads must act in each of them."""
     stages = [s for section in root.all("Step") for s in (*section.all("step"), section)]
     idle = [s for s in stages if s.first("Control") is None and s.first("step") is None]
@@ -120,6 +122,7 @@ def _steps(root: Tag, deck: Deck) -> None:
     stages = [s for s in stages if s.first("Control") is not None]
     controls = [c for owner in (root, *stages) for c in owner.all("Control")]
     if not controls:
+        bodies.finish(None)
         return
     spans = [_span(control) for control in controls]
     kinds = {_kind(control, deck) for control in controls}
@@ -131,30 +134,37 @@ def _steps(root: Tag, deck: Deck) -> None:
     if motion:
         step.settings |= _motion(controls[0], end)
     pairs = _pairs(root)
-    _take_actions(root.children, clock, step, pairs)
+    _take_actions(root.children, clock, step, pairs, bodies)
     for stage in stages:
         if len(stages) == 1:
-            _take_actions(stage.children, clock, step, pairs)
+            _take_actions(stage.children, clock, step, pairs, bodies)
         for section in stage.children:
             of_one = section.name in _ACTIONS and len(stages) > 1 and section.children
             if of_one or section.name not in (*_ACTIONS, "Control"):
                 text = f"<{section.name[:40]}> in one of several steps"
                 deck.leave_out(place(section), text, "changes the answer")
+    bodies.finish(step)
     deck.steps.append(step)
 
 
 def _take_actions(
-    sections: Iterable[Tag], clock: Clock, step: Step, pairs: dict[str, tuple[str, str]]
+    sections: Iterable[Tag],
+    clock: Clock,
+    step: Step,
+    pairs: dict[str, tuple[str, str]],
+    bodies: Bodies,
 ) -> None:
     for section in sections:
         if section.name == "Boundary":
-            take_boundary(section, clock, step)
+            take_boundary(section, clock, step, bodies)
         elif section.name == "Loads":
             take_loads(section, clock, step)
         elif section.name == "Contact":
             take_contact(section, clock, pairs)
         elif section.name == "Constraints":
             take_constraints(section, clock, step)
+        elif section.name == "Rigid":
+            bodies.take(section, clock)
 
 
 def _span(control: Tag) -> float:
