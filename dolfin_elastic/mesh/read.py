@@ -291,7 +291,7 @@ def _other_reader(path: Path) -> Callable[[Path], MeshFile]:
     suffix = path.suffix.lower()
     if suffix == ".dat" and _is_tecplot(path):
         suffix = ".tec"
-    if suffix == ".inp":
+    if suffix == ".inp" and not _is_ucd(path):
         from dolfin_elastic.mesh.formats.abaqus import read_abaqus
 
         return read_abaqus
@@ -330,12 +330,23 @@ def _rarer_reader(path: Path, suffix: str) -> Callable[[Path], MeshFile]:
             return read_mfem
     from dolfin_elastic.mesh.formats.meshio import read_meshio
 
-    return read_meshio
+    return partial(read_meshio, kind="avsucd") if suffix == ".inp" else read_meshio
 
 
 def _is_tecplot(path: Path) -> bool:
     """Whether a .dat file is one of Tecplot: it begins with a title, variables or a zone."""
+    first = _first_line(path, "#$")
+    return first.upper().startswith(("TITLE", "VARIABLES", "ZONE", "FILETYPE")) and "=" in first
+
+
+def _is_ucd(path: Path) -> bool:
+    """Whether an .inp file is one of AVS: its first line has the five numbers of UCD."""
+    words = _first_line(path, "#").split()
+    return len(words) == 5 and all(word.isdecimal() for word in words)
+
+
+def _first_line(path: Path, comments: str) -> str:
+    """The first line that is neither blank nor a comment."""
     with path.open(encoding="latin-1") as file:
         lines = (line.strip() for line in file)
-        first = next((line for line in lines if line and line[0] not in "#$"), "")
-    return first.upper().startswith(("TITLE", "VARIABLES", "ZONE", "FILETYPE")) and "=" in first
+        return next((line for line in lines if line and line[0] not in comments), "")

@@ -160,6 +160,27 @@ def test_elements_without_shape_and_unknown_keywords_are_counted(folder: Path) -
         body.region("spring")
 
 
+def test_beams_with_a_node_for_their_section(folder: Path) -> None:
+    """A third node of B31 turns its section: four numbers were no row. Pipes of CalculiX are D."""
+    more = "*ELEMENT, TYPE=B31H, ELSET=rim\n12, 1, 2, 5\n13, 2, 1, 5\n"
+    body = deck(folder, cube(more + "*ELEMENT, TYPE=D\n14, 0, 2, 3\n"))
+    assert body.num_cells == 6 and body.kinds("rim") == ("edge",)
+    assert "elements that are left out; the case file states such: 1 D" in body.notes
+
+
+def test_texts_of_ucd(folder: Path) -> None:
+    """AVS names its meshes .inp, too: that there are no *NODE lines was all that was said."""
+    rows = [f"{i + 1} {' '.join(map(str, x))}" for i, x in enumerate(POINTS.tolist())]
+    rows += [
+        f"{i + 1} 7 tet {' '.join(map(str, row))}" for i, row in enumerate((CELLS + 1).tolist())
+    ]
+    text = "\n".join(["# made by hand", f"{len(POINTS)} {len(CELLS)} 0 0 0", *rows, ""])
+    size = mesh_statistics(deck(folder, text))
+    assert size.volume == pytest.approx(1) and size.regions == pytest.approx(
+        {"avsucd:material_7": 1}
+    )
+
+
 def test_lines_in_other_files(folder: Path) -> None:
     """INPUT= and *INCLUDE, also amid the lines of a keyword; faults name the other file."""
     whole = cube("*NSET, NSET=foot\n1, 2\n")

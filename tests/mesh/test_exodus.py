@@ -108,6 +108,19 @@ def test_names_of_blocks_and_sets(folder: Path, form: str, kind: str) -> None:
     assert body.mesh.geometry.cmap.degree == (2 if kind == "TETRA10" else 1)
 
 
+def test_sides_of_flat_shells(folder: Path) -> None:
+    """Of a shell without z the edges have the numbers 3 to 5, too: 3 was the wrong edge."""
+    points = np.array([[0, 0], [2, 0], [2, 1], [0, 1.0]])
+    sides = {"elem_ss1": np.array([1]), "side_ss1": np.array([3])}
+    sides |= {"elem_ss2": np.array([2]), "side_ss2": np.array([5]), "ss_prop1": np.array([1, 2])}
+    arrays = {**coordinates(points), "connect1": np.array([[1, 2, 3], [1, 3, 4]]), **sides}
+    arrays["ss_names"] = letters("low", "left")
+    made(lambda: write(folder / "a.g", 4, arrays, {"connect1": "TRISHELL3"}))
+    body = read_body(folder / "a.g")
+    assert mesh_statistics(body).surfaces == pytest.approx({"low": 2, "left": 1})
+    assert body.notes == ()
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 def test_triangles(folder: Path, dim: int) -> None:
     """A side of a plane element is an edge; in space the first two are its faces."""

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.decks import COMM, box, made, shared_folder
+from mpi4py import MPI
 
+from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.mesh import Body, mesh_statistics, read_body
 
 POINTS, CELLS = box((2, 1, 1), (2, 1, 1))
@@ -83,6 +85,69 @@ def test_meshes_without_families(folder: Path) -> None:
 
     made(bare)
     assert mesh_statistics(read_body(folder / "block.med")).volume == pytest.approx(2)
+
+
+def old(path: Path) -> None:
+    """As MED 2 writes it: no steps, no ESP, names as letters up to a zero, fields by kinds."""
+    import h5py
+
+    write(path)
+    with h5py.File(path, "r+") as file:
+        mesh = file["ENS_MAA/mesh"]
+        step = next(iter(mesh.values()))
+        for name in ("NOE", "MAI"):
+            file.move(f"{step.name}/{name}", f"{mesh.name}/{name}")
+        del mesh[step.name], mesh.attrs["ESP"]
+        file.move("FAS/mesh", "ENS_MAA/mesh/FAS")
+        for kind in ("ELEME", "NOEUD"):
+            for family in mesh[f"FAS/{kind}"].values():
+                name = bytes(family["GRO/NOM"][()].astype(np.uint8).tobytes()).rstrip(b"\0 ")
+                del family["GRO/NOM"]
+                family["GRO/NOM"] = np.frombuffer((name + b"\0\xf8@").ljust(81, b"\xff"), "S1")
+        file.create_group("CHA/heat/MAI.TE4")
+
+
+def test_version_2(folder: Path) -> None:
+    """It was refused by a KeyError of 'ESP'."""
+    made(lambda: old(folder / "block.med"))
+    body = read_body(folder / "block.med")
+    size = mesh_statistics(body)
+    assert size.volume == pytest.approx(2) and size.regions == pytest.approx({"block": 2})
+    assert size.surfaces == pytest.approx({"foot": 2})
+    assert places(body, "corner") == [(2, 1, 1)]
+    assert body.notes == ("fields of MED 2 are not read: save the file anew, as MED 3 or 4",)
+
+
+def test_fields_on_some_elements(folder: Path) -> None:
+    """One of the volumes alone was refused by a TypeError of meshio."""
+
+    def heated() -> None:
+        import h5py
+        import meshio
+
+        data = {"heat": [np.arange(len(CELLS), dtype=float), np.zeros(1)]}
+        cells = [("tetra", CELLS), ("triangle", CELLS[:1, :3])]
+        meshio.Mesh(POINTS, cells, cell_data=data).write(folder / "block.med")
+        with h5py.File(folder / "block.med", "r+") as file:
+            step = next(iter(file["CHA/heat"].values()))
+            del step["MAI.TR3"]
+
+    made(heated)
+    body = read_body(folder / "block.med")
+    found = COMM.allgather(body.fields["heat"].values[body.owned_cells(), 0].tolist())
+    assert sorted(x for part in found for x in part) == list(range(len(CELLS)))
+
+
+def test_elements_that_are_not_read(tmp_path: Path) -> None:
+    """Polygons ended in a KeyError 'POG'."""
+    import h5py
+
+    write(tmp_path / "block.med")
+    with h5py.File(tmp_path / "block.med", "r+") as file:
+        step = next(iter(file["ENS_MAA/mesh"].values()))
+        file.move(f"{step.name}/MAI/TR3", f"{step.name}/MAI/POG")
+    with pytest.raises(MeshError, match=r"block\.med: its elements POG are not read; TE4 or T10"):
+        read_body(tmp_path / "block.med", comm=MPI.COMM_SELF)
 
 
 def places(body: Body, name: str) -> list[tuple[float, ...]]:

@@ -52,6 +52,16 @@ def test_sound_surfaces(corners, volumes, patches, tmp_path):
     assert not found.notes
 
 
+def test_a_text_of_stl_may_end_in_two_words(tmp_path):
+    """Some programs write "end solid", which was said to end before its solid."""
+    facets = [
+        "\n".join(["outer loop", *(f"vertex {x} {y} {z}" for x, y, z in t), "endloop"])
+        for t in UNIT
+    ]
+    (tmp_path / "a.stl").write_text("\n".join(["solid a", *facets, "end solid"]))
+    np.testing.assert_allclose(made(tmp_path / "a.stl")[1], [1.0], rtol=1e-12)
+
+
 FAULTS = {
     "hole": (UNIT[1:], r"has a hole: 3 edges .* mm; repair = true closes small holes"),
     "turned": (np.concatenate([UNIT[:2, ::-1], UNIT[2:]]), "2 triangles are turned round, first"),

@@ -75,7 +75,7 @@ def test_tetgen(folder: Path, order: int, first: int) -> None:
     [
         (".ele", "12 4 1", "13 4 1", r"a\.1\.ele:14: the file is cut short"),
         (".ele", "12 4 1", "12 6 1", r"a\.1\.ele:1: elements of 6 nodes are not read"),
-        (".node", " 3 1 0", " 2 1 0", r"a\.1\.node:2: nodes in 2 dimensions are not read"),
+        (".node", " 3 1 0", " 1 1 0", r"a\.1\.node:2: nodes in 1 dimensions are not read"),
         (".node", "12 3", "-2 3", r"a\.1\.node:2: -2 is no number of lines"),
         (".node", "\n1 1 0 0 1", "\n1 1 x 0 1", r"a\.1\.node:5: '1 1 x 0 1' are no numbers"),
         (".node", "\n1 1 0 0 1", "\n1 1 0 1", r"a\.1\.node:5: the line has 4 numbers"),
@@ -91,6 +91,46 @@ def test_faults_of_tetgen(tmp_path: Path, suffix: str, old: str, new: str, said:
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(MeshError, match=said):
         read_tetgen(path)
+
+
+FLAT = "4 2 0 1\n1 0 0 1\n2 3 0 1\n3 3 2 1\n4 0 2 1\n"
+MIDDLES = "10 1.5 1 0\n11 1.5 0 1\n12 3 1 1\n13 1.5 2 1\n14 0 1 1\n"
+TRIANGLES = {3: "1 1 2 3 8\n2 1 3 4 9\n", 6: "1 1 2 3 12 10 11 8\n2 1 3 4 13 14 10 9\n"}
+SIDES = {".edge": "2 1\n1 4 1 5\n2 2 3 0\n", ".poly": "1 2 0 0\n7 0 0\n1 1\n1 4 1 5\n0\n"}
+
+
+@pytest.mark.parametrize("corners", [3, 6])
+@pytest.mark.parametrize("suffix", SIDES)
+def test_triangle(tmp_path: Path, corners: int, suffix: str) -> None:
+    """Meshes of Triangle were refused: nodes in 2 dimensions. Midside nodes face corners."""
+    nodes = FLAT if corners == 3 else FLAT.replace("4 2", "9 2", 1) + MIDDLES
+    (tmp_path / "a.node").write_text(nodes)
+    (tmp_path / "a.ele").write_text(f"2 {corners} 1\n{TRIANGLES[corners]}")
+    (tmp_path / f"a{suffix}").write_text(SIDES[suffix])
+    body = read_body(tmp_path / "a.node")
+    size = mesh_statistics(body)
+    assert size.volume == pytest.approx(6, rel=1e-14) and body.notes == ()
+    assert size.regions == pytest.approx({"8": 3, "9": 3})
+    assert size.surfaces == pytest.approx({"5": 2})
+    assert body.mesh.geometry.cmap.degree == corners // 3
+    assert "those of facets (.edge) name surfaces" in body.information[0]
+
+
+def test_facets_without_markers(tmp_path: Path) -> None:
+    """A file of no facets was refused; a marker of which the head knows nothing, too."""
+    tetgen(tmp_path, 1, 0)
+    faces = tmp_path / "a.1.face"
+    faces.write_text(faces.read_text().replace(" 1\n", " 0\n", 1))
+    assert mesh_statistics(read_body(tmp_path / "a.1.node")).surfaces == pytest.approx({"5": 2})
+    faces.write_text("0 1\n")
+    assert mesh_statistics(read_body(tmp_path / "a.1.node")).surfaces == {}
+
+
+def test_elements_of_tetgen_are_missing(tmp_path: Path) -> None:
+    """It was advised to save the mesh anew, for nodes without elements."""
+    (tmp_path / "a.node").write_text(FLAT)
+    with pytest.raises(MeshError, match=r"a\.ele' beside it; nodes \(\.node\) and elements"):
+        read_tetgen(tmp_path / "a.node")
 
 
 def mfem(version: str = "v1.0") -> str:

@@ -84,6 +84,15 @@ def test_groups(folder: Path, number: int) -> None:
     assert size.surfaces == pytest.approx({"foot": 4, "top": 4})
 
 
+def test_edges_as_axisymmetric_shells(folder: Path) -> None:
+    """Cubit writes the edges of a body as elements 171: the file was refused for them."""
+    text = cube(dataset(2467, group(2467, 1, "rim", [(8, 301)])))
+    lines = [element(label, kind, np.array([0, 1])) for label, kind in ((201, 21), (301, 171))]
+    text = text.replace(lines[0][0], "\n".join((*lines[1], lines[0][0])))
+    made(lambda: (folder / "cube.unv").write_text(text))
+    assert read_body(folder / "cube.unv").kinds("rim") == ("edge",)
+
+
 @pytest.mark.parametrize("blank", [[], [""]])
 def test_empty_groups(folder: Path, blank: list[str]) -> None:
     """SALOME writes an empty line for their members, as no other program does."""

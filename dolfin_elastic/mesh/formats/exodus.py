@@ -44,7 +44,7 @@ _MOST_LETTERS = 1 << 26
 _TETRA = ((0, 1, 3), (1, 2, 3), (0, 3, 2), (0, 2, 1))
 _TRIANGLE = ((0, 1), (1, 2), (2, 0))
 _BOTH = ((0, 1, 2), (2, 1, 0))
-"""In space the sides 1 and 2 of a triangle are the triangle itself."""
+"""In space, and of shells, the sides 1 and 2 of a triangle are the triangle itself."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +118,7 @@ class _Blocks:
     Attributes:
         names: Of the blocks that have elements.
         kinds: In the words of meshio.
+        shells: Whether the type is one of shells, and not of plane elements.
         nodes: Rows of points.
         parts: Further names of elements, to rows of the block.
         data: Name to numbers of each element.
@@ -126,6 +127,7 @@ class _Blocks:
 
     names: list[str] = field(default_factory=list)
     kinds: list[str] = field(default_factory=list)
+    shells: list[bool] = field(default_factory=list)
     nodes: list[IntArray] = field(default_factory=list)
     parts: list[dict[str, IntArray]] = field(default_factory=list)
     data: list[dict[str, FloatArray]] = field(default_factory=list)
@@ -319,6 +321,7 @@ def _blocks(file: _File, points: int, source: str) -> _Blocks:
             )
         blocks.names.append(name)
         blocks.kinds.append(kind)
+        blocks.shells.append("SHELL" in text.upper())
         blocks.nodes.append(nodes)
         blocks.parts.append({})
         blocks.data.append(file.fields("name_elem_var", "vals_elem_var", f"eb{k}", len(nodes)))
@@ -345,7 +348,9 @@ def _side_sets(
             )
         known = 0
         for i, at, rows in blocks.split(elements):
-            for number, corners in enumerate(_sides(blocks.kinds[i], dim)):
+            for number, corners in enumerate(
+                _sides(blocks.kinds[i], dim == 2 and not blocks.shells[i])
+            ):
                 own = rows[numbers[at] == number]
                 known += len(own)
                 if corners in _BOTH:
@@ -363,12 +368,12 @@ def _side_sets(
     return found, lost
 
 
-def _sides(kind: str, dim: int) -> Sequence[tuple[int, ...]]:
+def _sides(kind: str, plane: bool) -> Sequence[tuple[int, ...]]:
     """Corners of the sides of an element."""
     if kind.startswith("tetra"):
         return _TETRA
     if kind.startswith("triangle"):
-        return _TRIANGLE if dim == 2 else (*_BOTH, *_TRIANGLE)
+        return _TRIANGLE if plane else (*_BOTH, *_TRIANGLE)
     return ()
 
 

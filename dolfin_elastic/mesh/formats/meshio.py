@@ -17,6 +17,7 @@ from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.files import hdf5
 from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.mesh.fields import as_columns
+from dolfin_elastic.mesh.formats import med
 from dolfin_elastic.mesh.formats.raw import Block, MeshFile
 
 if TYPE_CHECKING:
@@ -28,13 +29,16 @@ IGNORED = ("gmsh:geometrical",)
 _MOST = 200  # more distinct integers than this are data, not names
 
 
-def read_meshio(path: Path) -> MeshFile:
+def read_meshio(path: Path, kind: str | None = None) -> MeshFile:
     """Reads a file with meshio. Local: one rank reads.
+
+    Args:
+        kind: The format in the words of meshio; None: that of the suffix.
 
     Raises:
         MeshError: meshio does not know the format or cannot read the file.
     """
-    mesh = _read(path)
+    mesh = _read(path, kind)
     points = np.asarray(mesh.points, dtype=np.float64)
     if points.ndim != 2 or len(points) == 0:
         raise MeshError("the mesh has no points", where=path.name)
@@ -53,7 +57,8 @@ def read_meshio(path: Path) -> MeshFile:
         if name != "point_tags" and is_number(np.asarray(values))
     }
     _check_cells(path, sum(len(block.nodes) for block in blocks))
-    return MeshFile(points, blocks, point_sets=sets, point_data=data)
+    notes = med.left_out(path) if path.suffix.lower() == ".med" else []
+    return MeshFile(points, blocks, notes, point_sets=sets, point_data=data)
 
 
 def is_number(data: AnyArray) -> bool:
@@ -93,7 +98,7 @@ def check_hdf5(path: Path, where: str) -> None:
         ) from None
 
 
-def _read(path: Path) -> meshio.Mesh:
+def _read(path: Path, kind: str | None) -> meshio.Mesh:
     import meshio
 
     if hdf5.is_hdf5(path):
@@ -108,8 +113,8 @@ def _read(path: Path) -> meshio.Mesh:
             stack.enter_context(warnings.catch_warnings())
             # What numpy says of words amid numbers, from which on it reads nothing.
             warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
-            gaps = _gaps_of_med(path) if path.suffix.lower() == ".med" else {}
-            mesh = meshio.med.read(_filled(path, gaps)) if gaps else meshio.read(path)
+            whole = med.completed(path) if path.suffix.lower() == ".med" else None
+            mesh = meshio.med.read(whole) if whole else meshio.read(path, kind)
     except SystemExit:
         raise MeshError(
             f"meshio cannot read it: {' '.join(output.getvalue().split())[:300]}", where=path.name
@@ -256,68 +261,6 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
             yield number, line.strip()
 
 
-def _check_med(path: Path) -> None:
-    """Coordinates of MED are taken as rectangular ones, whatever the attribute REP says."""
-    if not hdf5.is_hdf5(path):
-        return
-    with hdf5.opened(path) as file:
-        for mesh in file.get("ENS_MAA", {}).values():
-            system = int(mesh.attrs.get("REP", 0))
-            if system:
-                kind = {1: "cylindrical", 2: "spherical"}.get(system, f"of the kind {system}")
-                raise MeshError(
-                    f"its coordinates are {kind} (REP = {system})",
-                    where=path.name,
-                    expected="rectangular coordinates",
-                )
-
-
-def _gaps_of_med(path: Path) -> dict[str, int | None]:
-    """What MED may leave out, while meshio needs it.
-
-    Returns:
-        Path of the numbers of families of elements, all of which are 0, to the number of elements;
-        of families without groups, and of a mesh without families, to None.
-    """
-    gaps: dict[str, int | None] = {}
-    with hdf5.opened(path) as file:
-        for name, mesh in file["ENS_MAA"].items():
-            families = mesh.get("FAS", file.get(f"FAS/{name}"))
-            if families is None:
-                gaps[f"FAS/{name}/ELEME"] = None
-            for kind in ("NOEUD", "ELEME"):
-                for family in (families or {}).get(kind, {}).values():
-                    if "GRO" not in family:
-                        gaps[f"{family.name}/GRO"] = None
-            step = mesh if "NOE" in mesh else next(iter(mesh.values()))
-            elements = list(step["MAI"].values())
-            if any("FAM" in one for one in elements):
-                gaps |= {
-                    f"{one.name}/FAM": int(one["NOD"].attrs["NBR"])
-                    for one in elements
-                    if "FAM" not in one
-                }
-    return gaps
-
-
-def _filled(path: Path, gaps: Mapping[str, int | None]) -> io.BytesIO:
-    """A copy of a MED file in memory without its gaps."""
-    import h5py
-
-    copy = io.BytesIO(path.read_bytes())
-    with h5py.File(copy, "r+") as file:
-        for name, count in gaps.items():
-            if count is not None:
-                file[name] = np.zeros(count, dtype=np.int64)
-                continue
-            group = file.create_group(name)
-            if name.endswith("/GRO"):
-                group.attrs["NBR"] = 0
-                group["NOM"] = np.zeros((0, 80), dtype=np.int8)
-    copy.seek(0)
-    return copy
-
-
 def _check_cgns(path: Path) -> None:
     """Of CGNS the first zone of the first base is read, under the names that meshio gives them."""
     if not hdf5.is_hdf5(path):
@@ -392,7 +335,7 @@ def _check_vtk(path: Path) -> None:
 
 
 _CHECKS: dict[str, Callable[[Path], None]] = {
-    ".med": _check_med,
+    ".med": med.check,
     ".cgns": _check_cgns,
     ".mesh": _check_medit,
     ".dat": _check_tecplot,

@@ -44,6 +44,8 @@ _LINEAR = {
     "hexahedron": (104, 115),
     "hexahedron20": (105, 116),
     "vertex": (161,),
+    "line": (171,),  # axisymmetric shells, as Cubit writes the edges of a body
+    "line3": (172,),
 }
 _KINDS = {number: kind for kind, numbers in _LINEAR.items() for number in numbers}
 _SIZES = {

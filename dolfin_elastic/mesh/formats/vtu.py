@@ -47,7 +47,8 @@ _KINDS = {
     (71, 10): "tetra10",
 }
 """Number of VTK's cell type and of its nodes: linear, quadratic, and Lagrange's of any order."""
-_NAMES = {4: "polyline", 7: "polygon", 34: "triangle", 69: "triangle", 71: "tetra"}
+_NAMES = {2: "polyvertex", 4: "polyline", 6: "triangle strip", 7: "polygon", 34: "triangle"}
+_NAMES |= {15: "pentagonal prism", 16: "hexagonal prism", 69: "triangle", 71: "tetra"}
 """Shape of types that are not read, for messages and, of plane ones, for their dimension."""
 ONE_PIECE = "save it as one .vtu file (in ParaView: Merge Blocks, Clean to Grid, Save Data)"
 _GHOSTS = "vtkGhostType"

@@ -117,7 +117,7 @@ _WITHOUT_SHAPE = (
     *("CONN2D2", "CONN3D2", "JOINTC", "JOINT2D", "JOINT3D", "DCOUP2D", "DCOUP3D", "DISTCOUP"),
     *("ITSUNI", "ITSCYL", "HEATCAP", "DRAG2D", "DRAG3D", "DGAP", "RB2D2", "RB3D2"),
 )
-"""Types of elements that connect nodes by a law, whatever lies between them."""
+"""Types of elements that connect nodes by a law, whatever lies between them; D (pipes), too."""
 # Vertices of the faces S1, S2 ... in the order of the Abaqus manual.
 _TETRAHEDRON = ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0))
 _TRIANGLE = ((0, 1), (1, 2), (2, 0))
@@ -145,7 +145,7 @@ def element_kind(name: str) -> tuple[str, int] | None:
 
 def has_no_shape(name: str) -> bool:
     """Whether elements of a type, in capitals, connect nodes by a law and are part of no mesh."""
-    return name.startswith(_WITHOUT_SHAPE)
+    return name.startswith(_WITHOUT_SHAPE) or name == "D"
 
 
 def stem(kind: str) -> str:

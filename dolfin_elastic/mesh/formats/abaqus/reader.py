@@ -23,6 +23,7 @@ from dolfin_elastic.mesh.formats.abaqus.elements import (
     Facets,
     element_kind,
     has_no_shape,
+    stem,
 )
 from dolfin_elastic.mesh.formats.abaqus.motions import displaced, system
 from dolfin_elastic.mesh.formats.abaqus.numbered import Numbered
@@ -77,7 +78,11 @@ def read_abaqus(path: Path) -> MeshFile:
             deck.unread[f"*{card.word}"] += 1
     deck.enter(Scope())
     if not deck.points or not deck.elements:
-        raise MeshError("there are no *NODE or no *ELEMENT lines", where=path.name)
+        raise MeshError(
+            "there are no *NODE or no *ELEMENT lines",
+            where=path.name,
+            expected="an input file of Abaqus or CalculiX with the mesh, or a text of AVS (UCD)",
+        )
     if stray:
         raise MeshError(
             "numbers stand before the first keyword",
@@ -241,18 +246,20 @@ def _take_elements(deck: Deck, card: Card) -> None:
             expected="C3D4 and C3D10 (tetrahedra), CPE3 and CPE6 (plane) are read",
         )
     kind, size = known
-    labels, nodes = _element_rows(deck, card, size)
+    labels, nodes = _element_rows(deck, card, kind, size)
     deck.elements.append(Elements(kind, labels, nodes, name))
     if "ELSET" in card.options:
         deck.add(deck.elsets, card.option("ELSET"), labels)
 
 
-def _element_rows(deck: Deck, card: Card, size: int) -> tuple[IntArray, IntArray]:
+def _element_rows(deck: Deck, card: Card, kind: str, size: int) -> tuple[IntArray, IntArray]:
     """Numbers of elements and of their nodes, which in an assembly may be of any instance."""
     scope = deck.scope
     if not scope.in_assembly or not deck.instances:
-        rows = card.integers(size + 1)
-        return rows[:, 0] + scope.offset, rows[:, 1:] + scope.offset
+        first = sum(bool(word.strip()) for word in next(iter(card.lines), "").split(","))
+        turned = stem(kind) == "line" and first == size + 2  # a further node turns the section
+        rows = card.integers(size + 1 + turned) + scope.offset
+        return rows[:, 0], rows[:, 1 : size + 1]
     words = list(card.fields())
     if len(words) % (size + 1):
         raise card.error(f"{len(words)} entries do not make rows of {size + 1}")

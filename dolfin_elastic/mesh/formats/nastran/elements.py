@@ -52,19 +52,20 @@ OTHERS = frozenset(
         *("CDAMP1", "CDAMP2", "CDAMP3", "CDAMP4", "CDAMP5", "CMASS1", "CMASS2", "CMASS3", "CMASS4"),
         *("CONM1", "CONM2", "CFAST", "CSEAM", "RBE1", "RBE2", "RBE3", "RBAR", "RBAR1", "RROD"),
         *("RSPLINE", "RSSCON", "RTRPLT", "RJOINT", "MPC", "MPCADD", "CHBDYE", "CHBDYG", "CHBDYP"),
+        *("CAABSF", "CHACAB", "CHACBR"),
     )
 )
-"""Springs, masses, joints and rigid connections: not read, and reported so that nobody relies on
-them."""
+"""Springs, masses, joints, rigid connections, absorbers of sound: not read, and reported so that
+nobody relies on them."""
 
 NO_ELEMENTS = frozenset(
     (
-        *("CAERO1", "CAERO2", "CAERO3", "CAERO4", "CAERO5", "CONV", "CONVM", "CREEP", "CBARAO"),
+        *("CONV", "CONVM", "CREEP", "CBARAO"),
         *("CYAX", "CYJOIN", "CYSUP", "CYSYM", "CSET", "CSET1", "CSUPEXT", "CLOAD", "CSSCHD"),
         *("CONTACT", "CONTRLT", "COMBWLD", "CONTINI"),
     )
 )
-"""Other entries that begin with C."""
+"""Other entries that begin with C, as panels of air do (CAERO1 ...)."""
 
 _OF_A_CASE = (
     *("SPC", "FORCE", "MOMENT", "PLOAD", "GRAV", "ACCEL", "RFORCE", "LOAD", "TEMP", "DLOAD"),
@@ -100,6 +101,6 @@ def misunderstood(name: str) -> str:
         return "this kind of node"
     if name in ("CSUPER", "SEBULK", "SELOC", "SEMPLN", "SETREE"):
         return "a superelement"
-    if name.startswith("C") and name not in NO_ELEMENTS:
+    if name.startswith("C") and name not in NO_ELEMENTS and not name.startswith("CAERO"):
         return "this element"
     return ""

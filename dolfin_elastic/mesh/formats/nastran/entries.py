@@ -144,7 +144,7 @@ def read_entries(path: Path) -> Iterator[Entry]:
         # Most entries are not of the mesh: only their names are looked at.
         entry, mark = Entry(name.rstrip("*").strip().upper(), fields, line), following
     where = last or _Line("", path.name, 1)
-    raise where.error("there is no ENDDATA: the file is cut short", "ENDDATA as its last line")
+    raise where.error("there is no ENDDATA: the file may be cut short", "ENDDATA as its last line")
 
 
 def _continue(entry: Entry | None, line: _Line, name: str, fields: list[str], mark: str) -> None:
@@ -152,7 +152,7 @@ def _continue(entry: Entry | None, line: _Line, name: str, fields: list[str], ma
     if entry is None:
         raise line.error("this line continues none")
     own, wanted = (text.lstrip("+*").strip().upper() for text in (name, mark))
-    if own and wanted and own != wanted:
+    if own and wanted and own not in (wanted, mark[1:].upper()):  # + is any letter
         raise line.error(
             f"the continuation '{name}' does not follow its line, which ends in '{mark}'",
             "continuations below their lines",
@@ -240,5 +240,6 @@ def _lines(path: Path, depth: int = 0) -> Iterator[_Line]:
 def _included(path: Path, line: _Line, name: str, depth: int) -> Iterator[_Line]:
     inner = path.parent / name.replace("\\", "/")  # as Windows writes it
     if not name or not inner.is_file():
-        raise line.error(f"INCLUDE: there is no file '{name}'", not_shown(inner))
+        hint = not_shown(inner) or f"the file that it names, at '{inner}'"
+        raise line.error(f"INCLUDE: there is no file '{name}'", hint)
     yield from _lines(inner, depth + 1)

@@ -58,7 +58,7 @@ def _text(data: bytes, name: str) -> Soup:
                 )
         elif word == b"outer" and len(numbers) != 9 * facets:
             raise _cut("a loop has no end", name, number)
-    if len(numbers) != 9 * facets or b"endsolid" not in data[-400:].lower():
+    if len(numbers) != 9 * facets or b"endsolid" not in data[-400:].lower().replace(b" ", b""):
         raise _cut("it ends before its solid does", name, number)
     check_count(facets, name)
     rows = np.arange(3 * facets, dtype=np.int64).reshape(-1, 3)

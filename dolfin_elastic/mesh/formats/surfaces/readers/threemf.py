@@ -230,7 +230,8 @@ class _Model:
         except ParseError as error:
             raise self._package.damaged(str(error), part) from None
         except (ValueError, KeyError, OverflowError) as error:
-            raise self._package.damaged(f"{type(error).__name__} {error}", part) from None
+            kind = "" if isinstance(error, ValueError) else f"{type(error).__name__} "
+            raise self._package.damaged(f"{kind}{error}", part) from None
         for other in reading.others:
             self.load(other)
 
