@@ -76,6 +76,8 @@ CHECKED = {  # what a script says last about its number
     "bunnies": r"largest gain of energy in a step: -?\d\.\de-(0[4-9]|1\d)",
     "jelly": r"difference of the periods: \d\.\de-0[3-9]",
 }
+LIMIT = 570
+"""Seconds, within the 600 of a test: ranks share the cores with the other tests."""
 pytestmark = pytest.mark.usefixtures("serial_only")
 
 
@@ -94,12 +96,12 @@ def launched(command: list[str], folder: Path, ranks: int, *, logs: bool = False
             cwd=folder,
             text=True,
             capture_output=True,
-            timeout=300,
+            timeout=LIMIT,
             check=False,
             env={**clean, "PYTHONPATH": os.pathsep.join(found)},
         )
     except subprocess.TimeoutExpired as late:
-        pytest.fail(f"no end after 300 s:\n{late.stdout!r}\n{late.stderr!r}")
+        pytest.fail(f"no end after {LIMIT} s:\n{late.stdout!r}\n{late.stderr!r}")
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout + (done.stderr if logs else "")
 
