@@ -99,7 +99,9 @@ class AnalysisTables(ModelTables):
         if motion and self.explicit:
             keys["solver"] = LinearSettings.model_construct()
         mixed = "dynamics" in self.given
-        keys["output"] = self.output.only(modes=modes, motion=motion if mixed else None)
+        keys["output"] = self.output.only(
+            modes=modes, states=not modes or preloaded, motion=motion if mixed else None
+        )
         part = self.model_copy(update=keys)
         part._part, part._whole = analysis, self
         return part

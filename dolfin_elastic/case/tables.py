@@ -215,6 +215,7 @@ class Output(Record):
             )
         written = self.fields or (*DEFAULT, *IN_MOTION)
         files = [picture.file for picture in self.pictures]
+        files += [f"results.{name}" for name in self.formats]
         for index, one in enumerate(self.exports):
             missing = [n for n in ("displacement", one.field) if n and n not in written]
             if missing:
@@ -337,17 +338,18 @@ class Output(Record):
         result: list[File] = []
         if states:
             result = [*(FORMATS[name].from_keys(keys) for name in self.formats), History()]
-        last = [Summary(), *(self.exports if states else ())]  # exports are made of what is there
+        last = [Summary(), *self.exports]  # exports are made of what is there
         if not modes:
             return [*result, *pictures, *last]
         drawn = [ModePicture(**{**table_of(p), "amplitude": self.amplitude}) for p in pictures]
         return [*result, Modes(frames=self.frames, amplitude=self.amplitude), *drawn, *last]
 
-    def only(self, *, modes: bool, motion: bool | None) -> Self:
+    def only(self, *, modes: bool, states: bool, motion: bool | None) -> Self:
         """What of it one of several analyses gives.
 
         Args:
             modes: It gives modes, which have pictures without a field, and no film.
+            states: It gives states; exports of modes alone have no field.
             motion: It is a motion, or not; None: no analysis of the case is.
         """
 
@@ -362,6 +364,8 @@ class Output(Record):
             bare = [(p, table_of(p)) for p in self.pictures if not p.film]
             pictures = [type(p)(**{k: v for k, v in t.items() if k != "field"}) for p, t in bare]
         exports = [e for e in self.exports if e.field is None or given(e.field)]
+        if not states:
+            exports = [e.model_copy(update={"field": None}) for e in self.exports]
         keys: dict[str, object] = {"pictures": pictures, "exports": exports}
         if self.fields is not None:
             keys["fields"] = tuple(filter(given, self.fields))

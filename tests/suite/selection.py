@@ -82,6 +82,7 @@ POINTS = {
     "notebook/test_notebooks.py",
     "report/test_report.py",
     "report/test_safety.py",
+    "results/exports/test_modes.py",
     "results/finished/test_plot.py",
     "results/scene/test_series.py",
     "solvers/dynamics/implicit/test_schemes.py",

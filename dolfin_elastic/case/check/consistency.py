@@ -404,6 +404,13 @@ def _check_mode_pictures(case: Case) -> None:
                 where=f"output.pictures[{i}].field",
                 expected="leave it out; modes are coloured by their displacement",
             )
+    for i, one in enumerate(() if case.preloaded else case.output.exports):
+        if one.field not in (None, "displacement"):
+            raise CaseError(
+                f"a mode has no '{one.field}': it has no size of its own",
+                where=f"output.exports[{i}].field",
+                expected="leave it out; modes are coloured by their displacement",
+            )
 
 
 # --- materials ---

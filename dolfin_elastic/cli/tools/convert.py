@@ -33,6 +33,9 @@ def convert(
     skin: Annotated[
         Path | None, typer.Option("--skin", help="Surface that follows the body: .obj, .ply, .stl.")
     ] = None,
+    mode: Annotated[
+        int | None, typer.Option("--mode", min=0, help="One period of this mode; 0: all modes.")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
 ) -> None:
     """Write results for other programs, or a mesh as XDMF.
@@ -43,6 +46,8 @@ def convert(
       dolfin-elastic convert fall_results fall.ply    fall_0000.ply ..., also .obj
       dolfin-elastic convert fall_results fall.frd    CalculiX GraphiX, FreeCAD
       dolfin-elastic convert fall_results fall.csv    nodes with their fields
+      dolfin-elastic convert fall_results fall.vtkhdf ParaView, in one file
+      dolfin-elastic convert fork_results a.glb --mode 3
       dolfin-elastic convert fall_results skin.glb --skin character.obj
       dolfin-elastic convert wing.msh wing.xdmf       writes wing.xdmf and wing.h5
 
@@ -57,11 +62,14 @@ def convert(
         OutputError: The files cannot be written.
     """
     start()
+    from dolfin_elastic.results.exports.export import SUFFIXES
+
     check_kept(target.parent, str(target))
-    if source.is_dir():
-        _convert_results(source, target, field, frames, scale, fps, ends, skin, force=force)
+    if source.is_dir() or target.suffix in SUFFIXES or not (source.exists() or source.suffix):
+        _convert_results(source, target, field, frames, scale, fps, ends, skin, mode, force=force)
         return
-    given = {"field": field, "frames": frames, "fps": fps, "range": ends, "skin": skin}
+    given: dict[str, object] = {"field": field, "frames": frames, "fps": fps, "range": ends}
+    given |= {"skin": skin, "mode": mode}
     given["scale"] = None if scale == 1.0 else scale
     if unused := [name for name, value in given.items() if value is not None]:
         raise InputError(
@@ -81,6 +89,7 @@ def _convert_results(
     fps: float | None,
     ends: str | None,
     skin: Path | None,
+    mode: int | None,
     *,
     force: bool,
 ) -> None:
@@ -96,7 +105,7 @@ def _convert_results(
     if fps is not None:
         check_positive("--fps", fps, "--fps 25")
     limits = None if ends is None else fixed_limits(ends)
-    settings = ExportSettings(field, frames, scale, fps, limits, skin)
+    settings = ExportSettings(field, frames, scale, fps, limits, skin, mode)
 
     def work() -> Exported:
         if target.exists() and not force:

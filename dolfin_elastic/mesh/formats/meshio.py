@@ -124,7 +124,7 @@ def _read(path: Path, kind: str | None) -> meshio.Mesh:
             f"meshio cannot read it: {_reason(path, error)}",
             where=path.name,
             expected="formats: .msh, .xdmf, .inp, .unv, .vtu, .vtk, .med, .mesh, .bdf, .exo; "
-            ".geo, .step, .brep",
+            ".geo, .step, .brep; surfaces: .stl, .obj, .ply, .3mf",
         ) from None
     _check_warnings(output.getvalue(), path)
     return mesh

@@ -24,7 +24,11 @@ _SURFACES = {
     ".usdc": ("usd", "write_usd"),
     ".usda": ("usd", "write_usd"),
 }
-_TABLES = {".frd": "write_frd", ".csv": "write_csv"}
+_TABLES = {
+    ".frd": ("tables", "write_frd"),
+    ".csv": ("tables", "write_csv"),
+    ".vtkhdf": ("vtkhdf", "write_vtkhdf"),
+}
 SUFFIXES = (*_SURFACES, *_TABLES)
 _HERE = "dolfin_elastic.results.exports"
 
@@ -60,12 +64,13 @@ def check_export(file: Path, settings: ExportSettings, where: str) -> None:
             expected=nearest(file.suffix, SUFFIXES),
         )
     if file.suffix in _TABLES:
-        unused = ("field", "fps", "limits", "skin", *(["scale"] if file.suffix == ".csv" else []))
+        unused = ("field", "fps", "limits", "skin", *(["scale"] if file.suffix != ".frd" else []))
         plain = ExportSettings()
         for name in unused:
             if getattr(settings, name) != getattr(plain, name):
+                option = "range" if name == "limits" else name
                 raise InputError(
-                    f"'{file.name}' holds all nodes and fields, `{name}` is of surfaces",
+                    f"'{file.name}' holds all nodes and fields, `{option}` is of surfaces",
                     where=where,
                     expected="leave it out, or write .glb, .ply, .obj or .usdc",
                 )
@@ -80,20 +85,22 @@ def export(run: FinishedRun, file: Path, settings: ExportSettings) -> Exported:
         file: Its ending says the format; series of files get numbers in their names.
 
     Raises:
-        InputError: See `check_export`; or the run has no such field, or no states.
+        InputError: See `check_export`; or the run has no such field or mode, or no states.
         MeshError: The surface that is to follow cannot be read.
         OutputError: A file cannot be written.
     """
     from dolfin_elastic.results.exports import moving as of
-    from dolfin_elastic.results.exports import skin, tables
+    from dolfin_elastic.results.exports import skin
+    from dolfin_elastic.results.finished.modes import as_modes
 
     check_export(file, settings, str(file))
     make_folder(file.parent)
+    run = as_modes(run, settings.mode)
     if file.suffix in _TABLES:
-        files = getattr(tables, _TABLES[file.suffix])(run, settings, file)
+        module, name = _TABLES[file.suffix]
+        notes = getattr(import_module(f"{_HERE}.{module}"), name)(run, settings, file)
         states = len(of.chosen(run, settings.frames))
-        left = tables.left_out(run)
-        return Exported(files, _count(states, "state"), (left,) if left else ())
+        return Exported([file], _count(states, "mode" if run.modal else "state"), notes)
     binding = None if settings.skin is None else skin.bound(run, settings.skin)
     moving = of.Moving(run, settings, binding)
     module, name = _SURFACES[file.suffix]
@@ -111,7 +118,9 @@ def _described(moving: Moving) -> str:
     body = moving.body
     size = f"{len(body.points)} points, {len(body.triangles)} triangles"
     ends = f"{moving.field} from {low / factor:.4g} to {high / factor:.4g} {unit}".rstrip()
-    return f"{_count(len(moving), 'state')}, {size}, colours: {ends}"
+    return (
+        f"{_count(len(moving), 'mode' if moving.run.modal else 'state')}, {size}, colours: {ends}"
+    )
 
 
 def _count(number: int, what: str) -> str:

@@ -36,7 +36,7 @@ class Export(Output):
     """Results for another program, written at the end of a run: a surface that moves, or nodes.
 
     Attributes:
-        file: The file: .glb, .usdc or .usda, .ply or .obj (one a state), .frd or .csv.
+        file: The file: .glb, .usdc or .usda, .ply or .obj (one a state), .frd, .csv or .vtkhdf.
         field: Field that colours the surface, one of those that are written; by default the von
             Mises stress, or the displacement where that is not written.
         of: A surface that follows the body in place of its own: .obj, .ply, .stl, in the mesh's
@@ -144,11 +144,12 @@ class ExportWriter:
                 log.warning("%s: %s", self._output.file, note)
 
     def _export(self) -> Exported:
+        from dolfin_elastic.results.finished.modes import as_modes
         from dolfin_elastic.results.finished.run import FinishedRun
 
         file = self._folder / self._output.file
         try:
-            run = FinishedRun(self._folder)
+            run = as_modes(FinishedRun(self._folder), None)
             if not run.frames:
                 return Exported([], "")
             return export(run, file, self._output.settings)

@@ -18,6 +18,8 @@ class ExportSettings:
         fps: States a second; None: in motion the times of the run, else 24.
         limits: Values of the first and the last colour [SI]; None: the smallest and the largest.
         skin: A surface that follows the body in place of the body's own; None: its own.
+        mode: Number of the mode that is shown; 0: all of them, one state each; None: the states of
+            the run, or all modes where it has none.
     """
 
     field: str | None = None
@@ -26,3 +28,4 @@ class ExportSettings:
     fps: float | None = None
     limits: tuple[float, float] | None = None
     skin: Path | None = None
+    mode: int | None = None

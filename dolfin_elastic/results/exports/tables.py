@@ -5,13 +5,14 @@ Both are text, written in blocks of nodes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 
-from dolfin_elastic.core.types import AnyArray, FloatArray
+from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
 from dolfin_elastic.results.exports.moving import chosen, mesh_of, nodal
 from dolfin_elastic.results.exports.settings import ExportSettings
 from dolfin_elastic.results.fields import component_names, field_in_file
@@ -22,25 +23,21 @@ _BLOCK = 1 << 14
 """Nodes whose lines are in memory at once."""
 
 
-def _lines(form: str, rows: AnyArray, first: int | None = None) -> Iterator[str]:
+def _lines(form: str, rows: AnyArray, first: int) -> Iterator[str]:
     """Rows as lines of text, a block at a time.
 
     Args:
-        first: Number in front of the first row; None: there are no numbers.
+        first: Number in front of the first row.
     """
     for start in range(0, len(rows), _BLOCK):
         block = rows[start : start + _BLOCK].tolist()
-        if first is None:
-            yield "".join([form % tuple(row) for row in block])
-        else:
-            yield "".join([form % (first + start + i, *row) for i, row in enumerate(block)])
+        yield "".join([form % (first + start + i, *row) for i, row in enumerate(block)])
 
 
-def left_out(run: FinishedRun) -> str:
-    """What of a run is not in these files; empty: nothing."""
+def _left_out(run: FinishedRun) -> tuple[str, ...]:
     arrays = run.frame().arrays
     names = [name for name, stored in arrays.items() if stored.centre == "cell"]
-    return f"fields of elements are left out: {', '.join(names)}" if names else ""
+    return (f"fields of elements are left out: {', '.join(names)}",) if names else ()
 
 
 def _at_nodes(run: FinishedRun, step: int) -> dict[str, FloatArray]:
@@ -51,11 +48,11 @@ def _at_nodes(run: FinishedRun, step: int) -> dict[str, FloatArray]:
 # --- CSV ---
 
 
-def write_csv(run: FinishedRun, settings: ExportSettings, file: Path) -> list[Path]:
+def write_csv(run: FinishedRun, settings: ExportSettings, file: Path) -> tuple[str, ...]:
     """Writes one table: node, time or load, place at rest [m], fields, in SI units. Not collective.
 
     Returns:
-        The file.
+        What is left out.
 
     Raises:
         OutputError: It cannot be written.
@@ -71,7 +68,7 @@ def write_csv(run: FinishedRun, settings: ExportSettings, file: Path) -> list[Pa
             rows = np.column_stack([t, points, *fields.values()])
             form = ",".join(["%d", *["%.17g"] * rows.shape[1]]) + "\n"
             out.writelines(_lines(form, rows, 0))
-    return [file]
+    return _left_out(run)
 
 
 # --- .frd ---
@@ -88,37 +85,50 @@ _TENSOR = 9
 _PARTS = {"XX": (1, 1), "YY": (2, 2), "ZZ": (3, 3), "XY": (1, 2), "YZ": (2, 3), "ZX": (3, 1)}
 _TINY = 1e-99
 """Numbers below have an exponent of three digits, for which there is no room."""
+_PLAIN = (1e-2, 1e9)
+"""Between these, numbers have more digits without an exponent."""
 
 
-def write_frd(run: FinishedRun, settings: ExportSettings, file: Path) -> list[Path]:
-    """Writes mesh and fields of nodes in mm, N, MPa and s, with six digits. Not collective.
+def write_frd(run: FinishedRun, settings: ExportSettings, file: Path) -> tuple[str, ...]:
+    """Writes mesh and fields of nodes in mm, N, MPa and s, with at least six digits.
+
+    Not collective.  FreeCAD takes a state only where its time is above the one before, and above 0,
+    and modes by their numbers.
 
     Source: G. Dhondt, CalculiX CrunchiX User's Manual 2.21; K. Wittig, CalculiX GraphiX 2.21,
     "Result Format".
 
     Returns:
-        The file.
+        What is left out or changed.
 
     Raises:
         OutputError: It cannot be written.
     """
     points, cells = mesh_of(run)
+    steps = chosen(run, settings.frames)
+    times, notes = [max(run.steps[step], _TINY) for step in steps], _left_out(run)
+    if not run.modal and (np.diff(times) <= 0).any():
+        times = [float(k + 1) for k in range(len(steps))]
+        notes += (
+            "t does not grow from state to state: in its place they have the numbers 1, 2 ...",
+        )
     with (
         drafted(file) as draft,
         draft.open("w", encoding="ascii", errors="replace", newline="\n") as out,
     ):
         _write_mesh(out, points * _SCALES["m"], cells)
-        for k, step in enumerate(chosen(run, settings.frames)):
-            _write_step(out, k + 1, run.frame(step).t, _at_nodes(run, step), settings.scale)
+        for k, (step, t) in enumerate(zip(steps, times, strict=True)):
+            mode = run.frames[step].number if run.modal else None
+            _write_step(out, k + 1, t, _at_nodes(run, step), settings.scale, mode)
         out.write(" 9999\n")
-    return [file]
+    return notes
 
 
 def _write_mesh(out: IO[str], points: FloatArray, cells: AnyArray) -> None:
     out.write("    1C\n    1UPGM               dolfin_elastic\n")
     out.write("    1UUNITS             mm, N, MPa, s\n")
     out.write(f"    2C{'':18}{len(points):12d}{'':37}1\n")
-    out.writelines(_lines(" -1%10d" + "%12.5E" * 3 + "\n", _representable(points), 1))
+    out.writelines(_numbered(np.arange(len(points)), points))
     out.write(f" -3\n    3C{'':18}{len(cells):12d}{'':37}1\n")
     width = cells.shape[1]
     form = f" -1%10d{_KINDS[width]:5d}    0    1\n -2" + "%10d" * width + "\n"
@@ -127,24 +137,57 @@ def _write_mesh(out: IO[str], points: FloatArray, cells: AnyArray) -> None:
 
 
 def _write_step(
-    out: IO[str], number: int, t: float, fields: Mapping[str, FloatArray], scale: float
+    out: IO[str],
+    number: int,
+    t: float,
+    fields: Mapping[str, FloatArray],
+    scale: float,
+    mode: int | None,
 ) -> None:
+    titles: list[str] = []
     for name, values in fields.items():
         factor = _SCALES.get(field_in_file(name).unit, 1.0)
         rows = values * (factor * scale if name == "displacement" else factor)
         lines = _components(rows.shape[1])
         if rows.shape[1] == _TENSOR:
             rows = rows[:, _SIX]
-        title = _NAMES.get(name, name.upper()[:8])
+        titles.append(_title(name, titles))
         # Nodes where a field has no value are not listed.
         known = np.flatnonzero(np.isfinite(rows).all(axis=1))
-        table = np.column_stack([known + 1.0, _representable(rows[known])])
         out.write(f"    1PSTEP{number:26d}{1:12d}{number:12d}\n")
-        head = f"  100CL{number:5d}{t:12.5E}{len(known):12d}{'':20} 0{number:5d}{'':10} 1\n"
-        out.write(f"{head} -4  {title:8s}{len(lines):5d}{1:5d}\n")
+        out.write("" if mode is None else f"    1PMODE{mode:26d}\n")
+        kind = 0 if mode is None else 2  # frequencies
+        head = (
+            f"  100CL{number:5d}{_twelve(t)}{len(known):12d}{'':20}{kind:2d}{number:5d}{'':10} 1\n"
+        )
+        out.write(f"{head} -4  {titles[-1]:8s}{len(lines):5d}{1:5d}\n")
         out.writelines(lines)
-        out.writelines(_lines(" -1%10d" + "%12.5E" * rows.shape[1] + "\n", table))
+        out.writelines(_numbered(known, rows[known]))
         out.write(" -3\n")
+
+
+def _title(name: str, others: Sequence[str]) -> str:
+    """Name of a field in eight characters, unlike those of others."""
+    title = _NAMES.get(name, name.upper()[:8])
+    free = (f"{title[: 8 - len(str(k))]}{k}" for k in itertools.count(2))
+    return title if title not in others else next(one for one in free if one not in others)
+
+
+def _numbered(nodes: IntArray, rows: FloatArray) -> Iterator[str]:
+    """Lines of nodes, counted from 0, with their values."""
+    for start in range(0, len(rows), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        pairs = zip((nodes[block] + 1).tolist(), rows[block].tolist(), strict=True)
+        yield "".join([f" -1{node:10d}{''.join(map(_twelve, row))}\n" for node, row in pairs])
+
+
+def _twelve(number: float) -> str:
+    """A number in twelve characters: columns are told by their width, as CalculiX' own times are."""
+    size = abs(number)
+    if _PLAIN[0] <= size < _PLAIN[1]:
+        return f"{number: .10f}"[:12]
+    short = f"{number if size >= _TINY else 0.0: .6E}".replace("E-0", "E-").replace("E+0", "E+")
+    return short if len(short) == 12 else f"{number: .5E}"
 
 
 def _components(columns: int) -> list[str]:
@@ -155,7 +198,3 @@ def _components(columns: int) -> list[str]:
         return [f" -5  S{a}     {1:5d}{4:5d}{i:5d}{j:5d}\n" for a, (i, j) in _PARTS.items()]
     one = [f" -5  D{i + 1}      {1:5d}{2:5d}{i + 1:5d}{0:5d}\n" for i in range(columns)]
     return [*one, f" -5  ALL     {1:5d}{2:5d}{0:5d}{0:5d}{1:5d}ALL\n"]
-
-
-def _representable(values: FloatArray) -> FloatArray:
-    return np.where(np.abs(values) < _TINY, 0.0, values)

@@ -73,6 +73,7 @@ def write_usd(moving: Moving, file: Path) -> list[Path]:
         mesh.CreateFaceVertexCountsAttr(counts)
         mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(triangles.ravel()))
         mesh.CreateSubdivisionSchemeAttr("none")
+        mesh.CreateDoubleSidedAttr(moving.run.dim == 2)
         colour = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
             "displayColor", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex
         )
@@ -80,10 +81,12 @@ def write_usd(moving: Moving, file: Path) -> list[Path]:
         for at, state in zip(times, moving.states(), strict=True):
             places = as_single(state.places)
             light = as_single(linear_light(state.colours))
-            points.Set(Vt.Vec3fArray.FromNumpy(places), at)
-            colour.Set(Vt.Vec3fArray.FromNumpy(light), at)
             box = np.stack([places.min(axis=0), places.max(axis=0)])
-            extent.Set(Vt.Vec3fArray.FromNumpy(box), at)
+            # Programs that ask for no time see the first state.
+            for when in (Usd.TimeCode.Default(), at) if at == times[0] else (at,):
+                points.Set(Vt.Vec3fArray.FromNumpy(places), when)
+                colour.Set(Vt.Vec3fArray.FromNumpy(light), when)
+                extent.Set(Vt.Vec3fArray.FromNumpy(box), when)
         stage.GetRootLayer().Save()
         with writing(file):
             draft.replace(file)

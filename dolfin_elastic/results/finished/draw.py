@@ -55,6 +55,7 @@ def check_field(run: FinishedRun, name: str, step: int = -1) -> str:
     known = run.fields(step)
     if name not in known:
         more = f"; compute with [output] fields = [..., '{name}']" if name in FIELDS else ""
+        more = more if run.history else ""  # modes have one field
         raise InputError(
             f"there is no field '{name}'",
             where=str(run.folder),

@@ -138,6 +138,7 @@ class FinishedRun(Shown):
         frames: The steps that `results.xdmf` holds; none where only modes were computed.
         history: Column of `history.csv` to its numbers, shape (rows,), SI units; an empty cell is
             nan, columns of words are left out; empty where only modes were computed.
+        modal: `frames` are modes, and their t frequencies [Hz] or load factors, see `as_modes`.
         units: Column to its SI unit, empty where it has none.
 
     Raises:
@@ -152,6 +153,7 @@ class FinishedRun(Shown):
         self.case: dict[str, Any] = self.summary.get("case") or {}
         self.history = _read_history(folder / _HISTORY)
         self.frames: list[Frame] = read_frames(folder / _FIELDS)
+        self.modal = False
 
     def _check_folder(self) -> None:
         folder, where = self.folder, str(self.folder)

@@ -37,9 +37,10 @@ from dolfin_elastic.results.writers.xdmf import Hdf5Series
 if TYPE_CHECKING:
     import h5py
 
-_TYPES = {"Triangle": 5, "Triangle_6": 22, "Tetrahedron": 10, "Tetrahedron_10": 24}
+TYPES = {"Triangle": 5, "Triangle_6": 22, "Tetrahedron": 10, "Tetrahedron_10": 24}
 """XDMF's name of a cell to VTK's number of it."""
-_ROOT = "VTKHDF"
+ROOT = "VTKHDF"
+"""The group that holds all of it."""
 
 
 class _Frame(TypedDict):
@@ -84,7 +85,7 @@ class VtkhdfWriter(Hdf5Series):
         own = len(cells.values)
         last = cells.first + own == count and (own > 0 or grid.mesh.comm.rank == 0)
         ends = width * np.arange(cells.first, cells.first + own + last, dtype=np.int64)
-        kinds = np.full((own, 1), _TYPES[grid.kind], dtype=np.uint8)
+        kinds = np.full((own, 1), TYPES[grid.kind], dtype=np.uint8)
         return {
             "Points": grid.rows("node", grid.points()),
             "Connectivity": Rows(cells.values.reshape(-1, 1), width * cells.first, width * count),
@@ -125,7 +126,7 @@ class VtkhdfWriter(Hdf5Series):
             try:
                 with h5py.File(fresh(draft), "w") as file:
                     file[_FRAMES] = [entry.encode() for entry in frames]
-                    self._fill(file.create_group(_ROOT), [json.loads(entry) for entry in frames])
+                    self._fill(file.create_group(ROOT), [json.loads(entry) for entry in frames])
             except RuntimeError as error:  # what h5py raises where closing fails
                 raise OutputError(f"cannot write {self.path}: {error}") from error
             sync(draft)
@@ -133,11 +134,6 @@ class VtkhdfWriter(Hdf5Series):
 
     def _fill(self, root: h5py.Group, frames: Sequence[_Frame]) -> None:
         """Writes sizes, times and virtual arrays of all states. On rank 0."""
-        root.attrs["Version"] = np.array([2, 0], dtype=np.int64)
-        root.attrs["Type"] = np.bytes_("UnstructuredGrid")
-        steps = root.create_group("Steps")
-        steps.attrs["NSteps"] = np.int64(len(frames))
-        steps["Values"] = np.array([frame["t"] for frame in frames], dtype=np.float64)
         meshes = list({frame["mesh"]: frame for frame in frames}.values())
         names = [frame["mesh"] for frame in meshes]
         mesh = np.array([names.index(frame["mesh"]) for frame in frames], dtype=np.int64)
@@ -146,13 +142,7 @@ class VtkhdfWriter(Hdf5Series):
             parts = [_Source(self._place(f["mesh"]), name, rows(f), columns) for f in meshes]
             _virtual(root, name, kind, parts)
             starts[name] = _starts(parts)
-        for size, name in _SIZES.items():
-            root[size] = np.diff(starts[name])
-        steps["PartOffsets"] = mesh
-        steps["NumberOfParts"] = np.ones_like(mesh)
-        steps["PointOffsets"] = starts["Points"][mesh]
-        steps["CellOffsets"] = starts["Types"][mesh][:, None]
-        steps["ConnectivityIdOffsets"] = starts["Connectivity"][mesh][:, None]
+        describe(root, [frame["t"] for frame in frames], mesh, starts)
         for name in frames[0]["fields"]:
             self._fill_field(
                 root, name, meshes if self._evaluate.table[name].fixed else frames, mesh
@@ -186,6 +176,30 @@ class VtkhdfWriter(Hdf5Series):
 
     def _place(self, file: str) -> str:
         return f"{self.data.name}/{file}"
+
+
+def describe(
+    root: h5py.Group, times: Sequence[float], mesh: IntArray, starts: Mapping[str, IntArray]
+) -> None:
+    """Writes version, times, sizes, and which mesh each state has. Not collective.
+
+    Args:
+        mesh: Number of the mesh of each state.
+        starts: "Points", "Connectivity" and "Types" to the first row of each mesh in these arrays,
+            and the number of all rows.
+    """
+    root.attrs["Version"] = np.array([2, 0], dtype=np.int64)
+    root.attrs["Type"] = np.bytes_("UnstructuredGrid")
+    steps = root.create_group("Steps")
+    steps.attrs["NSteps"] = np.int64(len(times))
+    steps["Values"] = np.array(times, dtype=np.float64)
+    for size, name in _SIZES.items():
+        root[size] = np.diff(starts[name])
+    steps["PartOffsets"] = mesh
+    steps["NumberOfParts"] = np.ones_like(mesh)
+    steps["PointOffsets"] = starts["Points"][mesh]
+    steps["CellOffsets"] = starts["Types"][mesh][:, None]
+    steps["ConnectivityIdOffsets"] = starts["Connectivity"][mesh][:, None]
 
 
 @dataclass(frozen=True)
