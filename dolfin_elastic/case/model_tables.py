@@ -41,6 +41,7 @@ from dolfin_elastic.model.supports.displacement import Restraint
 from dolfin_elastic.model.supports.springs import SUPPORTS
 from dolfin_elastic.model.tie import Tie
 from dolfin_elastic.problem.problem import Problem
+from dolfin_elastic.results.verdict import OF_MATERIAL
 
 
 class ModelTables(Record):
@@ -343,6 +344,6 @@ def _fill(body: Body, materials: Mapping[str, Material]) -> tuple[Body, dict[str
             cells = np.unique(np.concatenate([body.region(n) for n in material.regions]))
         bare[cells] = False
         taken = name in body.regions and material.regions != (name,)
-        key = f"{name} (material)" if taken else name
+        key = name + OF_MATERIAL if taken else name
         regions[key], laws[key] = cells, material.law
     return body.named(regions=regions), laws

@@ -22,11 +22,16 @@ ENOUGH = 0.3
 
 SAFEST = 1000.0
 """Upper bound of the safety factor, which would be infinite without stress."""
+OF_MATERIAL = " (material)"
+"""Ends the name of a material's region where the mesh has a region of that name."""
 _LEAVES = "it buckles, tips over or snaps through"
 _LOADED, _NAMES = ("load", "support", "contact"), {"on", "kind", "name"}
 _TIMED = re.compile(r"\bt\b")
 ELSEWHERE = {"von_mises": "elsewhere", "safety_factor": "safety_factor_elsewhere"}
 """Key of an extreme value in the error of `summary.json` to that of the one where it is regular."""
+
+_RIVAL = {"von_mises": "may_be_larger", "safety_factor": "safety_factor_may_be_smaller"}
+"""Its key to that of the place where it may be exceeded."""
 
 Kind = Literal["holds", "fails", "not known", "result"]
 Table = Mapping[str, Any]
@@ -212,7 +217,7 @@ def reliable(error: Table, name: str, extremes: Table) -> Table | None:
     if not isinstance(peak, Mapping):  # unloaded, or of a motion before these were kept
         peak = extremes.get(name)
         return peak if isinstance(peak, Mapping) else None
-    other, rival = error.get(ELSEWHERE[name]), error.get("may_be_larger")
+    other, rival = error.get(ELSEWHERE[name]), error.get(_RIVAL[name], error.get("may_be_larger"))
     if peak.get("singular") and isinstance(other, Mapping):
         peak = {**other, "apart": peak["singular"], "distance": _distance(other, peak)}
     if isinstance(rival, Mapping) and rival.get("unresolved"):
@@ -252,13 +257,14 @@ def _of_safety(safety: Table, summary: Table) -> Verdict:
         times = f"{stress}{_times(1 / value)} times {named}"
         return _verdict("fails", f"{times}{_error(safety)}{where}")
     times = f"{_times(value) if value < SAFEST else factor_text(value)} times below {limit}"
+    stress = "strain" if limit.endswith("strain limit") else "stress"
     if why := doubt(safety):
-        return _unknown(f"stress {times}{where}, but {why}")
+        return _unknown(f"{stress} {times}{where}, but {why}")
     times += _error(safety)
     if value / (1 + (0.0 if math.isnan(error) else error)) < 1:
-        return _unknown(f"stress {times}{where}: refine the mesh")
+        return _unknown(f"{stress} {times}{where}: refine the mesh")
     if why := _unjudged(safety, summary):
-        return _unknown(f"stress {times}{where}, but {why}")
+        return _unknown(f"{stress} {times}{where}, but {why}")
     return _verdict("holds", f"{times}{where}")
 
 
@@ -297,9 +303,15 @@ def _error(peak: Table) -> str:
     return "" if math.isnan(error) else f", ± {percent(error)}"
 
 
+def _material(peak: Table, summary: Table) -> Table:
+    """The table of the material at a place."""
+    name = str(peak.get("part")).removesuffix(OF_MATERIAL)
+    return _table(_table(_table(summary, "case"), "materials"), name)
+
+
 def _allowable(peak: Table, summary: Table) -> float:
     """The allowable stress [Pa] of the material at a place; 0 where it is no number."""
-    row = _table(_table(_table(summary, "case"), "materials"), str(peak.get("part")))
+    row = _material(peak, summary)
     try:
         return max(0.0, float(to_si(row["allowable"], "Pa")))
     except (InputError, KeyError, TypeError, ValueError):  # a field of the mesh, or a formula
@@ -308,7 +320,7 @@ def _allowable(peak: Table, summary: Table) -> float:
 
 def _criterion(peak: Table, summary: Table) -> str:
     """What limits the stress of the material at a place, if it is no number."""
-    row = _table(_table(_table(summary, "case"), "materials"), str(peak.get("part")))
+    row = _material(peak, summary)
     if isinstance(table := row.get("allowable"), Mapping) and "field" not in table:
         from dolfin_elastic.model.strength import Strength  # reports need no UFL
 

@@ -52,6 +52,7 @@ SUMMARY: dict[str, object] = {
     "error": {
         **dict.fromkeys(("von_mises", "elsewhere", "may_be_larger"), _VALUE),
         **dict.fromkeys(("safety_factor", "safety_factor_elsewhere"), _VALUE),
+        "safety_factor_may_be_smaller": _VALUE,
         "energy_norm": float,
         "reservations": [str],
     },

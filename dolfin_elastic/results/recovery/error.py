@@ -18,15 +18,21 @@ Where a pressure p carries the volumetric part, S : E is that of the rest of the
 p^2/k is added, k the modulus that belongs to p: the norm in which the perturbed Lagrangian is well
 posed, which remains a norm where nu = 1/2 and 1/k = 0.
 
-The estimate holds for the raw stress.  The largest von Mises stress is a recovered one, but on the
-surface, where peaks are, its error has the order of the raw stress: its estimate is sqrt(3) times
-the root mean square, over the cells around it, of the von Mises stress of the difference between
-recovered and raw Cauchy stress, which is the largest value of a linear function of that mean
-square whose mean is zero.  Where a fillet or hole has cells as large as its radius that mean is too
-smooth.  There the stress of the cells, extrapolated to the nodes from the points of integration and
-averaged, is another value of the same stress, of no lower order at the surface; the von Mises
-stress of its difference from the recovered one, the largest at the nodes of the cells around, is
-the estimate where it is larger.
+The estimate holds for the raw stress.  What is judged, such as the largest von Mises stress, is a
+recovered value, but on the surface, where peaks are, its error has the order of the raw stress: its
+estimate is sqrt(3) times the root mean square, over the cells around it, of the change of the value
+between the recovered and the raw tensor, which is the largest value of a linear function of that
+mean square whose mean is zero.  Where a fillet or hole has cells as large as its radius that mean
+is too smooth.  There the tensor of the cells, extrapolated to the nodes from the points of
+integration and averaged, is another value of the same tensor, of no lower order at the surface; its
+change from the recovered one, the largest at the nodes of the cells around, is the estimate where
+it is larger.
+
+So it is for every criterion, each with its own tensor, see `_RegionError`.  The change of the von
+Mises stress is that of the difference of the tensors, which bounds the difference of the values; it
+is relative to the stress, and that of the safety factor by an allowable stress the same.  That of a
+`Strength` is the difference of the utilisations, of which those of opposite signs have different
+limits: an error of a pressure is none of a weak tension.
 
 Source: O. C. Zienkiewicz and J. Z. Zhu, Int. J. Numer. Meth. Eng. 24 (1987) 337, (13) to (17), and
 33 (1992) 1365; extrapolation: E. Hinton and J. S. Campbell, Int. J. Numer. Meth. Eng. 8 (1974) 461;
@@ -59,9 +65,12 @@ from dolfin_elastic.model.kinematics import green_strain, infinitesimal_strain
 from dolfin_elastic.model.materials.growth import GrownLaw
 from dolfin_elastic.model.materials.law import Law, ModifiedLaw
 from dolfin_elastic.model.materials.mixed import Mixed
+from dolfin_elastic.model.strength import Strength
 from dolfin_elastic.problem.state import State
 from dolfin_elastic.results.cell_fields import unknowns_of_outputs
 from dolfin_elastic.results.recovery.patches import ErrorRule, cell_edges
+from dolfin_elastic.results.recovery.resolution import largest_at_nodes
+from dolfin_elastic.results.recovery.strength import used_of
 from dolfin_elastic.results.recovery.stress import (
     COMPONENTS,
     STRESS,
@@ -97,9 +106,8 @@ class ErrorEstimate:
         stress_in_cells: Root mean square over each owned cell of the von Mises stress of the
             difference between recovered and raw stress [Pa].
         stress: Recovered stress at the owned nodes.
-        stress_error: Estimated error of its von Mises stress at the owned nodes [Pa].
-        difference: Von Mises stress of its difference from the extrapolated and averaged stress of
-            the cells, at the owned nodes and ghosts [Pa].
+        stress_error: Estimated error of its von Mises stress at the owned nodes, relative.
+        safety_error: That of its utilisation of the strength; 0 without an allowable stress.
     """
 
     cells: FloatArray
@@ -110,7 +118,7 @@ class ErrorEstimate:
     stress_in_cells: FloatArray
     stress: NodalStress
     stress_error: FloatArray
-    difference: FloatArray
+    safety_error: FloatArray
 
     @property
     def cut_off(self) -> float:
@@ -147,15 +155,14 @@ class ErrorEstimator:
         problem, V = self._problem, self._problem.V
         own = len(problem.body.owned_cells())
         cells, elastic, in_cells = np.zeros((3, own))
-        result, errors = [], np.zeros((len(self._regions), V.dofmap.index_map.size_local))
-        largest = np.zeros(errors.shape[1])
+        result, nodes = [], np.arange(V.dofmap.index_map.size_local)
+        errors = np.zeros((2, len(self._regions), len(nodes)))
         for number, region in enumerate(self._regions):
             of = region()
             chosen = region.part.cells
             cells[chosen], elastic[chosen], in_cells[chosen] = of.energy, of.elastic, of.stress
             result.append((region.part, of.recovered))
-            errors[number] = of.at_nodes
-            largest[:] = np.fmax(largest, von_mises(of.difference))
+            errors[:, number] = of.at_nodes
         stress = NodalStress.of(V, result)
         sums = np.array([cells.sum(), elastic.sum(), _cut_off(problem, elastic)])
         within, stored, geometry = total(problem.body.comm, sums)
@@ -168,8 +175,8 @@ class ErrorEstimator:
             float(np.sqrt(energy / (energy + stored))) if energy != 0 else 0.0,
             in_cells,
             stress,
-            errors[stress.region, np.arange(errors.shape[1])],
-            with_ghosts(V.dofmap.index_map, largest[:, None])[:, 0],
+            errors[0, stress.region, nodes],
+            errors[1, stress.safety_region, nodes],
         )
 
 
@@ -200,11 +207,9 @@ class _Found:
         energy: Strain energy of the error [J], shape (cells,).
         elastic: Strain energy in the same norm [J].
         stress: See `ErrorEstimate.stress_in_cells`.
-        at_nodes: Estimated error of the von Mises stress at the owned nodes [Pa]; NaN at those of
-            other regions, as what follows.
+        at_nodes: Estimated errors of the von Mises stress and of the utilisation at the owned
+            nodes, relative, shape (2, nodes); 0 at those of other regions.
         recovered: Recovered values there, see `RegionStress.at_owned_nodes`.
-        difference: Recovered stress less that of the cells, extrapolated to the nodes, mean over
-            the cells [Pa], shape (nodes, 6).
     """
 
     energy: FloatArray
@@ -212,7 +217,6 @@ class _Found:
     stress: FloatArray
     at_nodes: FloatArray
     recovered: FloatArray
-    difference: FloatArray
 
 
 class _RegionError:
@@ -258,30 +262,59 @@ class _RegionError:
             difference.add(patches, part, off)
             recovered.add(patches, part, np.ascontiguousarray(at_nodes[..., :6]))
         energy, elastic, squares, volume = sums.T
-        return _Found(
-            energy,
-            elastic,
-            np.sqrt(squares / volume),
-            self._at_nodes(sums[:, 2:]),
-            recovered.owned(),
-            difference.owned()[:, :6],
-        )
+        rows, change = recovered.owned(), von_mises(difference.owned()[:, :6])
+        error = self._at_nodes(von_mises(rows[:, :6]), change, sums[:, 2:])
+        used = error
+        if isinstance(strength := self.part.region.law.allowable, Strength):
+            used = self._of_strength(strength, volume)
+        return _Found(energy, elastic, np.sqrt(squares / volume), np.array([error, used]), rows)
 
-    def _at_nodes(self, squares: FloatArray) -> FloatArray:
-        """Estimated error of the von Mises stress at the owned nodes, NaN in other regions.
-
-        At the middle of an edge that of one of its ends, whichever is larger.
+    def _of_strength(self, strength: Strength, volume: FloatArray) -> FloatArray:
+        """Estimated error of a strength's utilisation. See `_at_nodes`.
 
         Args:
-            squares: Integral of its square over each cell, and volume of the cell.
+            volume: Of the cells.
         """
-        result, means = self.part.patches.sums(squares), NodalMeans(self._V, 1)
+        judged, rule, (axes, constant) = self.part.judged, self._rule, self.part.limit
+        directions = axes() if constant is None else np.broadcast_to(constant, (len(volume), 1, 3))
+        fitted, weights = judged.fitted(), rule.weights / rule.weights.sum()
+        means, squares = NodalMeans(self._V, 15), np.empty_like(volume)
+        for part in judged.chunks():
+            nodal = judged.patches.at_nodes(fitted, part)[..., :6]
+            raw = judged.at_points(part)[..., :6]
+            axis = np.broadcast_to(directions[part], (*nodal.shape[:2], 3))
+            recovered, here = rule.shape @ nodal, rule.shape @ axis
+            change = used_of(strength, recovered, here) - used_of(strength, raw, here)
+            squares[part] = volume[part] * (change**2 @ weights)
+            columns = np.concatenate([nodal, rule.to_nodes @ raw, axis], axis=2)
+            means.add(judged.patches, part, columns)
+        recovered, averaged, axis, _ = np.split(means.owned(), (6, 12, 15), axis=1)
+        values = used_of(strength, recovered, axis)
+        change = np.abs(values - used_of(strength, averaged, axis))
+        return self._at_nodes(values, change, np.column_stack([squares, volume]))
+
+    def _at_nodes(self, values: FloatArray, change: FloatArray, squares: FloatArray) -> FloatArray:
+        """Estimated error of what is judged at the owned nodes, relative; 0 in other regions.
+
+        The mean square at the middle of an edge is that of one of its ends, whichever is larger.
+
+        Args:
+            values: What is judged, of the recovered tensor at the owned nodes, shape (nodes,).
+            change: How it changes from there to the tensor of the cells, extrapolated and averaged.
+            squares: Integral over each cell of the square of its change from the recovered to the
+                raw tensor, and volume of the cell, shape (cells, 2).
+        """
+        V, of_patch, means = self._V, self.part.patches.sums(squares), NodalMeans(self._V, 1)
         for part in self.part.chunks():
-            sums = result(part)
+            sums = of_patch(part)
             corners = np.sqrt(_LARGEST * sums[..., 0] / sums[..., 1])
-            values = np.concatenate([corners, corners[:, self._edges].max(axis=2)], axis=1)
-            means.add(self.part.patches, part, values[..., None])
-        return means.owned()[:, 0]
+            ends = np.concatenate([corners, corners[:, self._edges].max(axis=2)], axis=1)
+            means.add(self.part.patches, part, ends[..., None])
+        nodes = V.dofmap.list[self.part.cells]
+        local = np.nan_to_num(with_ghosts(V.dofmap.index_map, change[:, None])[:, 0])
+        around = largest_at_nodes(V, nodes, local[nodes].max(axis=1, initial=0.0)[:, None])
+        error = np.fmax(means.owned()[:, 0], around[:, 0])
+        return np.nan_to_num(error / np.where(values > 0, values, np.inf))
 
 
 def _work_pairs(

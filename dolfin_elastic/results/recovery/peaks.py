@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from copy import copy
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -18,7 +20,7 @@ from dolfin_elastic.mesh.body import cell_size
 from dolfin_elastic.model.strength import Strength
 from dolfin_elastic.results.recovery.error import ErrorEstimate
 from dolfin_elastic.results.recovery.locking import unseen_locking
-from dolfin_elastic.results.recovery.resolution import RESOLVED, largest_at_nodes, resolution
+from dolfin_elastic.results.recovery.resolution import RESOLVED, resolution
 from dolfin_elastic.results.recovery.singular import SingularPlaces, singular_places
 from dolfin_elastic.results.recovery.stress import NodalStress, von_mises
 from dolfin_elastic.results.verdict import factor_text
@@ -130,6 +132,7 @@ class Peaks:
         safety_elsewhere: As `elsewhere`, where the smallest factor is singular.
         rival: The place where the stress may be larger than the largest regular one and its own
             error; None: that is the place of the latter.
+        safety_rival: As `rival`, where the safety factor may be smaller.
         cut_off: Share of the strain energy that straight cells miss or add at curved faces.
     """
 
@@ -138,6 +141,7 @@ class Peaks:
     safety: Peak | None = None
     safety_elsewhere: Peak | None = None
     rival: Peak | None = None
+    safety_rival: Peak | None = None
     cut_off: float = 0.0
 
     @property
@@ -171,20 +175,9 @@ class Peaks:
         elif not self.largest.singular and np.isfinite(self.largest.error):
             result.append(Remark(ERROR, percent(self.largest.error)))
         if self.regular is not None:
-            result += _doubts(self.regular, self.rival)
+            result += _doubts(self.regular, self.rival, "larger", Peak.text)
         if self.safety is not None:
-            least = f"{factor_text(self.safety.value)} {self.safety.where()}"
-            result.append(Remark("smallest safety factor", least, indented=False))
-            if self.safety.singular:
-                result.append(_unbounded(self.safety, "falls"))
-            elif not np.isfinite(self.safety.error):
-                result.append(
-                    Remark("not known", "its error, as that of the stress", reserved=True)
-                )
-        if self.safety is not None and self.safety_elsewhere is not None:
-            beside = self.safety_elsewhere
-            text = f"{factor_text(beside.value)} {beside.where()}{_apart(beside, self.safety)}"
-            result.append(Remark("smallest elsewhere", text))
+            result += self._of_safety(self.safety)
         share = f"{percent(norm)} of the stresses on average (energy norm)"
         if not np.isfinite(norm):
             share = "none is known: its energy at these strains has no finite value"
@@ -193,6 +186,30 @@ class Peaks:
             text = f"their facets cut {percent(self.cut_off)} of the energy off at curved faces"
             result.append(Remark("straight elements", text, reserved=True))
         return result
+
+    def _of_safety(self, least: Peak) -> list[Remark]:
+        """On the safety factor; of its error what is not told of that of the stress.
+
+        Args:
+            least: The smallest.
+        """
+        result = [Remark("smallest safety factor", _factor(least), indented=False)]
+        regular, beside, stress = least, self.safety_elsewhere, self.regular
+        if least.singular:
+            result.append(_unbounded(least, "falls"))
+            regular = beside or least
+        if beside is not None:
+            result.append(Remark("smallest elsewhere", _factor(beside) + _apart(beside, least)))
+        doubtful = self.safety_rival or regular
+        alike = stress is not None and doubtful.place == (self.rival or stress).place
+        if alike and stress is not None and percent(stress.error) == percent(regular.error):
+            if not least.singular and not np.isfinite(least.error):
+                text = "its error, as that of the stress"
+                result.append(Remark("not known", text, reserved=True))
+            return result
+        if not least.singular and np.isfinite(least.error):
+            result.append(Remark(ERROR, percent(least.error)))
+        return result + _doubts(regular, self.safety_rival, "smaller", _factor)
 
 
 def _unbounded(peak: Peak, changes: str) -> Remark:
@@ -212,14 +229,26 @@ def _apart(peak: Peak, singular: Peak) -> str:
     return f", {error}, {peak.unit.length(distance)} away"
 
 
-def _doubts(peak: Peak, rival: Peak | None) -> list[Remark]:
-    """Where the largest regular stress is not known, or may be larger. See `Peaks`."""
+def _factor(peak: Peak) -> str:
+    """A safety factor and its place for people."""
+    return f"{factor_text(peak.value)} {peak.where()}"
+
+
+def _doubts(
+    peak: Peak, rival: Peak | None, changed: str, told: Callable[[Peak], str]
+) -> list[Remark]:
+    """Where the extreme regular value is not known, or may be exceeded. See `Peaks`.
+
+    Args:
+        changed: What it may be, "larger" or "smaller".
+        told: A value and its place for people.
+    """
     if rival is None:
         return [Remark("peak not known", peak.unresolved, True)] if peak.unresolved else []
     if not rival.unresolved:
-        may = f"{rival.text()} +- {percent(rival.error)}"
-        return [Remark("may be larger", may, reserved=True)]
-    where = f"may be larger {rival.where()}, now {rival.text().partition(' at ')[0]}"
+        may = f"{told(rival)} +- {percent(rival.error)}"
+        return [Remark(f"may be {changed}", may, reserved=True)]
+    where = f"may be {changed} {rival.where()}, now {told(rival).partition(' at ')[0]}"
     return [
         Remark("peak not known", where, reserved=True),
         Remark("", rival.unresolved, reserved=True),
@@ -263,13 +292,22 @@ def find_peaks(problem: Problem, estimate: ErrorEstimate) -> Peaks:
     highest, elsewhere, rival = finder.pair(von_mises(stress.stress), stress.region)
     if all(region.law.allowable is None for region in problem.regions):
         return Peaks(highest, elsewhere, rival=rival, cut_off=estimate.cut_off)
-    least, other = (
-        None if peak is None or peak.value <= 0 else replace(peak, value=1 / peak.value)
-        for peak in finder.pair(
-            utilisation(stress), stress.safety_region, lower=least_ratio(problem)
-        )[:2]
+    found = finder.of_safety(estimate).pair(
+        utilisation(stress), stress.safety_region, lower=least_ratio(problem)
     )
-    return Peaks(highest, elsewhere, least, other, rival=rival, cut_off=estimate.cut_off)
+    least, other, smaller = (
+        None if peak is None or peak.value <= 0 else replace(peak, value=1 / peak.value)
+        for peak in found
+    )
+    return Peaks(
+        highest,
+        elsewhere,
+        least,
+        other,
+        rival=rival,
+        safety_rival=smaller,
+        cut_off=estimate.cut_off,
+    )
 
 
 def utilisation(stress: NodalStress) -> FloatArray:
@@ -426,14 +464,13 @@ class _Judge(PeakFinder):
         super().__init__(problem, places)
         self._resolution = resolution(problem)
         self._locking = unseen_locking(problem, estimate.relative)
-        own = problem.V.dofmap.index_map.size_local
-        nodes = problem.V.dofmap.list[: len(problem.body.owned_cells())]
-        of_cells = estimate.difference[nodes].max(axis=1, initial=0.0)
-        around = largest_at_nodes(problem.V, nodes, np.nan_to_num(of_cells)[:, None])[:, 0]
-        stress = von_mises(estimate.stress.stress)
-        error = np.fmax(estimate.stress_error, around) / np.where(stress > 0, stress, np.inf)
-        self._errors = np.hypot(np.nan_to_num(error), self._resolution.polygon)
-        assert len(self._errors) == own
+        self._errors = np.hypot(estimate.stress_error, self._resolution.polygon)
+
+    def of_safety(self, estimate: ErrorEstimate) -> _Judge:
+        """The same for the utilisation of strengths."""
+        result = copy(self)
+        result._errors = np.hypot(estimate.safety_error, self._resolution.polygon)
+        return result
 
     def judged(
         self,

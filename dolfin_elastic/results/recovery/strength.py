@@ -61,15 +61,15 @@ def constant_axis(region: MaterialRegion) -> FloatArray | None:
 
 
 def used_of(strength: Strength, rows: FloatArray, axis: FloatArray) -> FloatArray:
-    """Utilisation of a strength, shape (n,).
+    """Utilisation of a strength, shape (...).
 
     Args:
-        rows: Six components of the tensor that it judges, shape (n, 6).
-        axis: Of any length but 0, shape (3,) or (n, 3); without a direction it does not count.
+        rows: Six components of the tensor that it judges, shape (..., 6).
+        axis: Of any length but 0, shape (3,) or (..., 3); without a direction it does not count.
     """
-    tensors = rows[:, _WHOLE].reshape(-1, 3, 3)
-    if not strength.directed:
-        return strength.used_at(tensors, None)
-    with np.errstate(invalid="ignore"):  # of nodes of other regions
-        unit = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
-    return strength.used_at(tensors, unit)
+    shape, unit = rows.shape[:-1], None
+    if strength.directed:
+        with np.errstate(invalid="ignore"):  # of nodes of other regions
+            unit = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+        unit = np.broadcast_to(unit, (*shape, 3)).reshape(-1, 3)
+    return strength.used_at(rows[..., _WHOLE].reshape(-1, 3, 3), unit).reshape(shape)

@@ -267,7 +267,7 @@ class RegionStress:
         columns = [(sigma[i, j] + sigma[j, i]) / 2 for i, j in COMPONENTS] + list(more)
         samples = sampling_points(problem.body.dim, problem.degree)
         self._width, self._samples = len(columns), len(samples)
-        self._points = 0 if points is None else len(points)
+        self._points, self._further = 0 if points is None else len(points), points
         # One kernel for all points: compiling it takes longer than evaluating it.
         everywhere = samples if points is None else np.concatenate([samples, points])
         plain = problem.degree == 1 and problem.W is problem.V
@@ -361,13 +361,13 @@ class RegionStress:
         Returns:
             Shape (nodes, 6), see `NodalStress.utilisation`; the region has an allowable stress.
         """
-        limit, constant = self._limit
+        limit, constant = self.limit
         strength = self.region.law.allowable
         if constant is None:
             constant = self._means(limit())
         if not isinstance(strength, Strength):
             return np.asarray(rows / constant.reshape(-1, 1))
-        judged = rows if self._judged is None else self._judged.at_owned_nodes()[:, :6]
+        judged = rows if self.judged is self else self.judged.at_owned_nodes()[:, :6]
         result = np.zeros_like(rows)
         result[:, _SHEAR] = used_of(strength, judged, constant) / np.sqrt(3)
         return result
@@ -382,8 +382,8 @@ class RegionStress:
         """
         if (strength := self.region.law.allowable) is None:
             return lambda row, shape, stress: np.full(len(stress), np.nan)
-        (limit, constant), other = self._limit, self._judged
-        values, judged = limit() if constant is None else None, None if other is None else other()
+        (limit, constant), other = self.limit, self.judged
+        values, judged = limit() if constant is None else None, None if other is self else other()
 
         def used(row: int, shape: FloatArray, stress: FloatArray) -> FloatArray:
             here = constant if values is None else shape @ values[row]
@@ -395,18 +395,24 @@ class RegionStress:
         return used
 
     @cached_property
-    def _judged(self) -> RegionStress | None:
-        """Recovery of the tensor that a `Strength` judges; None: it is the Cauchy stress."""
+    def judged(self) -> RegionStress:
+        """Recovery of the tensor that the criterion judges; itself: that is the Cauchy stress."""
         if not isinstance(self.region.law.allowable, Strength):
-            return None
+            return self
         tensor = judged_apart(self._problem, self.region, self._w)
-        cells = None if self._all else self.cells
         if tensor is None:
-            return None
-        return RegionStress(self._problem, self.region, self._w, cells, tensor=tensor)
+            return self
+        return RegionStress(
+            self._problem,
+            self.region,
+            self._w,
+            None if self._all else self.cells,
+            tensor=tensor,
+            points=self._further,
+        )
 
     @cached_property
-    def _limit(self) -> tuple[Callable[[], FloatArray], FloatArray | None]:
+    def limit(self) -> tuple[Callable[[], FloatArray], FloatArray | None]:
         """Allowable stress [Pa], or axis of the strength, of a region that has one.
 
         Returns:

@@ -422,9 +422,10 @@ def _error(
         "locking": asdict(locking) if locking else None,
     }
     if peaks.safety is not None:
-        other = peaks.safety_elsewhere
+        other, rival = peaks.safety_elsewhere, peaks.safety_rival
         table["safety_factor"] = peaks.safety.as_json()
         table["safety_factor_elsewhere"] = other.as_json() if other else None
+        table["safety_factor_may_be_smaller"] = rival.as_json() if rival else None
     return table
 
 
