@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from dolfin_elastic.core.units import is_quantity
@@ -163,3 +164,9 @@ def _list(items: list[object], unit: str) -> str:
 def unit_text(unit: str) -> str:
     """An SI unit as it is printed: "N/m³"."""
     return unit.replace("^2", "²").replace("^3", "³").replace("*", " ")
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """Key that sorts names for people by the numbers in them: 1, 2, 10."""
+    parts = re.split(r"([0-9]+)", name)
+    return [(int(part) if part.isdigit() else 0, part) for part in parts]

@@ -293,7 +293,14 @@ def component(
             expected='expected 0, "free" or a record such as {file = "quake.csv", unit = "g"}',
         )
     if isinstance(written, str) and not is_quantity(written) and not misspelt_unit(written):
-        return Formula.parse(written, allowed=COORDINATES)
+        try:
+            return Formula.parse(written, allowed=COORDINATES)
+        except InputError as error:
+            if not fields or "unknown name" not in error.what:
+                raise
+            alone = f'{error.expected}; a field stands alone, as {{field = "NAME"}}'
+            alone += ", and a formula of an image in the map of its [fields.NAME]"
+            raise type(error)(error.what, where=error.where, expected=alone) from None
     try:
         return to_si(written, unit)
     except InputError as error:

@@ -35,6 +35,7 @@ POINTS = {
     "case/decks/test_nastran_decks.py",
     "case/decks/test_rigid_bodies.py",
     "case/reference/test_json_schema.py",
+    "case/test_image_cases.py",
     "case/test_one_rank.py",
     "cli/test_cli.py",
     "cli/test_commands_made.py",

@@ -501,13 +501,13 @@ def _check_constants(case: Case, body: Body) -> None:
 _ANALYSIS = ("", *ANALYSES)
 _CHECKS: tuple[tuple[Callable[[Case, Body], None], bool, tuple[str, ...]], ...] = (
     (_check_components, False, ()),
-    (_check_mesh_fields, False, ()),
+    (_check_mesh_fields, False, ("fields",)),
     (_check_densities, False, ("materials", *_ANALYSIS)),
-    (_check_field_names, False, ()),
-    (_check_fields, False, ("materials", "axes", "output", *_ANALYSIS)),
+    (_check_field_names, False, ("fields",)),
+    (_check_fields, False, ("fields", "materials", "axes", "output", *_ANALYSIS)),
     (_check_materials, True, ("", "materials", "regions")),
     (_check_energies, True, ("materials",)),
-    (_check_constants, True, ("materials", "regions")),
+    (_check_constants, True, ("fields", "materials", "regions")),
     (_check_output, True, ("output",)),
     (_check_relaxing, True, ("materials", "periodic", *_ANALYSIS)),
     (_check_explicit, True, ("materials", *_ANALYSIS)),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.si_text import given
 from dolfin_elastic.model.materials.law import Law
 from dolfin_elastic.model.materials.spatial import units_of
+from dolfin_elastic.model.strength import Strength
 
 
 def stability_notes(case: Case) -> Iterator[str]:
@@ -33,11 +34,21 @@ def material_constants(case: Case) -> Iterator[str]:
     for name, material in case.materials.items():
         table, units = material.table(), units_of(type(material.law))
         keys = sorted(units.keys() & table.keys(), key=lambda k: (k in Law.model_fields, k))
+        if isinstance(strength := material.law.allowable, Strength):
+            unit = "" if strength.of_strain else units["allowable"]
+            table = {**table, "allowable": _with_units(table["allowable"], unit)}
         values = (f"{k} = {given(table[k], units[k])}" for k in keys)
         law = "energy" if material.law.written else material.law.name()
         yield f"{name}: {', '.join((law, *values))}"
         if material.source:
             yield f"  source: {material.source}"
+
+
+def _with_units(written: object, unit: str) -> object:
+    """A table with its numbers, and those of tables in it, as texts with a unit."""
+    if isinstance(written, Mapping):
+        return {key: _with_units(value, unit) for key, value in written.items()}
+    return given(written, unit) if isinstance(written, int | float) else written
 
 
 def _stable_ranges(case: Case) -> Iterator[str]:

@@ -54,6 +54,7 @@ from dolfin_elastic.case.toml import key_text
 from dolfin_elastic.core.errors import CaseError, InputError
 from dolfin_elastic.core.parallel import on_root
 from dolfin_elastic.core.petsc_options import refuse_case_keys
+from dolfin_elastic.core.si_text import natural
 from dolfin_elastic.mesh.body import Body, extent
 from dolfin_elastic.mesh.selectors import Selector
 from dolfin_elastic.problem.damping import check_damped
@@ -319,7 +320,7 @@ def _make_report(case: Case, body: Body, problem: Problem, notes: tuple[str, ...
         ),
         fields=tuple(
             f"{name}: {body.fields[name].describe(body.comm)}{_renamed(name, body)}"
-            for name in sorted(body.fields)
+            for name in sorted(body.fields, key=natural)
         ),
         materials=material_sizes(integrals),
         constants=tuple(material_constants(case)),

@@ -11,6 +11,7 @@ from dolfin_elastic.case.case import Case
 from dolfin_elastic.case.check.consistency import load_kinds
 from dolfin_elastic.case.check.integrals import Integrals
 from dolfin_elastic.core.parallel import total
+from dolfin_elastic.core.si_text import natural
 from dolfin_elastic.core.types import FloatArray, IndexArray
 from dolfin_elastic.mesh.body import Body, spelling
 from dolfin_elastic.mesh.geometry.curved import (
@@ -67,7 +68,7 @@ def surface_sizes(body: Body, use: Use, faces: Iterable[str] = ()) -> tuple[Part
     """
     prepare_facets(body.mesh)
     sizes = []
-    for name in (*sorted(body.surfaces.keys() - body.uncovered.keys()), *faces):
+    for name in (*sorted(body.surfaces.keys() - body.uncovered.keys(), key=natural), *faces):
         facets = body.owned_facets(name)
         measure, centroid, normal = means(body, facet_quadrature(body.mesh, facets, 2))
         numbers: set[int] = set()
@@ -87,7 +88,8 @@ def lower_sizes(body: Body, kind: str, use: Use) -> tuple[PartSize, ...]:
     """
     covered = (body.surfaces.keys() | body.edges.keys()) - body.uncovered.keys()
     sizes = []
-    for name in sorted(body.edges.keys() if kind == "edge" else body.points.keys() - covered):
+    names = body.edges.keys() if kind == "edge" else body.points.keys() - covered
+    for name in sorted(names, key=natural):
         points = points_of(body, kind, [name], 2)
         measure, centroid, _ = means(body, points)
         count = int(total(body.comm, len(points.cells)))
@@ -106,7 +108,7 @@ def region_sizes(body: Body, use: Use, integrals: Integrals | None = None) -> tu
         cells.size(WHOLE, body.owned_cells(), "", whole=True),
         *(
             cells.size(name, body.owned_cells(name), use(name, "region"))
-            for name in sorted(body.regions)
+            for name in sorted(body.regions, key=natural)
         ),
     )
 
@@ -133,7 +135,7 @@ def references(case: Case, body: Body, name: str, kind: str) -> str:
 def faces_used(case: Case, body: Body) -> list[str]:
     """CAD faces that the case names by number or size, as "face 3" and "hole r 6", sorted."""
     names = {one for _, names in _users(case, "surface") for one in _spelled(body, names)}
-    return sorted(name for name in names - {*body.surfaces} if name in body.surfaces)
+    return sorted((n for n in names - {*body.surfaces} if n in body.surfaces), key=natural)
 
 
 def _spelled(body: Body, names: Iterable[str]) -> list[str]:

@@ -103,11 +103,17 @@ def _displacements(
     there = distance <= _SAME_PLACE * float(np.ptp(x, axis=0).max())
     if not there.any():
         return
-    ours = u[nearest[there]]
-    theirs = theirs[there, : ours.shape[1]]
+    theirs = theirs[there, : u.shape[1]]
+    known = ~np.isnan(theirs).any(axis=0)
+    if not known.any():
+        return
+    ours, theirs = u[nearest[there]][:, known], theirs[:, known]
     largest = float(np.linalg.norm(theirs, axis=1).max())
     gap = np.linalg.norm(ours - theirs, axis=1)
     remark = f"{int(there.sum())} nodes of {len(table.nodes)}"
+    if not known.all():
+    if not known.all():
+        remark += f", {' and '.join(f'u{"xyz"[i]}' for i in np.flatnonzero(known))} alone"
     mine = float(np.linalg.norm(ours, axis=1).max())
     yield Row("largest displacement", mine, largest, float(gap.max()) / (largest or 1.0), remark)
 

@@ -28,7 +28,7 @@ class Table:
 
     Attributes:
         nodes: Numbers, shape (n,).
-        vectors: Shape (n, 3).
+        vectors: Shape (n, 3); NaN in the columns that a table lacks.
     """
 
     nodes: list[int] = field(default_factory=list)
@@ -180,6 +180,7 @@ def _csv(lines: Lines) -> Reference:
         if word in heads
     }
     result, table, modes = Reference(), Table(), list[float]()
+    parts = dict.fromkeys(("ux", "uy", "uz")).keys()
     for index, (number, line) in enumerate(rows[1:], start=1):
         words = next(csv.reader([line]), [])
         if len(words) < len(heads):
@@ -188,9 +189,9 @@ def _csv(lines: Lines) -> Reference:
         node = int(values.get("node", index))
         if {"x", "y", "z"} <= values.keys():
             result.points[node] = [values[name] for name in "xyz"]
-        if "ux" in values:
+        if parts & values.keys():
             table.nodes.append(node)
-            table.vectors.append([values.get(name, 0.0) for name in ("ux", "uy", "uz")])
+            table.vectors.append([values.get(name, math.nan) for name in parts])
         modes += [values[name] for name in ("frequency", "factor") if name in values]
     result.displacements = [table] if table.nodes else []
     result.modes = [modes] if modes else []

@@ -31,6 +31,7 @@ def look(
       dolfin-elastic look bracket.step --output look.png
       dolfin-elastic look bracket.toml -o look.png     with supports, loads and contacts
       dolfin-elastic look mesh.msh --json | jq .surfaces
+      dolfin-elastic look labels.nii.gz                values of an image, with their volumes
 
     Faces of CAD files have numbers; [surfaces] of a case names them: holes = {faces = [7, 8]}.
 
@@ -41,7 +42,11 @@ def look(
     start()
     from mpi4py import MPI
 
+    from dolfin_elastic.case.look.image import ImageLook, look_at_image
+    from dolfin_elastic.case.look.listing import Look
     from dolfin_elastic.case.look.look import look_at
+    from dolfin_elastic.core.parallel import on_root
+    from dolfin_elastic.mesh.images.read import is_image
 
     comm = MPI.COMM_WORLD
     collect_garbage()
@@ -49,13 +54,26 @@ def look(
     log_to_screen(comm.rank, logging.ERROR)
     if output is not None and output.suffix.lower() != ".png":
         raise CaseError(f"the picture '{output}' is no .png", where="--output", expected="look.png")
-    annotated = look_at(what, picture=output, trust=trust, comm=comm)
+    annotated: Look | ImageLook
+    if is_image(what):
+        if output is not None:
+            raise CaseError(
+                "an image of voxels is not drawn",
+                where="--output",
+                expected="leave it out, or look at a case with this image in [mesh]",
+            )
+        annotated = on_root(comm, lambda: look_at_image(what))
+    else:
+        annotated = look_at(what, picture=output, trust=trust, comm=comm)
     if comm.rank == 0 and json:
         from dataclasses import asdict
         from json import dumps
 
         print(dumps(asdict(annotated), indent=2))
     elif comm.rank == 0:
-        from dolfin_elastic.cli.look.show import show_look
+        from dolfin_elastic.cli.look.show import show_image, show_look
 
-        show_look(annotated)
+        if isinstance(annotated, Look):
+            show_look(annotated)
+        else:
+            show_image(annotated)

@@ -13,6 +13,7 @@ from dolfin_elastic.cli.console import console, described_tables, show_tables
 
 if TYPE_CHECKING:
     from dolfin_elastic.case.check.sizes import PartSize
+    from dolfin_elastic.case.look.image import ImageLook
     from dolfin_elastic.case.look.listing import FaceRow, Look
 
 _AXES = ("x", "y", "z")
@@ -44,6 +45,21 @@ def show_look(annotated: Look) -> None:
         screen.tell(f"note: {note}")
     if annotated.picture:
         screen.tell(f"picture in {annotated.picture}")
+
+
+def show_image(image: ImageLook) -> None:
+    """Prints the values of an image."""
+    screen, unit = console(), image.unit or "of a unit that the file does not state"
+    screen.tell(image.source, style="bold")
+    size, edges = (" x ".join(f"{n:.4g}" for n in row) for row in (image.shape, image.spacing))
+    screen.tell(f"  {size} voxels of {edges} {unit}, values {image.low:g} to {image.high:g}")
+    if not image.values:
+        screen.tell("  a grey image: [mesh] takes threshold = ... in place of labels")
+        return
+    table = _table([("value", True), ("voxels", True), (f"[{image.unit or 'unit'}^3]", True)])
+    for row in image.values:
+        table.add_row(f"{row.value:g}", str(row.voxels), f"{row.volume:.6g}")
+    show_tables(screen, [table])
 
 
 def _table(heads: Sequence[tuple[str, bool]]) -> Table:

@@ -90,6 +90,9 @@ def test_csv(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("uz,node,ux,uy\n3,7,1,2\n")
     (table,) = read_reference(tmp_path / "a.csv").displacements
     assert (table.nodes, table.vectors) == ([7], [[1.0, 2.0, 3.0]])
+    (tmp_path / "b.csv").write_text("node,uy\n7,2\n")
+    (table,) = read_reference(tmp_path / "b.csv").displacements
+    np.testing.assert_array_equal(table.vectors, [[np.nan, 2.0, np.nan]])
 
 
 WRONG = {
@@ -153,6 +156,15 @@ def test_the_command(
     found = re.search(r"largest displacement\s+\S+\s+\S+\s+(\S+)  8 nodes of 8", said)
     assert found, said
     # Exact in linear elements: what remains is rounding, over moduli of 1e11.
+    assert float(found[1]) < 1e-9
+    # One component alone: the others counted as zeros, which is off by 1.
+    alone = "".join(f"{i},{float(v[0])!r}\n" for i, v in enumerate(u, 1))
+    Path("ux.csv").write_text("node,ux\n" + alone)
+    words = ["import", "cube.inp", "--units", "mm-t-s", "-q", "-o", "b.toml", "--compare", "ux.csv"]
+    assert command(monkeypatch, *words) == 0
+    said = capsys.readouterr().out
+    found = re.search(r"largest displacement\s+\S+\s+\S+\s+(\S+)  8 nodes of 8, ux alone", said)
+    assert found, said
     assert float(found[1]) < 1e-9
     assert command(monkeypatch, "import", "cube.inp", "--units", "mm-t-s") == 2
     assert "exists already" in capsys.readouterr().err
