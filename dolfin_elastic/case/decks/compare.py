@@ -112,7 +112,6 @@ def _displacements(
     gap = np.linalg.norm(ours - theirs, axis=1)
     remark = f"{int(there.sum())} nodes of {len(table.nodes)}"
     if not known.all():
-    if not known.all():
         remark += f", {' and '.join(f'u{"xyz"[i]}' for i in np.flatnonzero(known))} alone"
     mine = float(np.linalg.norm(ours, axis=1).max())
     yield Row("largest displacement", mine, largest, float(gap.max()) / (largest or 1.0), remark)
