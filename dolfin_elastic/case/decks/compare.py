@@ -112,7 +112,8 @@ def _displacements(
     gap = np.linalg.norm(ours - theirs, axis=1)
     remark = f"{int(there.sum())} nodes of {len(table.nodes)}"
     if not known.all():
-        remark += f", {' and '.join(f'u{"xyz"[i]}' for i in np.flatnonzero(known))} alone"
+        names = [f"u{axis}" for axis, given in zip("xyz", known, strict=False) if given]
+        remark += f", {' and '.join(names)} alone"
     mine = float(np.linalg.norm(ours, axis=1).max())
     yield Row("largest displacement", mine, largest, float(gap.max()) / (largest or 1.0), remark)
 
