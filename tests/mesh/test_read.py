@@ -612,6 +612,8 @@ def test_damaged_gmsh_files_are_errors(folder: Path, version: float, binary: boo
     [
         ("a.msh", "", "the file is empty"),
         ("a.msh", "hello", "not a Gmsh mesh"),
+        ("a.msh", "MESH dimension 3 ElemType Tetrahedra Nnode 4\n", "this is a mesh of GiD, not"),
+        ("a.msh", '(0 "a grid")\n(2 3)\n', "this is a mesh of Fluent, not"),
         ("a.vtu", "hello", "this is no XML file"),
         ("a.mesh", "hello", "meshio cannot read it"),
         ("a.med", "hello", "meshio cannot read it"),

@@ -330,6 +330,12 @@ def mesh_alone(data: bytes) -> bytes:
     match = _BEFORE.match(data)
     mesh = data[match.end() if match else 0 :]
     if not re.match(rb"\$(?:NOD|MeshFormat)[ \t\r]*\n", mesh):
+        for sign, program in ((rb"MESH\b", "GiD"), (rb"\([012]\s", "Fluent")):
+            if re.match(sign, mesh, re.IGNORECASE):
+                raise MeshError(
+                    f"this is a mesh of {program}, not of Gmsh",
+                    expected="the mesh in another format, for example .vtu, .unv or .inp",
+                )
         raise MeshError("this is not a Gmsh mesh (no $MeshFormat at the start)")
     return mesh
 

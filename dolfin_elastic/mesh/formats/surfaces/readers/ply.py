@@ -55,6 +55,8 @@ def read_ply(path: Path) -> Soup:
     order, elements, start, line = _header(data, name)
     read = _Text(data[start:], name, line) if order == "" else _Binary(data, start, order, name)
     found: dict[str, _Columns] = {}
+    filled = (element.name for element in elements if element.count)
+    kind = next((name for name in filled if name in ("face", "tristrips")), "face")
     for element in elements:
         try:
             found[element.name] = read.element(element)
@@ -62,18 +64,18 @@ def read_ply(path: Path) -> Soup:
             raise MeshError(
                 f"its elements of the kind {element.name[:40]} cannot be read: {error}", where=name
             ) from None
-        if {"vertex", "face"} <= set(found):
+        if {"vertex", kind} <= set(found):
             break
-    if "tristrips" in (names := [element.name for element in elements]) and "face" not in names:
-        raise MeshError("it has strips of triangles", where=name, expected="faces")
-    if not {"vertex", "face"} <= set(found):
+    if not {"vertex", kind} <= set(found):
         raise MeshError(
             f"it has no {'faces' if 'vertex' in found else 'vertices'}",
             where=name,
             expected="a surface of triangles; a cloud of points has none",
         )
     points = _points(found["vertex"], name)
-    counts, corners = _polygons(found["face"], name)
+    counts, corners = _polygons(found[kind], name)
+    if kind == "tristrips":
+        counts, corners = _triangles(counts, corners)
     check_count(int(np.maximum(counts - 2, 0).sum()), name)
     if len(bad := np.flatnonzero((corners < 0) | (corners >= len(points)))):
         face = int(np.searchsorted(np.cumsum(counts), bad[0], side="right"))
@@ -275,3 +277,16 @@ def _polygons(face: _Columns, name: str) -> tuple[IntArray, IntArray]:
     if not face.lists and not face.plain:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
     raise MeshError(f"its faces have no list {' or '.join(_ROWS)}", where=name)
+
+
+def _triangles(counts: IntArray, corners: IntArray) -> tuple[IntArray, IntArray]:
+    """Faces of strips, in each of which every other triangle is turned; -1 ends a strip, too."""
+    rows = np.insert(corners, np.cumsum(counts)[:-1], -1)
+    places = np.arange(len(rows))
+    begins = np.maximum.accumulate(np.where(rows < 0, places + 1, 0))
+    found = np.stack([rows[:-2], rows[1:-1], rows[2:]], axis=1)
+    turned = (places - begins)[:-2] % 2 == 1
+    found[turned] = found[turned][:, [1, 0, 2]]
+    flat = (found == np.roll(found, 1, axis=1)).any(axis=1)  # they join parts of a strip
+    found = found[(found >= 0).all(axis=1) & ~flat]
+    return np.full(len(found), 3, dtype=np.int64), found.reshape(-1)

@@ -22,8 +22,9 @@ def read_stl(path: Path) -> Soup:
     """
     data = content(path)
     stated = int.from_bytes(data[80:_HEAD], "little") if len(data) >= _HEAD else 0
-    # The size decides: many programs write "solid" at the head of binary files.
-    if len(data) == _HEAD + 50 * stated:
+    # The size decides: many programs write "solid" at the head of binary files, and some a few
+    # bytes behind the last triangle.
+    if 0 <= len(data) - (_HEAD + 50 * stated) < 50:
         check_count(stated, path.name)
         corners = np.frombuffer(data, _RECORD, stated, _HEAD)["corners"]
         rows = np.arange(3 * stated, dtype=np.int64).reshape(-1, 3)
