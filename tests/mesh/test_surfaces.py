@@ -75,13 +75,13 @@ def test_a_byte_behind_the_triangles_of_stl(tmp_path):
 def test_strips_of_ply(tmp_path):
     """A cube of a strip around and one on each end, as of scans: they were refused."""
     head = "ply\nformat ascii 1.0\nelement vertex 8\nproperty float x\nproperty float y\n"
-    head += (
-        "property float z\nelement tristrips 1\nproperty list int int vertex_indices\nend_header\n"
-    )
+    head += "property float z\nelement tristrips 1\nproperty list int int vertex_indices\n"
     corners = "\n".join(f"{i % 2} {i // 2 % 2} {i // 4}" for i in range(8))
     around = [0, 4, 1, 5, 3, 7, 2, 6, 0, 4]
     strip = [*around, -1, 0, 1, 2, 3, -1, 5, 4, 7, 6]
-    (tmp_path / "a.ply").write_text(f"{head}{corners}\n{len(strip)} {' '.join(map(str, strip))}\n")
+    (tmp_path / "a.ply").write_text(
+        f"{head}end_header\n{corners}\n{len(strip)} {' '.join(map(str, strip))}\n"
+    )
     np.testing.assert_allclose(made(tmp_path / "a.ply")[1], [1.0], rtol=1e-12)
 
 
