@@ -166,6 +166,8 @@ def test_beams_with_a_node_for_their_section(folder: Path) -> None:
     body = deck(folder, cube(more + "*ELEMENT, TYPE=D\n14, 0, 2, 3\n"))
     assert body.num_cells == 6 and body.kinds("rim") == ("edge",)
     assert "elements that are left out; the case file states such: 1 D" in body.notes
+    with pytest.raises(MeshError, match=r"there are no \*NODE or no \*ELEMENT lines of a body"):
+        deck(folder, "*NODE\n1, 0., 0., 0.\n2, 1., 0., 0.\n*ELEMENT, TYPE=D\n1, 1, 0, 2\n")
 
 
 def test_texts_of_ucd(folder: Path) -> None:

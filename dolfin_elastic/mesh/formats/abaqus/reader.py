@@ -79,7 +79,7 @@ def read_abaqus(path: Path) -> MeshFile:
     deck.enter(Scope())
     if not deck.points or not deck.elements:
         raise MeshError(
-            "there are no *NODE or no *ELEMENT lines",
+            "there are no *NODE or no *ELEMENT lines of a body",
             where=path.name,
             expected="an input file of Abaqus or CalculiX with the mesh, or a text of AVS (UCD)",
         )
