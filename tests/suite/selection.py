@@ -32,6 +32,7 @@ POINTS = {
     "case/decks/test_compare.py",
     "case/decks/test_equations.py",
     "case/decks/test_febio_decks.py",
+    "case/decks/test_followers.py",
     "case/decks/test_nastran_decks.py",
     "case/decks/test_rigid_bodies.py",
     "case/reference/test_json_schema.py",

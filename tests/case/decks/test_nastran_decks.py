@@ -230,9 +230,13 @@ def test_orthotropic_axes_and_wtmass(tmp_path: Path) -> None:
 
 LISTED = {
     "solution": ("SOL 106\nCEND\n", "", "bar.bdf:1: the solution 106: 101, 103 and 105"),
-    "moment": ("", "MOMENT,2,3,,1.,1.", "MOMENT: this load"),
-    "spring": ("", "CELAS2,99,1.,1,1", "CELAS2: this entry is not known here"),
-    "rigid": ("", "RBE2,99,1,123,2", "RBE2: this entry is not known here"),
+    "moment": ("", "MOMENT,2,3,,1.,1.", "MOMENT: a moment at a node of a solid"),
+    "spring": ("", "CELAS2,99,1.,1,1,2,1", "CELAS2: a spring between nodes"),
+    "rigid": ("", "RBE2,99,1,123,2", "RBE2: nodes that are no corners of faces"),
+    "directions": ("", "RBE2,99,1,12,2", "RBE2: components 1, 2 and 3 together"),
+    "chain": ("", "RBE2,98,1,123,2\nRBE2,99,2,123,3", "a reference node, or a chain"),
+    "mass": (HEAD.format(103), "CONM2,99,1,,2.", "CONM2: a mass at a node: [[mass]] spreads"),
+    "joint": ("", "RBAR,99,1,2,123456", "RBAR: this entry is not known here"),
     "bar": ("", "CBAR,99,1,1,2", "CBAR: 1 elements that have no stiffness here"),
     "stiffness": ("", "MAT9,5", "MAT9: no law here has this stiffness"),
     "relief": ("", "PARAM,INREL,-1", "PARAM: inertia relief"),

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from dolfin_elastic.case.decks.abaqus.coupling import ALL, Coupling
+from dolfin_elastic.case.decks.abaqus.materials import place
 from dolfin_elastic.case.decks.abaqus.state import Reading
+from dolfin_elastic.case.decks.coupling import ALL, Coupling, covers_faces
 from dolfin_elastic.mesh.formats.abaqus.cards import Card
 from dolfin_elastic.mesh.formats.abaqus.numbered import FIXED
-from dolfin_elastic.mesh.formats.raw import boundary
 
 _ROTATIONS = {"ENCASTRE": (4, 5, 6), "XSYMM": (5, 6), "YSYMM": (4, 6), "ZSYMM": (4, 5)}
 """Words of *BOUNDARY to the rotations that they fix."""
@@ -32,7 +32,7 @@ def take_coupling(state: Reading, card: Card) -> None:
     if len(nodes) != 1:
         raise card.error(f"'{word[:60]}' is not one node")
     point = [float(x) for x in state.mesh.points[nodes[0]]]
-    state.coupling = Coupling(card, state.name(card, "surface", surface), point)
+    state.coupling = Coupling(place(card), state.name(card, "surface", surface), point)
     state.couplings[nodes[0]] = state.coupling
 
 
@@ -43,7 +43,7 @@ def take_rigid_body(state: Reading, card: Card) -> None:
         state.fault(card, f"{', '.join(others)} is not read" if others else "it is read in 3D only")
         return
     name = state.name(card, "point", card.option("NSET"))
-    if not covers_faces(state, name):
+    if not covers_faces(state.corners, state.mesh.point_sets[name]):
         state.fault(card, f"nodes of '{name[:60]}' that are no corners of faces within it")
         return
     nodes = [rows_of(state, card.option("REF NODE"))]
@@ -52,19 +52,10 @@ def take_rigid_body(state: Reading, card: Card) -> None:
     if any(len(one) != 1 for one in nodes):
         raise card.error("REF NODE or ROT NODE is not one node")
     point = [float(x) for x in state.mesh.points[nodes[0][0]]]
-    one = Coupling(card, name, point, kind="KINEMATIC")
+    one = Coupling(place(card), name, point, kind="KINEMATIC")
     state.couplings[nodes[0][0]] = one
     if len(nodes) > 1:
         state.turning[nodes[1][0]] = one
-
-
-def covers_faces(state: Reading, name: str) -> bool:
-    """Whether faces of the body have all corners in a set of nodes, and these are all of them."""
-    solid = [b.nodes[:, : state.dim + 1] for b in state.mesh.blocks if b.dim == state.dim]
-    facets, corners = boundary(solid), np.unique(np.concatenate([b.ravel() for b in solid]))
-    nodes = state.mesh.point_sets[name]
-    within = facets[np.isin(facets, nodes).all(axis=1)]
-    return len(within) > 0 and not len(np.setdiff1d(nodes[np.isin(nodes, corners)], within))
 
 
 def take_kind(state: Reading, card: Card) -> None:

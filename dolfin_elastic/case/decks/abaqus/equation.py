@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfin_elastic.case.decks.abaqus.coupling import Coupling
+from dolfin_elastic.case.decks.coupling import Coupling
 from dolfin_elastic.case.decks.deck import Quantity
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 from dolfin_elastic.mesh.formats.abaqus.cards import Card

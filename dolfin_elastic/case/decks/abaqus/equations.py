@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from dolfin_elastic.case.decks.abaqus.coupling import Coupling
-from dolfin_elastic.case.decks.abaqus.couplings import covers_faces, rows_of
+from dolfin_elastic.case.decks.abaqus.couplings import rows_of
 from dolfin_elastic.case.decks.abaqus.equation import NEAR, Equation
 from dolfin_elastic.case.decks.abaqus.materials import place
 from dolfin_elastic.case.decks.abaqus.state import Reading
+from dolfin_elastic.case.decks.coupling import Coupling, covers_faces
 from dolfin_elastic.case.decks.deck import Entry
 from dolfin_elastic.mesh.formats.abaqus.cards import Card
 from dolfin_elastic.mesh.formats.abaqus.numbered import equations, part_name
@@ -48,7 +48,7 @@ def _take(state: Reading, card: Card, row: int, terms: list[tuple[int, int, floa
     state.equations.append(one)
     for node, _ in form:
         point = [float(x) for x in state.mesh.points[node]]
-        state.couplings.setdefault(node, Coupling(card, "", point, kind="PERIODIC"))
+        state.couplings.setdefault(node, Coupling(place(card), "", point, kind="PERIODIC"))
 
 
 def tie(state: Reading) -> None:
@@ -69,7 +69,7 @@ def tie(state: Reading) -> None:
         for key, side in zip(names.values(), sides, strict=True)
     ):
         text = "other equations of two terms are among them"
-    elif len(np.intersect1d(*sides)) or not all(covers_faces(state, k) for k in names.values()):
+    elif len(np.intersect1d(*sides)) or not all(covers_faces(state.corners, s) for s in sides):
         text = "its nodes are not those of faces of two sides"
     else:
         state.deck.ties.append(Entry(place(first.card), dict(names)))

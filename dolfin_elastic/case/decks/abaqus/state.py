@@ -9,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
-from dolfin_elastic.case.decks.abaqus.coupling import Coupling
 from dolfin_elastic.case.decks.abaqus.equation import Equation, Nodes, OtherEquationError, cell_of
 from dolfin_elastic.case.decks.abaqus.materials import Material, place
+from dolfin_elastic.case.decks.coupling import Coupling
 from dolfin_elastic.case.decks.deck import (
     Deck,
     Entry,
@@ -176,6 +176,11 @@ class Reading:
                 result[block.nodes] = True
         return result
 
+    @property
+    def corners(self) -> list[IntArray]:
+        """Rows of the corners of the elements of the body."""
+        return [b.nodes[:, : self.dim + 1] for b in self.mesh.blocks if b.dim == self.dim]
+
     def finish_step(self) -> None:
         """Ends the present step with all that holds and acts at its end."""
         if self.step is not None:
@@ -199,7 +204,7 @@ class Reading:
         elif (load := one.load()) is not None:
             step.loads.append(load)
         if text:
-            self.fault(one.card, text)
+            self.deck.leave_out(one.place, text, "changes the answer")
 
     def _repeat(self, step: Step) -> None:
         """Makes a step one of a periodic cell, in which one node is at rest."""

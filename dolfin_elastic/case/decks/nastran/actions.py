@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from dolfin_elastic.case.decks.deck import Deck, Entry, Place, Quantity, Step
+from dolfin_elastic.case.decks.nastran.followers import Followers
 from dolfin_elastic.case.decks.nastran.materials import rotation_speed
 from dolfin_elastic.case.decks.nastran.table import Table, place
 from dolfin_elastic.core.errors import MeshError
@@ -20,7 +21,7 @@ from dolfin_elastic.mesh.formats.nastran.groups import Group
 
 _MOST_SETS = 10_000
 _OTHERS = (
-    *("MOMENT", "MOMENT1", "MOMENT2", "FORCE2", "PLOAD1", "PLOAD2", "PLOADX1", "ACCEL"),
+    *("MOMENT1", "MOMENT2", "FORCE2", "PLOAD1", "PLOAD2", "PLOADX1", "ACCEL"),
     *("ACCEL1", "SLOAD", "DEFORM", "PLOADB3", "QBDY1", "QHBDY"),
 )
 
@@ -35,6 +36,7 @@ class Actions:
 
     def __init__(self, table: Table, deck: Deck, references: Mapping[str, float]) -> None:
         self._table, self._deck, self._references = table, deck, references
+        self._followers = Followers(table, deck)
 
     def leave_out(self, place: Place, text: str) -> None:
         """Records what changes the answer."""
@@ -59,8 +61,17 @@ class Actions:
             for one, factor in self._combined(load)
             for group in self._table.in_set("spcd", one)
         ]
-        step.supports += [e for g in groups if (e := self._supported(g, 1.0))]
-        step.supports += [e for g, factor in moved if (e := self._supported(g, factor))]
+        self._followers.begin()
+        for group, factor in [*((g, 1.0) for g in groups), *moved]:
+            if group.reference:
+                self._followers.hold(group, factor)
+            elif (entry := self._supported(group, factor)) is not None:
+                step.supports.append(entry)
+        step.supports += self._followers.springs()
+
+    def finish(self, step: Step) -> None:
+        """Adds surfaces that follow a node, with all that acts there."""
+        self._followers.finish(step)
 
     def _added(self, number: int) -> list[int]:
         """Numbers of the sets that a set consists of."""
@@ -113,8 +124,10 @@ class Actions:
         """
         for one, factor in self._combined(number):
             before = len(step.loads)
+            found = bool(self._at_references(one, factor))
             for group in self._table.groups.all:
-                if group.number == one and group.kind in ("force", "pload"):
+                loads = group.kind in ("force", "pload") and not group.reference
+                if group.number == one and loads:
                     step.loads.append(self._acting(group, factor, dead=dead))
             for name, take in (("GRAV", self._gravity), ("RFORCE", self._rotation)):
                 for card in self._table.of(name):
@@ -124,9 +137,26 @@ class Actions:
                 for card in self._table.of(name)[:_MOST_SETS]:
                     if card.integer(0) == one:
                         self._deck.leave_out(place(card), "this load", "changes the answer")
-            if len(step.loads) == before and not self._table.in_set("spcd", one):
+            if len(step.loads) == before and not found and not self._table.in_set("spcd", one):
                 text = f"the set LOAD {one} has no loads that are known here"
                 self._deck.leave_out(step.place, text, "changes the answer")
+
+    def _at_references(self, number: int, factor: float) -> int:
+        """Adds forces and moments at reference nodes; returns how many there are."""
+        count = 0
+        for group in self._table.groups.all:
+            if group.kind == "force" and group.number == number and group.reference:
+                self._followers.push(group.reference, 1, factor * np.array(group.value))
+                count += 1
+        for card in self._table.of("MOMENT"):
+            if card.integer(0) == number:
+                node, vector = card.integer(1), np.array([card.real(i) for i in (4, 5, 6)])
+                basic = self._table.groups.direction(card, card.integer(2, 0), vector, node)
+                if not self._followers.push(node, 4, factor * card.real(3) * basic):
+                    text = "a moment at a node of a solid, which has no rotation"
+                    self._deck.leave_out(place(card), text, "changes the answer")
+                count += 1
+        return count
 
     def _acting(self, group: Group, factor: float, *, dead: bool) -> Entry:
         where = place(group.entry)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dolfin_elastic.case.decks.deck import Deck, Place, Step
+from dolfin_elastic.case.decks.deck import Deck, Kind, Place, Step
 from dolfin_elastic.case.decks.nastran.actions import Actions, method_of
 from dolfin_elastic.case.decks.nastran.control import Control, Subcase, control_of
 from dolfin_elastic.case.decks.nastran.materials import take_materials
@@ -20,6 +20,7 @@ _READ = frozenset(
         *("RFORCE", "TEMPD", "PSOLID", "MAT1", "MAT11", "EIGRL", "EIGR", "EIGB", "PARAM"),
         *("MAT2", "MAT8", "MAT9", "MAT10", "TEMP", "TEMPP1", "TEMPRB", "TEMPF"),
         *("MOMENT", "MOMENT1", "MOMENT2", "FORCE2", "PLOAD1", "PLOAD2", "PLOADX1", "ACCEL"),
+        *("RBE2", "RBE3", "CELAS1", "CELAS2", "PELAS", "CONM2"),
         *("ACCEL1", "SLOAD", "DEFORM", "PLOADB3", "QBDY1", "QHBDY", "SPCOFF", "SPCOFF1"),
     )
 )
@@ -27,7 +28,7 @@ _READ = frozenset(
 _HARMLESS = frozenset(
     (
         *("PSHELL", "PBAR", "PBARL", "PBEAM", "PBEAML", "PROD", "PCOMP", "PTUBE", "PLOTEL", "SET1"),
-        *("SET3", "DTI", "PBUSH", "PELAS", "PDAMP", "PGAP", "MATS1", "NLPARM", "TSTEP", "TSTEPNL"),
+        *("SET3", "DTI", "PBUSH", "PDAMP", "PGAP", "MATS1", "NLPARM", "TSTEP", "TSTEPNL"),
         *(
             "TABLED1",
             "TABLEM1",
@@ -58,7 +59,7 @@ def read(path: Path) -> Deck:
     deck.title = control.title
     _elements(table, deck)
     references = take_materials(table, deck)
-    _others(table, deck)
+    _others(table, deck, control.kind)
     actions = Actions(table, deck, references)
     steps, buckled = dict[int, Step](), set[int]()
     for subcase in control.subcases if control.kind else ():
@@ -83,7 +84,7 @@ def _elements(table: Table, deck: Deck) -> None:
             deck.leave_out(place(stiff[0]), text, "changes the answer")
 
 
-def _others(table: Table, deck: Deck) -> None:
+def _others(table: Table, deck: Deck, kind: Kind | None) -> None:
     for name in table.names:
         rows = table.of(name)
         if name in _READ or name in _HARMLESS or name.startswith("CORD"):
@@ -91,6 +92,12 @@ def _others(table: Table, deck: Deck) -> None:
         severe = name in OTHERS or name.startswith(("MATT", "SUPORT", "DMIG", "SPOINT", "BC"))
         text = "this entry is not known here" + (f"; there are {len(rows)}" if rows[1:] else "")
         deck.leave_out(place(rows[0]), text, "changes the answer" if severe else "note")
+    weighs = table.of("GRAV") or table.of("RFORCE") or kind != "statics"
+    for card in table.of("CONM2"):
+        text = "a mass without weight or inertia in statics"
+        if weighs:
+            text = "a mass at a node: [[mass]] spreads one over a surface"
+        deck.leave_out(place(card), text, "changes the answer" if weighs else "note")
     relief = table.parameter("INREL")
     if relief is not None and relief.text(1) not in ("", "0"):
         deck.leave_out(place(relief), "inertia relief", "changes the answer")
@@ -138,4 +145,5 @@ def _subcase(
             actions.load(step, load, dead=control.kind == "buckling")
         if (warm := chosen.get("TEMP")) and kind != "modal":
             actions.warm(step, warm)
+    actions.finish(step)
     done[subcase.number] = step

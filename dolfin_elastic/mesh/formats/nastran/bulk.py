@@ -19,7 +19,9 @@ from dolfin_elastic.mesh.formats.nastran.elements import (
 from dolfin_elastic.mesh.formats.nastran.entries import Entry
 from dolfin_elastic.mesh.formats.nastran.systems import System, Systems, systems_of
 
-GROUPED = ("SPC", "SPC1", "SPCD", "FORCE", "FORCE1", "PLOAD4", "PLOAD")
+CELAS = ("CELAS1", "CELAS2")
+RIGID = ("RBE2", "RBE3")
+GROUPED = ("SPC", "SPC1", "SPCD", "FORCE", "FORCE1", "PLOAD4", "PLOAD", *RIGID, *CELAS)
 """Entries that name nodes and faces, see `groups.py`."""
 
 

@@ -8,7 +8,7 @@ PLOAD4.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import chain
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.mesh.formats.nastran.bulk import Bulk
+from dolfin_elastic.mesh.formats.nastran.bulk import CELAS, RIGID, Bulk
 from dolfin_elastic.mesh.formats.nastran.entries import Entry
 from dolfin_elastic.mesh.formats.nastran.systems import Systems
 
@@ -30,11 +30,15 @@ class Group:
 
     Attributes:
         name: In the mesh.
-        kind: "spc" of supports, "spcd" of their displacements, "force", or "pload" of pressures
-            and tractions.
-        number: Of the set that it belongs to; 0: of no set, but of the nodes themselves.
+        kind: "spc" of supports, "spcd" of their displacements, "force", "pload" of pressures and
+            tractions, "rbe2" and "rbe3" of nodes that follow a reference node, "celas" of springs
+            to the ground.
+        number: Of the set that it belongs to; 0: of no set, but of the nodes themselves.  Of rigid
+            elements and springs their own.
+        reference: The node that is followed; of supports and forces the one where they act, if it
+            is followed; 0: none.
         entry: The first entry.
-        components: Directions of supports, digits 1 to 3.
+        components: Directions of supports and springs, digits 1 to 3, at a reference node to 6.
         system: Of these directions.
         value: Displacement of supports; components of the force; pressure and, where it does not
             act along the normal, the direction.
@@ -47,6 +51,7 @@ class Group:
     kind: str
     number: int
     entry: Entry
+    reference: int = 0
     components: str = ""
     system: int = 0
     value: tuple[float, ...] = ()
@@ -69,6 +74,7 @@ class Groups:
         self._found: dict[tuple[object, ...], Group] = {}
         self._names: dict[str, int] = {}
         self._solids: dict[int, list[int]] | None = None
+        self.references = _references(bulk.grouped)
         for entry in bulk.grouped:
             try:
                 _TAKE[entry.name](self, entry)
@@ -100,13 +106,21 @@ class Groups:
         grid = self._bulk.grids.get(node)
         if grid is None:
             raise entry.error(f"there is no GRID {node}")
-        components = "".join(sorted(set(word) & set("123")))
+        reference = node if node in self.references else 0
+        components = "".join(sorted(set(word) & set("123456" if reference else "123")))
         if components:
             number = entry.integer(0) if kind != "grid" else 0
             system = self._bulk.system_of(grid, 5)
             group = self._group(
-                "spc" if kind == "grid" else kind, number, entry, components, system, value
+                "spc" if kind == "grid" else kind,
+                number,
+                entry,
+                components,
+                system,
+                value,
+                reference,
             )
+            group.reference = reference
             group.components, group.system, group.value = components, system, (value,)
             group.nodes.add(node)
 
@@ -147,8 +161,9 @@ class Groups:
         # Rounding of the directions must not make a group of each node.
         digits = min(12 - int(np.floor(np.log10(size))), 300) if size else 0
         value = tuple(float(x) + 0.0 for x in np.round(vector, digits))
-        group = self._group("force", entry.integer(0), entry, value)
-        group.value = value
+        reference = node if node in self.references else 0
+        group = self._group("force", entry.integer(0), entry, value, reference)
+        group.value, group.reference = value, reference
         group.nodes.add(node)
 
     def place(self, entry: Entry, node: int) -> FloatArray:
@@ -181,6 +196,44 @@ class Groups:
         both = np.stack([np.zeros(3), vector])
         start, end = self._systems.place(system, both, entry)
         return np.asarray(end - start)
+
+    # --- nodes that follow others, and springs ---
+
+    def _rigid(self, entry: Entry) -> None:
+        """RBE2 with its dependent nodes, RBE3 with those that it averages, of one weight."""
+        if entry.name == "RBE2":
+            self._follow(entry, entry.integer(1), entry.text(2), _listed(_bare(entry), 3, ()))
+            return
+        words = list[str]()
+        for word in entry.fields[4:]:
+            if word.upper() in ("UM", "ALPHA"):
+                break
+            words.append(word)
+        weights = [i for i, word in enumerate(words) if "." in word]
+        if not weights or any(words[i] != words[weights[0]] for i in weights):
+            raise entry.error("its nodes have no weights, or several")
+        directions = {i + 1 for i in weights}
+        if any(set(words[i]) < set("123") for i in directions if i < len(words)):
+            raise entry.error("its nodes have other directions than 123")
+        rest = [w for i, w in enumerate(words) if i not in directions and i not in weights]
+        nodes = _listed(Entry(entry.name, rest, entry.line), 0, ())
+        self._follow(entry, entry.integer(2), entry.text(3), nodes)
+
+    def _follow(self, entry: Entry, node: int, word: str, nodes: Iterable[int]) -> None:
+        members = set(nodes)
+        for number in (node, *members):
+            self.place(entry, number)
+        group = self._group(entry.name.lower(), entry.integer(0), entry)
+        group.reference, group.components, group.nodes = node, word, members
+
+    def _spring(self, entry: Entry) -> None:
+        ends = [i for i in (2, 4) if entry.text(i) not in ("", "0")]
+        if len(ends) == 1:
+            node = entry.integer(ends[0])
+            self.place(entry, node)
+            group = self._group("celas", entry.integer(0), entry)
+            group.components = entry.text(ends[0] + 1)
+            group.nodes.add(node)
 
     # --- pressures ---
 
@@ -264,14 +317,31 @@ _TAKE: dict[str, Callable[[Groups, Entry], None]] = {
     "FORCE1": Groups._force1,
     "PLOAD4": Groups._pload4,
     "PLOAD": Groups._pload,
+    **dict.fromkeys(RIGID, Groups._rigid),
+    **dict.fromkeys(CELAS, Groups._spring),
 }
+
+
+def _references(entries: Iterable[Entry]) -> set[int]:
+    """Nodes that others follow."""
+    at = {"RBE2": 1, "RBE3": 2}
+    words = (entry.text(at[entry.name]) for entry in entries if entry.name in RIGID)
+    return {int(word) for word in words if word.isdecimal()}
+
+
+def _bare(entry: Entry) -> Entry:
+    """An RBE2 without its coefficient of expansion, which is the last field."""
+    fields = entry.fields
+    while fields and ("." in fields[-1] or not fields[-1]):
+        fields = fields[:-1]
+    return Entry(entry.name, fields, entry.line)
 
 
 def _listed(entry: Entry, first: int, known: Collection[int]) -> Iterator[int]:
     """Numbers in the fields from one on, in which a THRU b are ranges.
 
     Args:
-        known: Numbers of which alone ranges consist that are longer than these are.
+        known: Numbers of which alone ranges consist that are longer than these are; none: all.
     """
     words = [entry.text(i).upper() for i in range(first, len(entry.fields))]
     i = 0
@@ -282,7 +352,7 @@ def _listed(entry: Entry, first: int, known: Collection[int]) -> Iterator[int]:
             start, end = entry.integer(first + i), entry.integer(first + i + 2)
             if end - start > _MOST:
                 raise entry.error(f"{start} THRU {end} are more nodes than a file has")
-            long = end - start > len(known)
+            long = 0 < len(known) < end - start
             yield from (n for n in known if start <= n <= end) if long else range(start, end + 1)
             i += 3
         else:

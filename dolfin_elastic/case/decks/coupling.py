@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from dolfin_elastic.case.decks.abaqus.materials import place
-from dolfin_elastic.case.decks.deck import Entry, Quantity
-from dolfin_elastic.mesh.formats.abaqus.cards import Card
+import numpy as np
+
+from dolfin_elastic.case.decks.deck import Entry, Place, Quantity
+from dolfin_elastic.core.types import IntArray
+from dolfin_elastic.mesh.formats.raw import boundary
 
 ALL = 6
 """Directions of a reference node: three displacements, three rotations."""
@@ -17,16 +19,17 @@ class Coupling:
     """One surface and its reference node.
 
     Attributes:
-        card: Its *COUPLING.
+        place: Where it stands in the deck, such as at its *COUPLING or RBE2.
         surface: Its name in the mesh.
         point: Coordinates of the node, in the deck's unit.
-        kind: "" until *KINEMATIC or *DISTRIBUTING says it; "PERIODIC" of a node in equations.
-        turns: Directions 4 to 6 are among those listed below that keyword.
+        kind: "KINEMATIC" of a rigid surface, "DISTRIBUTING" of an average, "PERIODIC" of a node
+            in equations; "" until the deck says it.
+        turns: Directions 4 to 6 are among those that it lists.
         moved: Direction, 1 to 6, to its displacement or rotation.
         forces: Direction to its force or moment.
     """
 
-    card: Card
+    place: Place
     surface: str
     point: list[float]
     kind: str = ""
@@ -40,8 +43,8 @@ class Coupling:
         if self.kind != "DISTRIBUTING":
             return ""
         if not self.turns and any(self.forces.get(i) for i in (4, 5, 6)):
-            return "a moment, but *DISTRIBUTING lists directions 1 to 3 only"
-        return "a prescribed motion of an average (*DISTRIBUTING)" if self.moved else ""
+            return "a moment, but the average has directions 1 to 3 only"
+        return "a prescribed motion of an average" if self.moved else ""
 
     @property
     def still(self) -> bool:
@@ -53,19 +56,19 @@ class Coupling:
         """The force and the moment of an average."""
         if self.kind != "DISTRIBUTING" or not any(self.forces.values()):
             return None
-        return Entry(place(self.card), {"kind": "remote-force", **self._keys(self.forces)})
+        return Entry(self.place, {"kind": "remote-force", **self._keys(self.forces)})
 
     def support(self) -> Entry | None:
         """The rigid surface, with its forces where it is free."""
         if self.kind != "KINEMATIC":
             return None
         if self.still:
-            return Entry(place(self.card), {"on": self.surface, "kind": "fixed"})
+            return Entry(self.place, {"on": self.surface, "kind": "fixed"})
         free = {i: x for i, x in self.forces.items() if i not in self.moved}
         keys: dict[str, object] = {"kind": "rigid", **self._keys(free)}
         for name, first in (("displacement", 1), ("rotation", 4)):
             keys[name] = [self._moved(i) for i in range(first, first + 3)]
-        return Entry(place(self.card), keys)
+        return Entry(self.place, keys)
 
     def _moved(self, i: int) -> object:
         value = self.moved.get(i)
@@ -80,3 +83,15 @@ class Coupling:
         if any(forces.get(i) for i in (4, 5, 6)):
             keys["moment"] = [Quantity(forces.get(i, 0.0), "moment") for i in (4, 5, 6)]
         return keys
+
+
+def covers_faces(cells: list[IntArray], nodes: IntArray) -> bool:
+    """Whether faces of the body have all corners among nodes, and these are all of them.
+
+    Args:
+        cells: Corners of the elements of the body, each of shape (n, dim + 1).
+        nodes: In the same numbers, with midside nodes.
+    """
+    facets, corners = boundary(cells), np.unique(np.concatenate([c.ravel() for c in cells]))
+    within = facets[np.isin(facets, nodes).all(axis=1)]
+    return len(within) > 0 and not len(np.setdiff1d(nodes[np.isin(nodes, corners)], within))
