@@ -185,6 +185,20 @@ def test_supports_that_are_fixed(tmp_path: Path) -> None:
     assert fault.startswith("deck.inp:46 *BOUNDARY: FIXED: it stops nodes")
 
 
+SPRINGS = "*ELEMENT, TYPE=SPRING1, ELSET=S\n101, 7\n102, 8\n*SPRING, ELSET=S{}\n{}\n300.,\n"
+
+
+def test_springs_to_the_ground(tmp_path: Path) -> None:
+    """At each node of a set, in N/mm; others stay an error."""
+    case = one(tmp_path, cube(SPRINGS.format("", 3) + STEEL + STATIC.format("")))
+    stiffness = [0, 0, "300 N/mm"]
+    spring = {"on": "ELEMENT line 27", "kind": "spring", "stiffness": stiffness}
+    assert case["support"] == [spring]
+    for words in (("", 4), (", NONLINEAR", 1)):
+        (fault,) = faults(tmp_path, cube(SPRINGS.format(*words) + STEEL + STATIC.format("")))
+        assert "SPRING: springs to the ground (SPRING1) along x, y or z" in fault
+
+
 LOADS = {
     "*CLOAD\ntop, 2, 5.\ntop, 2, 1.\ntop, 3, -2.\n": {
         "kind": "point-force",

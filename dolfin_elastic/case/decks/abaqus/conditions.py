@@ -412,6 +412,25 @@ def take_initial(state: Reading, card: Card) -> None:
     state.fault(card, f"TYPE={kind[:30]} is not read")
 
 
+# --- springs ---
+
+
+def take_spring(state: Reading, card: Card) -> None:
+    """*SPRING of SPRING1: a line with the direction, and one with the stiffness."""
+    name = state.grounded.get(card.option("ELSET").upper(), "")
+    words = [line.split(",") for line in card.lines]
+    direction = words[0][0].strip() if words else ""
+    others = card.options.keys() - {"ELSET"} or direction not in ("1", "2", "3")[: state.dim]
+    if not name or others or len(words) != 2 or state.transforms:
+        text = "springs to the ground (SPRING1) along x, y or z with one stiffness alone are read"
+        state.fault(card, f'{text}; else state it as a support of kind "spring"')
+        return
+    name = _own_set(state, card, name, 0)
+    stiffness: list[object] = [0] * state.dim
+    stiffness[int(direction) - 1] = Quantity(_number(card, 1, words[1], 0), "stiffness")
+    state.springs.append(Entry(place(card), {"on": name, "kind": "spring", "stiffness": stiffness}))
+
+
 # --- ties ---
 
 

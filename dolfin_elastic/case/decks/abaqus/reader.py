@@ -27,6 +27,7 @@ from dolfin_elastic.mesh.formats.abaqus.cards import Card, read_cards
 from dolfin_elastic.mesh.formats.abaqus.deck import Deck as MeshDeck
 from dolfin_elastic.mesh.formats.abaqus.deck import Scope
 from dolfin_elastic.mesh.formats.abaqus.elements import element_kind, stem
+from dolfin_elastic.mesh.formats.abaqus.numbered import part_name
 from dolfin_elastic.mesh.formats.abaqus.reader import MESH_WORDS, read_abaqus, with_parts
 from dolfin_elastic.mesh.formats.abaqus.words import SILENT
 from dolfin_elastic.mesh.formats.raw import kind_name
@@ -58,7 +59,6 @@ _FAULTS = {
     "CONTACT": "state it as [[contact]]",
     "MPC": "equations between nodes are not there; where parts are joined, [[tie]]",
     "DISTRIBUTING COUPLING": 'state it as a load of kind "remote-force"',
-    "SPRING": 'state it as a support of kind "spring"',
     "DASHPOT": 'state it as a support of kind "dashpot"',
     "MASS": "state it as [[mass]]",
     "GAP": "state it as [[contact]]",
@@ -155,6 +155,8 @@ def _heading(state: Reading, card: Card) -> None:
 
 def _elements(state: Reading, card: Card) -> None:
     state.types[card.option("TYPE").upper()] += len(card.lines)
+    if card.option("TYPE").upper() == "SPRING1":
+        state.grounded[card.options.get("ELSET", "").upper()] = part_name(card, state.file)
     known = element_kind(card.option("TYPE").upper())
     if known is None or not card.lines:
         return
@@ -194,6 +196,7 @@ _TAKE: dict[str, Callable[[Reading, Card], None]] = {
     "ORIENTATION": _orientation,
     "AMPLITUDE": _amplitude,
     "TIE": conditions.take_tie,
+    "SPRING": conditions.take_spring,
     "COUPLING": couplings.take_coupling,
     "TRANSFORM": take_transform,
     "EQUATION": equations.take_equation,

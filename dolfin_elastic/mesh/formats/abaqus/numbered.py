@@ -3,6 +3,8 @@
 A line such as ``17, 2, -5.`` below *CLOAD names a node by its number, ``33, P2, 1.`` below *DLOAD
 a face of an element.  A case needs a name for them: it is that of the keyword with its line, as
 ``CLOAD line 57``.  Forces and temperatures that differ from node to node are fields of this name.
+Nodes of springs to the ground are ``ELEMENT line 70``, those that *EQUATION makes equal are
+``EQUATION line 80``, and those that they follow this with ``to``.
 """
 
 from __future__ import annotations
@@ -238,7 +240,18 @@ def _equation(numbered: Numbered, deck: Deck, card: Card) -> None:
                 numbered.sets.setdefault(name, []).extend(map(int, members))
 
 
+def _element(numbered: Numbered, deck: Deck, card: Card) -> None:
+    """Elements of one node, which have no shape."""
+    if card.option("TYPE").upper() == "SPRING1":
+        nodes = [
+            deck.members(card, deck.scope, "NSET", words[1], row)
+            for row, words in numbered_rows(card)
+        ]
+        numbered.sets[part_name(card, numbered.file)] = [int(n) for one in nodes for n in one]
+
+
 _TAKE = {
+    "ELEMENT": _element,
     "EQUATION": _equation,
     "BOUNDARY": _boundary,
     "CLOAD": _cload,

@@ -70,6 +70,7 @@ def read_abaqus(path: Path) -> MeshFile:
         _check_understood(card)
         if card.word in _TAKE:
             _TAKE[card.word](deck, card)
+            numbered.take(deck, card)
         elif card.word in OF_A_CASE:
             deck.others.append(f"*{card.word}")
             numbered.take(deck, card)
