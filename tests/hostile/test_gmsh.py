@@ -6,6 +6,7 @@ import gzip
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
 import time
@@ -14,6 +15,7 @@ from pathlib import Path
 import pytest
 from helpers.cad import block, write
 from helpers.processes import cli
+from helpers.surfaces import cube, write_stl
 from mpi4py import MPI
 
 from dolfin_elastic.core.errors import MeshError
@@ -359,6 +361,40 @@ path = pathlib.Path("a.geo")
 how = process.Permission()
 print(len(mesh_cad(path, size=None, curved=None, dim=None, permission=how).points))
 """
+
+
+CRASHED = """
+import sys
+from dolfin_elastic.cli.app import main
+from dolfin_elastic.mesh.formats.cad import process
+process._PROGRAM = "import os; os.kill(os.getpid(), SIGNAL)"
+sys.argv = ["dolfin-elastic", "check", "case.toml"]
+main()
+"""
+
+
+@pytest.mark.parametrize(("name", "way"), [("part.stl", "SIGABRT"), ("a.geo", "SIGSEGV")])
+def test_a_crash_of_gmsh_is_one_message(tmp_path: Path, name: str, way: str) -> None:
+    """Also of a surface, which is tried in several ways: no hang, and no end of the run by it."""
+    if name.endswith(".stl"):
+        write_stl(tmp_path / name, cube())
+    else:
+        (tmp_path / name).write_text(BOX)
+    write_case(tmp_path, name)
+    case = (tmp_path / "case.toml").read_text()
+    (tmp_path / "case.toml").write_text(case.replace("[mesh]", '[mesh]\nunit = "mm"'))
+    done = subprocess.run(
+        [sys.executable, "-c", CRASHED.replace("SIGNAL", str(int(signal.Signals[way])))],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(process.__file__).parents[4])},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert done.stderr.count(way) == 1, done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_a_limit_of_the_users_own(tmp_path: Path) -> None:
