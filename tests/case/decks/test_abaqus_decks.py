@@ -190,7 +190,9 @@ SPRINGS = "*ELEMENT, TYPE=SPRING1, ELSET=S\n101, 7\n102, 8\n*SPRING, ELSET=S{}\n
 
 def test_springs_to_the_ground(tmp_path: Path) -> None:
     """At each node of a set, in N/mm; others stay an error."""
-    case = one(tmp_path, cube(SPRINGS.format("", 3) + STEEL + STATIC.format("")))
+    text = cube(SPRINGS.format("", 3) + STEEL + STATIC.format(""))
+    assert not faults(tmp_path, text)
+    case = one(tmp_path, text)
     stiffness = [0, 0, "300 N/mm"]
     spring = {"on": "ELEMENT line 27", "kind": "spring", "stiffness": stiffness}
     assert case["support"] == [spring]

@@ -157,6 +157,7 @@ def _elements(state: Reading, card: Card) -> None:
     state.types[card.option("TYPE").upper()] += len(card.lines)
     if card.option("TYPE").upper() == "SPRING1":
         state.grounded[card.options.get("ELSET", "").upper()] = part_name(card, state.file)
+        return
     known = element_kind(card.option("TYPE").upper())
     if known is None or not card.lines:
         return

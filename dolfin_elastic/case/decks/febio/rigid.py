@@ -63,7 +63,7 @@ class Bodies:
     """All rigid bodies of a model.
 
     Args:
-        path: The model, for centres of mass.
+        path: The file of the model, whose mesh has the centres of mass.
         parts: Name or number of a material to the names of its parts.
     """
 
