@@ -199,6 +199,8 @@ def test_springs_to_the_ground(tmp_path: Path) -> None:
     for words in (("", 4), (", NONLINEAR", 1)):
         (fault,) = faults(tmp_path, cube(SPRINGS.format(*words) + STEEL + STATIC.format("")))
         assert "SPRING: springs to the ground (SPRING1) along x, y or z" in fault
+    (fault,) = faults(tmp_path, text.replace("102, 8", "102, 8\n103, 6\n104, 5"))
+    assert "SPRING: springs at all corners of a face" in fault
 
 
 LOADS = {

@@ -20,6 +20,7 @@ from dolfin_elastic.mesh.formats.abaqus.numbered import (
     pressure_names,
     support_words,
 )
+from dolfin_elastic.mesh.formats.raw import boundary
 
 _KNOWN = {
     "BOUNDARY": {"OP", "AMPLITUDE", "TYPE", "FIXED"},
@@ -426,6 +427,10 @@ def take_spring(state: Reading, card: Card) -> None:
         state.fault(card, f'{text}; else state it as a support of kind "spring"')
         return
     name = _own_set(state, card, name, 0)
+    if np.isin(boundary(state.corners), state.mesh.point_sets[name]).all(axis=1).any():
+        text = "springs at all corners of a face, which a case has per area"
+        state.fault(card, f'{text}: state them as a support of kind "spring"')
+        return
     stiffness: list[object] = [0] * state.dim
     stiffness[int(direction) - 1] = Quantity(_number(card, 1, words[1], 0), "stiffness")
     state.springs.append(Entry(place(card), {"on": name, "kind": "spring", "stiffness": stiffness}))
