@@ -462,6 +462,17 @@ def test_tension_by_forces_of_nodes(tmp_path: Path) -> None:
     assert state.max_displacement == pytest.approx(expected, rel=1e-10)
 
 
+def test_a_body_on_two_springs(tmp_path: Path) -> None:
+    """Each carries its own force, F/k; without them the body would fly away."""
+    from dolfin_elastic import run
+
+    held = SPRINGS.format("", 3) + "*BOUNDARY\nevery, 1, 2\n" + STEEL
+    text = cube(held + STATIC.format("*CLOAD\n7, 3, 3.\n8, 3, 3.\n"))
+    case = Case.from_dict({**one(tmp_path, text), "output": {"formats": ["csv"]}}, tmp_path)
+    *_, state = run(case, output=tmp_path / "results")
+    assert state.max_displacement == pytest.approx(3e-3 / 300, rel=1e-9)
+
+
 COUPLED = (
     "*COUPLING, CONSTRAINT NAME=c, REF NODE=9, SURFACE=lid\n*{}\n"
     "*BOUNDARY\nbottom, 1, 3\n{}" + STEEL + STATIC.format("*CLOAD\n{}")
