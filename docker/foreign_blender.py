@@ -3,7 +3,7 @@
 blender --background --factory-startup --python-exit-code 1 --python foreign_blender.py -- \
     FILE EXPECTED.npz
 
-FILE is a .glb with all states, or a .ply or .obj file of one, STEM_0005.ply.  In Blender's
+FILE is a .glb with all states, or a .ply or .obj file of one, STEM_0002.ply.  In Blender's
 coordinates, which are those of the run, places must agree to 1e-6 m, and colours to 1e-6.
 """
 
@@ -52,8 +52,8 @@ def main(file: Path, expected: str) -> None:
         errors = np.maximum(errors, [np.abs(one).max() for one in off])
     extra = [one.name for one in mesh.attributes if not one.name.startswith((".", "_COLOUR"))]
     print(
-        f"Blender {bpy.app.version_string}, {file.name}: {len(places)} points, {len(states)} states: "
-        f"places off by {errors[0]:.1e} m, colours ({found.domain}, {found.data_type}) by "
+        f"Blender {bpy.app.version_string}, {file.name}: {len(places)} points, {len(states)} "
+        f"states: places off by {errors[0]:.1e} m, colours ({found.domain}, {found.data_type}) by "
         f"{errors[1]:.1e}; attributes {', '.join(extra)}"
     )
     if max(errors) > TOLERANCE:

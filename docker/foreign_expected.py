@@ -3,7 +3,7 @@
 python3 foreign_expected.py RESULTS EXPECTED.npz
 
 Of all states: times [s] and names, places at rest [m], displacements [m] and stresses [Pa] of all
-nodes; numbers of the nodes of the surface, and their colours, matplotlib's in sRGB, by the von Mises
+nodes; numbers of the nodes of the surface, and their colours, matplotlib's in sRGB, by von Mises
 stress.  Modes are states without stresses, 24 a second, and coloured by their displacement.
 """
 

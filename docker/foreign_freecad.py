@@ -3,8 +3,8 @@
 python3 foreign_freecad.py -- FILE EXPECTED.npz
 
 FreeCAD's objects of results are those that its window shows.  In its units, mm and MPa, places,
-displacements, their lengths and stresses must agree to 1e-6 of the largest one; all elements must be
-turned as FreeCAD has them, the nodes in the middle of their edges must be there, and the names,
+displacements, their lengths and stresses must agree to 1e-6 of the largest one; all elements must
+be turned as FreeCAD has them, the nodes in the middle of their edges must be there, and the names,
 in which times to 0.01 s or numbers of modes stand, must be right.
 """
 

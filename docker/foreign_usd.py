@@ -54,8 +54,8 @@ def main(file: Path, expected: str) -> None:
         errors = np.maximum(errors, [0.0, max(off[0].max(), boxed.max()), off[1].max()])
     version = ".".join(map(str, Usd.GetVersion()[1:]))
     print(
-        f"USD {version}, {file.name}: {len(want['nodes'])} points, {len(samples)} states: times off "
-        f"by {errors[0]:.1e} s, places by {errors[1]:.1e} m, colours by {errors[2]:.1e}; "
+        f"USD {version}, {file.name}: {len(want['nodes'])} points, {len(samples)} states: times "
+        f"off by {errors[0]:.1e} s, places by {errors[1]:.1e} m, colours by {errors[2]:.1e}; "
         f"up {UsdGeom.GetStageUpAxis(stage)}; {len(validators)} validators",
         *faults,
         sep="\n    ",

@@ -182,7 +182,7 @@ def _numbered(nodes: IntArray, rows: FloatArray) -> Iterator[str]:
 
 
 def _twelve(number: float) -> str:
-    """A number in twelve characters: columns are told by their width, as CalculiX' own times are."""
+    """A number in twelve characters: columns are told by their width, as CalculiX's own are."""
     size = abs(number)
     if _PLAIN[0] <= size < _PLAIN[1]:
         return f"{number: .10f}"[:12]

@@ -357,7 +357,7 @@ def test_names_of_frd() -> None:
 
 @rooted
 def test_vtkhdf(beam: Path, folder: Path) -> None:
-    """One file, without the results: times, mesh and all fields of VTK's reader, of elements, too."""
+    """One file, without the results: times, mesh and all fields of VTK's reader."""
     import pyvista
     import vtk
 
