@@ -72,6 +72,14 @@ def test_a_byte_behind_the_triangles_of_stl(tmp_path):
         read_soup(path)
 
 
+def test_a_damaged_line_of_ply_is_named_once(tmp_path):
+    """Its message stood within another one of the kind of elements, with the name of the file."""
+    text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty list int int a\nend_header\n1.5\n"
+    (tmp_path / "a.ply").write_text(text)
+    with pytest.raises(MeshError, match=r"^a.ply:6: this is no vertex as the header describes it"):
+        read_soup(tmp_path / "a.ply")
+
+
 def test_strips_of_ply(tmp_path):
     """A cube of a strip around and one on each end, as of scans: they were refused."""
     head = "ply\nformat ascii 1.0\nelement vertex 8\nproperty float x\nproperty float y\n"

@@ -60,6 +60,8 @@ def read_ply(path: Path) -> Soup:
     for element in elements:
         try:
             found[element.name] = read.element(element)
+        except MeshError:
+            raise
         except (ValueError, OverflowError) as error:  # of names, types and counts of its header
             raise MeshError(
                 f"its elements of the kind {element.name[:40]} cannot be read: {error}", where=name
