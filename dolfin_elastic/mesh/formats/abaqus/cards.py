@@ -243,7 +243,7 @@ def _input(card: Card, path: Path) -> Path:
     """The file that a keyword reads."""
     inner = path.parent / card.option("INPUT").replace("\\", "/")  # as Windows writes it
     if not inner.is_file():
-        hint = not_shown(inner) or "the file that it names, at this place"
+        hint = not_shown(inner) or "the file that it names, beside the deck"
         raise card.error(f"there is no file '{inner}'", expected=hint)
     return inner
 
