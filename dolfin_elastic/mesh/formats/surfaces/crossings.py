@@ -9,7 +9,7 @@ import numpy as np
 from dolfin_elastic.core.types import BoolArray, FloatArray, IntArray
 
 _LEAF = 4
-_CHUNK = 500_000
+_CHUNK = 100_000
 """Pairs that are looked at at once."""
 
 _SLACK = 1e-9
