@@ -16,8 +16,8 @@ class ValueRow:
     """A value of voxels.
 
     Attributes:
-        value: The value.
-        voxels: How many have it.
+        value: What stands in these voxels, after the file's slope and intercept.
+        voxels: How many voxels of the whole image have it.
         volume: Theirs [unit^3].
     """
 
@@ -31,7 +31,7 @@ class ImageLook:
     """What `dolfin-elastic look` tells of an image.
 
     Attributes:
-        source: The file.
+        source: Name of the file, without the folder in which it lies.
         shape: Voxels along each axis.
         spacing: Their edges [unit].
         unit: Of lengths; empty: the file does not say it.
@@ -52,7 +52,7 @@ def look_at_image(path: Path) -> ImageLook:
     """Counts the voxels of each value. Not collective.
 
     Args:
-        path: .nii, .nii.gz, .mha, .mhd or .vti.
+        path: A file of any kind that `read_image` reads, but no folder of DICOM files.
 
     Raises:
         MeshError: It cannot be read.

@@ -273,7 +273,7 @@ class _RegionError:
         """Estimated error of a strength's utilisation. See `_at_nodes`.
 
         Args:
-            volume: Of the cells.
+            volume: Of the cells of the region [m^3], shape (cells,).
         """
         judged, rule, (axes, constant) = self.part.judged, self._rule, self.part.limit
         directions = axes() if constant is None else np.broadcast_to(constant, (len(volume), 1, 3))

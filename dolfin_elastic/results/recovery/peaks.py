@@ -191,7 +191,7 @@ class Peaks:
         """On the safety factor; of its error what is not told of that of the stress.
 
         Args:
-            least: The smallest.
+            least: The smallest factor of all nodes, which may be at a singular place.
         """
         result = [Remark("smallest safety factor", _factor(least), indented=False)]
         regular, beside, stress = least, self.safety_elsewhere, self.regular
