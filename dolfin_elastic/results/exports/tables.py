@@ -177,7 +177,7 @@ def _numbered(nodes: IntArray, rows: FloatArray) -> Iterator[str]:
     """Lines of nodes, counted from 0, with their values."""
     for start in range(0, len(rows), _BLOCK):
         block = slice(start, start + _BLOCK)
-        pairs = zip((nodes[block] + 1).tolist(), rows[block].tolist(), strict=True)
+        pairs = zip(nodes[block] + 1, rows[block], strict=True)
         yield "".join([f" -1{node:10d}{''.join(map(_twelve, row))}\n" for node, row in pairs])
 
 
