@@ -12,7 +12,7 @@ from typing import IO
 
 import numpy as np
 
-from dolfin_elastic.core.types import AnyArray, FloatArray, IntArray
+from dolfin_elastic.core.types import AnyArray, FloatArray
 from dolfin_elastic.results.exports.moving import chosen, mesh_of, nodal
 from dolfin_elastic.results.exports.settings import ExportSettings
 from dolfin_elastic.results.fields import component_names, field_in_file
@@ -173,7 +173,7 @@ def _title(name: str, others: Sequence[str]) -> str:
     return title if title not in others else next(one for one in free if one not in others)
 
 
-def _numbered(nodes: IntArray, rows: FloatArray) -> Iterator[str]:
+def _numbered(nodes: AnyArray, rows: AnyArray) -> Iterator[str]:
     """Lines of nodes, counted from 0, with their values."""
     for start in range(0, len(rows), _BLOCK):
         block = slice(start, start + _BLOCK)
