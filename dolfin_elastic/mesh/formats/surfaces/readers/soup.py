@@ -20,7 +20,7 @@ MOST = 20_000_000
 _MOST_BYTES = 4 << 30
 """Size of a file that is read."""
 
-_BYTES = 400
+_BYTES = 800
 """Memory that a triangle takes until the surface has been checked."""
 
 
