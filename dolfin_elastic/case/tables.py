@@ -363,8 +363,9 @@ class Output(Record):
         if modes:
             bare = [(p, table_of(p)) for p in self.pictures if not p.film]
             pictures = [type(p)(**{k: v for k, v in t.items() if k != "field"}) for p, t in bare]
-        exports = [e for e in self.exports if e.field is None or given(e.field)]
-        if not states:
+        if states:
+            exports = [e for e in self.exports if e.field is None or given(e.field)]
+        else:
             exports = [e.model_copy(update={"field": None}) for e in self.exports]
         keys: dict[str, object] = {"pictures": pictures, "exports": exports}
         if self.fields is not None:

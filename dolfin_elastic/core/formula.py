@@ -28,7 +28,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import FormulaError, nearest
+from dolfin_elastic.core.errors import FormulaError, UnknownNameError, nearest
 from dolfin_elastic.core.formula_functions import (
     COMPARISONS,
     CONSTANTS,
@@ -246,15 +246,21 @@ class _Reader:
             raise self._fault("a comparison is no number", root, "use where(a < b, c, d)")
         return frozenset(self.names), tree
 
-    def _fault(self, what: str, at: int | ast.expr, expected: str = "") -> FormulaError:
+    def _fault(
+        self,
+        what: str,
+        at: int | ast.expr,
+        expected: str = "",
+        kind: type[FormulaError] = FormulaError,
+    ) -> FormulaError:
         """An error with the text and a caret under the fault."""
         column = at if isinstance(at, int) else self.at.get(at.col_offset, 0)
         start = max(0, column - 50)
         shown = "".join(c if c.isprintable() else " " for c in self.text[start : start + 70])
         picture = f"\n    {shown}\n    {' ' * (column - start)}^"
         if expected:
-            return FormulaError(what, expected=expected + picture)
-        return FormulaError(what + picture)
+            return kind(what, expected=expected + picture)
+        return kind(what + picture)
 
     def _tokens(self) -> Iterator[_Token]:
         at = 0
@@ -375,9 +381,8 @@ class _Reader:
             return CONSTANTS[name]
         if name in FUNCTIONS:
             raise self._fault(f"'{name}' is a function", node, f"write {name}(...)")
-        raise self._fault(
-            f"unknown name '{name}'", node, nearest(name, [*self.allowed, *CONSTANTS])
-        )
+        known = nearest(name, [*self.allowed, *CONSTANTS])
+        raise self._fault(f"unknown name '{name}'", node, known, UnknownNameError)
 
     def _call(self, name: str, node: ast.expr, args: list[ast.expr]) -> Tree:
         if name not in FUNCTIONS:

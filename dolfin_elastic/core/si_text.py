@@ -169,4 +169,4 @@ def unit_text(unit: str) -> str:
 def natural(name: str) -> list[tuple[int, str]]:
     """Key that sorts names for people by the numbers in them: 1, 2, 10."""
     parts = re.split(r"([0-9]+)", name)
-    return [(int(part) if part.isdigit() else 0, part) for part in parts]
+    return [(int(part) if part.isdecimal() else 0, part) for part in parts]

@@ -77,5 +77,5 @@ def test_strengths_have_units() -> None:
 
 
 def test_names_are_sorted_by_their_numbers() -> None:
-    names = ["patch 10", "patch 2", "10", "patch 1", "2", "outer", "1"]
-    assert sorted(names, key=natural) == ["1", "2", "10", "outer", "patch 1", "patch 2", "patch 10"]
+    names = ["patch 10", "patch 2", "10", "patch 1", "2", "m²", "1"]  # ² is a digit, and no number
+    assert sorted(names, key=natural) == ["1", "2", "10", "m²", "patch 1", "patch 2", "patch 10"]

@@ -144,13 +144,13 @@ class ExportWriter:
                 log.warning("%s: %s", self._output.file, note)
 
     def _export(self) -> Exported:
-        from dolfin_elastic.results.finished.modes import as_modes
+        from dolfin_elastic.results.finished.findings import modes_of
         from dolfin_elastic.results.finished.run import FinishedRun
 
         file = self._folder / self._output.file
         try:
-            run = as_modes(FinishedRun(self._folder), None)
-            if not run.frames:
+            run = FinishedRun(self._folder)
+            if not (run.frames or modes_of(run)):
                 return Exported([], "")
             return export(run, file, self._output.settings)
         except InputError as error:  # it would hide how the run has ended

@@ -106,7 +106,9 @@ def write_frd(run: FinishedRun, settings: ExportSettings, file: Path) -> tuple[s
     """
     points, cells = mesh_of(run)
     steps = chosen(run, settings.frames)
-    times, notes = [max(run.steps[step], _TINY) for step in steps], _left_out(run)
+    times, notes = [run.steps[step] for step in steps], _left_out(run)
+    if not run.modal:
+        times = [max(t, _TINY) for t in times]
     if not run.modal and (np.diff(times) <= 0).any():
         times = [float(k + 1) for k in range(len(steps))]
         notes += (

@@ -107,7 +107,7 @@ class ErrorEstimate:
             difference between recovered and raw stress [Pa].
         stress: Recovered stress at the owned nodes.
         stress_error: Estimated error of its von Mises stress at the owned nodes, relative.
-        safety_error: That of its utilisation of the strength; 0 without an allowable stress.
+        safety_error: That of the utilisation of a `Strength`; elsewhere `stress_error`.
     """
 
     cells: FloatArray
@@ -266,18 +266,23 @@ class _RegionError:
         error = self._at_nodes(von_mises(rows[:, :6]), change, sums[:, 2:])
         used = error
         if isinstance(strength := self.part.region.law.allowable, Strength):
-            used = self._of_strength(strength, volume)
+            used = self._of_strength(strength, volume, fitted)
         return _Found(energy, elastic, np.sqrt(squares / volume), np.array([error, used]), rows)
 
-    def _of_strength(self, strength: Strength, volume: FloatArray) -> FloatArray:
+    def _of_strength(
+        self, strength: Strength, volume: FloatArray, fitted: FloatArray
+    ) -> FloatArray:
         """Estimated error of a strength's utilisation. See `_at_nodes`.
 
         Args:
             volume: Of the cells of the region [m^3], shape (cells,).
+            fitted: See `RegionStress.fitted`, of the Cauchy stress.
         """
         judged, rule, (axes, constant) = self.part.judged, self._rule, self.part.limit
         directions = axes() if constant is None else np.broadcast_to(constant, (len(volume), 1, 3))
-        fitted, weights = judged.fitted(), rule.weights / rule.weights.sum()
+        if judged is not self.part:
+            fitted = judged.fitted()
+        weights = rule.weights / rule.weights.sum()
         means, squares = NodalMeans(self._V, 15), np.empty_like(volume)
         for part in judged.chunks():
             nodal = judged.patches.at_nodes(fitted, part)[..., :6]

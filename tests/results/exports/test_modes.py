@@ -67,6 +67,20 @@ def test_all_modes(results: Path) -> None:
     assert {path.name for path in results.glob("*.ply")} == {"a_0000.ply", "a_0001.ply"}
 
 
+def test_a_load_factor_below_zero(folder: Path) -> None:
+    """A bar in tension buckles if its load is turned round; "100CL" had 1E-99 for it."""
+    tables = {**TABLES, "buckling": {"count": 1, "negative": True}}
+    del tables["modal"]
+    tables["load"] = [{"kind": "traction", "on": "right", "value": [1e6, 0.0, 0.0]}]
+    tables["output"] = {"exports": [{"file": "a.frd"}]}
+    list(run(Case.from_dict(tables), output=folder / "bar", comm=MPI.COMM_SELF))
+    row = next(csv.DictReader((folder / "bar/modes.csv").open()))
+    text = (folder / "bar/a.frd").read_text()
+    head = next(line for line in text.splitlines() if line.startswith("  100CL"))
+    assert float(row["load_factor"]) < 0
+    assert float(head[12:24]) == pytest.approx(float(row["load_factor"]), rel=1e-6)
+
+
 def test_states_of_modes(results: Path, tmp_path: Path) -> None:
     """All digits of the animations' first frames, at the frequencies."""
     export(FinishedRun(results), tmp_path / "a.csv", ExportSettings())

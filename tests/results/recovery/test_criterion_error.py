@@ -66,7 +66,6 @@ def test_effectivity_of_the_largest_strain(folder: Path, size: float, degree: in
     peak = peaks.safety
     assert peak is not None
     off = abs(used * peak.value - 1)
-    print(size, degree, peak.value, off, peak.error, peaks.largest.error, peak.error / off)
     assert 0.5 < peak.error / off < 3
     assert peak.surface == "bore"
 
