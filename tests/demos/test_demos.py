@@ -45,11 +45,11 @@ def needs(path: Path) -> tuple[pytest.MarkDecorator, ...]:
 
 
 def runs() -> Iterator[Any]:
-    """Demos and numbers of ranks; the command of the README solves the duck on two."""
-    for path in SCRIPTS:
-        long = path.stem in LONG
+    """Demos and numbers of ranks, of which CI takes turns; the README has the duck on two."""
+    for turn, path in enumerate(SCRIPTS):
         for ranks in (1,) if path.stem == "duck" else (1, 2):
-            marks = [*needs(path), *([pytest.mark.long] if long else [])]
+            marks = [*needs(path), *([pytest.mark.long] if path.stem in LONG else [])]
+            marks += [pytest.mark.spare] if path.stem != "duck" and ranks != turn % 2 + 1 else []
             yield pytest.param(path, ranks, marks=marks, id=f"{path.stem}-{ranks}")
 
 

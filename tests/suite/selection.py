@@ -6,8 +6,8 @@ Where the command line names files, all of their tests run, whatever set they be
     quick set      what is not `long`, and of      one parameter of every third test of those that
                    each test QUICK parameters,     the rest runs on so many ranks, if it is neither
                    of a `sample(k)` k              `long` nor SLOW; on 3 of every sixth
-    rest (--rest)  all but the quick set           MOST parameters of each test of the files that
-                                                   run on n ranks; where they run on 2 and on 3,
+    rest (--rest)  all but the quick set and what  MOST parameters of each test of the files that
+                   is `spare`                      run on n ranks; where they run on 2 and on 3,
                                                    one test there, the next here, `long` ones on 2
     all (--all)    every test                      every test and parameter of these files that is
                                                    not ENDURING, on each number of ranks that they
@@ -259,6 +259,7 @@ def pytest_configure(config: pytest.Config) -> None:
     for line in (
         "long: takes long; it does not belong to the quick set",
         "sample(k): of its parameters k belong to the quick set",
+        "spare: others show the same in less time; it runs by --all and where its file is named",
     ):
         config.addinivalue_line("markers", line)
 
@@ -306,6 +307,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             if not config.getoption("all"):
                 mine = _on_ranks(mine, ranks)
         if not config.getoption("all"):
+            mine = [item for item in mine if item.get_closest_marker("spare") is None]
             quick = set(map(id, _quick(mine, ranks)))
             rest = config.getoption("rest")
             mine = [item for item in mine if (id(item) in quick) != rest]
