@@ -228,7 +228,7 @@ ENDURING = ("fifty_periods", "test_second_order", "to_second_order")
 that wait for each other take minutes each: on one rank only; the steps are the same on several."""
 QUICK = 4
 """Parameters of each test in the quick set, unless it says so itself; all run in the rest."""
-MOST, MOST_OF_LAWS = 4, 1
+MOST, MOST_OF_LAWS = 3, 1
 """Parameters of each test on several ranks, and of one of LAWS: longer lists are of laws, bodies
 and words, in which ranks take no part; all run on one rank, and on several by --all."""
 
