@@ -208,6 +208,16 @@ def test_a_cell_of_layers(tmp_path: Path, form: str) -> None:
 
 
 HELD = "*BOUNDARY\n1, 1, 3\n" + "".join(f"{m}, 1, 3\n" for m in MASTERS)
+
+
+def test_a_later_strain_beside_a_corner_at_rest(tmp_path: Path) -> None:
+    """0.04 over the edge of 4.  The keyword that holds a corner has the reference nodes among its
+    nodes by number; were these still at rest, the gradient would be the identity."""
+    step = f"{HELD}*BOUNDARY\n{MASTERS[2]}, 3, 3, 0.04\n"
+    table = one(read(tmp_path, cell(by_reference_nodes(), step)))
+    assert table["periodic"]["gradient"] == [[1, 0, 0], [0, 1, 0], [0, 0, 1.01]]
+
+
 FAULTS = {
     HELD + "2, 1\n": "a support in a periodic cell",
     HELD + "*CLOAD\n2, 1, 1.\n": "a load in a periodic cell",

@@ -254,7 +254,8 @@ class Reading:
                 still[rows, i] = value.value == 0.0
         for node, one in self.couplings.items():
             for i in range(self.dim):
-                still[node, i] |= one.moved.get(i + 1) == 0.0
+                if i + 1 in one.moved:  # later than what a set of nodes by number has of it
+                    still[node, i] = one.moved[i + 1] == 0.0
         return held, still
 
 
