@@ -203,6 +203,27 @@ def test_springs_to_the_ground(tmp_path: Path) -> None:
     assert "SPRING: springs at all corners of a face" in fault
 
 
+def test_springs_of_several_keywords(tmp_path: Path) -> None:
+    """Each has a support; only the last one would have one if the others were lost."""
+    more = SPRINGS.format("", 3).replace("102, 8", "*ELEMENT, TYPE=SPRING1, ELSET=S\n102, 8")
+    supports = one(tmp_path, cube(more + STEEL + STATIC.format("")))["support"]
+    assert [support["on"] for support in supports] == ["ELEMENT line 27", "ELEMENT line 29"]
+
+
+OTHER_SPRINGS = {
+    SPRINGS.format("", 3).replace("102, 8", "102, 7"): "30 *SPRING: a node that has several",
+    "*ELEMENT, TYPE=SPRING1, ELSET=S\n101, 7\n": "27 *ELEMENT: no *SPRING below it",
+    "*SPRING, ELSET=S\n3\n300.,\n": "27 *SPRING: no *ELEMENT, TYPE=SPRING1 above it",
+}
+
+
+@pytest.mark.parametrize("text", OTHER_SPRINGS)
+def test_springs_that_are_not_there(tmp_path: Path, text: str) -> None:
+    """Of two at a node one would be lost, of a set without a keyword all."""
+    (fault,) = faults(tmp_path, cube(text + STEEL + STATIC.format("")))
+    assert f"deck.inp:{OTHER_SPRINGS[text]}" in fault
+
+
 LOADS = {
     "*CLOAD\ntop, 2, 5.\ntop, 2, 1.\ntop, 3, -2.\n": {
         "kind": "point-force",

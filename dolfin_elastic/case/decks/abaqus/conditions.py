@@ -418,22 +418,31 @@ def take_initial(state: Reading, card: Card) -> None:
 
 def take_spring(state: Reading, card: Card) -> None:
     """*SPRING of SPRING1: a line with the direction, and one with the stiffness."""
-    name = state.grounded.get(card.option("ELSET").upper(), "")
+    elements = state.grounded.pop(card.option("ELSET").upper(), [])
     words = [line.split(",") for line in card.lines]
     direction = words[0][0].strip() if words else ""
     others = card.options.keys() - {"ELSET"} or direction not in ("1", "2", "3")[: state.dim]
-    if not name or others or len(words) != 2 or state.transforms:
+    if not elements:
+        text = "no *ELEMENT, TYPE=SPRING1 above it, of which no other *SPRING is, has this ELSET"
+        state.fault(card, f"{text}; other springs are not there")
+        return
+    if others or len(words) != 2 or state.transforms:
         text = "springs to the ground (SPRING1) along x, y or z with one stiffness alone are read"
         state.fault(card, f'{text}; else state it as a support of kind "spring"')
         return
-    name = _own_set(state, card, name, 0)
-    if np.isin(boundary(state.corners), state.mesh.point_sets[name]).all(axis=1).any():
+    names = [_own_set(state, one, part_name(one, state.file), 0) for one in elements]
+    nodes = np.unique(np.concatenate([state.mesh.point_sets[name] for name in names]))
+    if len(nodes) < sum(len(one.lines) for one in elements):
+        state.fault(card, "a node that has several of its springs: give it one of their sum")
+        return
+    if np.isin(boundary(state.corners), nodes).all(axis=1).any():
         text = "springs at all corners of a face, which a case has per area"
         state.fault(card, f'{text}: state them as a support of kind "spring"')
         return
     stiffness: list[object] = [0] * state.dim
     stiffness[int(direction) - 1] = Quantity(_number(card, 1, words[1], 0), "stiffness")
-    state.springs.append(Entry(place(card), {"on": name, "kind": "spring", "stiffness": stiffness}))
+    keys = {"kind": "spring", "stiffness": stiffness}
+    state.springs += [Entry(place(card), {"on": name, **keys}) for name in names]
 
 
 # --- ties ---

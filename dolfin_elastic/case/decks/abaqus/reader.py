@@ -27,7 +27,6 @@ from dolfin_elastic.mesh.formats.abaqus.cards import Card, read_cards
 from dolfin_elastic.mesh.formats.abaqus.deck import Deck as MeshDeck
 from dolfin_elastic.mesh.formats.abaqus.deck import Scope
 from dolfin_elastic.mesh.formats.abaqus.elements import element_kind, stem
-from dolfin_elastic.mesh.formats.abaqus.numbered import part_name
 from dolfin_elastic.mesh.formats.abaqus.reader import MESH_WORDS, read_abaqus, with_parts
 from dolfin_elastic.mesh.formats.abaqus.words import SILENT
 from dolfin_elastic.mesh.formats.raw import kind_name
@@ -156,7 +155,7 @@ def _heading(state: Reading, card: Card) -> None:
 def _elements(state: Reading, card: Card) -> None:
     state.types[card.option("TYPE").upper()] += len(card.lines)
     if card.option("TYPE").upper() == "SPRING1":
-        state.grounded[card.options.get("ELSET", "").upper()] = part_name(card, state.file)
+        state.grounded.setdefault(card.options.get("ELSET", "").upper(), []).append(card)
         return
     known = element_kind(card.option("TYPE").upper())
     if known is None or not card.lines:
@@ -237,6 +236,8 @@ def _assign(state: Reading) -> None:
 def _finish(state: Reading) -> None:
     """Elements and materials, which depend on all keywords."""
     _assign(state)
+    for card in (card for cards in state.grounded.values() for card in cards):
+        state.fault(card, "no *SPRING below it has its ELSET, and so its springs no stiffness")
     hybrid = _mesh(state)
     large = any(step.nonlinear or step.preloaded for step in state.deck.steps)
     rubber = any(c.word == "HYPERELASTIC" for m in state.materials.values() for c in m.cards)

@@ -97,7 +97,8 @@ class Reading:
         transforms: Local directions of nodes.
         equations: Those between opposite nodes of a periodic cell.
         equal: Those of coincident nodes.
-        grounded: Set of springs to the ground, in capitals, to the name of their nodes.
+        grounded: Set of springs to the ground, in capitals, to its *ELEMENT that no *SPRING has
+            taken.
         springs: Supports by springs.
     """
 
@@ -130,7 +131,7 @@ class Reading:
     transforms: list[Transform] = field(default_factory=list)
     equations: list[Equation] = field(default_factory=list)
     equal: list[Equation] = field(default_factory=list)
-    grounded: dict[str, str] = field(default_factory=dict)
+    grounded: dict[str, list[Card]] = field(default_factory=dict)
     springs: list[Entry] = field(default_factory=list)
 
     def __post_init__(self) -> None:
