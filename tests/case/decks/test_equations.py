@@ -225,6 +225,14 @@ FAULTS = {
 }
 
 
+@pytest.mark.parametrize("direction", [0, 4, 6])
+def test_directions_that_are_not_there(tmp_path: Path, direction: int) -> None:
+    """Of any term: 0 was read as 3, and others were no more than a damaged *END STEP."""
+    lines = by_reference_nodes().replace(f"{MASTERS[0]}, 1, -1.", f"{MASTERS[0]}, {direction}, -1.")
+    found = [str(fault) for fault in read(tmp_path, cell(lines, HELD)).faults]
+    assert "in directions 1 to 3 only" in found[0]
+
+
 @pytest.mark.parametrize("step", FAULTS)
 def test_cells_that_are_not_there(tmp_path: Path, step: str) -> None:
     """Each is an error with its line."""

@@ -22,6 +22,9 @@ def take_equation(state: Reading, card: Card) -> None:
         state.fault(card, f"{_OTHER}, without options and in one instance")
         return
     for row, terms in equations(card):
+        if not all(1 <= i <= state.dim for _, i, _ in terms):
+            state.fault(card, f"{_OTHER}, in directions 1 to {state.dim} only", row)
+            continue
         sides = [rows_of(state, word) for word, *_ in terms]
         count = len(sides[0])
         if not all(len(side) in (1, count) and side for side in sides):
@@ -35,7 +38,7 @@ def take_equation(state: Reading, card: Card) -> None:
 def _take(state: Reading, card: Card, row: int, terms: list[tuple[int, int, float]]) -> None:
     """One equation; nodes of the body are its first ones."""
     (a, i, c), (b, j, d), *others = sorted(terms, key=lambda term: not state.body[term[0]])
-    if i != j or i > state.dim or not c or c + d or not (state.body[a] and state.body[b]):
+    if i != j or not c or c + d or not (state.body[a] and state.body[b]):
         state.fault(card, f"{_OTHER}; this is no difference of two nodes in one direction", row)
         return
     form = {(node, direction): -factor / c for node, direction, factor in others}
