@@ -574,6 +574,27 @@ def test_rigid_bodies(tmp_path: Path) -> None:
     }
 
 
+KEPT = {
+    ("9, 1, 3\n9, 4, 6\n", "9, 4, 6\n"): "",
+    ("9, 1, 3\n", "9, 1, 3\n"): "",
+    ("9, 1, 3\n9, 4, 4, 0.1\n", "9, 4, 6\n"): "FIXED: it stops nodes that moved freely",
+    ("9, 1\n", "top, 1\n"): "FIXED: it stops nodes that moved freely",
+    ("9, 1\n", "9, 1\n*BOUNDARY, FIXED, OP=NEW\n9, 1\n"): "OP=NEW beside FIXED",
+}
+
+
+@pytest.mark.parametrize("words", KEPT)
+def test_reference_nodes_that_are_fixed(tmp_path: Path, words: tuple[str, str]) -> None:
+    """Rotations were no directions to FIXED, which said nothing; a later step may keep what is
+    prescribed, and has no value of its own in the first one."""
+    before, later = words
+    text = lidded("KINEMATIC", before, "9, 1, 1.\n")
+    found = faults(tmp_path, text + STATIC.format(f"*BOUNDARY, FIXED\n{later}"))
+    assert [KEPT[words] in fault for fault in found] == [True] * bool(KEPT[words])
+    first = lidded("KINEMATIC", "*BOUNDARY, FIXED\n9, 1, 3, 7.\n", "9, 4, 1.\n")
+    assert one(tmp_path, first)["support"][1]["displacement"] == [0, 0, 0]
+
+
 OTHER_COUPLINGS = {
     ("KINEMATIC\n1, 2", "", "9, 1, 1.\n"): "only all directions",
     ("DISTRIBUTING\n1, 3", "", "9, 1, 1.\n9, 4, 1.\n"): "a moment, but the average has",

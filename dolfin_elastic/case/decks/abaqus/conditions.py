@@ -6,7 +6,12 @@ from collections.abc import Callable, Collection, Iterator
 
 import numpy as np
 
-from dolfin_elastic.case.decks.abaqus.couplings import rows_of, take_at_nodes
+from dolfin_elastic.case.decks.abaqus.couplings import (
+    directions,
+    follower_of,
+    rows_of,
+    take_at_nodes,
+)
 from dolfin_elastic.case.decks.abaqus.materials import floats, place
 from dolfin_elastic.case.decks.abaqus.state import Part, Ramp, Reading
 from dolfin_elastic.case.decks.abaqus.transforms import in_directions_of_the_body
@@ -39,13 +44,13 @@ def take_condition(state: Reading, card: Card) -> None:
         if key not in known:
             state.fault(card, f"{key} is not understood")
             return
+    if "FIXED" in card.options and state.deck.steps:
+        _keep(state, card)
+        return
     if card.options.get("OP", "MOD").upper() == "NEW":
         _forget(state, card.word)
     if state.step is None and card.word not in ("BOUNDARY",) and card.lines:
         state.fault(card, "it stands before the first *STEP")
-        return
-    if "FIXED" in card.options and state.deck.steps:
-        _keep(state, card)
         return
     if state.couplings and card.word in ("BOUNDARY", "CLOAD"):
         card = take_at_nodes(state, card)
@@ -131,9 +136,7 @@ def _boundary(state: Reading, card: Card) -> None:
             raise card.error(f"'{card.lines[row].strip()[:60]}' is no support", row=row) from None
         if not all(np.isfinite(value) for value in values.values()):
             raise card.error("a value is no finite number", row=row)
-        beyond = words[1].isdecimal() and int(words[2] if len(words) > 2 and words[2] else words[1])
-        if beyond and beyond > 3:
-            state.note(card, _ROTATION.format("4 to 6" if beyond <= 6 else beyond), row)
+        _note_rotations(state, card, row, words)
         if words[0].isdecimal():
             by_number[int(words[0])] = row
             held.setdefault(words[0], {}).update(values)
@@ -148,16 +151,32 @@ def _boundary(state: Reading, card: Card) -> None:
         _boundary_by_number(state, card, held, ramp, next(iter(by_number.values())))
 
 
+def _note_rotations(state: Reading, card: Card, row: int, words: list[str]) -> None:
+    beyond = words[1].isdecimal() and int(words[2] if len(words) > 2 and words[2] else words[1])
+    if beyond and beyond > 3:
+        state.note(card, _ROTATION.format("4 to 6" if beyond <= 6 else beyond), row)
+
+
 def _keep(state: Reading, card: Card) -> None:
     """*BOUNDARY, FIXED in a later step: nodes stay where supports before it have them."""
+    if card.options.get("OP", "MOD").upper() == "NEW":
+        state.fault(card, "OP=NEW beside FIXED is not read")
+        return
     held, _ = state.held()
     for row, words in _words(card):
         try:
             axes = [i - 1 for i in components(support_words(card, words)) if i <= state.dim]
         except (ValueError, IndexError):
             raise card.error(f"'{card.lines[row].strip()[:60]}' is no support", row=row) from None
-        rows = rows_of(state, words[0])
-        if not rows or not held[np.ix_(rows, axes)].all():
+        rows, kept = rows_of(state, words[0]), True
+        for one, shift in filter(None, (follower_of(state, node) for node in rows)):
+            periodic = one.kind == "PERIODIC"
+            wanted = {i + 1 for i in axes} if periodic else directions(card, words, shift)
+            kept &= one.moved.keys() >= set(wanted)
+        if free := [node for node in rows if follower_of(state, node) is None]:
+            _note_rotations(state, card, row, words)
+            kept &= bool(held[np.ix_(free, axes)].all())
+        if not rows or not kept:
             text = "FIXED: it stops nodes that moved freely in the step before it"
             state.fault(card, text, row)
 

@@ -10,7 +10,7 @@ from dolfin_elastic.case.decks.abaqus.materials import place
 from dolfin_elastic.case.decks.abaqus.state import Reading
 from dolfin_elastic.case.decks.coupling import ALL, Coupling, covers_faces
 from dolfin_elastic.mesh.formats.abaqus.cards import Card
-from dolfin_elastic.mesh.formats.abaqus.numbered import FIXED
+from dolfin_elastic.mesh.formats.abaqus.numbered import FIXED, support_words
 
 _ROTATIONS = {"ENCASTRE": (4, 5, 6), "XSYMM": (5, 6), "YSYMM": (4, 6), "ZSYMM": (4, 5)}
 """Words of *BOUNDARY to the rotations that they fix."""
@@ -90,10 +90,10 @@ def take_at_nodes(state: Reading, card: Card) -> Card:
             continue
         if "AMPLITUDE" in card.options:
             state.fault(card, "AMPLITUDE at a reference node", row)
-        for node in nodes:
-            turns = node in state.turning
-            one = state.turning[node] if turns else state.couplings[node]
-            _prescribe(one, card, row, words, 3 if turns else 0)
+        if card.word == "BOUNDARY":
+            words[1:] = support_words(card, words)
+        for one, shift in filter(None, (follower_of(state, node) for node in nodes)):
+            _prescribe(one, card, row, words, shift)
     numbered = any(card.lines[row].strip()[:1].isdigit() for row in rest)
     cell = all(one.kind == "PERIODIC" for one in state.couplings.values())
     if numbered and len(rest) < len(card.lines) and not cell:
@@ -120,17 +120,34 @@ def _range(card: Card, words: list[str]) -> range:
     return range(first, min(last, ALL) + 1)
 
 
-def _prescribe(one: Coupling, card: Card, row: int, words: list[str], shift: int) -> None:
-    """One line.
+def follower_of(state: Reading, node: int) -> tuple[Coupling, int] | None:
+    """What follows a node, and 3 if directions 1 to 3 of the node are rotations, else 0."""
+    if node in state.turning:
+        return state.turning[node], 3
+    return (state.couplings[node], 0) if node in state.couplings else None
+
+
+def directions(card: Card, words: list[str], shift: int) -> list[int]:
+    """Directions, 1 to 6, of a line at a reference node.
 
     Args:
-        shift: 3 at a node whose directions 1 to 3 are rotations.
+        shift: See `follower_of`.
     """
     boundary, word = card.word == "BOUNDARY", words[1].upper() if len(words) > 1 else ""
     if boundary and word in FIXED:
         held = FIXED[word] if shift else (*FIXED[word], *_ROTATIONS.get(word, ()))
-        one.moved |= {i + shift: 0.0 for i in held}
-        return
+    else:
+        held = (*_range(card, words[1:3] if boundary else words[1:2]),)
+    return [i + shift for i in held if i + shift <= ALL]
+
+
+def _prescribe(one: Coupling, card: Card, row: int, words: list[str], shift: int) -> None:
+    """One line.
+
+    Args:
+        shift: See `follower_of`.
+    """
+    boundary, held = card.word == "BOUNDARY", directions(card, words, shift)
     at = 3 if boundary else 2
     try:
         value = float((words[at] if len(words) > at else "").upper().replace("D", "E") or "0")
@@ -138,7 +155,4 @@ def _prescribe(one: Coupling, card: Card, row: int, words: list[str], shift: int
         raise card.error(f"'{words[at][:40]}' is no number", row=row) from None
     if not abs(value) < float("inf"):
         raise card.error(f"'{words[at][:40]}' is no finite number", row=row)
-    held = (*_range(card, words[1:3] if boundary else words[1:2]),)
-    (one.moved if boundary else one.forces).update(
-        {i + shift: value for i in held if i + shift <= ALL}
-    )
+    (one.moved if boundary else one.forces).update(dict.fromkeys(held, value))
