@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -85,13 +86,37 @@ class Coupling:
         return keys
 
 
-def covers_faces(cells: list[IntArray], nodes: IntArray) -> bool:
-    """Whether faces of the body have all corners among nodes, and these are all of them.
+@dataclass(frozen=True)
+class Skin:
+    """The faces of a body, found once.
 
-    Args:
+    Attributes:
         cells: Corners of the elements of the body, each of shape (n, dim + 1).
-        nodes: In the same numbers, with midside nodes.
     """
-    facets, corners = boundary(cells), np.unique(np.concatenate([c.ravel() for c in cells]))
-    within = facets[np.isin(facets, nodes).all(axis=1)]
-    return len(within) > 0 and not len(np.setdiff1d(nodes[np.isin(nodes, corners)], within))
+
+    cells: list[IntArray]
+
+    @cached_property
+    def facets(self) -> IntArray:
+        """Corners of the faces, ascending, shape (n, dim)."""
+        return boundary(self.cells)
+
+    @cached_property
+    def corners(self) -> IntArray:
+        """All corners of the elements, ascending."""
+        return np.unique(np.concatenate([cell.ravel() for cell in self.cells]))
+
+    def covered_by(self, nodes: IntArray) -> bool:
+        """Whether faces have all corners among nodes, and these are all of them.
+
+        Args:
+            nodes: In the numbers of the cells, with midside nodes.
+        """
+        within = self.facets[np.isin(self.facets, nodes).all(axis=1)]
+        own = nodes[np.isin(nodes, self.corners)]
+        return len(within) > 0 and not len(np.setdiff1d(own, within))
+
+
+def covers_faces(cells: list[IntArray], nodes: IntArray) -> bool:
+    """`Skin.covered_by` of a body that is asked once."""
+    return Skin(cells).covered_by(nodes)

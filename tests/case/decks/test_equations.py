@@ -94,6 +94,18 @@ def test_a_tie_by_sets(tmp_path: Path) -> None:
     assert len(one(read(tmp_path, stack("*EQUATION\n" + lines)))["tie"]) == 1
 
 
+def test_faces_are_found_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not for each side of a tie, nor for each rigid body: a body of millions of elements."""
+    from dolfin_elastic.case.decks import coupling
+
+    found, boundary = list[int](), coupling.boundary
+    monkeypatch.setattr(coupling, "boundary", lambda cells: found.append(1) or boundary(cells))
+    node = f"*NODE\n{2 * COUNT + 1}, 9., 9., 9.\n"
+    rigid = f"*RIGID BODY, NSET=low, REF NODE={2 * COUNT + 1}\n"
+    assert not read(tmp_path, stack(node + pairs(1, 2, 3) + rigid)).faults
+    assert found == [1]
+
+
 OTHERS = {
     pairs(1, 2): "not all directions of its nodes are equal",
     pairs(3) + "2\n1, 1, 1., 2, 2, -1.\n": "no difference of two nodes in one direction",

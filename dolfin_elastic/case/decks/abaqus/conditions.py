@@ -25,7 +25,6 @@ from dolfin_elastic.mesh.formats.abaqus.numbered import (
     pressure_names,
     support_words,
 )
-from dolfin_elastic.mesh.formats.raw import boundary
 
 _KNOWN = {
     "BOUNDARY": {"OP", "AMPLITUDE", "TYPE", "FIXED"},
@@ -454,7 +453,7 @@ def take_spring(state: Reading, card: Card) -> None:
     if len(nodes) < sum(len(one.lines) for one in elements):
         state.fault(card, "a node that has several of its springs: give it one of their sum")
         return
-    if np.isin(boundary(state.corners), nodes).all(axis=1).any():
+    if np.isin(state.skin.facets, nodes).all(axis=1).any():
         text = "springs at all corners of a face, which a case has per area"
         state.fault(card, f'{text}: state them as a support of kind "spring"')
         return

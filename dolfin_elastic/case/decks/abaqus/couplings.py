@@ -8,7 +8,7 @@ import numpy as np
 
 from dolfin_elastic.case.decks.abaqus.materials import place
 from dolfin_elastic.case.decks.abaqus.state import Reading
-from dolfin_elastic.case.decks.coupling import ALL, Coupling, covers_faces
+from dolfin_elastic.case.decks.coupling import ALL, Coupling
 from dolfin_elastic.mesh.formats.abaqus.cards import Card
 from dolfin_elastic.mesh.formats.abaqus.numbered import FIXED, support_words
 
@@ -43,7 +43,7 @@ def take_rigid_body(state: Reading, card: Card) -> None:
         state.fault(card, f"{', '.join(others)} is not read" if others else "it is read in 3D only")
         return
     name = state.name(card, "point", card.option("NSET"))
-    if not covers_faces(state.corners, state.mesh.point_sets[name]):
+    if not state.skin.covered_by(state.mesh.point_sets[name]):
         state.fault(card, f"nodes of '{name[:60]}' that are no corners of faces within it")
         return
     nodes = [rows_of(state, card.option("REF NODE"))]

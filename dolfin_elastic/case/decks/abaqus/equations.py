@@ -8,7 +8,7 @@ from dolfin_elastic.case.decks.abaqus.couplings import rows_of
 from dolfin_elastic.case.decks.abaqus.equation import NEAR, Equation
 from dolfin_elastic.case.decks.abaqus.materials import place
 from dolfin_elastic.case.decks.abaqus.state import Reading
-from dolfin_elastic.case.decks.coupling import Coupling, covers_faces
+from dolfin_elastic.case.decks.coupling import Coupling
 from dolfin_elastic.case.decks.deck import Entry
 from dolfin_elastic.mesh.formats.abaqus.cards import Card
 from dolfin_elastic.mesh.formats.abaqus.numbered import equations, part_name
@@ -72,7 +72,7 @@ def tie(state: Reading) -> None:
         for key, side in zip(names.values(), sides, strict=True)
     ):
         text = "other equations of two terms are among them"
-    elif len(np.intersect1d(*sides)) or not all(covers_faces(state.corners, s) for s in sides):
+    elif len(np.intersect1d(*sides)) or not all(map(state.skin.covered_by, sides)):
         text = "its nodes are not those of faces of two sides"
     else:
         state.deck.ties.append(Entry(place(first.card), dict(names)))

@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfin_elastic.case.decks.abaqus.equation import Equation, Nodes, OtherEquationError, cell_of
 from dolfin_elastic.case.decks.abaqus.materials import Material, place
-from dolfin_elastic.case.decks.coupling import Coupling
+from dolfin_elastic.case.decks.coupling import Coupling, Skin
 from dolfin_elastic.case.decks.deck import (
     Deck,
     Entry,
@@ -181,10 +181,10 @@ class Reading:
                 result[block.nodes] = True
         return result
 
-    @property
-    def corners(self) -> list[IntArray]:
-        """Rows of the corners of the elements of the body."""
-        return [b.nodes[:, : self.dim + 1] for b in self.mesh.blocks if b.dim == self.dim]
+    @cached_property
+    def skin(self) -> Skin:
+        """The faces of the body, by rows of the nodes."""
+        return Skin([b.nodes[:, : self.dim + 1] for b in self.mesh.blocks if b.dim == self.dim])
 
     def finish_step(self) -> None:
         """Ends the present step with all that holds and acts at its end."""
