@@ -252,6 +252,13 @@ def test_cells_that_are_not_there(tmp_path: Path, step: str) -> None:
     assert FAULTS[step] in str(fault)
 
 
+def test_a_strain_above_its_equations(tmp_path: Path) -> None:
+    """It was a note on a support, and the stress was 0 in its place."""
+    text = f"{HELD}*BOUNDARY\n{MASTERS[2]}, 3, 3, 0.04\n" + by_reference_nodes()
+    (fault,) = read(tmp_path, cell(text, "")).faults
+    assert "stands above it, not below" in str(fault)
+
+
 def test_edges_that_are_no_sum_of_faces(tmp_path: Path) -> None:
     """An edge that follows a reference node the other way round."""
     lines = by_reference_nodes().splitlines()
