@@ -459,7 +459,7 @@ def take_spring(state: Reading, card: Card) -> None:
         return
     stiffness: list[object] = [0] * state.dim
     stiffness[int(direction) - 1] = Quantity(_number(card, 1, words[1], 0), "stiffness")
-    keys = {"kind": "spring", "stiffness": stiffness}
+    keys: dict[str, object] = {"kind": "spring", "stiffness": stiffness}
     state.springs += [Entry(place(card), {"on": name, **keys}) for name in names]
 
 
