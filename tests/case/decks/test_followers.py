@@ -63,8 +63,10 @@ def last(table: dict[str, Any], folder: Path) -> Any:
 
 
 def test_a_rigid_spider(tmp_path: Path) -> None:
-    """What is prescribed and acts at the reference node, in an equivalent case."""
-    bulk = f"SPC,1,{TIP},24,0.5\nFORCE,2,{TIP},,2.,1.,0.,0.\nMOMENT,2,{TIP},,3.,0.,0.,2."
+    """What is prescribed and acts at the reference node, in an equivalent case; equal entries act
+    twice."""
+    force = f"FORCE,2,{TIP},,1.,1.,0.,0."
+    bulk = f"SPC,1,{TIP},24,0.5\n{force}\n{force}\nMOMENT,2,{TIP},,3.,0.,0.,2."
     table = one(read(tmp_path, f"{RBE2}\n{bulk}"))
     assert table["support"][1:] == [
         {

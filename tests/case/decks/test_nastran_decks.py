@@ -151,12 +151,14 @@ def one(folder: Path, bulk: str, control: str = "SPC = 1\nLOAD = 2\n") -> dict[s
 
 def test_forces_in_their_systems(tmp_path: Path) -> None:
     """A system about x, turned by 90 degrees, and a cylindrical one, whose first direction is
-    away from its axis; two nodes with the same force are one part."""
+    away from its axis; two nodes with the same force are one part, and a force that stands twice
+    at one of them acts twice: it would be lost in a set of nodes."""
     systems = "CORD2R,4,,0.,0.,0.,1.,0.,0.\n,0.,1.,0.\nCORD2C,6,,0.,0.,0.,1.,0.,0.\n,0.,1.,0."
     corner = int(np.flatnonzero((POINTS == [0, 1, 1]).all(axis=1))[0]) + 1
     bulk = (
         f"{MATERIAL}\n{held(1, '123', [1])}\n{systems}\nFORCE,2,3,4,2.,1.,0.,0.\n"
-        f"FORCE,2,4,4,2.,1.,0.,0.\nFORCE,2,{corner},6,2.,1.,0.,0.\nFORCE1,2,5,3.,1,2"
+        f"FORCE,2,4,4,2.,1.,0.,0.\nFORCE,2,{corner},6,2.,1.,0.,0.\nFORCE1,2,5,3.,1,2\n"
+        "FORCE,2,3,4,2.,1.,0.,0."
     )
     table = one(tmp_path, bulk)
     r = math.sqrt(2)
@@ -169,10 +171,12 @@ def test_forces_in_their_systems(tmp_path: Path) -> None:
             values["force_2_2"][2],
         ],
         "force_2_3": ["3 N", 0, 0],
+        "force_2_4": [0, "2 N", 0],
     }
     assert float(values["force_2_2"][1].split()[0]) == pytest.approx(r, rel=1e-11)
     sets = read_nastran(tmp_path / "bar.bdf").point_sets
-    assert sets["force_2"].tolist() == [2, 3] and table["faults"] == []
+    assert sets["force_2"].tolist() == [2, 3] and sets["force_2_4"].tolist() == [2]
+    assert table["faults"] == []
 
 
 def test_supports_by_values_and_systems(tmp_path: Path) -> None:
@@ -199,14 +203,17 @@ def test_supports_by_values_and_systems(tmp_path: Path) -> None:
 
 
 def test_pressures_along_a_direction_and_by_nodes(tmp_path: Path) -> None:
-    """PLOAD acts by the right-hand rule of its nodes, PLOAD4 into the element."""
+    """PLOAD acts by the right-hand rule of its nodes, PLOAD4 into the element; what stands twice
+    acts twice."""
     cell = next(c for c in CELLS[:, :4] if (POINTS[c, 0] == LENGTH).sum() == 3)
     a, b, c = (int(n) + 1 for n in cell if POINTS[n, 0] == LENGTH)
     x = POINTS[[a - 1, b - 1, c - 1]]
     outwards = np.cross(x[1] - x[0], x[2] - x[0])[0] > 0
     along = pressed(2, 3.0, "\n,0,0.,2.,0.")
-    bulk = f"{MATERIAL}\n{WALL}\n{along}\nPLOAD,2,4.,{a},{b},{c}"
-    loads = {load["kind"]: load for load in one(tmp_path, bulk)["load"]}
+    pload = f"PLOAD,2,4.,{a},{b},{c}"
+    found = one(tmp_path, f"{MATERIAL}\n{WALL}\n{along}\n{pload}\n{pload}")["load"]
+    assert [load["on"] for load in found] == ["pload_2", "pload_2_2", "pload_2_3"]
+    loads = {load["kind"]: load for load in found}
     assert loads["traction"]["value"] == [0, "3 Pa", 0]
     assert loads["pressure"]["value"] == ("-4 Pa" if outwards else "4 Pa")
 

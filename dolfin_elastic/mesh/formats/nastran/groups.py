@@ -8,6 +8,7 @@ PLOAD4.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import chain
@@ -73,6 +74,7 @@ class Groups:
         self._systems: Systems = bulk.basic()
         self._found: dict[tuple[object, ...], Group] = {}
         self._names: dict[str, int] = {}
+        self._taken = Counter[tuple[object, ...]]()
         self._solids: dict[int, list[int]] | None = None
         self.references = _references(bulk.grouped)
         for entry in bulk.grouped:
@@ -97,6 +99,22 @@ class Groups:
             name = base if count == 1 else f"{base}_{count}"
             self._found[whole] = Group(name, kind, number, entry)
         return self._found[whole]
+
+    def _acting(
+        self, kind: str, entry: Entry, value: tuple[float, ...], at: Iterable[int], reference: int
+    ) -> Group:
+        """Group of a load; one that acts once more at the same nodes is of a group of its own.
+
+        Args:
+            at: The nodes of one force or of one face.
+        """
+        number, nodes = entry.integer(0), tuple(sorted(at))
+        group = self._group(
+            kind, number, entry, value, reference, self._taken[kind, number, value, nodes]
+        )
+        self._taken[kind, number, value, nodes] += 1
+        group.value, group.reference = value, reference
+        return group
 
     # --- supports ---
 
@@ -162,9 +180,7 @@ class Groups:
         digits = min(12 - int(np.floor(np.log10(size))), 300) if size else 0
         value = tuple(float(x) + 0.0 for x in np.round(vector, digits))
         reference = node if node in self.references else 0
-        group = self._group("force", entry.integer(0), entry, value, reference)
-        group.value, group.reference = value, reference
-        group.nodes.add(node)
+        self._acting("force", entry, value, [node], reference).nodes.add(node)
 
     def place(self, entry: Entry, node: int) -> FloatArray:
         """Basic coordinates of a node, shape (3,)."""
@@ -258,8 +274,6 @@ class Groups:
         if vector.any():
             basic = self.direction(entry, entry.integer(8, 0), vector)
             direction = [float(x) for x in basic / np.linalg.norm(basic)]
-        group = self._group("pload", entry.integer(0), entry, (values[0], *direction))
-        group.value = (values[0], *direction)
         if entry.text(6).upper() == "THRU":
             raise entry.error("THRU is of shells; faces of CTETRA are named by nodes")
         nodes = self._solid(entry, entry.integer(1))
@@ -267,8 +281,7 @@ class Groups:
         if first not in nodes or opposite not in nodes or first == opposite:
             raise entry.error(f"{first} and {opposite} name no face of CTETRA {entry.integer(1)}")
         a, b, c = (node for node in nodes if node != opposite)
-        group.facets.append((a, b, c))
-        group.behind.append(opposite)
+        self._press(entry, (values[0], *direction), (a, b, c), opposite)
 
     def _pload(self, entry: Entry) -> None:
         """Along the normal of its nodes by the right-hand rule: outwards or inwards."""
@@ -280,10 +293,14 @@ class Groups:
         normal = np.cross(x[1] - x[0], x[2] - x[0])
         outwards = float(normal @ (x[0] - self.place(entry, fourth))) > 0
         value = -entry.real(1) if outwards else entry.real(1)
-        group = self._group("pload", entry.integer(0), entry, (value,))
-        group.value = (value,)
-        group.facets.append((a, b, c))
-        group.behind.append(fourth)
+        self._press(entry, (value,), (a, b, c), fourth)
+
+    def _press(
+        self, entry: Entry, value: tuple[float, ...], face: tuple[int, int, int], behind: int
+    ) -> None:
+        group = self._acting("pload", entry, value, face, 0)
+        group.facets.append(face)
+        group.behind.append(behind)
 
     def outwards(self, group: Group) -> FloatArray | None:
         """The normal out of the body that all faces of a group have, shape (3,); None: several."""
