@@ -32,6 +32,9 @@ STATIC = (
 HELD = '<Boundary><bc type="zero displacement" node_set="wall"><x_dof>1</x_dof><y_dof>1</y_dof>'
 HELD += "<z_dof>1</z_dof></bc>{}</Boundary>"
 JOINED = '<bc type="rigid" node_set="tip"><rb>{}</rb></bc>'
+RIGID_PLATE = f"<Material>{SOFT}{RIGID.format('')}</Material>{STATIC}"
+CURVE = '<LoadData><load_controller id="1" type="loadcurve"><points><pt>0,0</pt><pt>0.5,2</pt>'
+CURVE += "<pt>1,1</pt></points></load_controller></LoadData>"
 FREE = '<rigid_bc type="rigid_fixed"><rb>hard</rb><Rx_dof>0</Rx_dof></rigid_bc>'
 
 
@@ -53,7 +56,7 @@ def read(folder: Path, rigid: str, boundary: str = "", centre: str = "", *, bloc
         parts,
         sets={name: np.flatnonzero(POINTS[:, 0] == x) for name, x in ends.items()},
         version="4.0",
-        more=f"{more}<Rigid>{rigid}</Rigid>",
+        more=f"{more}<Rigid>{rigid}</Rigid>{CURVE}",
     )
     domains = '<SolidDomain name="bar" mat="soft"/>'
     domains += '<SolidDomain name="block" mat="hard"/>' if block else ""
@@ -85,11 +88,13 @@ FIXED = "".join(f"<R{a}_dof>1</R{a}_dof>" for a in "yzuvw")
 
 def test_a_rigid_block_that_is_pulled(tmp_path: Path) -> None:
     """With nu = 0 the bar has one strain e, and St. Venant and Kirchhoff's law F = E A (1 + e)
-    (e + e^2/2); the block moves by e L.  Without its rigid surface the block would be stretched."""
+    (e + e^2/2); the block moves by e L.  Two forces in a direction add up.
+    Without its rigid surface the block would be stretched."""
     e = 0.05
     bc = f'<rigid_bc type="rigid_fixed"><rb>hard</rb>{FIXED}</rigid_bc>'
     pull = E * (1 + e) * (e + e**2 / 2)
-    table = one(read(tmp_path, bc + force("Rx", pull), block=True))
+    twice = force("Rx", pull / 4) + force("Rx", 3 * pull / 4)
+    table = one(read(tmp_path, bc + twice, block=True))
     selectors = [{"between": ["block", "bar"]}, {"of": "block", "all": True}]
     assert table["surfaces"]["hard surface"] == selectors
     assert table["materials"]["hard"]["density"] == "3 kg/m^3"
@@ -114,7 +119,8 @@ def test_a_rigid_block_that_is_bent(tmp_path: Path) -> None:
 
 def test_nodes_joined_to_a_body_that_is_turned(tmp_path: Path) -> None:
     """The end of the bar turns by a prescribed angle about the centre of mass of a body without
-    elements, and is prescribed in all directions: its nodes have the motion of a rigid body."""
+    elements, and is prescribed in all directions: its nodes have the motion of a rigid body,
+    and those two away from the axis the largest chord."""
     angle, centre = 0.1, [LENGTH, 2.0, 0.5]
     motion = (
         '<rigid_bc type="rigid_fixed"><rb>2</rb><Rx_dof>1</Rx_dof><Ry_dof>1</Ry_dof><Rz_dof>1'
@@ -124,6 +130,8 @@ def test_nodes_joined_to_a_body_that_is_turned(tmp_path: Path) -> None:
     text = f"<center_of_mass>{','.join(map(str, centre))}</center_of_mass>"
     table = one(read(tmp_path, motion, JOINED.format(2), text, block=False))
     (support,) = [s for s in table["support"] if s["kind"] == "rigid"]
+    furthest = 2 * 2 * math.sin(angle / 2)
+    assert last(table, tmp_path).max_displacement == pytest.approx(furthest, rel=1e-9)
     assert support == {
         "kind": "rigid",
         "on": "tip",
@@ -131,6 +139,17 @@ def test_nodes_joined_to_a_body_that_is_turned(tmp_path: Path) -> None:
         "displacement": [0, 0, 0],
         "rotation": [0, 0, angle],
     }
+
+
+def test_rigid_parts_without_tetrahedra(tmp_path: Path) -> None:
+    """Of a shell there is no boundary and no centre of mass."""
+    text = febio_text(POINTS, {"bar": CELLS}, version="4.0", more=RIGID_PLATE)
+    plate = '<Elements type="tri3" name="plate"><elem id="9999">1,2,3</elem></Elements>'
+    domains = '<SolidDomain name="bar" mat="soft"/><ShellDomain name="plate" mat="hard"/>'
+    text = text.replace("</Mesh>", f"{plate}</Mesh><MeshDomains>{domains}</MeshDomains>")
+    (tmp_path / "model.feb").write_text(text)
+    faults = read_deck(tmp_path / "model.feb").faults
+    assert any("a rigid part without tetrahedra" in str(fault) for fault in faults)
 
 
 def test_words_of_version_3(tmp_path: Path) -> None:
@@ -164,6 +183,7 @@ OTHERS = {
     force("Rx", 1.0).replace("<dof>", "<load_type>1</load_type><dof>"): "that turns with the body",
     '<rigid_bc type="rigid_displacement"><rb>2</rb><dof>x</dof><value>1</value><relative>1'
     "</relative></rigid_bc>": "a value that is relative",
+    force("Rx", 1.0) + force("Rx", 2.0).replace("<value>", '<value lc="1">'): "in different ways",
     force("Rx", 1.0).replace("<rb>2", "<rb>7"): "there is no material '7' of type 'rigid body'",
 }
 

@@ -138,7 +138,13 @@ class Bodies:
             first = {**_MOTIONS, **_FORCES}[kind]
             i = self._direction(tag, tag.content("dof"), first)
             amount = clock.amount(tag, [(tag.first("value"), 1), (tag.first("scale"), 1)])
-            (body.motion if kind in _MOTIONS else body.forces)[i] = amount
+            if kind in _MOTIONS:
+                body.motion[i] = amount
+                return
+            before = body.forces.get(i, Amount([0.0], amount.ramp))
+            if before.ramp != amount.ramp:
+                self._leave_out(tag, "its forces change over time in different ways")
+            body.forces[i] = Amount([before.values[0] + amount.values[0]], amount.ramp)
 
     # --- what they are in a case ---
 
@@ -152,6 +158,9 @@ class Bodies:
 
     def _add(self, body: _Body, step: Step) -> None:
         on, where = list(body.sets), place(body.tag)
+        if any(part not in self._cells[1] for part in body.parts):
+            self._leave_out(body.tag, "a rigid part without tetrahedra")
+            return
         if body.parts:
             on.append(f"{body.name} surface")
             selectors = [one for part in body.parts for one in self._boundary(part)]
