@@ -37,14 +37,18 @@ RBE2 = f"RBE2,{continued([50, TIP, 123456, *listed(LENGTH)])}"
 RBE3 = f"RBE3,{continued([50, '', TIP, 123456, '1.', 123, *listed(LENGTH)])}"
 
 
-def read(folder: Path, bulk: str, solution: int = 101) -> Deck:
-    """A bar along x that is fixed at x = 0, with a node beyond its end."""
+def read(folder: Path, bulk: str, solution: int = 101, more: str = "") -> Deck:
+    """A bar along x that is fixed at x = 0, with a node beyond its end.
+
+    Args:
+        more: What the subcase selects beside supports and loads.
+    """
     grids = [f"GRID,{i},,{x!r},{y!r},{z!r}" for i, (x, y, z) in enumerate(POINTS.tolist(), 1)]
     grids.append(f"GRID,{TIP},,{','.join(map(str, POINT))}")
     cells = [f"CTETRA,{continued([i, 7, *cell])}" for i, cell in enumerate(CELLS + 1, 1)]
     held = [f"SPC1,1,123,{node}" for node in listed(0.0)]
     law = ["PSOLID,7,5", f"MAT1,5,{E},,0.,2."]
-    lines = [f"SOL {solution}", "CEND", "SPC = 1", "LOAD = 2", "METHOD = 9", "BEGIN BULK"]
+    lines = [f"SOL {solution}", "CEND", "SPC = 1", "LOAD = 2", "METHOD = 9", more, "BEGIN BULK"]
     lines += [*grids, *cells, *held, *law, "EIGRL,9,,,2", bulk, "ENDDATA", ""]
     (folder / "bar.bdf").write_text("\n".join(lines))
     return read_deck(folder / "bar.bdf")
@@ -103,9 +107,10 @@ def test_bending_by_a_moment(tmp_path: Path, element: str) -> None:
 
 
 def test_an_average(tmp_path: Path) -> None:
-    """Forces of both cards at its node; that it is one of areas is a note."""
+    """Forces of both cards at its node, its weight in two texts; that it is one of areas is a
+    note."""
     bulk = f"FORCE,2,{TIP},,2.,0.,1.,0.\nMOMENT,2,{TIP},,3.,1.,0.,0."
-    deck = read(tmp_path, f"{RBE3}\n{bulk}")
+    deck = read(tmp_path, f"{RBE3}\n,1.0,123,{listed(LENGTH)[0]}\n{bulk}")
     assert "RBE3: its forces are spread over the area" in str(deck.left_out[-1])
     keys = {"kind": "remote-force", "on": "rbe3_50", "point": POINT}
     acting = {"force": [0, "2 N", 0], "moment": ["3 N*m", 0, 0]}
@@ -136,18 +141,46 @@ def test_springs_to_the_ground(tmp_path: Path) -> None:
 
 
 def test_a_spring_with_a_property_and_a_mass(tmp_path: Path) -> None:
-    """PELAS has its stiffness; a mass has no effect in statics without weight, which is a note."""
+    """PELAS has its stiffness, two of them in a line, by default that of the spring's own number;
+    a mass has no effect in statics without weight, which is a note."""
     node = listed(LENGTH)[0]
-    spring = f"CELAS1,60,61,,,{node},2\nPELAS,61,7.\n"
+    spring = f"CELAS1,60,61,,,{node},2\nCELAS1,62,,{node},1\nPELAS,61,7.,,,62,8.\n"
     deck = read(tmp_path, f"{spring}CONM2,62,{node},,3.\nFORCE,2,1,,1.,1.")
     stiffness = {"on": "celas_60", "kind": "spring", "stiffness": [0, "7 N/m", 0]}
-    assert one(deck)["support"][1] == stiffness
+    own = {"on": "celas_62", "kind": "spring", "stiffness": ["8 N/m", 0, 0]}
+    assert one(deck)["support"][1:] == [stiffness, own]
     assert any("CONM2: a mass without weight" in str(note) for note in deck.left_out)
+
+
+OUTER = listed(LENGTH)[1]  # a corner of one triangle of the end
+REST = [node for node in listed(LENGTH) if node != OUTER]
+OTHERS = {
+    f"RBE2,{continued([50, OUTER, 123, *REST])}": "a reference node of the solid",
+    f"{RBE2},1.-5,20.\nTEMPD,4,30.": "thermal expansion of a rigid element",
+    f"{RBE3}\n,ALPHA,1.-5\nTEMPD,4,30.": "thermal expansion of a rigid element",
+    "CELAS2,60,1.,,,,": "no spring from one node to the ground",
+    "CELAS2,60,1.,5,0": "no spring from one node to the ground",
+}
+
+
+@pytest.mark.parametrize("bulk", OTHERS)
+def test_what_a_case_does_not_have(tmp_path: Path, bulk: str) -> None:
+    """Each is an error; an expansion without a change of temperature is a note."""
+    warm = "TEMPD" in bulk
+    faults = read(tmp_path, bulk, more="TEMP(LOAD) = 4" if warm else "").faults
+    assert any(OTHERS[bulk] in str(fault) for fault in faults), faults
+    if warm:
+        deck = read(tmp_path, bulk)
+        notes = [str(note) for note in deck.left_out]
+        assert not any("expansion" in str(f) for f in deck.faults)
+        assert any(OTHERS[bulk] in note for note in notes)
 
 
 BROKEN = {
     RBE3.replace("1.,123", "1.,12"): "other directions than 123",
-    RBE3.replace("1.,123", "1,123"): "its nodes have no weights, or several",
+    RBE3.replace("1.,123", "1.,456"): "other directions than 123; components 123",
+    RBE3.replace("1.,123", "1,123"): "its nodes have no weights, or several; one weight",
+    f"{RBE3}\n,2.,123,1": "its nodes have no weights, or several",
     f"RBE2,50,{TIP},123,9999": "there is no GRID 9999",
     "CELAS1,60,61,1,1": "there is no PELAS 61",
 }

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from dolfin_elastic.case.decks.coupling import Coupling, covers_faces
-from dolfin_elastic.case.decks.deck import Deck, Entry, Quantity, Step
+from dolfin_elastic.case.decks.deck import Deck, Entry, Quantity, Severity, Step
 from dolfin_elastic.case.decks.nastran.table import SOLIDS, Table, place
 from dolfin_elastic.core.types import FloatArray
-from dolfin_elastic.mesh.formats.nastran.groups import Group
+from dolfin_elastic.mesh.formats.nastran.groups import Group, expansion
 
 _KINDS = {"rbe2": "KINEMATIC", "rbe3": "DISTRIBUTING"}
 
@@ -36,10 +36,11 @@ class Followers:
         """All reference nodes are free and without a load."""
         groups = self._table.groups
         cells = [
-            np.array(elements.nodes)[:, :4]
+            np.array(elements.nodes)
             for kind in SOLIDS
             if (elements := self._table.bulk.elements.get(kind)) is not None
         ]
+        solid = {node for cell in cells for node in cell.ravel().tolist()}
         self._couplings = {}
         for group in groups.all:
             if group.kind not in _KINDS:
@@ -48,8 +49,12 @@ class Followers:
                 self._leave_out(group, "rigid elements that share a reference node, or a chain")
             elif not {"1", "2", "3"} <= set(group.components):
                 self._leave_out(group, "components 1, 2 and 3 together alone are read")
-            elif not cells or not covers_faces(cells, np.array(sorted(group.nodes))):
+            elif not cells or not covers_faces(
+                [cell[:, :4] for cell in cells], np.array(sorted(group.nodes))
+            ):
                 self._leave_out(group, "nodes that are no corners of faces within them")
+            elif group.reference in solid:
+                self._leave_out(group, "a reference node of the solid: here it is one beside it")
             else:
                 point = [float(x) for x in groups.place(group.entry, group.reference)]
                 self._couplings[group.reference] = Coupling(
@@ -93,6 +98,12 @@ class Followers:
             step.supports += filter(None, [one.support()])
             step.loads += filter(None, [one.load()])
         self._couplings = {}
+        warm = any(load.keys["kind"] == "thermal" for load in step.loads)
+        for group in self._table.groups.all:
+            if group.kind in _KINDS and expansion(group.entry):
+                text = "thermal expansion of a rigid element (ALPHA)"
+                severity: Severity = "changes the answer" if warm else "note"
+                self._deck.leave_out(place(group.entry), text, severity)
         for entry in step.supports:
             if step.kind != "statics" and entry.keys.get("kind") == "rigid":
                 text = "a rigid surface that moves exists in statics only"
@@ -100,23 +111,26 @@ class Followers:
 
     def springs(self) -> Iterator[Entry]:
         """Supports by springs to the ground; others are left out."""
-        properties = {card.integer(0): card for card in self._table.of("PELAS")}
+        pairs = [(c, i) for c in self._table.of("PELAS") for i in (0, 4) if c.text(i)]
+        properties = {card.integer(i): card.real(i + 1) for card, i in pairs}
         grounded = {id(group.entry): group for group in self._table.groups.all}
         for name in ("CELAS1", "CELAS2"):
             for card in self._table.of(name):
                 where, group = place(card), grounded.get(id(card))
                 if group is None or group.components not in ("1", "2", "3"):
-                    text = "a spring between nodes, or of rotations: those to the ground are read"
+                    text = "no spring from one node to the ground in component 1, 2 or 3"
                     self._deck.leave_out(where, text, "changes the answer")
                     continue
                 if self._turned(min(group.nodes)) or group.nodes & self._table.groups.references:
                     text = "a spring along directions of a node's own, or at a reference node"
                     self._deck.leave_out(where, text, "changes the answer")
                     continue
-                number = card.integer(1) if name == "CELAS1" else 0
-                if number and number not in properties:
-                    raise card.error(f"there is no PELAS {number}")
-                value = properties[number].real(1) if number else card.real(1)
+                value = card.real(1) if name == "CELAS2" else 0.0
+                if name == "CELAS1":
+                    number = card.integer(1, card.integer(0))
+                    if number not in properties:
+                        raise card.error(f"there is no PELAS {number}")
+                    value = properties[number]
                 stiffness: list[object] = [0, 0, 0]
                 stiffness[int(group.components) - 1] = Quantity(value, "stiffness")
                 yield Entry(where, {"on": group.name, "kind": "spring", "stiffness": stiffness})

@@ -226,11 +226,11 @@ class Groups:
                 break
             words.append(word)
         weights = [i for i, word in enumerate(words) if "." in word]
-        if not weights or any(words[i] != words[weights[0]] for i in weights):
-            raise entry.error("its nodes have no weights, or several")
+        if len({entry.real(4 + i) for i in weights}) != 1:
+            raise entry.error("its nodes have no weights, or several", "one weight, such as 1.")
         directions = {i + 1 for i in weights}
-        if any(set(words[i]) < set("123") for i in directions if i < len(words)):
-            raise entry.error("its nodes have other directions than 123")
+        if any(not set("123") <= set(words[i]) for i in directions if i < len(words)):
+            raise entry.error("its nodes have other directions than 123", "components 123")
         rest = [w for i, w in enumerate(words) if i not in directions and i not in weights]
         nodes = _listed(Entry(entry.name, rest, entry.line), 0, ())
         self._follow(entry, entry.integer(2), entry.text(3), nodes)
@@ -346,8 +346,18 @@ def _references(entries: Iterable[Entry]) -> set[int]:
     return {int(word) for word in words if word.isdecimal()}
 
 
+def expansion(entry: Entry) -> float:
+    """Coefficient of thermal expansion of an RBE2 or RBE3."""
+    if entry.name == "RBE2":
+        first = len(_bare(entry).fields)
+    else:
+        words = [word.upper() for word in entry.fields]
+        first = words.index("ALPHA") + 1 if "ALPHA" in words else len(words)
+    return next((entry.real(i) for i in range(first, len(entry.fields)) if entry.text(i)), 0.0)
+
+
 def _bare(entry: Entry) -> Entry:
-    """An RBE2 without its coefficient of expansion, which is the last field."""
+    """An RBE2 without its coefficient of expansion and that one's temperature, its last fields."""
     fields = entry.fields
     while fields and ("." in fields[-1] or not fields[-1]):
         fields = fields[:-1]
