@@ -21,22 +21,24 @@ class Coupling:
 
     Attributes:
         place: Where it stands in the deck, such as at its *COUPLING or RBE2.
-        surface: Its name in the mesh.
-        point: Coordinates of the node, in the deck's unit.
+        surface: Its name in the mesh, or several.
+        point: Coordinates of the node, in the deck's unit; None: in the middle of the surface.
         kind: "KINEMATIC" of a rigid surface, "DISTRIBUTING" of an average, "PERIODIC" of a node
             in equations; "" until the deck says it.
         turns: Directions 4 to 6 are among those that it lists.
         moved: Direction, 1 to 6, to its displacement or rotation.
         forces: Direction to its force or moment.
+        ramp: See `Entry.ramp`.
     """
 
     place: Place
-    surface: str
-    point: list[float]
+    surface: str | list[str]
+    point: list[float] | None
     kind: str = ""
     turns: bool = True
     moved: dict[int, float] = field(default_factory=dict)
     forces: dict[int, float] = field(default_factory=dict)
+    ramp: tuple[tuple[float, float], ...] | None = None
 
     @property
     def fault(self) -> str:
@@ -69,7 +71,7 @@ class Coupling:
         keys: dict[str, object] = {"kind": "rigid", **self._keys(free)}
         for name, first in (("displacement", 1), ("rotation", 4)):
             keys[name] = [self._moved(i) for i in range(first, first + 3)]
-        return Entry(self.place, keys)
+        return Entry(self.place, keys, ramp=self.ramp)
 
     def _moved(self, i: int) -> object:
         value = self.moved.get(i)
@@ -78,7 +80,9 @@ class Coupling:
         return Quantity(value, "length") if value and i <= 3 else value
 
     def _keys(self, forces: dict[int, float]) -> dict[str, object]:
-        keys: dict[str, object] = {"on": self.surface, "point": self.point}
+        keys: dict[str, object] = {"on": self.surface}
+        if self.point is not None:
+            keys["point"] = self.point
         if any(forces.get(i) for i in (1, 2, 3)):
             keys["force"] = [Quantity(forces.get(i, 0.0), "force") for i in (1, 2, 3)]
         if any(forces.get(i) for i in (4, 5, 6)):

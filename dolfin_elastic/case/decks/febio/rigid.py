@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dolfin_elastic.case.decks.coupling import ALL, Coupling
 from dolfin_elastic.case.decks.deck import Deck, Entry, Quantity, Step
 from dolfin_elastic.case.decks.febio.materials import RIGID
 from dolfin_elastic.case.decks.febio.values import (
@@ -29,9 +30,9 @@ from dolfin_elastic.mesh.formats.febio.reader import read_febio
 from dolfin_elastic.mesh.formats.febio.tags import Tag
 from dolfin_elastic.mesh.formats.raw import boundary
 
-_MOTIONS: dict[str, int | None] = {"rigid_displacement": 0, "rigid_rotation": 3, "prescribe": None}
-_FORCES: dict[str, int | None] = {"rigid_force": 0, "rigid_moment": 3, "force": None}
-"""Word to the first of its directions, 0 to 5; None: x to z and u to w name all six."""
+_MOTIONS: dict[str, int | None] = {"rigid_displacement": 1, "rigid_rotation": 4, "prescribe": None}
+_FORCES: dict[str, int | None] = {"rigid_force": 1, "rigid_moment": 4, "force": None}
+"""Word to the first of its directions, 1 to 6; None: x to z and u to w name all six."""
 _AXES = "xyzuvw"
 
 
@@ -43,7 +44,7 @@ class _Body:
         tag: Its material.
         parts: Names of its parts of the mesh.
         sets: Names of the sets of nodes that are joined to it.
-        motion: Direction, 0 to 5, to its displacement or rotation.
+        motion: Direction, 1 to 6, to its displacement or rotation.
         forces: Direction to its force or moment.
     """
 
@@ -102,7 +103,7 @@ class Bodies:
                 self._prescribe(tag, kind, clock)
             elif kind == "rigid_rotation_vector":
                 if (body := self._of(tag)) is not None:
-                    for i, name in enumerate(("vx", "vy", "vz"), start=3):
+                    for i, name in enumerate(("vx", "vy", "vz"), start=4):
                         value = tag.first(name)
                         body.motion[i] = clock.amount(tag, [(value, 1)]) if value else _ZERO
             else:
@@ -119,7 +120,7 @@ class Bodies:
             body.motion[self._direction(tag, word, None)] = _ZERO
 
     def _direction(self, tag: Tag, word: str, first: int | None) -> int:
-        """Index of a direction, such as Rx, x or Ru.
+        """Number of a direction, such as Rx, x or Ru.
 
         Args:
             first: Of three directions; None: all six are possible.
@@ -128,7 +129,7 @@ class Bodies:
         if letter not in tuple(_AXES):
             raise tag.error(f"'{word[:40]}' is no direction", "Rx, Ry, Rz, Ru, Rv or Rw")
         i = _AXES.index(letter)
-        return i if first is None else first + i % 3
+        return i + 1 if first is None else first + i % 3
 
     def _prescribe(self, tag: Tag, kind: str, clock: Clock) -> None:
         body = self._of(tag)
@@ -166,28 +167,24 @@ class Bodies:
             selectors = [one for part in body.parts for one in self._boundary(part)]
             self._deck.surfaces[on[-1]] = Entry(where, {"any": selectors})
             self._fill(body)
-        keys: dict[str, object] = {"on": on[0] if len(on) == 1 else on}
-        still = len(body.motion) == 6 and not any(a.values[0] for a in body.motion.values())
-        if still:
-            step.supports.append(Entry(where, {**keys, "kind": "fixed"}))
-            return
-        if step.kind != "statics" and len(body.motion) < 6:
+        one = Coupling(where, on[0] if len(on) == 1 else on, None, kind="KINEMATIC")
+        one.moved = {i: a.values[0] for i, a in body.motion.items()}
+        if not one.still:
+            self._move(body, step, one)
+        step.supports += filter(None, [one.support()])
+
+    def _move(self, body: _Body, step: Step, one: Coupling) -> None:
+        """Forces, the point where they act, and the change over time of a body that moves."""
+        if step.kind != "statics" and len(body.motion) < ALL:
             self._leave_out(body.tag, "a rigid body that moves freely exists in statics only")
         acting = {i: a for i, a in body.forces.items() if i not in body.motion}
         ramps = {a.ramp for a in (*body.motion.values(), *acting.values()) if any(a.values)}
         if len(ramps) > 1:
             self._leave_out(body.tag, "its motions and forces change over time in different ways")
-        keys |= {"kind": "rigid"}
-        if any(i not in body.motion or body.motion[i].values[0] for i in (3, 4, 5)):
-            keys["point"] = self._centre(body)
-        moved = [_moved(body.motion.get(i), i) for i in range(6)]
-        keys |= {"displacement": moved[:3], "rotation": moved[3:]}
-        values = [acting[i].values[0] if i in acting else 0.0 for i in range(6)]
-        if any(values[:3]):
-            keys["force"] = [Quantity(value, "force") for value in values[:3]]
-        if any(values[3:]):
-            keys["moment"] = [Quantity(value, "moment") for value in values[3:]]
-        step.supports.append(Entry(where, keys, ramp=next(iter(ramps), None)))
+        one.forces = {i: a.values[0] for i, a in acting.items()}
+        one.ramp = next(iter(ramps), None)
+        if any(one.moved.get(i, 1.0) for i in (4, 5, 6)):
+            one.point = self._centre(body)
 
     def _fill(self, body: _Body) -> None:
         """A law for the elements of a body: none of them is strained."""
@@ -240,10 +237,3 @@ _ZERO = Amount([0.0], None)
 def _faces(cells: IntArray) -> set[tuple[int, ...]]:
     """Faces of a part that it does not share with itself, by their corners in ascending order."""
     return {tuple(map(int, face)) for face in boundary([cells])}
-
-
-def _moved(amount: Amount | None, i: int) -> object:
-    if amount is None:
-        return "free"
-    value = amount.values[0]
-    return Quantity(value, "length") if value and i < 3 else value

@@ -40,7 +40,6 @@ class Followers:
             for kind in SOLIDS
             if (elements := self._table.bulk.elements.get(kind)) is not None
         ]
-        solid = {node for cell in cells for node in cell.ravel().tolist()}
         self._couplings = {}
         for group in groups.all:
             if group.kind not in _KINDS:
@@ -53,7 +52,7 @@ class Followers:
                 [cell[:, :4] for cell in cells], np.array(sorted(group.nodes))
             ):
                 self._leave_out(group, "nodes that are no corners of faces within them")
-            elif group.reference in solid:
+            elif any((cell == group.reference).any() for cell in cells):
                 self._leave_out(group, "a reference node of the solid: here it is one beside it")
             else:
                 point = [float(x) for x in groups.place(group.entry, group.reference)]
