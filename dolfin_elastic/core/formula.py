@@ -246,21 +246,15 @@ class _Reader:
             raise self._fault("a comparison is no number", root, "use where(a < b, c, d)")
         return frozenset(self.names), tree
 
-    def _fault(
-        self,
-        what: str,
-        at: int | ast.expr,
-        expected: str = "",
-        kind: type[FormulaError] = FormulaError,
-    ) -> FormulaError:
+    def _fault(self, what: str, at: int | ast.expr, expected: str = "") -> FormulaError:
         """An error with the text and a caret under the fault."""
         column = at if isinstance(at, int) else self.at.get(at.col_offset, 0)
         start = max(0, column - 50)
         shown = "".join(c if c.isprintable() else " " for c in self.text[start : start + 70])
         picture = f"\n    {shown}\n    {' ' * (column - start)}^"
         if expected:
-            return kind(what, expected=expected + picture)
-        return kind(what + picture)
+            return FormulaError(what, expected=expected + picture)
+        return FormulaError(what + picture)
 
     def _tokens(self) -> Iterator[_Token]:
         at = 0
@@ -382,7 +376,8 @@ class _Reader:
         if name in FUNCTIONS:
             raise self._fault(f"'{name}' is a function", node, f"write {name}(...)")
         known = nearest(name, [*self.allowed, *CONSTANTS])
-        raise self._fault(f"unknown name '{name}'", node, known, UnknownNameError)
+        fault = self._fault(f"unknown name '{name}'", node, known)
+        raise UnknownNameError(fault.what, expected=fault.expected)
 
     def _call(self, name: str, node: ast.expr, args: list[ast.expr]) -> Tree:
         if name not in FUNCTIONS:
