@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.complexes import alone, ball, box, complex_of, torus
 
+from dolfin_elastic.core.errors import MeshError
 from dolfin_elastic.core.types import FloatArray
 from dolfin_elastic.mesh.formats.cad.process import Permission
 from dolfin_elastic.mesh.formats.raw import MeshFile
@@ -122,3 +124,21 @@ def test_boxes_that_touch_in_an_edge_are_two_bodies(monkeypatch: pytest.MonkeyPa
 def areas_of(plc: Plc) -> FloatArray:
     a, b, c = np.moveaxis(plc.points[plc.triangles], 1, 0)
     return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
+
+
+def test_the_triangles_given_have_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Remeshing once took all of it, and left a volume that was wrong by more than 0.1 %."""
+    now, made = 0.0, module._filled
+
+    def slow(plc: Plc, bodies: Any, source: str, way: Any, seconds: float) -> Any:
+        nonlocal now
+        if way.remesh:
+            now += max(seconds, 0.0)
+            raise MeshError("Gmsh was stopped", where=source)
+        assert seconds == 15.0
+        return made(plc, bodies, source, way, seconds)
+
+    monkeypatch.setattr(module, "_filled", slow)
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now))
+    plc = alone(ball(1, times=1))
+    assert volumes(filled(plc))["region0"] == pytest.approx(region_volumes(plc)[0], rel=1e-12)
