@@ -144,10 +144,6 @@ class FormulaError(InputError):
     """A formula cannot be read or uses a name that does not exist."""
 
 
-class UnknownNameError(FormulaError):
-    """A formula has a name that it cannot have."""
-
-
 class UnitError(InputError):
     """A number's unit is unknown or measures something else."""
 

@@ -28,7 +28,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from ufl.core.expr import Expr
 
-from dolfin_elastic.core.errors import FormulaError, UnknownNameError, nearest
+from dolfin_elastic.core.errors import FormulaError, nearest
 from dolfin_elastic.core.formula_functions import (
     COMPARISONS,
     CONSTANTS,
@@ -375,9 +375,9 @@ class _Reader:
             return CONSTANTS[name]
         if name in FUNCTIONS:
             raise self._fault(f"'{name}' is a function", node, f"write {name}(...)")
-        known = nearest(name, [*self.allowed, *CONSTANTS])
-        fault = self._fault(f"unknown name '{name}'", node, known)
-        raise UnknownNameError(fault.what, expected=fault.expected)
+        raise self._fault(
+            f"unknown name '{name}'", node, nearest(name, [*self.allowed, *CONSTANTS])
+        )
 
     def _call(self, name: str, node: ast.expr, args: list[ast.expr]) -> Tree:
         if name not in FUNCTIONS:

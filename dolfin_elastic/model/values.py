@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import GetCoreSchemaHandler, model_validator
 from pydantic_core import core_schema
 
-from dolfin_elastic.core.errors import InputError, UnknownNameError, dotted, keyed
+from dolfin_elastic.core.errors import InputError, dotted, keyed
 from dolfin_elastic.core.formula import Formula
 from dolfin_elastic.core.schema import Record
 from dolfin_elastic.core.types import FloatArray
@@ -293,14 +293,7 @@ def component(
             expected='expected 0, "free" or a record such as {file = "quake.csv", unit = "g"}',
         )
     if isinstance(written, str) and not is_quantity(written) and not misspelt_unit(written):
-        try:
-            return Formula.parse(written, allowed=COORDINATES)
-        except UnknownNameError as error:
-            if not fields:
-                raise
-            alone = f'{error.expected}; a field stands alone, as {{field = "NAME"}}'
-            alone += ", and a formula of an image in the map of its [fields.NAME]"
-            raise UnknownNameError(error.what, where=error.where, expected=alone) from None
+        return Formula.parse(written, allowed=COORDINATES)
     try:
         return to_si(written, unit)
     except InputError as error:

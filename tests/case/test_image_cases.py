@@ -16,7 +16,6 @@ from dolfin_elastic.case.check.rest import read_body
 from dolfin_elastic.case.look.image import look_at_image
 from dolfin_elastic.core.errors import InputError
 from dolfin_elastic.core.si_text import natural
-from dolfin_elastic.model.loads import Growth
 
 
 def case(**more: Any) -> Case:
@@ -49,11 +48,6 @@ def test_a_missing_image_is_one_error() -> None:
     with pytest.raises(InputError, match="there is no image") as error:
         read_body(wrong, MPI.COMM_SELF)
     assert len(error.value.each) == 1
-
-
-def test_growth_by_a_formula_of_a_field_says_what_is_right() -> None:
-    with pytest.raises(InputError, match=r'a field stands alone, as {field = "NAME"}, and a form'):
-        Growth(value=["1 + 0.1*rho", 1, 1])
 
 
 def test_strengths_have_units() -> None:
