@@ -399,18 +399,18 @@ def _check_mode_pictures(case: Case) -> None:
                 expected="a picture: each mode has one, and an animation for ParaView",
             )
         if "field" in picture.model_fields_set and picture.fields != ["displacement"]:
-            raise CaseError(
-                f"a mode has no '{picture.fields[0]}': it has no size of its own",
-                where=f"output.pictures[{i}].field",
-                expected="leave it out; modes are coloured by their displacement",
-            )
+            raise _no_field_of_modes(picture.fields[0], f"output.pictures[{i}]")
     for i, one in enumerate(() if case.preloaded else case.output.exports):
         if one.field not in (None, "displacement"):
-            raise CaseError(
-                f"a mode has no '{one.field}': it has no size of its own",
-                where=f"output.exports[{i}].field",
-                expected="leave it out; modes are coloured by their displacement",
-            )
+            raise _no_field_of_modes(one.field, f"output.exports[{i}]")
+
+
+def _no_field_of_modes(name: str, where: str) -> CaseError:
+    return CaseError(
+        f"a mode has no '{name}': it has no size of its own",
+        where=f"{where}.field",
+        expected="leave it out; modes are coloured by their displacement",
+    )
 
 
 # --- materials ---

@@ -119,8 +119,3 @@ class Skin:
         within = self.facets[np.isin(self.facets, nodes).all(axis=1)]
         own = nodes[np.isin(nodes, self.corners)]
         return len(within) > 0 and not len(np.setdiff1d(own, within))
-
-
-def covers_faces(cells: list[IntArray], nodes: IntArray) -> bool:
-    """`Skin.covered_by` of a body that is asked once."""
-    return Skin(cells).covered_by(nodes)

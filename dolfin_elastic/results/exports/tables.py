@@ -109,11 +109,12 @@ def write_frd(run: FinishedRun, settings: ExportSettings, file: Path) -> tuple[s
     times, notes = [run.steps[step] for step in steps], _left_out(run)
     if not run.modal:
         times = [max(t, _TINY) for t in times]
-    if not run.modal and (np.diff(times) <= 0).any():
-        times = [float(k + 1) for k in range(len(steps))]
-        notes += (
-            "t does not grow from state to state: in its place they have the numbers 1, 2 ...",
-        )
+        if (np.diff(times) <= 0).any():
+            times = [float(k + 1) for k in range(len(steps))]
+            text = (
+                "t does not grow from state to state: in its place they have the numbers 1, 2 ..."
+            )
+            notes += (text,)
     with (
         drafted(file) as draft,
         draft.open("w", encoding="ascii", errors="replace", newline="\n") as out,
@@ -179,7 +180,7 @@ def _numbered(nodes: AnyArray, rows: AnyArray) -> Iterator[str]:
     """Lines of nodes, counted from 0, with their values."""
     for start in range(0, len(rows), _BLOCK):
         block = slice(start, start + _BLOCK)
-        pairs = zip(nodes[block] + 1, rows[block], strict=True)
+        pairs = zip((nodes[block] + 1).tolist(), rows[block].tolist(), strict=True)
         yield "".join([f" -1{node:10d}{''.join(map(_twelve, row))}\n" for node, row in pairs])
 
 

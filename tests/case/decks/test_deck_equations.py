@@ -2,42 +2,30 @@
 
 from __future__ import annotations
 
-import tomllib
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers import deck_cases
+from helpers.deck_cases import last
 from helpers.decks import box, inp_text, numbers
 
-from dolfin_elastic import Case, run
 from dolfin_elastic.case.decks.deck import Deck
 from dolfin_elastic.case.decks.reading import read_deck
-from dolfin_elastic.case.decks.writer import case_texts
 from dolfin_elastic.core.errors import MeshError
 
 E, SOFT = 200.0, 50.0
 MATERIAL = "*MATERIAL, NAME={0}\n*ELASTIC\n{1}, 0.\n*SOLID SECTION, ELSET={2}, MATERIAL={0}\n"
 STATIC = "*STEP\n*STATIC\n{}*END STEP\n"
+one = partial(deck_cases.one, units="mm-t-s")
 
 
 def read(folder: Path, text: str) -> Deck:
     (folder / "deck.inp").write_text(text)
     return read_deck(folder / "deck.inp")
-
-
-def one(deck: Deck) -> dict[str, Any]:
-    """Its case, with nothing left out that changes the answer."""
-    assert not deck.faults
-    (text,) = case_texts(deck, "deck", "mm-t-s").values()
-    return tomllib.loads(text)
-
-
-def last(table: dict[str, Any], folder: Path) -> Any:
-    case = Case.from_dict({**table, "output": {"formats": ["csv"]}}, folder)
-    *_, state = run(case, output=folder / "results")
-    return state
 
 
 # --- ties ---

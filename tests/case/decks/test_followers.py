@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from helpers.deck_cases import last, one
 from helpers.decks import box, quadratic
 
-from dolfin_elastic import Case, run
 from dolfin_elastic.case.decks.deck import Deck
 from dolfin_elastic.case.decks.reading import read_deck
-from dolfin_elastic.case.decks.writer import case_texts
 from dolfin_elastic.core.errors import MeshError
 
 LENGTH, E = 8.0, 1000.0
@@ -52,18 +49,6 @@ def read(folder: Path, bulk: str, solution: int = 101, more: str = "") -> Deck:
     lines += [*grids, *cells, *held, *law, "EIGRL,9,,,2", bulk, "ENDDATA", ""]
     (folder / "bar.bdf").write_text("\n".join(lines))
     return read_deck(folder / "bar.bdf")
-
-
-def one(deck: Deck) -> dict[str, Any]:
-    assert not deck.faults
-    (text,) = case_texts(deck, "bar", "m-kg-s").values()
-    return tomllib.loads(text)
-
-
-def last(table: dict[str, Any], folder: Path) -> Any:
-    case = Case.from_dict({**table, "output": {"formats": ["csv"]}}, folder)
-    *_, state = run(case, output=folder / "results")
-    return state
 
 
 def test_a_rigid_spider(tmp_path: Path) -> None:

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from helpers.deck_cases import last, one
 from helpers.decks import box, quadratic
 from helpers.febio_text import febio_text
 
-from dolfin_elastic import Case, run
 from dolfin_elastic.case.decks.deck import Deck
 from dolfin_elastic.case.decks.reading import read_deck
-from dolfin_elastic.case.decks.writer import case_texts
 from dolfin_elastic.core.errors import MeshError
 
 LENGTH, E = 8.0, 200.0
@@ -63,18 +60,6 @@ def read(folder: Path, rigid: str, boundary: str = "", centre: str = "", *, bloc
     text = text.replace("</Mesh>", f"</Mesh>\n<MeshDomains>{domains}</MeshDomains>")
     (folder / "model.feb").write_text(text)
     return read_deck(folder / "model.feb")
-
-
-def one(deck: Deck) -> dict[str, Any]:
-    assert not deck.faults
-    (text,) = case_texts(deck, "model", "m-kg-s").values()
-    return tomllib.loads(text)
-
-
-def last(table: dict[str, Any], folder: Path) -> Any:
-    case = Case.from_dict({**table, "output": {"formats": ["csv"]}}, folder)
-    *_, state = run(case, output=folder / "results")
-    return state
 
 
 def force(dof: str, value: float, kind: str = "rigid_force") -> str:

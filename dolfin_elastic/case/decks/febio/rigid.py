@@ -208,11 +208,20 @@ class Bodies:
                 result |= {n: block.nodes[rows, :4] for n, rows in block.parts.items()}
         return mesh.points, result
 
+    @cached_property
+    def _faces(self) -> dict[str, set[tuple[int, ...]]]:
+        """Name of each part to the faces that it does not share with itself, by their corners."""
+        _, cells = self._cells
+        return {
+            name: {tuple(map(int, face)) for face in boundary([cells[name]])}
+            for name in self._named
+            if name in cells
+        }
+
     def _boundary(self, part: str) -> Iterator[Mapping[str, object]]:
         """Selectors of the faces of a part: outer ones, and those to parts that deform."""
-        _, cells = self._cells
-        faces = {name: _faces(cells[name]) for name in self._named if name in cells}
-        own = faces.pop(part, set())
+        faces = dict(self._faces)
+        own = faces.pop(part)
         rigid = {name for body in self._bodies.values() for name in body.parts}
         touching = [name for name in faces if name not in rigid and faces[name] & own]
         yield from ({"between": [part, name]} for name in touching)
@@ -232,8 +241,3 @@ class Bodies:
 
 
 _ZERO = Amount([0.0], None)
-
-
-def _faces(cells: IntArray) -> set[tuple[int, ...]]:
-    """Faces of a part that it does not share with itself, by their corners in ascending order."""
-    return {tuple(map(int, face)) for face in boundary([cells])}

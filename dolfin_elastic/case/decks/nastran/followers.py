@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dolfin_elastic.case.decks.coupling import Coupling, covers_faces
+from dolfin_elastic.case.decks.coupling import Coupling, Skin
 from dolfin_elastic.case.decks.deck import Deck, Entry, Quantity, Severity, Step
 from dolfin_elastic.case.decks.nastran.table import SOLIDS, Table, place
 from dolfin_elastic.core.types import FloatArray
@@ -28,6 +28,9 @@ class Followers:
     def __init__(self, table: Table, deck: Deck) -> None:
         self._table, self._deck = table, deck
         self._couplings = dict[int, Coupling]()
+        solids = map(table.bulk.elements.get, SOLIDS)
+        self._cells = [np.array(elements.nodes) for elements in solids if elements is not None]
+        self._skin = Skin([cell[:, :4] for cell in self._cells])
 
     def _leave_out(self, group: Group, text: str) -> None:
         self._deck.leave_out(place(group.entry), text, "changes the answer")
@@ -35,11 +38,6 @@ class Followers:
     def begin(self) -> None:
         """All reference nodes are free and without a load."""
         groups = self._table.groups
-        cells = [
-            np.array(elements.nodes)
-            for kind in SOLIDS
-            if (elements := self._table.bulk.elements.get(kind)) is not None
-        ]
         self._couplings = {}
         for group in groups.all:
             if group.kind not in _KINDS:
@@ -48,11 +46,9 @@ class Followers:
                 self._leave_out(group, "rigid elements that share a reference node, or a chain")
             elif not {"1", "2", "3"} <= set(group.components):
                 self._leave_out(group, "components 1, 2 and 3 together alone are read")
-            elif not cells or not covers_faces(
-                [cell[:, :4] for cell in cells], np.array(sorted(group.nodes))
-            ):
+            elif not self._cells or not self._skin.covered_by(np.array(sorted(group.nodes))):
                 self._leave_out(group, "nodes that are no corners of faces within them")
-            elif any((cell == group.reference).any() for cell in cells):
+            elif any((cell == group.reference).any() for cell in self._cells):
                 self._leave_out(group, "a reference node of the solid: here it is one beside it")
             else:
                 point = [float(x) for x in groups.place(group.entry, group.reference)]
